@@ -1,0 +1,113 @@
+"""What every analysis takes and gives: a scene and a way to run lanes in, a group of named variables out. No files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from jaxnh.solvers import IsokineticSplitting, WrittenOutRungeKutta
+from jaxnh.strobe import Strobe, make_strobe
+from jaxnh.systems import IsokineticParticle, State
+
+
+class Options(BaseModel):
+    """Base of the options of an analysis: frozen, and a key that is not known is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """An array with named dimensions, as netCDF means it.
+
+    Attributes:
+        dims: names of the dimensions, one an axis.
+        data: the array.
+        long_name: what it is, in words.
+        units: "1" where it has none.
+        attrs: further attributes.
+    """
+
+    dims: tuple[str, ...]
+    data: np.ndarray
+    long_name: str
+    units: str = "1"
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Group:
+    """The result of one analysis: coordinates are the variables named as their only dimension.
+
+    Attributes:
+        variables: name to variable.
+        attrs: attributes of the group.
+        warnings: sentences for the user, kept in the file as well.
+    """
+
+    variables: Mapping[str, Variable]
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One system, its start state and sweep, and the solver that meets the accuracy asked for.
+
+    Attributes:
+        system: the flow.
+        start: start state (q, n) of every lane, floats.
+        values: swept values of b in the order of the sweep, (lanes,).
+        solver, steps: what P is computed with.
+        error_estimate: estimated largest error of one period's map.
+    """
+
+    system: IsokineticParticle
+    start: State
+    values: np.ndarray
+    solver: IsokineticSplitting | WrittenOutRungeKutta
+    steps: int
+    error_estimate: float
+
+    def strobe(self, refinement: float = 1) -> Strobe:
+        """P with `refinement` times the steps that the accuracy asks for."""
+        return make_strobe(self.system, self.solver, round(self.steps * refinement))
+
+
+class LaneRunner(Protocol):
+    """Runs a per-lane function over any number of lanes (`jaxnh.lanes.Lanes`)."""
+
+    def __call__(
+        self,
+        function: Callable[..., Any],
+        shared: tuple[Any, ...],
+        lanes: tuple[Any, ...],
+        *,
+        periods: float = 0.0,
+        tile: int | None = None,
+        static: tuple[Any, ...] = (),
+    ) -> Any:
+        """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
+
+    def stage(self, label: str, total: float) -> AbstractContextManager[None]:
+        """Show the calls inside as one stage of `total` lane-periods."""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """An entry in the table of analyses.
+
+    Attributes:
+        name: the key in YAML and the group in the result file.
+        options: the model of its options.
+        run: (options, scene, lane runner) to its group.
+    """
+
+    name: str
+    options: type[Options]
+    run: Callable[[Any, Scene, LaneRunner], Group]

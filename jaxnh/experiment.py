@@ -1,0 +1,357 @@
+"""The experiment: what a config says, as frozen records that are valid once they exist. Nothing below sees a raw dict.
+
+The models and their rules live here; YAML and its lines in yaml_source.py, the words for a fault in faults.py.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    Tag,
+    ValidationError,
+    create_model,
+    field_validator,
+    model_validator,
+)
+from pydantic.json_schema import GenerateJsonSchema
+
+from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.record import Analysis, Options
+from jaxnh.faults import Layout, close_match, first_fault, rule, shown
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.systems import IsokineticParticle, constant_speed, disturbed_speed, strobe_period
+from jaxnh.yaml_source import ConfigError, read
+
+__all__ = ["ConfigError", "Experiment", "load", "schema"]
+
+_SOLVERS = (*SPLITTINGS, "dopri8")
+_MOST_LANES = 10_000_000
+
+
+class Section(BaseModel):
+    """A mapping in a config: frozen, strict about types, and a key that is not known is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+# ---- system and start
+
+
+class ConstantSpeed(Section):
+    """x2² + y2² = c, equation (12) of the paper."""
+
+    constraint: Literal["constant_speed"] = Field(description="The squared speed is held at c")
+    a: float = Field(default=0.5, description="Linear stiffness of x1 and cubic stiffness of y1")
+    c: float = Field(default=1.0, gt=0, description="Squared speed")
+    omega: float = Field(default=1.0, gt=0, description="Angular frequency of the forcing 1 + sin(omega t)")
+
+    def build(self) -> IsokineticParticle:
+        """The system with these parameters."""
+        return constant_speed(self.a, self.c, self.omega)
+
+
+class DisturbedSpeed(Section):
+    """x2² + y2² = c + d sin t, equation (22) of the paper."""
+
+    constraint: Literal["disturbed_speed"] = Field(description="The squared speed is held at c + d sin(t)")
+    a: float = Field(default=0.5, description="Linear stiffness of x1 and cubic stiffness of y1")
+    c: float = Field(default=1.0, gt=0, description="Mean squared speed")
+    d: float = Field(default=0.1, description="Amplitude of the disturbance of the squared speed, |d| < c")
+    omega: float = Field(
+        default=1.0, gt=0, description="Angular frequency of the forcing 1 + sin(omega t); a ratio of whole numbers"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> DisturbedSpeed:
+        if abs(self.d) >= self.c:
+            raise rule(f"the speed vanishes: |d| must be below c, and d is {self.d:g}, c is {self.c:g}", "d", "c")
+        try:
+            strobe_period(self.omega, disturbed=self.d != 0)
+        except ValueError as error:
+            raise rule(str(error), "omega", "d", "constraint") from None
+        return self
+
+    def build(self) -> IsokineticParticle:
+        """The system with these parameters."""
+        return disturbed_speed(self.a, self.c, self.d, self.omega)
+
+
+class Initial(Section):
+    """The start state at t = 0; y2 follows from the constraint, as the positive root."""
+
+    x1: float = Field(default=0.1, description="Position x1")
+    x2: float = Field(default=0.1, description="Velocity of x1; its square is at most the squared speed at t = 0")
+    y1: float = Field(default=0.1, description="Position y1; its velocity y2 is the positive root of the constraint")
+
+    def state(self, system: IsokineticParticle) -> tuple[tuple[float, float], tuple[float, float]]:
+        """(q, n) at t = 0: position (x1, y1), and unit vector (n1, n2) of the velocity.
+
+        Raises:
+            ValueError: |x2| is above the speed.
+        """
+        speed = math.sqrt(system.c)  # c + d sin t at t = 0
+        return (self.x1, self.y1), (self.x2 / speed, math.sqrt(system.c - self.x2 * self.x2) / speed)
+
+
+# ---- sweep
+
+
+class Evenly(Section):
+    """Evenly spaced values of a parameter, both ends included."""
+
+    start: float = Field(description="First value")
+    stop: float = Field(description="Last value, above or below the first")
+    count: int = Field(ge=2, le=_MOST_LANES, description="Number of values, both ends included")
+
+    @model_validator(mode="after")
+    def _check(self) -> Evenly:
+        if self.start == self.stop:
+            raise rule(f"must differ from start, and both are {self.start:g}", "stop", "start")
+        if not math.isfinite(self.stop - self.start):
+            raise rule("start and stop are further apart than a double can say", "stop", "start")
+        return self
+
+    def grid(self) -> np.ndarray:
+        """The values from start to stop, shape (count,)."""
+        return np.linspace(self.start, self.stop, self.count)
+
+
+class Named(Section):
+    """Values of a parameter, named one by one."""
+
+    values: tuple[float, ...] = Field(
+        min_length=1, max_length=_MOST_LANES, strict=False, description="The values, in the order they are wanted"
+    )
+
+    def grid(self) -> np.ndarray:
+        """The values as given, shape (count,)."""
+        return np.array(self.values, dtype=np.float64)
+
+
+def _grid_kind(content: Any) -> str:
+    named = "values" in content if isinstance(content, dict) else isinstance(content, Named)
+    return "values" if named else "start, stop, count"
+
+
+class Sweep(Section):
+    """The parameter that differs from lane to lane."""
+
+    b: Annotated[
+        Annotated[Evenly, Tag("start, stop, count")] | Annotated[Named, Tag("values")], Discriminator(_grid_kind)
+    ] = Field(description="Coupling b: start, stop and count, or values")
+
+    def grid(self) -> np.ndarray:
+        """Values of b in the order of the config, float64 of shape (lanes,)."""
+        return self.b.grid()
+
+
+# ---- accuracy, analyses, published values
+
+
+class Accuracy(Section):
+    """How accurate the map of one period is to be, or by which method and steps it is computed."""
+
+    target: float = Field(
+        default=1e-10, ge=1e-13, le=1e-2, description="Largest error of one period's map that is allowed"
+    )
+    solver: str | None = Field(
+        default=None,
+        description="Solver to use instead of the one chosen for the target; needs steps",
+        json_schema_extra={"enum": [*_SOLVERS, None]},
+    )
+    steps: int | None = Field(
+        default=None, ge=1, le=1_000_000, description="Steps a period instead of those chosen for the target"
+    )
+
+    @field_validator("solver")
+    @classmethod
+    def _known(cls, solver: str | None) -> str | None:
+        if solver is not None and solver not in _SOLVERS:
+            raise rule(f"must be one of {', '.join(_SOLVERS)}, not {shown(solver)}{close_match(solver, _SOLVERS)}")
+        return solver
+
+    @model_validator(mode="after")
+    def _check(self) -> Accuracy:
+        if (self.solver is None) != (self.steps is None):
+            given, absent = ("solver", "steps") if self.steps is None else ("steps", "solver")
+            raise rule(f"solver and steps go together; give {absent} as well", given)
+        return self
+
+
+class AnalysesBase(Section):
+    """The analyses asked for, each with its options; None where an analysis is absent."""
+
+    _order: tuple[str, ...] = PrivateAttr(default=())
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _defaults(cls, content: Any, handler: ModelWrapValidatorHandler[AnalysesBase]) -> AnalysesBase:
+        """A name with nothing behind it means all defaults; the order of the names is kept."""
+        if content in (None, {}):
+            raise rule(f"at least one analysis is needed; known are {', '.join(ANALYSES)}")
+        if not isinstance(content, dict):
+            return handler(content)
+        analyses = handler({name: {} if options is None else options for name, options in content.items()})
+        analyses._order = tuple(content)
+        return analyses
+
+    def requested(self) -> list[tuple[Analysis, Options]]:
+        """Each analysis with its options, in the order of the config."""
+        return [(ANALYSES[name], getattr(self, name)) for name in self._order]
+
+
+if TYPE_CHECKING:
+    Analyses = AnalysesBase
+else:
+    Analyses = create_model(
+        "Analyses",
+        __base__=AnalysesBase,
+        __doc__=AnalysesBase.__doc__,
+        **{
+            name: (
+                analysis.options | None,
+                Field(default=None, description=f"Options of {name}; nothing or {{}} for all defaults"),
+            )
+            for name, analysis in ANALYSES.items()
+        },
+    )
+
+
+def _nan_for_null(column: tuple[float | None, ...]) -> tuple[float, ...]:
+    return tuple(math.nan if number is None else number for number in column)
+
+
+Column = Annotated[tuple[float | None, ...], Field(strict=False), AfterValidator(_nan_for_null)]
+"""Published numbers of one variable; NaN where the publication has none (null in YAML)."""
+
+
+class Published(Section):
+    """Published values of an analysis: where they are from, and a list of numbers a variable."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Column] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    source: str = Field(description="Where the values are published")
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Variable name to its published values, each float64 of shape (n,)."""
+        return {name: np.array(column, dtype=np.float64) for name, column in self.__pydantic_extra__.items()}
+
+
+# ---- the whole
+
+
+class Experiment(Section):
+    """A validated config. Made by `load`, which also sets `source` and `text`."""
+
+    title: str = Field(default="", description="What this run is, in words")
+    system: ConstantSpeed | DisturbedSpeed = Field(
+        discriminator="constraint", description="The constraint on the speed, and the parameters"
+    )
+    initial: Initial = Field(default=Initial(), description="Start state at t = 0, the same for all lanes")
+    sweep: Sweep = Field(description="The parameter that differs from lane to lane, and its values")
+    accuracy: Accuracy = Field(default=Accuracy(), description="Error allowed, or solver and steps")
+    analyses: Analyses = Field(description="What to compute: name of the analysis to its options")
+    compare: dict[str, Published] | None = Field(
+        default=None, description="Published values to show beside ours: name of the analysis to source and numbers"
+    )
+
+    _source: Path = PrivateAttr(default=Path())
+    _text: str = PrivateAttr(default="")
+
+    @field_validator("compare")
+    @classmethod
+    def _known(cls, compare: dict[str, Published] | None) -> dict[str, Published] | None:
+        for name in compare or {}:
+            if name not in ANALYSES:
+                raise rule(f"unknown analysis{close_match(name, ANALYSES)}; known are {', '.join(ANALYSES)}", name)
+        return compare
+
+    @model_validator(mode="after")
+    def _check(self) -> Experiment:
+        x2, c = self.initial.x2, self.system.c
+        if x2 * x2 > c:
+            message = f"the speed at t = 0 is {math.sqrt(c):g}, and |x2| cannot be above it; x2 is {x2:g}"
+            raise rule(message, "initial.x2", "system.c")
+        return self
+
+    @property
+    def source(self) -> Path:
+        """The file this was read from, as the user named it."""
+        return self._source
+
+    @property
+    def text(self) -> str:
+        """The YAML as run: the file's text, with the overrides applied and the comments kept."""
+        return self._text
+
+    @property
+    def sha256(self) -> str:
+        """Hash, in hex, of what decides the numbers.
+
+        It is taken of the validated content in canonical JSON, so that formatting, comments, the order of keys and
+        defaults written out do not change it. Nor do `title` and `compare`, which change no number.
+        """
+        content = self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
+        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
+    def requested(self) -> list[tuple[Analysis, Options]]:
+        """The analyses asked for, each with its options, in the order of the config."""
+        return self.analyses.requested()
+
+
+_LAYOUT = Layout(
+    models={
+        (): Experiment,
+        ("initial",): Initial,
+        ("sweep",): Sweep,
+        ("accuracy",): Accuracy,
+        ("analyses",): Analyses,
+        **{("analyses", name): analysis.options for name, analysis in ANALYSES.items()},
+        **{("compare", name): Published for name in ANALYSES},
+    },
+    variants={
+        ("system",): {"constant_speed": ConstantSpeed, "disturbed_speed": DisturbedSpeed},
+        ("sweep", "b"): {"start, stop, count": Evenly, "values": Named},
+    },
+    selectors={("system",): "constraint", ("sweep", "b"): "values"},
+)
+
+
+def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
+    """Read, override and validate a config.
+
+    Args:
+        path: the YAML file.
+        overrides: KEY=VALUE, KEY a dotted path into the YAML (a number for an item of a list), VALUE as in YAML.
+
+    Raises:
+        ConfigError: one line, `FILE:LINE: KEY: what is wrong`, or `command line: KEY: ...` for an override.
+    """
+    source = read(path, overrides)
+    try:
+        experiment = Experiment.model_validate(source.data)
+    except ValidationError as error:
+        raise first_fault(error, source, _LAYOUT) from None
+    experiment._source, experiment._text = path, source.text
+    return experiment
+
+
+def schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a config, with a description for every key: for editors."""
+    return {"$schema": GenerateJsonSchema.schema_dialect, **Experiment.model_json_schema()}

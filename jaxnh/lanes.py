@@ -1,0 +1,163 @@
+"""Lanes: many values of the parameter through one compiled program, in tiles of one fixed shape over all devices.
+
+A chaotic lane's last bits can depend on the shape of the batch it runs in, because other shapes get other vector code.
+So every tile is padded to one shape, and every device gets whole tiles: the results are the same bit for bit for any
+number of lanes, tiles or devices.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+TILE = 256
+"""Lanes a tile: large enough to hide what a kernel call costs, small enough for a core's first cache."""
+
+_XLA_OPTIONS = {
+    # The loop over kicks becomes one LLVM function, where each operation of it would be a call of its own.
+    "xla_cpu_small_while_loop_byte_threshold": "1000000000000",
+    # Outputs of one shape share one loop, where each would compute the force anew.
+    "xla_cpu_use_multi_output_fusion": "true",
+}
+
+
+class Progress(Protocol):
+    """Where a run says how far it is."""
+
+    def start(self, label: str, total: float) -> None:
+        """A stage begins whose work is `total` lane-periods."""
+
+    def advance(self, amount: float) -> None:
+        """So many lane-periods more are done."""
+
+    def finish(self) -> None:
+        """The stage ends."""
+
+
+class Silent:
+    """Progress that says nothing."""
+
+    def start(self, label: str, total: float) -> None: ...
+
+    def advance(self, amount: float) -> None: ...
+
+    def finish(self) -> None: ...
+
+
+class Lanes:
+    """Runs per-lane functions over any number of lanes.
+
+    Attributes:
+        devices: the JAX devices tiles go to.
+        lane_periods: forcing periods integrated so far, summed over lanes (derivatives count once).
+        compile_seconds: time spent tracing and compiling so far.
+        run_seconds: time spent in compiled programs so far.
+    """
+
+    def __init__(self, progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE) -> None:
+        self.devices = jax.devices() if devices is None else devices
+        self.tile = tile
+        self.lane_periods = 0.0
+        self.compile_seconds = 0.0
+        self.run_seconds = 0.0
+        self._progress = progress or Silent()
+        self._programs: dict[Any, Any] = {}
+
+    @contextmanager
+    def stage(self, label: str, total: float) -> Iterator[None]:
+        """Show the calls inside as one stage of `total` lane-periods."""
+        self._progress.start(label, total)
+        try:
+            yield
+        finally:
+            self._progress.finish()
+
+    def __call__(
+        self,
+        function: Callable[..., Any],
+        shared: tuple[Any, ...],
+        lanes: tuple[Any, ...],
+        *,
+        periods: float = 0.0,
+        tile: int | None = None,
+        static: tuple[Any, ...] = (),
+    ) -> Any:
+        """function(*shared, *lane, *static) for every lane.
+
+        Args:
+            function: pure function of one lane, defined at module level (programs are kept by it).
+            shared: pytrees that all lanes see alike.
+            lanes: pytrees whose leaves have the lanes as first axis.
+            periods: forcing periods that a lane costs, for progress and accounts.
+            tile: lanes a tile where a program has few lanes but much to do in each.
+            static: further hashable arguments, part of the program.
+
+        Returns:
+            The function's results as NumPy arrays with the lanes as first axis.
+        """
+        tile = tile or self.tile
+        chunk = tile * len(self.devices)
+        lanes = jax.tree.map(np.asarray, lanes)
+        count = len(jax.tree.leaves(lanes)[0])
+        results = []
+        for start in range(0, count, chunk):
+            part = jax.tree.map(lambda leaf, start=start: _padded(leaf[start : start + chunk], chunk), lanes)
+            program = self._program(function, static, shared, part)
+            began = time.perf_counter()
+            results.append(jax.tree.map(np.asarray, program(shared, part)))
+            self.run_seconds += time.perf_counter() - began
+            done = periods * min(chunk, count - start)
+            self.lane_periods += done
+            self._progress.advance(done)
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *results)
+
+    def _program(self, function: Callable[..., Any], static: tuple[Any, ...], shared: Any, lanes: Any) -> Any:
+        shapes = jax.tree.map(lambda leaf: (np.shape(leaf), np.result_type(leaf)), (shared, lanes))
+        key = (function, static, tuple(jax.tree.leaves(shapes)), jax.tree.structure((shared, lanes)))
+        if key not in self._programs:
+            began = time.perf_counter()
+
+            def tile(shared: Any, lanes: Any) -> Any:
+                return jax.vmap(lambda lane: function(*shared, *lane, *static))(lanes)
+
+            mesh = Mesh(np.array(self.devices), ("lanes",))
+            split = PartitionSpec("lanes")
+            sharded = jax.shard_map(
+                tile, mesh=mesh, in_specs=(PartitionSpec(), split), out_specs=split, check_vma=False
+            )
+            self._programs[key] = jax.jit(sharded).lower(shared, lanes).compile()
+            self.compile_seconds += time.perf_counter() - began
+        return self._programs[key]
+
+
+def _padded(leaf: np.ndarray, length: int) -> np.ndarray:
+    """The leaf with its last row repeated up to a length."""
+    missing = length - len(leaf)
+    return leaf if not missing else np.concatenate([leaf, np.repeat(leaf[-1:], missing, axis=0)])
+
+
+def configure(devices: int | None = None) -> None:
+    """Prepare JAX before its first use: one CPU device a core, fast loops, and compiled programs kept from run to run.
+
+    `JAX_NUM_CPU_DEVICES`, `JAX_COMPILATION_CACHE_DIR` and any `--xla_backend_extra_options`, where set, are left as
+    they are.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if "--xla_backend_extra_options" not in flags:
+        options = ",".join(f"{name}={value}" for name, value in _XLA_OPTIONS.items())
+        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={options}".strip()
+    os.environ.setdefault("EQX_ON_ERROR", "nan")  # no host callbacks: they keep diffrax programs out of the cache
+    if "JAX_NUM_CPU_DEVICES" not in os.environ:
+        jax.config.update("jax_num_cpu_devices", devices or len(os.sched_getaffinity(0)))
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(root / "jaxnh" / "programs"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)

@@ -1,0 +1,207 @@
+"""Periodic orbits of the strobe map: Newton for many lanes at once, and doubling points by multiple shooting.
+
+Lane functions here are pure and run under `jax.vmap`; the solution of the one large system of a doubling point, whose
+size changes with the period, is host code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+from jaxnh.strobe import Strobe, Tangent, chart, derivatives, unchart, wrap
+
+_NEWTON_STEPS = 12
+_NEWTON_TOLERANCE = 1e-9  # residual after which one more step reaches the rounding floor
+_LARGEST_STEP = 0.25
+_PATIENCE, _NEAR = 4, 1e-2  # after so many steps a lane with a residual above this is given up
+
+
+class Orbit(NamedTuple):
+    """A point of a period-n orbit of one lane.
+
+    Attributes:
+        u: section coordinates (x1, y1, θ), shape (3,).
+        residual: largest component of Pⁿ(u) − u.
+        monodromy: ∂Pⁿ/∂u, shape (3, 3).
+    """
+
+    u: Array
+    residual: Array
+    monodromy: Array
+
+
+def find_orbit(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Orbit:
+    """Newton on Pⁿ(u; b) = u for one lane, from u of shape (3,); n may be traced.
+
+    Stops by itself; a lane that does not converge shows it by its residual (NaN where it left the numbers).
+    Newton does not care whether the orbit is stable, nor how slowly the map itself would approach it.
+    """
+
+    def look(u: Array) -> Orbit:
+        image, monodromy, _ = derivatives(strobe, n, u, b)
+        return Orbit(u, jnp.max(jnp.abs(wrap(image - u))), monodromy), image
+
+    def improve(carry: tuple[Orbit, Array, Array, Array]) -> tuple[Orbit, Array, Array, Array]:
+        orbit, image, steps, _ = carry
+        step = solve3(orbit.monodromy - jnp.eye(3), wrap(orbit.u - image))
+        step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(jnp.abs(step)))
+        last = orbit.residual < _NEWTON_TOLERANCE
+        return *look(orbit.u + step), steps + 1, last
+
+    def unfinished(carry: tuple[Orbit, Array, Array, Array]) -> Array:
+        orbit, _, steps, last = carry
+        hopeless = (steps >= _PATIENCE) & (orbit.residual > _NEAR)
+        return ~last & (steps < _NEWTON_STEPS) & jnp.isfinite(orbit.residual) & ~hopeless
+
+    start = (*look(u), jnp.int32(0), jnp.bool_(False))
+    return lax.while_loop(unfinished, improve, start)[0]
+
+
+def solve3(matrix: Array, right: Array) -> Array:
+    """Solution of a 3×3 system by cofactors, (3, 3) and (3,) to (3,): batched LAPACK calls are slow on these."""
+    r0, r1, r2 = matrix
+    c0, c1, c2 = jnp.cross(r1, r2), jnp.cross(r2, r0), jnp.cross(r0, r1)
+    return (c0 * right[0] + c1 * right[1] + c2 * right[2]) / jnp.dot(r0, c0)
+
+
+class Segment(NamedTuple):
+    """One period of an orbit with a vector carried along, and all that Newton on both needs.
+
+    Attributes:
+        image: P(u; b), (3,).
+        carried: M w with M = ∂P/∂u, (3,).
+        image_slope: ∂P/∂(u, b), (3, 4).
+        carried_slope: ∂(M w)/∂(u, b), (3, 4).
+    """
+
+    image: Array
+    carried: Array
+    image_slope: Array
+    carried_slope: Array
+
+
+def segment(strobe: Strobe, u: Array, w: Array, b: ArrayLike) -> Segment:
+    """P, M w and their derivatives in u and b for one lane; u and w of shape (3,)."""
+
+    def carry(v: Array) -> tuple[Array, Array]:
+        state, tangent = jax.jvp(unchart, (v[:3],), (w,))
+        state, (tangent,) = strobe.push(state, v[3], (Tangent(tangent, jnp.zeros_like(v[3])),))
+        image, carried = jax.jvp(chart, (state,), (tangent.state,))
+        return image, carried
+
+    point = jnp.append(u, b)
+    image_slope, carried_slope = jax.jacfwd(carry)(point)
+    return Segment(*carry(point), image_slope, carried_slope)
+
+
+class DoublingPoint(NamedTuple):
+    """Where a period-n orbit has a multiplier −1.
+
+    Attributes:
+        b: the parameter value.
+        orbit: the n points of the orbit in section coordinates, (n, 3).
+        vector: the eigenvector of −1 at each of them, (n, 3), of length one at the first.
+        last_step: size of the last Newton step in b, which is rounding once it has converged.
+        converged: whether it has.
+    """
+
+    b: float
+    orbit: np.ndarray
+    vector: np.ndarray
+    last_step: float
+    converged: bool
+
+
+def refine_doubling(
+    segments: Callable[[np.ndarray, np.ndarray, np.ndarray], Segment],
+    orbit: np.ndarray,
+    vector: np.ndarray,
+    b: float,
+) -> DoublingPoint:
+    """Newton on orbit, eigenvector and b together, so that the orbit of n points has the multiplier −1.
+
+    Multiple shooting: P(u_i) = u_{i+1}, M_i w_i = w_{i+1} around the orbit with w_n = −w_0 and |w_0|² = 1. No product
+    of monodromy matrices is formed, so that rounding does not grow with n; and since the orbit, stable or not, is a
+    solution of an equation, critical slowing plays no part.
+
+    Args:
+        segments: `segment` over lanes (n, 3), (n, 3), (n,).
+        orbit: starting points (n, 3).
+        vector: starting vectors (n, 3).
+        b: starting value.
+    """
+    n = len(orbit)
+    turn = np.ones((n, 1))
+    turn[-1] = -1.0
+    vector = vector / np.linalg.norm(vector[0])
+    step = np.inf
+    for _ in range(_NEWTON_STEPS):
+        s = Segment(*(np.asarray(leaf) for leaf in segments(orbit, vector, np.full(n, b))))
+        residual = np.concatenate(
+            [wrap(np.roll(orbit, -1, 0) - s.image), turn * np.roll(vector, -1, 0) - s.carried], axis=1
+        )
+        here = np.zeros((n, 6, 6))
+        here[:, :3, :3] = here[:, 3:, 3:] = s.image_slope[:, :, :3]
+        here[:, 3:, :3] = s.carried_slope[:, :, :3]
+        there = np.zeros((n, 6, 6))
+        there[:, :3, :3] = -np.eye(3)
+        there[:, 3:, 3:] = -np.eye(3) * turn[:, :, None]
+        slope = np.concatenate([s.image_slope[:, :, 3], s.carried_slope[:, :, 3]], axis=1)
+        normal = np.concatenate([np.zeros(3), 2.0 * vector[0]])
+        moved, shift = solve_cyclic(here, there, slope, residual, normal, 1.0 - vector[0] @ vector[0])
+        orbit, vector, b = orbit + moved[:, :3], vector + moved[:, 3:], b + shift
+        previous, step = step, abs(shift)
+        if not np.isfinite(step):
+            break
+        if (step < 1e-10 and step >= 0.25 * previous) or step == 0.0:
+            return DoublingPoint(b, orbit, vector, step, True)
+    return DoublingPoint(b, orbit, vector, step, bool(step < 1e-10))
+
+
+def solve_cyclic(
+    here: np.ndarray, there: np.ndarray, slope: np.ndarray, right: np.ndarray, normal: np.ndarray, level: float
+) -> tuple[np.ndarray, float]:
+    """A_i y_i + B_i y_{i+1} + c_i β = r_i around a cycle (y_n = y_0), with ℓ·y_0 = ν.
+
+    Structured orthogonal elimination (Wright, SIAM J. Sci. Stat. Comput. 13 (1992) 742): points are eliminated one
+    after the other by a QR step of the two equations they stand in, which is stable where multiplying the blocks out is
+    not. Small LAPACK calls only: the result does not depend on the number of threads.
+
+    Args:
+        here, there: A and B, (n, m, m).
+        slope, right: c and r, (n, m).
+        normal, level: ℓ (m,) and ν.
+
+    Returns:
+        y (n, m) and β.
+    """
+    n, m = right.shape
+    first, last, c, r = here[0], there[0], slope[0], right[0]  # first y_0 + last y_i + c β = r
+    eliminated = []
+    for i in range(1, n):
+        q, upper = np.linalg.qr(np.concatenate([last, here[i]]), mode="complete")
+        rows = np.zeros((2 * m, 2 * m + 2))
+        rows[:m, :m], rows[:m, 2 * m], rows[:m, 2 * m + 1] = first, c, r
+        rows[m:, m : 2 * m], rows[m:, 2 * m], rows[m:, 2 * m + 1] = there[i], slope[i], right[i]
+        rows = q.T @ rows
+        eliminated.append((upper[:m], rows[:m]))
+        first, last, c, r = rows[m:, :m], rows[m:, m : 2 * m], rows[m:, 2 * m], rows[m:, 2 * m + 1]
+    closed = np.zeros((m + 1, m + 1))
+    closed[:m, :m], closed[:m, m], closed[m, :m] = first + last, c, normal
+    solution = np.linalg.solve(closed, np.append(r, level))
+    y = np.empty((n, m))
+    y[0], beta = solution[:m], float(solution[m])
+    following = y[0]
+    for i in range(n - 1, 0, -1):
+        upper, rows = eliminated[i - 1]
+        known = rows[:, 2 * m + 1] - rows[:, :m] @ y[0] - rows[:, m : 2 * m] @ following - rows[:, 2 * m] * beta
+        following = y[i] = np.linalg.solve(upper, known)
+    return y, beta

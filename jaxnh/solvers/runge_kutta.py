@@ -1,0 +1,106 @@
+"""Explicit Runge–Kutta methods with their stages written out over a tuple state.
+
+diffrax keeps the stages of its own Runge–Kutta solvers in one growing array; under vmap on a CPU, moving that array
+costs ten times the arithmetic. Here every stage is an expression of its own, and zero coefficients leave no trace.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import diffrax
+import equinox as eqx
+import jax
+import numpy as np
+from diffrax import ButcherTableau
+
+
+class WrittenOutRungeKutta(diffrax.AbstractAdaptiveSolver):
+    """Any explicit diffrax tableau, with its embedded error estimate, stages written out.
+
+    The state may be any pytree. Nothing is carried from step to step (no FSAL); what only the error estimate or the
+    interpolation needs is removed by XLA where they are not read.
+
+    Attributes:
+        a: rows of the tableau below the diagonal, first row empty.
+        b: weights of the solution, one a stage.
+        b_error: weights of the error estimate, one a stage.
+        c: abscissae, one a stage.
+        convergence_order: order of the solution.
+        name: name in configs and result files.
+        source: where the coefficients come from.
+    """
+
+    a: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    b: tuple[float, ...] = eqx.field(static=True)
+    b_error: tuple[float, ...] = eqx.field(static=True)
+    c: tuple[float, ...] = eqx.field(static=True)
+    convergence_order: int = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    source: str = eqx.field(static=True)
+
+    term_structure: ClassVar = diffrax.AbstractTerm
+    interpolation_cls: ClassVar = diffrax.ThirdOrderHermitePolynomialInterpolation
+
+    @property
+    def stages(self) -> int:
+        """Evaluations of the vector field that the solution needs, a step."""
+        return sum(1 for i in range(len(self.b)) if self.b[i] or any(i < len(row) and row[i] for row in self.a))
+
+    def order(self, terms: Any) -> int:
+        return self.convergence_order
+
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> None:
+        return None
+
+    def func(self, terms: diffrax.AbstractTerm, t0: Any, y0: Any, args: Any) -> Any:
+        return terms.vf(t0, y0, args)
+
+    def step(
+        self, terms: diffrax.AbstractTerm, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
+    ) -> tuple[Any, Any, dict[str, Any], None, diffrax.RESULTS]:
+        """One step; the third value carries what third-order Hermite interpolation needs."""
+        del solver_state, made_jump
+        h = terms.contr(t0, t1)
+        stages: list[Any] = []
+        for row, c in zip(self.a, self.c, strict=True):
+            y = _combine(y0, row, stages)
+            stages.append(terms.prod(terms.vf(t0 + c * (t1 - t0), y, args), h))
+        y1 = _combine(y0, self.b, stages)
+        error = _combine(None, self.b_error, stages)
+        end = terms.prod(terms.vf(t1, y1, args), h)
+        return y1, error, {"y0": y0, "y1": y1, "k0": stages[0], "k1": end}, None, diffrax.RESULTS.successful
+
+
+def _combine(base: Any, weights: tuple[float, ...], stages: list[Any]) -> Any:
+    """base + Σ weight · stage over the weights that are not zero."""
+    terms = [(w, k) for w, k in zip(weights, stages, strict=False) if w]
+
+    def leaf(*values: Any) -> Any:
+        total = sum(w * v for (w, _), v in zip(terms, values[-len(terms) :], strict=True))
+        return total if base is None else values[0] + total
+
+    if not terms:
+        return base
+    trees = [k for _, k in terms]
+    return jax.tree.map(leaf, *trees) if base is None else jax.tree.map(leaf, base, *trees)
+
+
+def written_out(tableau: ButcherTableau, order: int, name: str, source: str) -> WrittenOutRungeKutta:
+    """The written-out solver of an explicit diffrax tableau."""
+    rows = ((), *(tuple(np.asarray(row).tolist()) for row in tableau.a_lower))
+    return WrittenOutRungeKutta(
+        a=rows,
+        b=tuple(np.asarray(tableau.b_sol).tolist()),
+        b_error=tuple(np.asarray(tableau.b_error).tolist()),
+        c=(0.0, *np.asarray(tableau.c).tolist()),
+        convergence_order=order,
+        name=name,
+        source=source,
+    )
+
+
+dopri8 = written_out(
+    diffrax.Dopri8.tableau, 8, "dopri8", "Prince and Dormand, J. Comput. Appl. Math. 7 (1981) 67, via diffrax"
+)
+"""Dormand–Prince 8(7), thirteen stages and one more for the error estimate."""

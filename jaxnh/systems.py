@@ -1,0 +1,140 @@
+"""The systems: forces, prescribed speed, parameters and sources. No integrator lives here.
+
+A particle of unit mass in the plane is held at a prescribed speed s(t) by a nonlinear nonholonomic constraint
+x2² + y2² = s(t)². Its velocity is written as s(t) n with a unit vector n, so that the constraint holds by
+construction; n then turns with the part of the force that is normal to it (the isokinetic flow: Evans, Hoover and
+co-workers 1983; splitting by Zhang 1997). The multiplier takes up the tangential part, and with it the whole of the
+damping −a dx/dt, which therefore appears nowhere.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+jax.config.update("jax_enable_x64", True)  # every module that computes imports this one first
+
+Vector = tuple[Array, ...]
+"""Cartesian components, each of shape (...,)."""
+State = tuple[Vector, Vector]
+"""(q, n): position (x1, y1) and unit vector of the velocity (n1, n2)."""
+
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(12)
+_LARGEST_DENOMINATOR = 64
+
+
+class IsokineticParticle(eqx.Module):
+    """Forced coupled oscillator (1) whose squared speed is held at c + d sin t: equations (12) and (22).
+
+    Phase space is (x1, y1, n) and time: three dimensions and a clock. Lanes differ in b; a, c, d and ω are shared.
+
+    Attributes (all real, no units: the paper's equations are dimensionless):
+        a: linear stiffness of x1 and cubic stiffness of y1 (and damping, which the constraint absorbs).
+        c: mean squared speed, c > |d|.
+        d: amplitude of the disturbance of the squared speed; 0 gives (12).
+        omega: angular frequency of the forcing g(t) = 1 + sin ωt, ω > 0.
+    """
+
+    a: ArrayLike
+    c: float = eqx.field(static=True)
+    d: float = eqx.field(static=True)
+    omega: float = eqx.field(static=True)
+
+    @property
+    def period(self) -> float:
+        """Strobe period T: that of the forcing, or its least common period with the disturbance sin t."""
+        return strobe_period(self.omega, disturbed=self.d != 0)
+
+    def forcing(self, t: Any) -> Any:
+        """g(t) = 1 + sin ωt, any shape."""
+        return 1.0 + _namespace(t).sin(self.omega * t)
+
+    def speed(self, t: Any) -> Any:
+        """s(t) = √(c + d sin t), any shape."""
+        xp = _namespace(t)
+        return xp.sqrt(self.c + self.d * xp.sin(t)) if self.d else xp.full_like(t, math.sqrt(self.c))
+
+    def path_length(self, t0: Any, t1: Any) -> Any:
+        """∫ s dt from t0 to t1, any shape: exact at constant speed, else by twelve Gauss–Legendre nodes."""
+        if not self.d:
+            return math.sqrt(self.c) * (t1 - t0)
+        half = 0.5 * (t1 - t0)
+        nodes = 0.5 * (t0 + t1)[..., None] + half[..., None] * _GAUSS_NODES
+        return half * (self.speed(nodes) * _GAUSS_WEIGHTS).sum(axis=-1)
+
+    def force(self, q: Vector, g: ArrayLike, weight: ArrayLike, b: ArrayLike) -> Vector:
+        """Applied force without damping, times a weight: −weight (g a x + g x³ − b y, g y + g a y³ − b x).
+
+        `g` is the forcing times the weight and `weight` the weight alone, as both come ready-made from tables.
+        """
+        x, y = q
+        coupling = weight * b
+        return coupling * y - g * x * (self.a + x * x), coupling * x - g * y * (1.0 + self.a * (y * y))
+
+    def vector_field(self, t: ArrayLike, state: State, b: ArrayLike) -> State:
+        """Time derivative (q', n'); shapes (...,) in and out."""
+        q, n = state
+        s = self.speed(t)
+        f = self.force(q, self.forcing(t), 1.0, b)
+        turn = (n[0] * f[1] - n[1] * f[0]) / s
+        return (s * n[0], s * n[1]), (-n[1] * turn, n[0] * turn)
+
+    def velocity(self, t: ArrayLike, state: State) -> Vector:
+        """(x2, y2) = s(t) n."""
+        s = self.speed(t)
+        return s * state[1][0], s * state[1][1]
+
+
+def _namespace(t: Any) -> Any:
+    """NumPy for NumPy arrays, whose tables are made once on the host; jax.numpy for everything else."""
+    return np if isinstance(t, np.ndarray) else jnp
+
+
+def strobe_period(omega: float, *, disturbed: bool) -> float:
+    """2π/ω, or with the disturbance sin t the least T that is a multiple of both 2π/ω and 2π.
+
+    Raises:
+        ValueError: ω is not a ratio of whole numbers with a denominator up to 64, so that sin ωt and sin t have no
+            common period to strobe at.
+    """
+    if not disturbed:
+        return 2 * math.pi / omega
+    ratio = Fraction(omega).limit_denominator(_LARGEST_DENOMINATOR)
+    if ratio <= 0 or abs(float(ratio) - omega) > 1e-12 * omega:
+        raise ValueError(
+            f"sin({omega:g} t) and the disturbance sin t have no common period to strobe at; "
+            f"omega must be a ratio p/q of whole numbers with q up to {_LARGEST_DENOMINATOR}"
+        )
+    return 2 * math.pi * ratio.denominator
+
+
+def constant_speed(a: float = 0.5, c: float = 1.0, omega: float = 1.0) -> IsokineticParticle:
+    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1)."""
+    return IsokineticParticle(a=a, c=c, d=0.0, omega=omega)
+
+
+def disturbed_speed(a: float = 0.5, c: float = 1.0, d: float = 0.1, omega: float = 1.0) -> IsokineticParticle:
+    """x2² + y2² = c + d sin t: equation (22) of the paper (figures 6–10, table 2)."""
+    return IsokineticParticle(a=a, c=c, d=d, omega=omega)
+
+
+def constrained_field(system: IsokineticParticle, t: ArrayLike, y: Vector, b: ArrayLike) -> Vector:
+    """The paper's own four equations (12)/(22), with (13)/(23), in y = (x1, x2, y1, y2).
+
+    For comparison only: off the constraint they are ill-posed, a speed error grows as exp(−2 ∫ n·F/s dt).
+    """
+    x1, x2, y1, y2 = y
+    g = system.forcing(t)
+    f1 = g * x1 * (system.a + x1 * x1) - b * y1
+    f2 = g * y1 * (1.0 + system.a * (y1 * y1)) - b * x1
+    squared_speed = system.c + system.d * jnp.sin(t)
+    power = f1 * x2 + f2 * y2 + 0.5 * system.d * jnp.cos(t)
+    return x2, -f1 + power * x2 / squared_speed, y2, -f2 + power * y2 / squared_speed

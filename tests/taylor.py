@@ -1,0 +1,307 @@
+"""Reference for the stroboscopic map and its period doublings: heyoka's Taylor integrator in 80-bit arithmetic.
+
+Here live the flow in angle form, the map P of one strobe period with its first and second derivatives, periodic
+orbits and period-doubling points by multiple shooting. Nothing here comes from the package under test, and no
+known result is written down: every number is computed.
+
+The state of a lane is (x, y, th): position, and the direction of the velocity s(t) (cos th, sin th). Whole turns of
+the angle are taken out between periods, to keep its digits, never within the first: one period's map is smooth.
+"""
+
+import functools
+import itertools
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import heyoka as hy
+import numpy as np
+
+# 64 bits of mantissa on x86. Elsewhere long double may be float64 or software quadruple: fall back to float64.
+REAL = np.longdouble if np.finfo(np.longdouble).nmant == 63 else np.float64
+
+TWO_PI = 8 * np.arctan(REAL(1))  # np.pi only has 53 bits
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the system other than b: squared speed c + d sin t, forcing 1 + sin(omega t)."""
+
+    a: float = 0.5
+    c: float = 1.0
+    d: float = 0.0
+    omega: float = 1.0
+
+    @property
+    def period(self):
+        """Strobe period: of sin(omega t), and if d is not 0 the least common one with sin t.
+
+        Raises ValueError where sin t and sin(omega t) have no common period.
+        """
+        if self.d == 0:
+            return TWO_PI / REAL(abs(self.omega))
+        ratio = Fraction(self.omega).limit_denominator(1000)
+        if not math.isclose(ratio, self.omega, rel_tol=1e-15):
+            raise ValueError(f"sin t and sin({self.omega} t) have no common period")
+        return TWO_PI * ratio.denominator
+
+    def start(self, x1=0.1, x2=0.1, y1=0.1):
+        """The state (3,) at t = 0 with velocity (x2, y2), y2 the positive root of the constraint."""
+        x2 = REAL(x2)
+        return np.array([x1, y1, np.arctan2(np.sqrt(REAL(self.c) - x2 * x2), x2)], dtype=REAL)
+
+
+# The map and its derivatives
+
+
+def flow():
+    """The variables x, y, th, the parameter b, and the equations; par[0..4] are b, a, c, d, omega."""
+    x, y, th = hy.make_vars("x", "y", "th")
+    b, a, c, d, omega = (hy.par[i] for i in range(5))
+    s = hy.sqrt(c + d * hy.sin(hy.time))
+    g = 1.0 + hy.sin(omega * hy.time)
+    # Products, not powers: the Taylor recurrence of a power divides by its base, which an orbit takes through 0.
+    f1 = b * y - g * x * (a + x * x)
+    f2 = b * x - g * y * (1.0 + a * (y * y))
+    cos, sin = hy.cos(th), hy.sin(th)
+    return (x, y, th), b, [(x, s * cos), (y, s * sin), (th, (cos * f2 - sin * f1) / s)]
+
+
+@functools.cache
+def integrator(order, real, tol):
+    """The integrator with the variational equations up to `order` in (x, y, th, b), and its state at time 0."""
+    state, b, equations = flow()
+    if order:
+        equations = hy.var_ode_sys(equations, [*state, b], order=order)
+    # Compact mode runs a little slower, but without it second order takes minutes to compile.
+    ta = hy.taylor_adaptive(
+        equations,
+        np.zeros(3, dtype=real),
+        pars=np.zeros(5, dtype=real),
+        tol=real(tol),
+        fp_type=real if real is not np.float64 else float,
+        compact_mode=order > 0,
+    )
+    return ta, ta.state.copy()
+
+
+def turns(angle):
+    """The whole turns in an angle, in radians and in the arithmetic of the angle."""
+    return TWO_PI.astype(angle.dtype) * np.rint(angle / TWO_PI.astype(angle.dtype))
+
+
+def propagate(par, b, state, order=0, periods=1, tol=None, real=REAL):
+    """Yields lane by lane the integrator at the end of the last period: b () or (lanes,), state (lanes, 3)."""
+    state = np.atleast_2d(np.asarray(state, dtype=real))
+    b = np.broadcast_to(np.asarray(b, dtype=real), state.shape[:1])
+    ta, at_zero = integrator(order, real, float(np.finfo(real).eps if tol is None else tol))
+    period = real(par.period)
+    for b_lane, z in zip(b, state, strict=True):
+        ta.pars[:] = [b_lane, real(par.a), real(par.c), real(par.d), real(par.omega)]
+        ta.state[:] = at_zero
+        ta.state[:3] = z
+        for count in range(periods):
+            ta.time = real(0)  # the clock never leaves [0, period]
+            if count:
+                ta.state[2] -= turns(ta.state[2])
+            outcome = ta.propagate_until(period)[0]
+            if outcome != hy.taylor_outcome.time_limit:
+                raise ArithmeticError(f"integration stopped at t = {ta.time}, b = {b_lane}: {outcome}")
+        yield ta
+
+
+def strobe(par, b, state, periods=1, tol=None, real=REAL):
+    """The states (lanes, 3) `periods` strobe periods after the states (lanes, 3) at t = 0; b () or (lanes,).
+
+    `real` is the arithmetic and the dtype of the result, `tol` the relative error of a step (default: the unit
+    roundoff of `real`).
+    """
+    return np.array([ta.state.copy() for ta in propagate(par, b, state, 0, periods, tol, real)])
+
+
+def strobe_jacobian(par, b, state, tol=None, real=REAL):
+    """One period's states (lanes, 3), monodromy matrices (lanes, 3, 3) and derivatives in b (lanes, 3)."""
+    end = np.array([ta.state.copy() for ta in propagate(par, b, state, 1, 1, tol, real)])
+    first = end[:, 3:].reshape(-1, 3, 4)
+    return end[:, :3], first[..., :3], first[..., 3]
+
+
+def strobe_hessian(par, b, state, tol=None, real=REAL):
+    """One period's states (lanes, 3), first (lanes, 3, 4) and second (lanes, 3, 4, 4) derivatives in (x, y, th, b)."""
+    end = np.array([ta.state.copy() for ta in propagate(par, b, state, 2, 1, tol, real)])
+    first = end[:, 3:15].reshape(-1, 3, 4)
+    packed = end[:, 15:].reshape(-1, 3, 10)
+    second = np.empty((len(end), 3, 4, 4), dtype=real)
+    for k, (i, j) in enumerate(itertools.combinations_with_replacement(range(4), 2)):
+        second[:, :, i, j] = second[:, :, j, i] = packed[:, :, k]
+    return end[:, :3], first, second
+
+
+def attractor(par, b, state, periods):
+    """The states (lanes, 3) after a plain transient, in float64: good for a guess, no more."""
+    return strobe(par, b, state, periods, real=np.float64)
+
+
+# Periodic orbits
+
+
+def closed(points, image):
+    """Mismatch (n, 3) of an orbit: image of each point less the next point, whole turns of the angle left out."""
+    gap = image - np.roll(points, -1, axis=0)
+    gap[:, 2] -= turns(gap[:, 2])
+    return gap
+
+
+def cyclic(blocks, last=1.0):
+    """The matrix (3n, 3n) of w -> A_k w_k - w_(k+1) for blocks A (n, 3, 3); the last row has -`last` w_0."""
+    n = len(blocks)
+    out = np.zeros((n, 3, n, 3))
+    for k in range(n):
+        out[k, :, k, :] += blocks[k]
+        out[k, :, (k + 1) % n, :] -= np.eye(3) * (last if k == n - 1 else 1.0)
+    return out.reshape(3 * n, 3 * n)
+
+
+def periodic_orbit(par, n, b, points):
+    """The period-n orbit (n, 3) near `points` (n, 3), by multiple shooting in float64."""
+    points = np.array(points, dtype=np.float64)
+    for _ in range(30):
+        image, monodromy, _ = strobe_jacobian(par, b, points, real=np.float64)
+        step = np.linalg.solve(cyclic(monodromy), -closed(points, image).ravel()).reshape(n, 3)
+        points += step
+        if np.abs(step).max() < 1e-11:
+            break
+    else:
+        raise ArithmeticError(f"no orbit of period {n} found at b = {b}")
+    if n > 1 and np.abs(closed(points[[0, n // 2]], points[[0, n // 2]])).max() < 1e-6:
+        raise ArithmeticError(f"the orbit found at b = {b} has period {n // 2}, not {n}")
+    return points
+
+
+def orbit(par, n, b, state):
+    """The states (n, 3) of one lane (3,) at the strobes 0..n-1, angles within half a turn, in float64."""
+    points = [np.asarray(state, dtype=np.float64)]
+    for _ in range(n - 1):
+        points.append(strobe(par, b, points[-1], real=np.float64)[0])
+    points = np.array(points)
+    points[:, 2] -= turns(points[:, 2])
+    return points
+
+
+# Period doublings
+
+
+@dataclass(frozen=True)
+class DoublingInfo:
+    """What `doubling_point` found besides b; n is the period that doubles.
+
+    residual: largest mismatch of the shooting equations
+    error: bound of the error of b: its sensitivity to the mismatch, times the largest of the mismatch left, its
+        change under a second tolerance, and one roundoff for each of some 64 steps of a period
+    points, vectors: (n, 3) the orbit and the eigenvector of the multiplier -1 along it
+    multipliers: (3,) eigenvalues of the product of the n monodromy matrices; the smallest are lost to roundoff
+    steps: Newton steps taken
+    """
+
+    residual: float
+    error: float
+    points: np.ndarray
+    vectors: np.ndarray
+    multipliers: np.ndarray
+    steps: int
+
+
+def eigenvector(monodromy):
+    """Multipliers (3,) of matrices (n, 3, 3) applied in turn, and the vectors (n, 3) of the one nearest to -1."""
+    product = functools.reduce(lambda left, right: right @ left, monodromy)
+    multipliers, vectors = np.linalg.eig(product.astype(np.float64))
+    chain = [vectors[:, np.argmin(np.abs(multipliers + 1))].real]
+    for matrix in monodromy[:-1]:
+        chain.append(matrix @ chain[-1])
+    chain = np.array(chain)
+    return multipliers, chain / np.sqrt((chain**2).sum())
+
+
+def mismatch(par, b, points, vectors, normal, tol, real):
+    """Residual (6n + 1,) of: the orbit closes, the vectors close onto their negative, normal . vectors = 1."""
+    image, monodromy, _ = strobe_jacobian(par, b, points, tol, real)
+    following = np.concatenate([vectors[1:], -vectors[:1]])
+    turned = (monodromy * vectors[:, None, :]).sum(axis=-1) - following
+    return np.concatenate([closed(points, image).ravel(), turned.ravel(), [(normal * vectors).sum() - 1]])
+
+
+def mismatch_jacobian(par, b, points, vectors, normal):
+    """Its derivative (6n + 1, 6n + 1) in (points, vectors, b), in float64."""
+    n, m = len(points), 3 * len(points)
+    vectors = vectors.astype(np.float64)
+    _, first, second = strobe_hessian(par, b, points, real=np.float64)
+    bent = np.einsum("nijk,nj->nik", second[:, :, :3, :], vectors)
+    out = np.zeros((2 * m + 1, 2 * m + 1))
+    out[:m, :m] = cyclic(first[..., :3])
+    out[:m, -1] = first[..., 3].ravel()
+    for k in range(n):
+        out[m + 3 * k : m + 3 * k + 3, 3 * k : 3 * k + 3] = bent[k, :, :3]
+    out[m : 2 * m, m : 2 * m] = cyclic(first[..., :3], last=-1.0)
+    out[m : 2 * m, -1] = bent[..., 3].ravel()
+    out[-1, m : 2 * m] = normal.ravel()
+    return out
+
+
+def doubling_point(par, n, b_guess, state_guess, real=REAL):
+    """Where a period-n orbit has the multiplier -1: b, a state (3,) of the orbit, and a DoublingInfo.
+
+    Newton on all n points, the n vectors and b at once (multiple shooting): no product of monodromy matrices is
+    formed, and no error grows over more than one period. The residual is evaluated in `real`, the matrix and the
+    steps in float64: as in iterative refinement the result has the accuracy of the residual.
+
+    Raises ArithmeticError where Newton finds no such orbit, or one of half the period.
+    """
+    points = periodic_orbit(par, n, b_guess, orbit(par, n, b_guess, state_guess)).astype(real)
+    b = real(b_guess)
+    vectors = eigenvector(strobe_jacobian(par, b, points, real=real)[1])[1].astype(real)
+    normal = vectors.astype(np.float64)
+    sizes = [np.inf]
+    for _ in range(30):
+        residual = mismatch(par, b, points, vectors, normal, None, real)
+        matrix = mismatch_jacobian(par, b, points, vectors, normal)
+        step = np.linalg.solve(matrix, -residual.astype(np.float64))
+        points = points + step[: 3 * n].reshape(n, 3)
+        vectors = vectors + step[3 * n : -1].reshape(n, 3)
+        b = b + real(step[-1])
+        sizes.append(np.abs(step).max())
+        if sizes[-2] / 8 < sizes[-1] < 1e-9:  # roundoff: the steps have stopped shrinking
+            break
+    else:
+        raise ArithmeticError(f"no doubling of period {n} found near b = {b_guess}")
+    residual = mismatch(par, b, points, vectors, normal, None, real)
+    coarser = mismatch(par, b, points, vectors, normal, 16 * np.finfo(real).eps, real)
+    noise = max(np.abs(residual).max(), np.abs(residual - coarser).max(), 64 * np.finfo(real).eps)
+    sensitivity = np.abs(np.linalg.solve(matrix.T, np.eye(6 * n + 1)[-1])).sum()
+    multipliers, _ = eigenvector(strobe_jacobian(par, b, points, real=real)[1])
+    error = float(sensitivity * noise + np.finfo(real).eps * abs(b))
+    info = DoublingInfo(float(np.abs(residual).max()), error, points, vectors, multipliers, len(sizes) - 1)
+    return b, points[0], info
+
+
+def cascade(par, b_guesses, start=None, real=REAL):
+    """The doublings of the periods 1, 2, 4, ... met on the way through the rough b_guesses: a list of (b, state, info).
+
+    The guesses, two at least, are good if each is off by much less than its distance to the next one.
+    A transient from `start` (3,), by default `par.start()`, before the first guess picks the attractor; midway
+    between two doublings, where orbits attract fast, a transient finds the orbit of twice the period, and it is
+    followed to the next guess.
+    """
+    state = par.start() if start is None else start
+    before = 3 * b_guesses[0] - 2 * b_guesses[1]
+    found = []
+    for level, guess in enumerate(b_guesses):
+        n = 2**level
+        middle = before if level == 0 else (before + guess) / 2
+        points = orbit(par, n, middle, attractor(par, middle, state, 300 + 60 * n)[0])
+        for b in np.linspace(middle, guess, 5):
+            points = periodic_orbit(par, n, b, points)
+        b, state, info = doubling_point(par, n, guess, points[0], real)
+        found.append((b, state, info))
+        before = float(b)
+        state = state + info.vectors[0] * (0.01 / np.abs(info.vectors[0]).max())  # off the orbit, now unstable
+    return found
