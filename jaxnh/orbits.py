@@ -7,7 +7,7 @@ size changes with the period, is host code.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,9 +33,9 @@ class Orbit(NamedTuple):
         monodromy: ∂Pⁿ/∂u, shape (3, 3).
     """
 
-    u: Array
-    residual: Array
-    monodromy: Array
+    u: Any
+    residual: Any
+    monodromy: Any
 
 
 def find_orbit(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Orbit:
@@ -45,7 +45,7 @@ def find_orbit(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Orbit:
     Newton does not care whether the orbit is stable, nor how slowly the map itself would approach it.
     """
 
-    def look(u: Array) -> Orbit:
+    def look(u: Array) -> tuple[Orbit, Array]:
         image, monodromy, _ = derivatives(strobe, n, u, b)
         return Orbit(u, jnp.max(jnp.abs(wrap(image - u))), monodromy), image
 
@@ -54,15 +54,16 @@ def find_orbit(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Orbit:
         step = solve3(orbit.monodromy - jnp.eye(3), wrap(orbit.u - image))
         step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(jnp.abs(step)))
         last = orbit.residual < _NEWTON_TOLERANCE
-        return *look(orbit.u + step), steps + 1, last
+        following, image = look(orbit.u + step)
+        return following, image, steps + 1, last
 
     def unfinished(carry: tuple[Orbit, Array, Array, Array]) -> Array:
         orbit, _, steps, last = carry
         hopeless = (steps >= _PATIENCE) & (orbit.residual > _NEAR)
         return ~last & (steps < _NEWTON_STEPS) & jnp.isfinite(orbit.residual) & ~hopeless
 
-    start = (*look(u), jnp.int32(0), jnp.bool_(False))
-    return lax.while_loop(unfinished, improve, start)[0]
+    orbit, image = look(u)
+    return lax.while_loop(unfinished, improve, (orbit, image, jnp.int32(0), jnp.bool_(False)))[0]
 
 
 def solve3(matrix: Array, right: Array) -> Array:
@@ -82,10 +83,10 @@ class Segment(NamedTuple):
         carried_slope: ∂(M w)/∂(u, b), (3, 4).
     """
 
-    image: Array
-    carried: Array
-    image_slope: Array
-    carried_slope: Array
+    image: Any
+    carried: Any
+    image_slope: Any
+    carried_slope: Any
 
 
 def segment(strobe: Strobe, u: Array, w: Array, b: ArrayLike) -> Segment:

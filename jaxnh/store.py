@@ -56,19 +56,17 @@ def _write_group(target: h5py.Group, group: Group) -> None:
         target.attrs[key] = value
     if group.warnings:
         target.attrs["warnings"] = "\n".join(group.warnings)
-    for name, variable in group.variables.items():
-        dataset = _write_variable(target, name, variable)
-        if variable.dims == (name,):
-            dataset.make_scale(name)
+    datasets = {name: _write_variable(target, name, variable) for name, variable in group.variables.items()}
     for name, variable in group.variables.items():
         for axis, dim in enumerate(variable.dims):
-            if dim not in target:
-                scale = target.create_dataset(dim, data=np.arange(variable.data.shape[axis]))
-                scale.attrs["long_name"] = f"index along {dim}"
-                scale.attrs["units"] = "1"
-                scale.make_scale(dim)
-            if variable.dims != (name,):
-                target[name].dims[axis].attach_scale(target[dim])
+            if dim not in datasets:
+                datasets[dim] = target.create_dataset(dim, data=np.arange(variable.data.shape[axis]))
+                datasets[dim].attrs["long_name"] = f"index along {dim}"
+                datasets[dim].attrs["units"] = "1"
+            if not datasets[dim].is_scale:
+                datasets[dim].make_scale(dim)
+            if name != dim:
+                datasets[name].dims[axis].attach_scale(datasets[dim])
 
 
 def _write_variable(target: h5py.Group, name: str, variable: Variable) -> h5py.Dataset:
@@ -106,8 +104,8 @@ def read_variables(path: Path, group: str) -> dict[str, np.ndarray]:
     """
     try:
         with h5py.File(path, "r") as file:
-            return {name: item[()] for name, item in file[group].items()}
-    except (OSError, KeyError) as error:
+            return {name: item[()] for name, item in file.require_group(group).items()}
+    except (OSError, KeyError, ValueError, TypeError) as error:
         raise StoreError(f"{path} has no readable group {group}") from error
 
 

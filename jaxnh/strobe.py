@@ -94,11 +94,11 @@ class KickStrobe(Strobe):
     def _turn(self, entry: Array, q: Vector, n: Vector, b: ArrayLike) -> tuple[Vector, tuple[Array, ...]]:
         """n after the kick, and ∂θ'/∂(θ, x1, y1, b): with the bisector m = D n + N f, θ' = 2 arg m − θ."""
 
-        def force(x: ArrayLike, y: ArrayLike, b: ArrayLike) -> Vector:
-            return self.system.force((x, y), entry[2], entry[1], b)
+        def force(at: Vector) -> Vector:
+            return self.system.force(at[:2], entry[2], entry[1], at[2])
 
         at = (*q, b)
-        f = force(*at)
+        f = force(at)
         one = jnp.ones_like(q[0])
         (top, bottom), (top_rate, bottom_rate) = jax.jvp(half_turn, (f[0] * f[0] + f[1] * f[1],), (one,))
         m = tuple(bottom * ni + top * fi for ni, fi in zip(n, f, strict=True))
@@ -107,7 +107,7 @@ class KickStrobe(Strobe):
         stretch = 2.0 * (bottom_rate * _cross(m, n) + top_rate * _cross(m, f))
 
         def slope(index: int) -> Array:
-            _, df = jax.jvp(lambda v: force(*at[:index], v, *at[index + 1 :]), (at[index],), (one,))
+            _, df = jax.jvp(lambda v: force((*at[:index], v, *at[index + 1 :])), (at[index],), (one,))
             return scale * ((f[0] * df[0] + f[1] * df[1]) * stretch + top * _cross(m, df))
 
         turned = tuple(along * mi - ni for ni, mi in zip(n, m, strict=True))

@@ -22,8 +22,8 @@ from jaxtyping import Array
 
 jax.config.update("jax_enable_x64", True)  # every module that computes imports this one first
 
-Vector = tuple[Array, ...]
-"""Cartesian components, each of shape (...,)."""
+Vector = tuple[Any, ...]
+"""Cartesian components, each of shape (...,): JAX arrays in lanes, NumPy arrays or floats on the host."""
 State = tuple[Vector, Vector]
 """(q, n): position (x1, y1) and unit vector of the velocity (n1, n2)."""
 

@@ -204,7 +204,7 @@ def _refine(
 ) -> tuple[DoublingPoint, float] | None:
     """The doubling point with twice the steps; the error of b is what three refinements and Newton moved it by."""
     values, vectors = np.linalg.eig(monodromy)
-    vector = vectors[:, np.argmin(np.abs(values + 1.0))].real
+    vector = np.real(vectors[:, np.argmin(np.abs(values + 1.0))])
     orbit = _walk(lanes, scene.strobe(), u, b, n)
     carried = np.empty((n, 3))
     for i in range(n):

@@ -96,6 +96,7 @@ class LaneRunner(Protocol):
 
     def stage(self, label: str, total: float) -> AbstractContextManager[None]:
         """Show the calls inside as one stage of `total` lane-periods."""
+        ...
 
 
 @dataclass(frozen=True)
