@@ -1,28 +1,35 @@
-"""How many steps a period a target needs, measured on sample lanes of the sweep itself."""
+"""Which solver and how many steps a period meet an accuracy, measured on sample lanes of the sweep itself."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from jaxnh.lanes import Lanes
-from jaxnh.solvers import IsokineticSplitting, WrittenOutRungeKutta
+from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver
 from jaxnh.strobe import iterate, make_strobe
 from jaxnh.systems import IsokineticParticle, State
 
-_SAMPLED_VALUES = 64
-_SAMPLED_TIMES = (0, 1, 7, 56)  # periods after the start at which sample states are taken
-_FEWEST_STEPS = 32
-_MOST_STEPS = 65536
+_SAMPLED_VALUES = 1024
+_SAMPLED_TIMES = (0, 1, 2, 5, 12, 29, 70, 169)  # periods after the start at which sample states are taken
+_SAFETY = 2.0  # the sample's largest error is taken this many times: some lane of the sweep has a larger one
+_REFERENCE = "sofroniou_spaletta10"
+_REFERENCE_STEPS = (96, 144, 216, 324)
+_SEED_STEPS = 32
+_ROUNDS = 6
+_MOST_KICKS = 1 << 20
 
 
 class Plan(NamedTuple):
-    """Steps a period, and the error of one period's map that they were measured to have."""
+    """A solver, its steps a period, whether its sums are compensated, and the error measured of one period's map."""
 
+    solver: Solver
     steps: int
+    compensated: bool
     error_estimate: float
 
 
@@ -30,73 +37,101 @@ class TargetError(Exception):
     """The accuracy asked for cannot be had; the message says what can."""
 
 
-def calibrate(
-    system: IsokineticParticle,
-    solver: IsokineticSplitting | WrittenOutRungeKutta,
-    target: float,
-    start: State,
-    values: np.ndarray,
-    lanes: Lanes,
-) -> Plan:
-    """Double the steps until the error of one period, on sample lanes, is at most the target.
+class Calibration:
+    """Errors of one period's map on sample lanes: up to 1024 values of b across the sweep, at the start and later.
 
-    The error with N steps is the largest change of any component of (q, n) that 2N steps make, over up to 64 values of
-    b across the sweep, each at the start state and at three states further on.
+    The error of a map is the largest difference of any component of (q, n) from a reference that is refined until it
+    changes no more, over all samples, times two. Some sample states lie on the way, most on the attractors.
 
-    Raises:
-        TargetError: doubling no longer lowers the error, which is still above the target.
+    Attributes:
+        floor: how far apart the two finest references are: what rounding leaves.
     """
-    states, sampled = _samples(system, solver, start, values, lanes)
 
-    def one_period(steps: int) -> list[np.ndarray]:
-        moved = lanes(iterate, (make_strobe(system, solver, steps), np.int32(1)), (states, sampled), periods=1)
-        return jax.tree.leaves(moved)
+    def __init__(self, system: IsokineticParticle, start: State, values: np.ndarray, lanes: Lanes) -> None:
+        self._system, self._lanes = system, lanes
+        self._states, self._values = self._samples(start, values)
+        self._reference, self.floor = self._refine()
 
-    steps, best = _FEWEST_STEPS, np.inf
-    coarse = one_period(steps)
-    while steps < _MOST_STEPS:
-        fine = one_period(2 * steps)
-        error = _distance(fine, coarse)
-        if error <= target:
-            return _fewest(one_period, fine, target, Plan(steps, error))
-        if steps > 8 * _FEWEST_STEPS and error > 0.5 * best:
-            break
-        steps, coarse, best = 2 * steps, fine, min(best, error) if np.isfinite(error) else best
-    raise TargetError(
-        f"no number of steps of {solver.name} has an error of one period of {target:g} over this sweep; "
-        f"the smallest measured is {best:.2g}"
-    )
+    def error(self, solver: Solver, steps: int, *, compensated: bool = False) -> float:
+        """Error estimate of one period with so many steps; infinite where a lane leaves the numbers."""
+        return _SAFETY * _distance(self._one_period(solver, steps, compensated), self._reference)
 
+    def cheapest(self, target: float) -> Plan:
+        """The splitting and steps with the fewest kicks whose error is at most the target.
 
-def _fewest(one_period: Callable[[int], list[np.ndarray]], fine: list[np.ndarray], target: float, plan: Plan) -> Plan:
-    """The fewest steps, in eighths between half the plan's and all of them, that still meet the target."""
-    for eighths in (5, 6, 7):
-        steps = plan.steps * eighths // 8
-        error = _distance(one_period(steps), fine)
-        if error <= target:
-            return Plan(steps, error)
-    return plan
+        Raises:
+            TargetError: none meets it; the message names the smallest error measured.
+        """
+        smallest = math.inf
+        by_order = sorted(SPLITTINGS.values(), key=lambda s: abs(s.convergence_order - 8))
+        for compensated in (False, True):
+            best: Plan | None = None
+            for solver in by_order:
+                if best is None and solver.convergence_order < 6:
+                    break  # where no high order meets the target, no low one does
+                most = _MOST_KICKS if best is None else best.steps * best.solver.stages - 1
+                for plan in self._search(solver, target, most // solver.stages, compensated):
+                    smallest = min(smallest, plan.error_estimate)
+                    if plan.error_estimate <= target:
+                        best = plan
+            if best is not None:
+                return best
+        raise TargetError(
+            f"no solver has an error of one period of {target:g} over this sweep; "
+            f"the smallest measured is {smallest:.2g}"
+        )
+
+    def _search(self, solver: IsokineticSplitting, target: float, most: int, compensated: bool) -> Iterator[Plan]:
+        """Plans of one solver on the way to the fewest steps that meet the target; nothing above `most` steps."""
+        failed, met = 0, most + 1
+        steps = min(most, max(2, 2048 // solver.stages))
+        previous = math.inf
+        for _ in range(_ROUNDS):
+            error = self.error(solver, steps, compensated=compensated)
+            yield Plan(solver, steps, compensated, error)
+            if error <= target:
+                met = min(met, steps)
+            else:
+                failed = max(failed, steps)
+                if steps == most or (error > 0.5 * previous and error < 1e-6):
+                    return  # no better than a cheaper solver, or rounding
+                previous = error
+            factor = (error / (0.9 * target)) ** (1.0 / solver.convergence_order) if 0 < error < math.inf else 2.0
+            guess = math.ceil(steps * min(max(factor, 0.3), 4.0))
+            steps = min(max(guess, failed + 1), met - 1, most)
+            if steps <= failed or met - steps <= met // 50:
+                return
+
+    def _samples(self, start: State, values: np.ndarray) -> tuple[State, np.ndarray]:
+        """Sample states and their b: across the sweep, and from the start towards the attractor."""
+        picked = values[np.unique(np.linspace(0, len(values) - 1, _SAMPLED_VALUES).round().astype(int))]
+        state = jax.tree.map(lambda leaf: np.full(len(picked), leaf, float), start)
+        strobe = make_strobe(self._system, SPLITTINGS[_REFERENCE], _SEED_STEPS)
+        states, before = [], 0
+        for periods in _SAMPLED_TIMES:
+            passed = periods - before
+            state = self._lanes(iterate, (strobe, np.int32(passed)), (state, picked), periods=passed)
+            states.append(state)
+            before = periods
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *states), np.tile(picked, len(states))
+
+    def _refine(self) -> tuple[list[np.ndarray], float]:
+        """The finest map worth having, and its distance from the one before."""
+        solver = SPLITTINGS[_REFERENCE]
+        finest, floor = self._one_period(solver, _REFERENCE_STEPS[0], compensated=True), math.inf
+        for steps in _REFERENCE_STEPS[1:]:
+            coarser, finest = finest, self._one_period(solver, steps, compensated=True)
+            before, floor = floor, _distance(coarser, finest)
+            if floor > 0.5 * before:
+                break
+        return finest, floor
+
+    def _one_period(self, solver: Solver, steps: int, compensated: bool) -> list[np.ndarray]:
+        strobe = make_strobe(self._system, solver, steps, compensated=compensated)
+        return jax.tree.leaves(self._lanes(iterate, (strobe, np.int32(1)), (self._states, self._values), periods=1))
 
 
 def _distance(one: list[np.ndarray], other: list[np.ndarray]) -> float:
-    return max(float(np.max(np.abs(a - b))) for a, b in zip(one, other, strict=True))
-
-
-def _samples(
-    system: IsokineticParticle,
-    solver: IsokineticSplitting | WrittenOutRungeKutta,
-    start: State,
-    values: np.ndarray,
-    lanes: Lanes,
-) -> tuple[State, np.ndarray]:
-    """Start states of the sample lanes and their b: across the sweep, and from the start towards the attractor."""
-    picked = values[np.unique(np.linspace(0, len(values) - 1, _SAMPLED_VALUES).round().astype(int))]
-    state = jax.tree.map(lambda leaf: np.full(len(picked), leaf, float), start)
-    strobe = make_strobe(system, solver, 4 * _FEWEST_STEPS)
-    states, before = [], 0
-    for periods in _SAMPLED_TIMES:
-        passed = periods - before
-        state = lanes(iterate, (strobe, np.int32(passed)), (state, picked), periods=passed)
-        states.append(state)
-        before = periods
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *states), np.tile(picked, len(states))
+    """Largest difference of any component; infinite where one is not a number."""
+    largest = max(float(np.max(np.abs(a - b))) for a, b in zip(one, other, strict=True))
+    return largest if math.isfinite(largest) else math.inf

@@ -32,13 +32,13 @@ from pydantic.json_schema import GenerateJsonSchema
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.record import Analysis, Options
 from jaxnh.faults import Layout, close_match, first_fault, rule, shown
-from jaxnh.solvers import SPLITTINGS
+from jaxnh.solvers import SOLVERS
 from jaxnh.systems import IsokineticParticle, constant_speed, disturbed_speed, strobe_period
 from jaxnh.yaml_source import ConfigError, read
 
 __all__ = ["ConfigError", "Experiment", "load", "schema"]
 
-_SOLVERS = (*SPLITTINGS, "dopri8")
+_SOLVERS = tuple(SOLVERS)
 _MOST_LANES = 10_000_000
 
 

@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -27,6 +28,9 @@ _XLA_OPTIONS = {
     # Outputs of one shape share one loop, where each would compute the force anew.
     "xla_cpu_use_multi_output_fusion": "true",
 }
+# Four vectors in flight hide the latency of a kick's division. LLVM ends the process at an option that it does not
+# know, so this one is kept to releases it was tried with.
+_LLVM_OPTION, _LLVM_TRIED = "-force-vector-interleave=4", "0.10."
 
 
 class Progress(Protocol):
@@ -152,8 +156,10 @@ def configure(devices: int | None = None) -> None:
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "--xla_backend_extra_options" not in flags:
-        options = ",".join(f"{name}={value}" for name, value in _XLA_OPTIONS.items())
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={options}".strip()
+        options = [f"{name}={value}" for name, value in _XLA_OPTIONS.items()]
+        if version("jaxlib").startswith(_LLVM_TRIED):
+            options.append(_LLVM_OPTION)
+        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={','.join(options)}".strip()
     os.environ.setdefault("EQX_ON_ERROR", "nan")  # no host callbacks: they keep diffrax programs out of the cache
     if "JAX_NUM_CPU_DEVICES" not in os.environ:
         jax.config.update("jax_num_cpu_devices", devices or len(os.sched_getaffinity(0)))

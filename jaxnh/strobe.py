@@ -18,12 +18,11 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.solvers import IsokineticSplitting, WrittenOutRungeKutta, half_turn, kick
+from jaxnh.solvers import IsokineticSplitting, Solver, half_turn, kick
 from jaxnh.systems import IsokineticParticle, State, Vector
 
-_UNROLL = 8
-_UNROLL_TANGENT = 1
-_SMALLEST_TABLE = 512
+_SMALLEST_TABLE = 4096
+_GRID_POINTS = 1 << 16
 
 
 class Tangent(NamedTuple):
@@ -47,6 +46,14 @@ class Strobe(eqx.Module):
         """The state and any number of tangents one strobe period later, exact derivatives of `__call__`."""
 
 
+class _Carry(NamedTuple):
+    """State of the loop over kicks, and with compensated sums what rounding has cut off it so far (else None)."""
+
+    q: Vector
+    n: Vector
+    lost: tuple[Vector, Vector] | None
+
+
 class KickStrobe(Strobe):
     """P by an isokinetic splitting: one loop over a table of kicks that all lanes share.
 
@@ -55,44 +62,74 @@ class KickStrobe(Strobe):
 
     Attributes:
         system: the flow.
-        table: (rows, 8, 3) drift before the kick, kick length over speed, and that times the forcing.
-        rows: number of rows that are in use.
+        table: (capacity, 3), a row a kick: drift before it, its length over the speed, and that times the forcing.
+        kicks: number of rows that are in use.
         rest: drift after the last kick.
+        compensated: whether q and n are summed with compensation (Kahan, Comm. ACM 8 (1965) 40), which lowers the
+            rounding floor of one period thirtyfold at nearly twice the time.
     """
 
     system: IsokineticParticle
     table: ArrayLike
-    rows: ArrayLike
+    kicks: ArrayLike
     rest: ArrayLike
+    compensated: bool = eqx.field(static=True, default=False)
 
     def __call__(self, state: State, b: ArrayLike) -> State:
-        state = self._run(lambda entry, z: self._kick(entry, z, b), state, unroll=_UNROLL)
-        return _drift(state, self.rest)
+        advance = self._kick_compensated if self.compensated else self._kick
+        return self._end(self._run(lambda entry, carry: advance(entry, carry, b), self._begin(state)))
 
     def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> tuple[State, tuple[Tangent, ...]]:
-        # A kick turns θ alone, so four numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, b).
-        def advance(entry: Array, carry: tuple[State, tuple[Vector, ...]]) -> tuple[State, tuple[Vector, ...]]:
-            (q, n), moved = carry
-            q = tuple(qi + ni * entry[0] for qi, ni in zip(q, n, strict=True))
-            moved = tuple(_drift_tangent(n, v, entry[0]) for v in moved)
-            n, slopes = self._turn(entry, q, n, b)
+        # A kick turns θ alone, so four numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, b). Differentiating
+        # where the kick is keeps every component an array of lanes; jacfwd of the whole period would not.
+        advance_state = self._kick_compensated if self.compensated else self._kick_unmarked
+
+        def advance(entry: Array, carry: tuple[_Carry, tuple[Vector, ...]]) -> tuple[_Carry, tuple[Vector, ...]]:
+            before, moved = carry
+            after = advance_state(entry, before, b)
+            moved = tuple(_drift_tangent(before.n, v, entry[0]) for v in moved)
+            slopes = self._slopes(entry, after.q, before.n, b)
             moved = tuple(
                 (dx, dy, slopes[0] * dtheta + slopes[1] * dx + slopes[2] * dy + slopes[3] * t.b)
                 for (dx, dy, dtheta), t in zip(moved, tangents, strict=True)
             )
-            return (q, n), moved
+            return after, moved
 
         moved = tuple((*t.state[0], _cross(state[1], t.state[1])) for t in tangents)
-        (q, n), moved = self._run(advance, (state, moved), unroll=_UNROLL_TANGENT)
+        carry, moved = self._run(advance, (self._begin(state), moved))
+        q, n = self._end(carry)
         moved = tuple(_drift_tangent(n, v, self.rest) for v in moved)
         pushed = tuple(
             Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.b)
             for (dx, dy, dtheta), t in zip(moved, tangents, strict=True)
         )
-        return _drift((q, n), self.rest), pushed
+        return (q, n), pushed
 
-    def _turn(self, entry: Array, q: Vector, n: Vector, b: ArrayLike) -> tuple[Vector, tuple[Array, ...]]:
-        """n after the kick, and ∂θ'/∂(θ, x1, y1, b): with the bisector m = D n + N f, θ' = 2 arg m − θ."""
+    def _kick(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
+        # Each component of n from copies of its own: XLA then puts all outputs of a kick into one loop, where it would
+        # store the force between two. The copies are identities that its common-subexpression pass cannot merge.
+        state = carry.q, carry.n
+        copies = [jax.tree.map(lambda v, i=i: lax.reduce_precision(v, 11, 53 + i), state) for i in range(len(carry.n))]
+        turned = [self._kick_unmarked(entry, _Carry(*copy, None), b).n[i] for i, copy in enumerate(copies)]
+        return _Carry(_along(carry.q, carry.n, entry[0]), tuple(turned), None)
+
+    def _kick_unmarked(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
+        q = _along(carry.q, carry.n, entry[0])
+        return _Carry(q, kick(carry.n, self.system.force(q, entry[2], entry[1], b), half_turn), None)
+
+    def _kick_compensated(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
+        # In the plane n' − n = 2 N (n × f) J m / (m·m) with J the quarter turn: small, and free of cancellation.
+        assert carry.lost is not None
+        q, q_lost = _add_compensated(carry.q, carry.lost[0], tuple(ni * entry[0] for ni in carry.n))
+        n, f = carry.n, self.system.force(q, entry[2], entry[1], b)
+        top, bottom = half_turn(f[0] * f[0] + f[1] * f[1])
+        m = tuple(ni * bottom + fi * top for ni, fi in zip(n, f, strict=True))
+        turn = 2.0 * top * _cross(n, f) / (m[0] * m[0] + m[1] * m[1])
+        n, n_lost = _add_compensated(n, carry.lost[1], (-turn * m[1], turn * m[0]))
+        return _Carry(q, n, (q_lost, n_lost))
+
+    def _slopes(self, entry: Array, q: Vector, n: Vector, b: ArrayLike) -> tuple[Array, ...]:
+        """∂θ'/∂(θ, x1, y1, b) of a kick at q: with the bisector m = D n + N f, θ' = 2 arg m − θ."""
 
         def force(at: Vector) -> Vector:
             return self.system.force(at[:2], entry[2], entry[1], at[2])
@@ -103,30 +140,25 @@ class KickStrobe(Strobe):
         (top, bottom), (top_rate, bottom_rate) = jax.jvp(half_turn, (f[0] * f[0] + f[1] * f[1],), (one,))
         m = tuple(bottom * ni + top * fi for ni, fi in zip(n, f, strict=True))
         scale = 2.0 / (m[0] * m[0] + m[1] * m[1])
-        along = scale * (m[0] * n[0] + m[1] * n[1])
         stretch = 2.0 * (bottom_rate * _cross(m, n) + top_rate * _cross(m, f))
 
         def slope(index: int) -> Array:
             _, df = jax.jvp(lambda v: force((*at[:index], v, *at[index + 1 :])), (at[index],), (one,))
             return scale * ((f[0] * df[0] + f[1] * df[1]) * stretch + top * _cross(m, df))
 
-        turned = tuple(along * mi - ni for ni, mi in zip(n, m, strict=True))
-        return turned, (bottom * along - 1.0, slope(0), slope(1), slope(2))
+        along = scale * (m[0] * n[0] + m[1] * n[1])
+        return bottom * along - 1.0, slope(0), slope(1), slope(2)
 
-    def _kick(self, entry: Array, state: State, b: ArrayLike) -> State:
-        q, n = _drift(state, entry[0])
-        return q, kick(n, self.system.force(q, entry[2], entry[1], b))
+    def _begin(self, state: State) -> _Carry:
+        return _Carry(*state, jax.tree.map(jnp.zeros_like, state) if self.compensated else None)
 
-    def _run(self, advance: Callable[[Array, Any], Any], carry: Any, unroll: int) -> Any:
-        table = jnp.reshape(self.table, (-1, unroll, 3))
+    def _end(self, carry: _Carry) -> State:
+        q = _along(carry.q, carry.n, self.rest)
+        return (q, carry.n) if carry.lost is None else jax.tree.map(jnp.add, (q, carry.n), carry.lost)
 
-        def body(i: Array, carry: Any) -> Any:
-            row = table[i]
-            for j in range(unroll):
-                carry = advance(row[j], carry)
-            return carry
-
-        return lax.fori_loop(0, self.rows * (_UNROLL // unroll), body, carry)
+    def _run(self, advance: Callable[[Array, Any], Any], carry: Any) -> Any:
+        table = jnp.asarray(self.table)
+        return lax.fori_loop(0, self.kicks, lambda i, carry: advance(table[i], carry), carry)
 
 
 class SolveStrobe(Strobe):
@@ -152,7 +184,7 @@ class SolveStrobe(Strobe):
             dt0=None,
             y0=state,
             args=b,
-            stepsize_controller=diffrax.StepTo(np.linspace(0.0, period, self.steps + 1)),
+            stepsize_controller=diffrax.StepTo(step_grid(self.system, self.steps)),
             adjoint=diffrax.ForwardMode(),
             max_steps=self.steps,
             throw=False,
@@ -164,9 +196,16 @@ class SolveStrobe(Strobe):
         return pushed[0][0], tuple(Tangent(dz, t.b) for (_, dz), t in zip(pushed, tangents, strict=True))
 
 
-def _drift(state: State, length: ArrayLike) -> State:
-    q, n = state
-    return tuple(qi + ni * length for qi, ni in zip(q, n, strict=True)), n
+def _along(q: Vector, n: Vector, length: ArrayLike) -> Vector:
+    """q after a drift of so much path along n."""
+    return tuple(qi + ni * length for qi, ni in zip(q, n, strict=True))
+
+
+def _add_compensated(total: Vector, lost: Vector, change: Vector) -> tuple[Vector, Vector]:
+    """total + change, and what rounding cut off it, to be added next time (Kahan 1965)."""
+    wanted = tuple(c + e for c, e in zip(change, lost, strict=True))
+    moved = tuple(t + w for t, w in zip(total, wanted, strict=True))
+    return moved, tuple(w - (m - t) for w, m, t in zip(wanted, moved, total, strict=True))
 
 
 def _drift_tangent(n: Vector, v: Vector, length: ArrayLike) -> Vector:
@@ -181,25 +220,41 @@ def _cross(u: Vector, v: Vector) -> Array:
     return u[0] * v[1] - u[1] * v[0]
 
 
-def make_strobe(system: IsokineticParticle, solver: IsokineticSplitting | WrittenOutRungeKutta, steps: int) -> Strobe:
-    """The strobe map of a system under a solver with so many steps a period."""
+def make_strobe(system: IsokineticParticle, solver: Solver, steps: int, *, compensated: bool = False) -> Strobe:
+    """The strobe map of a system under a solver with so many steps a period.
+
+    `compensated` sums lower the rounding floor of splittings; Runge–Kutta methods have none and ignore it.
+    """
     if isinstance(solver, IsokineticSplitting):
-        return _tabulate(system, solver, steps)
+        return _tabulate(system, solver, steps, compensated)
     return SolveStrobe(system, solver, steps)
 
 
-def _tabulate(system: IsokineticParticle, solver: IsokineticSplitting, steps: int) -> KickStrobe:
+def step_grid(system: IsokineticParticle, steps: int) -> np.ndarray:
+    """Ends of the steps of one period, (steps + 1,): shared by all lanes, denser where they all turn faster.
+
+    The density (g + 1/10)^0.3 / s follows the forcing weakly and the inverse speed fully: at constant speed it lowers
+    the largest error of a period about 1.5 times at equal cost (stronger grading raises it again), and where the speed
+    nearly vanishes it refines geometrically towards that moment.
+    """
+    t = np.linspace(0.0, system.period, _GRID_POINTS + 1)
+    density = (system.forcing(t) + 0.1) ** 0.3 / system.speed(t)
+    share = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+    grid = np.interp(np.linspace(0.0, share[-1], steps + 1), share, t)
+    grid[-1] = system.period
+    return grid
+
+
+def _tabulate(system: IsokineticParticle, solver: IsokineticSplitting, steps: int, compensated: bool) -> KickStrobe:
     """Kicks of all steps in a row; the last drift of each step joins the first of the next."""
-    grid = np.linspace(0.0, system.period, steps + 1)
+    grid = step_grid(system, steps)
     rows = solver.schedule(system, grid[:-1], grid[1:])
     before = np.array(rows.drift[:, :-1])
     before[1:, 0] += rows.drift[:-1, -1]
     kicks = np.stack([before, rows.weight, rows.forcing], axis=-1).reshape(-1, 3)
-    used = -(-len(kicks) // _UNROLL)
-    capacity = max(_SMALLEST_TABLE, 1 << (used - 1).bit_length())
-    table = np.zeros((capacity * _UNROLL, 3))
+    table = np.zeros((max(_SMALLEST_TABLE, 1 << (len(kicks) - 1).bit_length()), 3))
     table[: len(kicks)] = kicks
-    return KickStrobe(system, table.reshape(capacity, _UNROLL, 3), np.int32(used), np.float64(rows.drift[-1, -1]))
+    return KickStrobe(system, table, np.int32(len(kicks)), np.float64(rows.drift[-1, -1]), compensated)
 
 
 def iterate(strobe: Strobe, n: ArrayLike, state: State, b: ArrayLike) -> State:

@@ -18,11 +18,11 @@ from rich.console import Console
 
 import jaxnh
 from jaxnh import store, terminal
-from jaxnh.accuracy import Plan, TargetError, calibrate
+from jaxnh.accuracy import Calibration, Plan, TargetError
 from jaxnh.analyses.record import Group, Scene
 from jaxnh.experiment import ConfigError, Experiment, load, schema
 from jaxnh.lanes import Lanes, configure
-from jaxnh.solvers import SPLITTINGS
+from jaxnh.solvers import SOLVERS
 
 _VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
 
@@ -113,13 +113,18 @@ def _scene(experiment: Experiment, lanes: Lanes) -> Scene:
     system = experiment.system.build()
     start = experiment.initial.state(system)
     values = experiment.sweep.grid()
-    solver = SPLITTINGS["kahan_li8"]
-    with lanes.stage("accuracy: steps that meet the target", 0):
-        try:
-            plan: Plan = calibrate(system, solver, experiment.accuracy.target, start, values, lanes)
-        except TargetError as error:
-            raise _Refused(f"{experiment.source}: accuracy.target: {error}") from None
-    return Scene(system, start, values, solver, plan.steps, plan.error_estimate)
+    accuracy = experiment.accuracy
+    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
+        calibration = Calibration(system, start, values, lanes)
+        if accuracy.solver and accuracy.steps:
+            solver = SOLVERS[accuracy.solver]
+            plan = Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
+        else:
+            try:
+                plan = calibration.cheapest(accuracy.target)
+            except TargetError as error:
+                raise _Refused(f"{experiment.source}: accuracy.target: {error}") from None
+    return Scene(system, start, values, *plan)
 
 
 def _attrs(experiment: Experiment, scene: Scene, lanes: Lanes, seconds: float) -> dict[str, Any]:
@@ -136,6 +141,7 @@ def _attrs(experiment: Experiment, scene: Scene, lanes: Lanes, seconds: float) -
         "versions": json.dumps({name: version(name) for name in _VERSIONS}),
         "solver": scene.solver.name,
         "steps_per_period": scene.steps,
+        "summation": "compensated" if scene.compensated else "plain",
         "error_estimate": scene.error_estimate,
         "wall_seconds": seconds,
         "compile_seconds": lanes.compile_seconds,

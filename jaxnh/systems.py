@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array
 
 jax.config.update("jax_enable_x64", True)  # every module that computes imports this one first
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from jaxnh.solvers import IsokineticSplitting, WrittenOutRungeKutta
+from jaxnh.solvers import Solver
 from jaxnh.strobe import Strobe, make_strobe
 from jaxnh.systems import IsokineticParticle, State
 
@@ -63,20 +63,22 @@ class Scene:
         system: the flow.
         start: start state (q, n) of every lane, floats.
         values: swept values of b in the order of the sweep, (lanes,).
-        solver, steps: what P is computed with.
+        solver, steps, compensated: what P is computed with.
         error_estimate: estimated largest error of one period's map.
     """
 
     system: IsokineticParticle
     start: State
     values: np.ndarray
-    solver: IsokineticSplitting | WrittenOutRungeKutta
+    solver: Solver
     steps: int
+    compensated: bool
     error_estimate: float
 
     def strobe(self, refinement: float = 1) -> Strobe:
         """P with `refinement` times the steps that the accuracy asks for."""
-        return make_strobe(self.system, self.solver, round(self.steps * refinement))
+        steps = round(self.steps * refinement)
+        return make_strobe(self.system, self.solver, steps, compensated=self.compensated)
 
 
 class LaneRunner(Protocol):

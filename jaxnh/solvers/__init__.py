@@ -4,19 +4,32 @@ from jaxnh.solvers.isokinetic import (
     SPLITTINGS,
     IsokineticSplitting,
     Schedule,
+    exact_half_turn,
     half_turn,
     isokinetic_terms,
     kick,
 )
-from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta, dopri8
+from jaxnh.solvers.runge_kutta import RUNGE_KUTTA, WrittenOutRungeKutta, dopri5, dopri8, tsit5, written_out
+
+Solver = IsokineticSplitting | WrittenOutRungeKutta
+
+SOLVERS: dict[str, Solver] = {**SPLITTINGS, **RUNGE_KUTTA}
+"""All solvers by their name in configs."""
 
 __all__ = [
+    "RUNGE_KUTTA",
+    "SOLVERS",
     "SPLITTINGS",
     "IsokineticSplitting",
     "Schedule",
+    "Solver",
     "WrittenOutRungeKutta",
+    "dopri5",
     "dopri8",
+    "exact_half_turn",
     "half_turn",
     "isokinetic_terms",
     "kick",
+    "tsit5",
+    "written_out",
 ]

@@ -104,3 +104,14 @@ dopri8 = written_out(
     diffrax.Dopri8.tableau, 8, "dopri8", "Prince and Dormand, J. Comput. Appl. Math. 7 (1981) 67, via diffrax"
 )
 """Dormand–Prince 8(7), thirteen stages and one more for the error estimate."""
+
+tsit5 = written_out(diffrax.Tsit5.tableau, 5, "tsit5", "Tsitouras, Comput. Math. Appl. 62 (2011) 770, via diffrax")
+"""Tsitouras 5(4), six stages and one more for the error estimate."""
+
+dopri5 = written_out(
+    diffrax.Dopri5.tableau, 5, "dopri5", "Dormand and Prince, J. Comput. Appl. Math. 6 (1980) 19, via diffrax"
+)
+"""Dormand–Prince 5(4), six stages and one more for the error estimate."""
+
+RUNGE_KUTTA: dict[str, WrittenOutRungeKutta] = {s.name: s for s in (tsit5, dopri5, dopri8)}
+"""Written-out Runge–Kutta methods by their name in configs."""
