@@ -63,6 +63,11 @@ class Survey(NamedTuple):
         return first + int(other[0]) - 1 if len(other) else len(self.b) - 1
 
 
+def periods(options: DoublingOptions, lanes: int) -> float:
+    """Lane-periods of a run, Newton's iterations at their price: the survey, and as much again for the orbits."""
+    return 2.0 * lanes * (_TRANSIENT + 2 * 2**options.levels)
+
+
 def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Find up to `levels` doublings n → 2n, each with its b, its error, and δ."""
     limit = 2**options.levels

@@ -108,9 +108,11 @@ class Analysis:
     Attributes:
         name: the key in YAML and the group in the result file.
         options: the model of its options.
+        periods: (options, number of lanes) to the lane-periods that a run of it is expected to integrate.
         run: (options, scene, lane runner) to its group.
     """
 
     name: str
     options: type[Options]
+    periods: Callable[[Any, int], float]
     run: Callable[[Any, Scene, LaneRunner], Group]
