@@ -77,8 +77,10 @@ class KickStrobe(Strobe):
     compensated: bool = eqx.field(static=True, default=False)
 
     def __call__(self, state: State, b: ArrayLike) -> State:
-        advance = self._kick_compensated if self.compensated else self._kick
-        return self._end(self._run(lambda entry, carry: advance(entry, carry, b), self._begin(state)))
+        def advance(entry: Array, carry: _Carry) -> _Carry:
+            return self._kick_compensated(entry, carry, b) if self.compensated else self._kick(entry, carry, b)
+
+        return self._end(self._run(advance, self._begin(state)))
 
     def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> tuple[State, tuple[Tangent, ...]]:
         # A kick turns θ alone, so four numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, b). Differentiating
@@ -111,7 +113,7 @@ class KickStrobe(Strobe):
         # store the force between two. The copies are identities that its common-subexpression pass cannot merge.
         state = carry.q, carry.n
         copies = [jax.tree.map(lambda v, i=i: lax.reduce_precision(v, 11, 53 + i), state) for i in range(len(carry.n))]
-        turned = [self._kick_unmarked(entry, _Carry(*copy, None), b).n[i] for i, copy in enumerate(copies)]
+        turned = [self._kick_unmarked(entry, _Carry(copy[0], copy[1], None), b).n[i] for i, copy in enumerate(copies)]
         return _Carry(_along(carry.q, carry.n, entry[0]), tuple(turned), None)
 
     def _kick_unmarked(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
