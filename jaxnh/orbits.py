@@ -94,8 +94,8 @@ def segment(strobe: Strobe, u: Array, w: Array, b: ArrayLike) -> Segment:
 
     def carry(v: Array) -> tuple[Array, Array]:
         state, tangent = jax.jvp(unchart, (v[:3],), (w,))
-        state, (tangent,) = strobe.push(state, v[3], (Tangent(tangent, jnp.zeros_like(v[3])),))
-        image, carried = jax.jvp(chart, (state,), (tangent.state,))
+        pushed = strobe.push(state, v[3], (Tangent(tangent),))
+        image, carried = jax.jvp(chart, (pushed.state,), (pushed.tangents[0].state,))
         return image, carried
 
     point = jnp.append(u, b)

@@ -27,10 +27,27 @@ _GRID_POINTS = 1 << 16
 
 
 class Tangent(NamedTuple):
-    """A direction in phase and parameter space: δ(q, n) as a state, and δb, each component of shape ()."""
+    """A direction in phase and parameter space: δ(q, n) as a state, and δb, each component of shape ().
+
+    Without δb nothing of the derivative in b is computed.
+    """
 
     state: State
-    b: ArrayLike
+    b: ArrayLike | None = None
+
+
+class Pushed(NamedTuple):
+    """Result of `Strobe.push`.
+
+    Attributes:
+        state: the state later.
+        tangents: the tangents later, in the order given.
+        volume: determinant of the derivative of the section coordinates (x1, y1, θ): exp(−∫ n·F/s dt).
+    """
+
+    state: State
+    tangents: tuple[Tangent, ...]
+    volume: Array
 
 
 class Strobe(eqx.Module):
@@ -43,7 +60,7 @@ class Strobe(eqx.Module):
         """The state one strobe period later."""
 
     @abc.abstractmethod
-    def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> tuple[State, tuple[Tangent, ...]]:
+    def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
         """The state and any number of tangents one strobe period later, exact derivatives of `__call__`."""
 
 
@@ -82,31 +99,29 @@ class KickStrobe(Strobe):
 
         return self._end(self._run(advance, self._begin(state)))
 
-    def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> tuple[State, tuple[Tangent, ...]]:
-        # A kick turns θ alone, so four numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, b). Differentiating
+    def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
+        # A kick turns θ alone, so few numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, b). Differentiating
         # where the kick is keeps every component an array of lanes; jacfwd of the whole period would not.
-        advance_state = self._kick_compensated if self.compensated else self._kick_unmarked
+        in_b = any(t.b is not None for t in tangents)
 
-        def advance(entry: Array, carry: tuple[_Carry, tuple[Vector, ...]]) -> tuple[_Carry, tuple[Vector, ...]]:
-            before, moved = carry
-            after = advance_state(entry, before, b)
+        def advance(entry: Array, carry: tuple[_Carry, tuple[Vector, ...], Array]) -> Any:
+            before, moved, volume = carry
+            kick = self._kick_compensated if self.compensated else self._kick_unmarked
+            after = kick(entry, before, b)
+            slopes = self._slopes(entry, after.q, before.n, b, in_b)
             moved = tuple(_drift_tangent(before.n, v, entry[0]) for v in moved)
-            slopes = self._slopes(entry, after.q, before.n, b)
-            moved = tuple(
-                (dx, dy, slopes[0] * dtheta + slopes[1] * dx + slopes[2] * dy + slopes[3] * t.b)
-                for (dx, dy, dtheta), t in zip(moved, tangents, strict=True)
-            )
-            return after, moved
+            moved = tuple(_kick_tangent(slopes, v, t.b) for v, t in zip(moved, tangents, strict=True))
+            return after, moved, volume * slopes[0]
 
         moved = tuple((*t.state[0], _cross(state[1], t.state[1])) for t in tangents)
-        carry, moved = self._run(advance, (self._begin(state), moved))
+        carry, moved, volume = self._run(advance, (self._begin(state), moved, jnp.ones_like(state[0][0])))
         q, n = self._end(carry)
         moved = tuple(_drift_tangent(n, v, self.rest) for v in moved)
         pushed = tuple(
             Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.b)
             for (dx, dy, dtheta), t in zip(moved, tangents, strict=True)
         )
-        return (q, n), pushed
+        return Pushed((q, n), pushed, volume)
 
     def _kick(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
         # Each component of n from copies of its own: XLA then puts all outputs of a kick into one loop, where it would
@@ -131,8 +146,8 @@ class KickStrobe(Strobe):
         n, n_lost = _add_compensated(n, carry.lost[1], (-turn * m[1], turn * m[0]))
         return _Carry(q, n, (q_lost, n_lost))
 
-    def _slopes(self, entry: Array, q: Vector, n: Vector, b: ArrayLike) -> tuple[Array, ...]:
-        """∂θ'/∂(θ, x1, y1, b) of a kick at q: with the bisector m = D n + N f, θ' = 2 arg m − θ."""
+    def _slopes(self, entry: Array, q: Vector, n: Vector, b: ArrayLike, in_b: bool) -> tuple[Array, ...]:
+        """∂θ'/∂(θ, x1, y1) of a kick at q, and if asked for ∂b: with the bisector m = D n + N f, θ' = 2 arg m − θ."""
 
         def force(at: Vector) -> Vector:
             return self.system.force(at[:2], entry[2], entry[1], at[2])
@@ -150,7 +165,7 @@ class KickStrobe(Strobe):
             return scale * ((f[0] * df[0] + f[1] * df[1]) * stretch + top * _cross(m, df))
 
         along = scale * (m[0] * n[0] + m[1] * n[1])
-        return bottom * along - 1.0, slope(0), slope(1), slope(2)
+        return bottom * along - 1.0, slope(0), slope(1), *((slope(2),) if in_b else ())
 
     def _begin(self, state: State) -> _Carry:
         return _Carry(*state, jax.tree.map(jnp.zeros_like, state) if self.compensated else None)
@@ -178,13 +193,16 @@ class SolveStrobe(Strobe):
     grid: tuple[float, ...] = eqx.field(static=True)
 
     def __call__(self, state: State, b: ArrayLike) -> State:
+        return self._solve(self.system.vector_field, state, b)
+
+    def _solve(self, field: Callable[[Any, Any, Any], Any], y: Any, b: ArrayLike) -> Any:
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(self.system.vector_field),
+            diffrax.ODETerm(field),
             self.solver,
             t0=self.grid[0],
             t1=self.grid[-1],
             dt0=None,
-            y0=state,
+            y0=y,
             args=b,
             stepsize_controller=diffrax.StepTo(np.array(self.grid)),
             adjoint=diffrax.ForwardMode(),
@@ -193,9 +211,16 @@ class SolveStrobe(Strobe):
         )
         return jax.tree.map(lambda leaf: leaf[-1], solution.ys)
 
-    def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> tuple[State, tuple[Tangent, ...]]:
-        pushed = [jax.jvp(self.__call__, (state, b), (t.state, t.b)) for t in tangents]
-        return pushed[0][0], tuple(Tangent(dz, t.b) for (_, dz), t in zip(pushed, tangents, strict=True))
+    def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
+        zero = jnp.zeros_like(state[0][0])
+        moved = [jax.jvp(self, (state, b), (t.state, zero if t.b is None else t.b))[1] for t in tangents]
+        pushed = tuple(Tangent(dz, t.b) for dz, t in zip(moved, tangents, strict=True))
+        state, logarithm = self._solve(self._field_and_divergence, (state, zero), b)
+        return Pushed(state, pushed, jnp.exp(logarithm))
+
+    def _field_and_divergence(self, t: ArrayLike, y: tuple[State, Array], b: ArrayLike) -> tuple[State, Array]:
+        state, _ = y
+        return self.system.vector_field(t, state, b), self.system.divergence(t, state, b)
 
 
 def _along(q: Vector, n: Vector, length: ArrayLike) -> Vector:
@@ -215,6 +240,13 @@ def _drift_tangent(n: Vector, v: Vector, length: ArrayLike) -> Vector:
     dx, dy, dtheta = v
     turned = dtheta * length
     return dx - n[1] * turned, dy + n[0] * turned, dtheta
+
+
+def _kick_tangent(slopes: tuple[Array, ...], v: Vector, db: ArrayLike | None) -> Vector:
+    """δ(x1, y1, θ) after a kick with these ∂θ'/∂(θ, x1, y1, b)."""
+    dx, dy, dtheta = v
+    turned = slopes[0] * dtheta + slopes[1] * dx + slopes[2] * dy
+    return dx, dy, turned if db is None else turned + slopes[3] * db
 
 
 def _cross(u: Vector, v: Vector) -> Array:
@@ -316,7 +348,7 @@ def derivatives(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> tuple[A
     point = jnp.append(u, b)
     state, _ = lift(point)
     tangents = tuple(Tangent(*jax.jvp(lift, (point,), (e,))[1]) for e in basis)
-    state, tangents = lax.fori_loop(0, n, lambda _, carry: strobe.push(carry[0], b, carry[1]), (state, tangents))
+    state, tangents = lax.fori_loop(0, n, lambda _, carry: strobe.push(carry[0], b, carry[1])[:2], (state, tangents))
     columns = [jax.jvp(chart, (state,), (t.state,))[1] for t in tangents]
     return chart(state), jnp.stack(columns[:3], axis=-1), columns[3]
 

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
+from jaxtyping import Array
 
 jax.config.update("jax_enable_x64", True)  # every module that computes imports this one first
 
@@ -85,6 +86,15 @@ class IsokineticParticle(eqx.Module):
         f = self.force(q, self.forcing(t), 1.0, b)
         turn = (n[0] * f[1] - n[1] * f[0]) / s
         return (s * n[0], s * n[1]), (-n[1] * turn, n[0] * turn)
+
+    def divergence(self, t: ArrayLike, state: State, b: ArrayLike) -> Array:
+        """Divergence −n·F/s of the flow of (x1, y1, θ); its mean is the sum of the three Lyapunov exponents.
+
+        Twice this is the growth rate of a speed error in the paper's four equations, off the constraint.
+        """
+        q, n = state
+        f = self.force(q, self.forcing(t), 1.0, b)
+        return -(n[0] * f[0] + n[1] * f[1]) / self.speed(t)
 
     def velocity(self, t: ArrayLike, state: State) -> Vector:
         """(x2, y2) = s(t) n."""
