@@ -70,9 +70,11 @@ def _write_group(target: h5py.Group, group: Group) -> None:
 
 
 def _write_variable(target: h5py.Group, name: str, variable: Variable) -> h5py.Dataset:
-    large = variable.data.nbytes > 1 << 14
+    text = variable.data.dtype.kind == "U"
+    data = variable.data.astype(h5py.string_dtype()) if text else variable.data
+    large = data.nbytes > 1 << 14 and not text
     options = {"shuffle": True, "compression": "gzip", "fletcher32": True} if large else {}
-    dataset = target.create_dataset(name, data=variable.data, **options)
+    dataset = target.create_dataset(name, data=data, **options)
     dataset.attrs["long_name"] = variable.long_name
     dataset.attrs["units"] = variable.units
     for key, value in variable.attrs.items():
@@ -97,14 +99,17 @@ def read_attrs(path: Path) -> dict[str, Any]:
 
 
 def read_variables(path: Path, group: str) -> dict[str, np.ndarray]:
-    """All arrays of one group, by name.
+    """All arrays of one group, by name; text as an array of strings.
 
     Raises:
         StoreError: the file cannot be read or has no such group.
     """
     try:
         with h5py.File(path, "r") as file:
-            return {name: item[()] for name, item in file.require_group(group).items()}
+            return {
+                name: item.asstr()[()].astype(str) if h5py.check_string_dtype(item.dtype) else item[()]
+                for name, item in file.require_group(group).items()
+            }
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise StoreError(f"{path} has no readable group {group}") from error
 

@@ -172,7 +172,10 @@ class KickStrobe(Strobe):
 
     def _end(self, carry: _Carry) -> State:
         q = _along(carry.q, carry.n, self.rest)
-        return (q, carry.n) if carry.lost is None else jax.tree.map(jnp.add, (q, carry.n), carry.lost)
+        q, n = (q, carry.n) if carry.lost is None else jax.tree.map(jnp.add, (q, carry.n), carry.lost)
+        # A kick mirrors n and so keeps whatever rounding has made of |n|: one step of Newton for 1/|n| a period.
+        scale = 1.5 - 0.5 * sum(ni * ni for ni in n)
+        return q, tuple(scale * ni for ni in n)
 
     def _run(self, advance: Callable[[Array, Any], Any], carry: Any) -> Any:
         table = jnp.asarray(self.table)
@@ -185,28 +188,29 @@ class SolveStrobe(Strobe):
     Attributes:
         system: the flow.
         solver: any diffrax solver that takes one term.
-        grid: ends of the steps.
+        grid: ends of the steps, (steps + 1,).
     """
 
     system: IsokineticParticle
     solver: diffrax.AbstractSolver = eqx.field(static=True)
-    grid: tuple[float, ...] = eqx.field(static=True)
+    grid: ArrayLike
 
     def __call__(self, state: State, b: ArrayLike) -> State:
         return self._solve(self.system.vector_field, state, b)
 
     def _solve(self, field: Callable[[Any, Any, Any], Any], y: Any, b: ArrayLike) -> Any:
+        grid = jnp.asarray(self.grid)
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(field),
             self.solver,
-            t0=self.grid[0],
-            t1=self.grid[-1],
+            t0=grid[0],
+            t1=grid[-1],
             dt0=None,
             y0=y,
             args=b,
-            stepsize_controller=diffrax.StepTo(np.array(self.grid)),
+            stepsize_controller=diffrax.StepTo(grid),
             adjoint=diffrax.ForwardMode(),
-            max_steps=len(self.grid),
+            max_steps=len(grid),
             throw=False,
         )
         return jax.tree.map(lambda leaf: leaf[-1], solution.ys)
@@ -273,7 +277,27 @@ def make_strobe(
     grid = step_grid(system, max(1, math.ceil(steps * (t1 - t0) / system.period)), (t0, t1))
     if isinstance(solver, IsokineticSplitting):
         return _tabulate(system, solver, grid, compensated)
-    return SolveStrobe(system, solver, tuple(grid.tolist()))
+    return SolveStrobe(system, solver, grid)
+
+
+def make_parts(
+    system: IsokineticParticle, solver: Solver, steps: int, parts: int, *, compensated: bool = False
+) -> Strobe:
+    """The maps over so many equal parts of a period, one after the other, as one pytree for `lax.scan`.
+
+    Every leaf has the parts as first axis. No step is longer than those of the whole period's map with `steps` steps.
+    """
+    fine = step_grid(system, _GRID_POINTS, (0.0, system.period))
+    share = np.linspace(0.0, 1.0, _GRID_POINTS + 1)
+    ends = np.linspace(0.0, system.period, parts + 1)
+    shares = np.interp(ends, fine, share)
+    each = max(1, math.ceil(steps * np.diff(shares).max() - 1e-6))
+    grid = np.interp(np.linspace(shares[:-1], shares[1:], each + 1, axis=-1), share, fine)
+    grid[:, 0], grid[:, -1] = ends[:-1], ends[1:]
+    system = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
+    if isinstance(solver, IsokineticSplitting):
+        return _tabulate(system, solver, grid, compensated, smallest=1)
+    return SolveStrobe(system, solver, grid)
 
 
 def step_grid(system: IsokineticParticle, steps: int, span: tuple[float, float]) -> np.ndarray:
@@ -292,16 +316,23 @@ def step_grid(system: IsokineticParticle, steps: int, span: tuple[float, float])
 
 
 def _tabulate(
-    system: IsokineticParticle, solver: IsokineticSplitting, grid: np.ndarray, compensated: bool
+    system: IsokineticParticle,
+    solver: IsokineticSplitting,
+    grid: np.ndarray,
+    compensated: bool,
+    smallest: int = _SMALLEST_TABLE,
 ) -> KickStrobe:
-    """Kicks of all steps in a row; the last drift of each step joins the first of the next."""
-    rows = solver.schedule(system, grid[:-1], grid[1:])
-    before = np.array(rows.drift[:, :-1])
-    before[1:, 0] += rows.drift[:-1, -1]
-    kicks = np.stack([before, rows.weight, rows.forcing], axis=-1).reshape(-1, 3)
-    table = np.zeros((max(_SMALLEST_TABLE, 1 << (len(kicks) - 1).bit_length()), 3))
-    table[: len(kicks)] = kicks
-    return KickStrobe(system, table, np.int32(len(kicks)), np.float64(rows.drift[-1, -1]), compensated)
+    """Kicks of all steps in a row, grid (..., steps + 1); the last drift of each step joins the first of the next."""
+    rows = solver.schedule(system, grid[..., :-1], grid[..., 1:])
+    before = np.array(rows.drift[..., :-1])
+    before[..., 1:, 0] += rows.drift[..., :-1, -1]
+    kicks = np.stack([before, rows.weight, rows.forcing], axis=-1)
+    kicks = kicks.reshape(*grid.shape[:-1], -1, 3)
+    count = kicks.shape[-2]
+    table = np.zeros((*grid.shape[:-1], max(smallest, 1 << (count - 1).bit_length()), 3))
+    table[..., :count, :] = kicks
+    rest = np.asarray(rows.drift[..., -1, -1])
+    return KickStrobe(system, table, np.full(rest.shape, count, np.int32), rest, compensated)
 
 
 def iterate(strobe: Strobe, n: ArrayLike, state: State, b: ArrayLike) -> State:

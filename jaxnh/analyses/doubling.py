@@ -9,58 +9,28 @@ multiplier −1 together finishes. Where the survey is too coarse for the next l
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from pydantic import Field
 
+from jaxnh.analyses.period import CONVERGED, Survey, orbits, section_point, survey
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.orbits import DoublingPoint, Orbit, find_orbit, refine_doubling, segment
-from jaxnh.strobe import Strobe, iterate, record, section_map, unchart
+from jaxnh.orbits import DoublingPoint, refine_doubling, segment
+from jaxnh.strobe import Strobe, section_map
 
 _TRANSIENT = 512  # periods before the strobe points are looked at
-_CLOSE = 0.03  # strobe points nearer than this may be the same point of a slowly converging orbit
 _CANDIDATES = 64  # lanes of a multisection
 _CLOSER = 64  # lanes of a closer survey
 _CLOSER_TRIES = 4
-_ORBIT_TILE = 64
 _SEGMENT_TILE = 32
 _REFINEMENTS = (1, 2, 4)
-_CONVERGED = 1e-7  # residual of an orbit that Newton has found
 
 
 class DoublingOptions(Options):
     """Options of `doubling`."""
 
     levels: int = Field(default=6, ge=1, le=12, description="Number of period doublings to find")
-
-
-class Survey(NamedTuple):
-    """Lanes on their attractors.
-
-    Attributes:
-        b: (lanes,), in the order in which the cascade is followed.
-        period: least period of the attractor, 0 where it is none up to the limit, (lanes,).
-        u: a point of the orbit in section coordinates, (lanes, 3).
-    """
-
-    b: np.ndarray
-    period: np.ndarray
-    u: np.ndarray
-
-    def without_holes(self) -> Survey:
-        """The survey without the undecided lanes that stand alone or in pairs: they lie in windows or at doublings."""
-        starts = np.flatnonzero(np.diff(self.period != 0, prepend=~(self.period[:1] != 0)))
-        lengths = np.diff(np.append(starts, len(self.period)))
-        keep = np.repeat((self.period[starts] != 0) | (lengths > 2), lengths)
-        return Survey(*(leaf[keep] for leaf in self))
-
-    def run_end(self, first: int) -> int:
-        """Last lane of the run of equal periods that begins at a lane."""
-        other = np.flatnonzero(self.period[first:] != self.period[first])
-        return first + int(other[0]) - 1 if len(other) else len(self.b) - 1
 
 
 def periods(options: DoublingOptions, lanes: int) -> float:
@@ -71,21 +41,21 @@ def periods(options: DoublingOptions, lanes: int) -> float:
 def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Find up to `levels` doublings n → 2n, each with its b, its error, and δ."""
     limit = 2**options.levels
-    start = np.broadcast_to(_section(scene.start), (len(scene.values), 3))
-    survey = _survey(scene, lanes, scene.values, start, limit, "periods over the sweep")
-    followed = _follow(survey)
+    start = np.broadcast_to(section_point(scene.start), (len(scene.values), 3))
+    found = survey(scene, lanes, scene.values, start, limit, "doubling", _TRANSIENT).without_holes()
+    followed = _follow(found)
     points: list[DoublingPoint] = []
     errors: list[float] = []
     warning = ""
     if followed is None:
         period, warning = 1, "no period doubling in this range of b: no two neighbouring values have periods n and 2n"
     else:
-        survey, lane = followed
-        period = int(survey.period[lane])
-        end = float(survey.b[-1])
+        found, lane = followed
+        period = int(found.period[lane])
+        end = float(found.b[-1])
         for level in range(options.levels):
             n = period << level
-            located = _locate(scene, lanes, survey, lane, n)
+            located = _locate(scene, lanes, found, lane, n)
             if located is None:
                 warning = f"the orbit of period {n} does not double before b = {end:g}"
                 break
@@ -94,76 +64,24 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
             errors.append(error)
             if level + 1 == options.levels:
                 break
-            ahead = _next_run(scene, lanes, survey, points, 2 * n, limit * period, end)
+            ahead = _next_run(scene, lanes, found, points, 2 * n, limit * period, end)
             if ahead is None:
                 warning = f"no stable orbit of period {2 * n} was found beyond the doubling at b = {point.b:.9g}"
                 break
-            survey, lane = ahead
+            found, lane = ahead
     if warning:
         warning = f"doubling: {len(points)} of {options.levels} levels found; {warning}"
     return _group(options.levels, period, points, errors, warning)
 
 
-def _section(start: Any) -> np.ndarray:
-    """(3,) section coordinates of a start state of floats."""
-    (x, y), (n1, n2) = start
-    return np.array([x, y, math.atan2(n2, n1)])
-
-
-def _survey(
-    scene: Scene, lanes: LaneRunner, b: np.ndarray, u: np.ndarray, limit: int, label: str, least: int = 1
-) -> Survey:
-    """Attractor and period (from `least` up to a limit) of every lane from start points u (lanes, 3)."""
-    strobe = scene.strobe(0.5)  # only seeds Newton: half the steps will do
-    with lanes.stage(f"doubling: {label}", len(b) * (_TRANSIENT + 2 * limit)):
-        points = lanes(
-            _strobe_points, (strobe, np.int32(_TRANSIENT)), (u, b), periods=_TRANSIENT + 2 * limit, static=(2 * limit,)
-        )
-    period = np.zeros(len(b), int)
-    found = np.array(points[:, 0])
-    base = np.zeros(len(b), int)  # least n after which the points recur, roughly: n or a doubling of it is the period
-    for n in range(least, limit + 1):
-        recurs = np.max(np.abs(points[:, n : n + limit, :2] - points[:, :limit, :2]), axis=(1, 2)) < _CLOSE
-        base[(base == 0) & recurs] = n
-        open_ = np.flatnonzero((period == 0) & recurs & (base > 0) & ((n == base) | _doubles(base, n)))
-        if not len(open_):
-            continue
-        with lanes.stage(f"doubling: orbits of period {n} at {len(open_)} values", 0):
-            orbit = _orbits(lanes, scene.strobe(), found[open_], b[open_], n)
-        near = np.max(np.abs(orbit.u[:, :2] - found[open_][:, :2]), axis=1) < 2 * _CLOSE
-        settled = (orbit.residual < _CONVERGED) & near & (_largest_multiplier(orbit.monodromy) < 1.0)
-        period[open_[settled]] = n
-        found[open_[settled]] = orbit.u[settled]
-    return Survey(b, period, found).without_holes()
-
-
-def _orbits(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
-    """`find_orbit` over lanes (lanes, 3), (lanes,)."""
-    return lanes(find_orbit, (strobe, np.int32(n)), (u, b), tile=_ORBIT_TILE)
-
-
-def _strobe_points(strobe: Strobe, transient: Any, u: Array, b: Any, count: int) -> Array:
-    """(count, 3) section points after a transient, of one lane."""
-    settled = iterate(strobe, transient, unchart(u), b)
-    (x, y), (n1, n2) = record(strobe, settled, b, count)[1]
-    return jnp.stack([x, y, jnp.arctan2(n2, n1)], axis=-1)
-
-
-def _largest_multiplier(monodromy: np.ndarray) -> np.ndarray:
-    """Largest modulus of the eigenvalues, (lanes,); infinite where the matrix is not finite."""
-    finite = np.all(np.isfinite(monodromy), axis=(1, 2))
-    moduli = np.abs(np.linalg.eigvals(np.where(finite[:, None, None], monodromy, 0.0)))
-    return np.where(finite, moduli.max(axis=1), np.inf)
-
-
-def _follow(survey: Survey) -> tuple[Survey, int] | None:
+def _follow(found: Survey) -> tuple[Survey, int] | None:
     """The survey in the direction in which a cascade goes furthest, and the lane where its first run begins.
 
     A cascade is a row of neighbouring runs of lanes, each with twice (or a higher power of two times, where the survey
     steps over a level) the period of the one before. A tie goes to the direction of the sweep, and there to the first.
     """
     best: tuple[int, Survey, int] | None = None
-    for ordered in (survey, Survey(*(leaf[::-1] for leaf in survey))):
+    for ordered in (found, Survey(*(leaf[::-1] for leaf in found))):
         starts = np.flatnonzero(np.diff(ordered.period, prepend=-1))
         periods = ordered.period[starts]
         for k in range(len(starts)):
@@ -181,16 +99,16 @@ def _doubles(n: Any, following: Any) -> Any:
     return (n > 0) & (ratio > 1) & (ratio * n == following) & (ratio & (ratio - 1) == 0)
 
 
-def _locate(scene: Scene, lanes: LaneRunner, survey: Survey, lane: int, n: int) -> tuple[DoublingPoint, float] | None:
+def _locate(scene: Scene, lanes: LaneRunner, found: Survey, lane: int, n: int) -> tuple[DoublingPoint, float] | None:
     """The doubling of the stable period-n orbit that a lane of the survey is on, and the error of its b."""
-    last = survey.run_end(lane)
-    if last + 1 == len(survey.b):
+    last = found.run_end(lane)
+    if last + 1 == len(found.b):
         return None
-    bracket = np.linspace(survey.b[last], survey.b[last + 1], _CANDIDATES)
+    bracket = np.linspace(found.b[last], found.b[last + 1], _CANDIDATES)
     with lanes.stage(f"doubling: period {n} → {2 * n}, multisection of {_CANDIDATES}", 0):
-        start = np.broadcast_to(survey.u[last], (_CANDIDATES, 3))
-        orbit = _orbits(lanes, scene.strobe(), start, bracket, n)
-    ok = (orbit.residual < _CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
+        start = np.broadcast_to(found.u[last], (_CANDIDATES, 3))
+        orbit = orbits(lanes, scene.strobe(), start, bracket, n)
+    ok = (orbit.residual < CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
     beyond = np.flatnonzero(ok & (_most_negative(np.where(ok[:, None, None], orbit.monodromy, 0.0)) < -1.0))
     if not len(beyond):
         return None
@@ -242,21 +160,22 @@ def _segments(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, w: np.ndarray, b
 
 
 def _next_run(
-    scene: Scene, lanes: LaneRunner, survey: Survey, points: list[DoublingPoint], n: int, limit: int, end: float
+    scene: Scene, lanes: LaneRunner, found: Survey, points: list[DoublingPoint], n: int, limit: int, end: float
 ) -> tuple[Survey, int] | None:
     """A survey and the first lane in it that is on the period-n orbit born at the last doubling."""
     born = points[-1]
-    sign = np.sign(survey.b[-1] - survey.b[0])
-    ahead = np.flatnonzero(sign * (survey.b - born.b) > 0)
-    if len(ahead) and survey.period[ahead[0]] == n and survey.run_end(ahead[0]) > ahead[0]:
-        return survey, int(ahead[0])
-    spacing = abs(survey.b[1] - survey.b[0])
+    sign = np.sign(found.b[-1] - found.b[0])
+    ahead = np.flatnonzero(sign * (found.b - born.b) > 0)
+    if len(ahead) and found.period[ahead[0]] == n and found.run_end(ahead[0]) > ahead[0]:
+        return found, int(ahead[0])
+    spacing = abs(found.b[1] - found.b[0])
     reach = 0.5 * abs(born.b - points[-2].b) if len(points) > 1 else 8 * spacing
     for _ in range(_CLOSER_TRIES):
         stop = born.b + sign * min(reach, abs(end - born.b))
         b = np.linspace(born.b, stop, _CLOSER + 1)[1:]
         start = np.broadcast_to(born.orbit[0] + 0.01 * born.vector[0], (_CLOSER, 3))
-        closer = _survey(scene, lanes, b, start, limit, f"a closer look beyond b = {born.b:.9g}", least=n)
+        label = f"doubling, beyond b = {born.b:.9g}"
+        closer = survey(scene, lanes, b, start, limit, label, _TRANSIENT, least=n).without_holes()
         first = np.flatnonzero(closer.period == n)
         if len(first):
             return closer, int(first[0])

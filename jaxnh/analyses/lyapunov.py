@@ -1,0 +1,215 @@
+"""Lyapunov spectrum of the flow, with error bars and exact checks.
+
+The tangent flow is the exact derivative of the solver's own step. Tangents are orthonormalised by a written-out
+Gram–Schmidt several times a period (Benettin and co-workers 1980), as often as the contraction needs.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+from pydantic import Field
+
+from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.strobe import Strobe, Tangent, iterate, make_strobe
+from jaxnh.systems import State, Vector
+
+_BLOCKS = 16
+_LARGEST_LOSS = 12.0  # a tangent may shrink by e^−12 against another between orthonormalisations: five digits
+_PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
+_ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
+_TILE = 128
+
+
+class LyapunovOptions(Options):
+    """Options of `lyapunov`."""
+
+    transient: int = Field(default=256, ge=0, description="Periods before the average begins")
+    periods: int = Field(default=1024, ge=_BLOCKS, description="Periods averaged over, at most")
+    error: float = Field(default=0.0, ge=0.0, description="Stop a lane whose error bars are below this; 0: never")
+    exponents: int = Field(default=3, ge=1, le=3, description="How many of the largest exponents are wanted")
+
+
+class Flow(NamedTuple):
+    """A lane on its way: state, orthonormal tangents (x1, y1, θ), and logarithms summed so far.
+
+    Attributes:
+        state: (q, n).
+        tangents: k of three components each.
+        logs: k sums of the logarithms of the tangents' growth.
+        volume: sum of the logarithms of the growth of volume.
+        loss: largest logarithm by which the last tangent shrank against the first in one part of a period.
+    """
+
+    state: State
+    tangents: tuple[Vector, ...]
+    logs: tuple[Array, ...]
+    volume: Array
+    loss: Array
+
+
+def periods(options: LyapunovOptions, lanes: int) -> float:
+    """Lane-periods of a run; each costs one and about two more for every tangent."""
+    return float(lanes * (options.transient + options.periods * (1 + 2 * options.exponents)))
+
+
+def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> Group:
+    """The `exponents` largest exponents of every lane, their errors, and the sum rule where there are three."""
+    count, k = len(scene.values), options.exponents
+    parts = _parts_needed(scene, lanes, k)
+    strobes = _parts(scene, parts)
+    aligning = options.transient // _ALIGNING
+    settling = options.transient - aligning
+    block = options.periods // _BLOCKS
+    with lanes.stage(f"lyapunov: transient of {count} values", count * options.transient):
+        state = jax.tree.map(lambda leaf: np.full(count, leaf, float), scene.start)
+        state = lanes(iterate, (scene.strobe(), np.int32(settling)), (state, scene.values), periods=settling)
+        flow = lanes(_begin, (), (state,), static=(k,))
+        flow = _average(lanes, strobes, flow, scene.values, aligning)[0]
+    rates = np.full((count, _BLOCKS, k + 1), np.nan)
+    done = np.zeros(count, int)
+    running = np.arange(count)
+    with lanes.stage(f"lyapunov: averages of {count} values", count * options.periods):
+        for i in range(_BLOCKS):
+            part = jax.tree.map(lambda leaf, running=running: leaf[running], flow)
+            part, rates[running, i] = _average(lanes, strobes, part, scene.values[running], block)
+            for whole, moved in zip(jax.tree.leaves(flow), jax.tree.leaves(part), strict=True):
+                whole[running] = moved
+            done[running] += 1
+            if options.error and i + 1 >= _BLOCKS // 4:
+                _, error = _statistics(rates[running, : i + 1])
+                running = running[~(np.max(error[:, :k], axis=1) < options.error)]
+            if not len(running):
+                break
+    period = scene.system.period
+    mean, error = np.empty((count, k + 1)), np.empty((count, k + 1))
+    for blocks in np.unique(done):
+        chosen = done == blocks
+        mean[chosen], error[chosen] = _statistics(rates[chosen, :blocks])
+    return _group(scene, mean / period, error / period, done * block, parts)
+
+
+def _parts(scene: Scene, parts: int) -> Strobe:
+    """Maps over equal parts of a period, stacked along a new first axis of their tables."""
+    ends = np.linspace(0.0, scene.system.period, parts + 1)
+    maps = [
+        make_strobe(scene.system, scene.solver, scene.steps, compensated=scene.compensated, span=(t0, t1))
+        for t0, t1 in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+    ]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *maps)
+
+
+def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> int:
+    """Orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
+
+    Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
+    bounds what a longer part does.
+    """
+    if k == 1:
+        return 1
+    picked = scene.values[np.unique(np.linspace(0, len(scene.values) - 1, _PILOT_LANES).round().astype(int))]
+    state = jax.tree.map(lambda leaf: np.full(len(picked), leaf, float), scene.start)
+    flow = lanes(_begin, (), (state,), static=(k,))
+    flow, _ = _average(lanes, _parts(scene, _PILOT_PARTS), flow, picked, _PILOT_PERIODS)
+    loss = float(np.nanmax(flow.loss))
+    return int(np.clip(2 ** math.ceil(math.log2(max(_PILOT_PARTS * loss / _LARGEST_LOSS, 1.0))), 1, 1024))
+
+
+def _average(lanes: LaneRunner, strobes: Strobe, flow: Flow, b: np.ndarray, count: int) -> tuple[Flow, np.ndarray]:
+    """Lanes `count` periods on, and growth a period of each tangent and of volume, (lanes, k + 1)."""
+    if not count:
+        return flow, np.full((len(b), len(flow.logs) + 1), np.nan)
+    flow = lanes(_advance, (strobes, np.int32(count)), (flow, b), periods=count, tile=_TILE)
+    return flow, np.stack([*flow.logs, flow.volume], axis=-1) / count
+
+
+def _begin(state: State, k: int) -> Flow:
+    """A lane at a state with the first k coordinate directions as tangents."""
+    zero = jnp.zeros_like(state[0][0])
+    tangents = tuple(tuple(zero + float(i == j) for j in range(3)) for i in range(k))
+    return Flow(state, tangents, (zero,) * k, zero, zero)
+
+
+def _advance(strobes: Strobe, count: Any, flow: Flow, b: Any) -> Flow:
+    """One lane `count` periods on, its sums begun anew."""
+    zero = jnp.zeros_like(flow.volume)
+    flow = Flow(flow.state, flow.tangents, (zero,) * len(flow.logs), zero, zero)
+
+    def part(flow: Flow, strobe: Strobe) -> tuple[Flow, None]:
+        n = flow.state[1]
+        moved = tuple(Tangent(((dx, dy), (-n[1] * dt, n[0] * dt))) for dx, dy, dt in flow.tangents)
+        pushed = strobe.push(flow.state, b, moved)
+        n = pushed.state[1]
+        moved = [(*t.state[0], n[0] * t.state[1][1] - n[1] * t.state[1][0]) for t in pushed.tangents]
+        tangents, grown = gram_schmidt(moved)
+        logs = tuple(sum_ + g for sum_, g in zip(flow.logs, grown, strict=True))
+        loss = jnp.maximum(flow.loss, grown[0] - grown[-1])
+        return Flow(pushed.state, tangents, logs, flow.volume + jnp.log(pushed.volume), loss), None
+
+    return lax.fori_loop(0, count, lambda _, flow: lax.scan(part, flow, strobes)[0], flow)
+
+
+def gram_schmidt(vectors: list[Vector]) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
+    """Orthonormal vectors that span the same, and the logarithms of the lengths they had, components of any shape."""
+    orthonormal: list[Vector] = []
+    logs = []
+    for vector in vectors:
+        for base in orthonormal:
+            overlap = sum(v * e for v, e in zip(vector, base, strict=True))
+            vector = tuple(v - overlap * e for v, e in zip(vector, base, strict=True))
+        length = jnp.sqrt(sum(v * v for v in vector))
+        orthonormal.append(tuple(v / length for v in vector))
+        logs.append(jnp.log(length))
+    return tuple(orthonormal), tuple(logs)
+
+
+def _statistics(rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean over blocks (lanes, blocks, ...) and its error: of block averages, plus half of the drift between halves."""
+    blocks = rates.shape[1]
+    mean = rates.mean(axis=1)
+    scatter = rates.std(axis=1, ddof=1) / math.sqrt(blocks)
+    half = blocks // 2
+    drift = 0.5 * np.abs(rates[:, :half].mean(axis=1) - rates[:, half : 2 * half].mean(axis=1))
+    return mean, 2.0 * scatter + drift
+
+
+def _group(scene: Scene, mean: np.ndarray, error: np.ndarray, averaged: np.ndarray, parts: int) -> Group:
+    """Sums of the last column are those of volume."""
+    k = mean.shape[1] - 1
+    order = np.argsort(-mean[:, :k], axis=1)
+    exponents = np.take_along_axis(mean[:, :k], order, axis=1)
+    errors = np.take_along_axis(error[:, :k], order, axis=1)
+    unit = "1/time"
+    variables = {
+        "b": Variable(("b",), scene.values, "coupling b"),
+        "exponent": Variable(("exponent",), np.arange(1, k + 1), "number of the exponent, largest first"),
+        "exponents": Variable(("b", "exponent"), exponents, "Lyapunov exponents, natural logarithm", unit),
+        "exponents_error": Variable(("b", "exponent"), errors, "error of the exponents: two standard errors", unit),
+        "transverse": Variable(("b",), 2.0 * mean[:, k], "exponent off the constraint, −2⟨n·F⟩/s", unit),
+        "averaged": Variable(("b",), averaged, "periods averaged over", "forcing periods"),
+    }
+    if k == 3:
+        residual = exponents.sum(axis=1) - mean[:, k]
+        variables["sum_rule_residual"] = Variable(
+            ("b",), residual, "sum of the exponents minus the mean divergence −⟨n·F⟩/s", unit
+        )
+        variables["kaplan_yorke"] = Variable(
+            ("b",), kaplan_yorke(exponents), "Kaplan–Yorke dimension of the Poincaré section"
+        )
+    return Group(variables, {"orthonormalisations_per_period": parts})
+
+
+def kaplan_yorke(exponents: np.ndarray) -> np.ndarray:
+    """Kaplan–Yorke dimension of descending exponents (lanes, k); k where their sum is not negative."""
+    total = np.cumsum(exponents, axis=1)
+    lanes, k = exponents.shape
+    whole = np.sum(total >= 0.0, axis=1)
+    before = np.where(whole > 0, total[np.arange(lanes), np.maximum(whole, 1) - 1], 0.0)
+    following = np.abs(exponents[np.arange(lanes), np.minimum(whole, k - 1)])
+    return np.where(whole == k, float(k), whole + before / following)

@@ -1,0 +1,145 @@
+"""Least period of the attractor of every lane, from Newton on its orbit: not from how near strobe points come.
+
+Strobe points after a transient only name candidates. What decides is whether Newton finds a stable orbit of that
+period there, so that neither the slow convergence near a doubling (a decaying oscillation of period 2n) nor a
+coexisting partner orbit is taken for another period.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from pydantic import Field
+
+from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.orbits import Orbit, find_orbit
+from jaxnh.strobe import Strobe, iterate, record, unchart
+
+CONVERGED = 1e-7
+"""Residual of an orbit that Newton has found."""
+
+_CLOSE = 0.03  # strobe points nearer than this may be the same point of a slowly converging orbit
+_ORBIT_TILE = 64
+
+
+class PeriodOptions(Options):
+    """Options of `period`."""
+
+    limit: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
+    transient: int = Field(default=512, ge=0, description="Periods before the strobe points are looked at")
+
+
+class Survey(NamedTuple):
+    """Lanes on their attractors.
+
+    Attributes:
+        b: (lanes,).
+        period: least period of the attractor, 0 where it is none up to the limit, (lanes,).
+        u: a point of the orbit in section coordinates, (lanes, 3).
+        residual: largest component of Pⁿ(u) − u, NaN where no orbit was found, (lanes,).
+        multiplier: largest modulus of the multipliers, NaN likewise, (lanes,).
+        failed: whether the lane has left the numbers, (lanes,).
+    """
+
+    b: np.ndarray
+    period: np.ndarray
+    u: np.ndarray
+    residual: np.ndarray
+    multiplier: np.ndarray
+    failed: np.ndarray
+
+    def without_holes(self) -> Survey:
+        """The survey without the undecided lanes that stand alone or in pairs: they lie in windows or at doublings."""
+        starts = np.flatnonzero(np.diff(self.period != 0, prepend=~(self.period[:1] != 0)))
+        lengths = np.diff(np.append(starts, len(self.period)))
+        keep = np.repeat((self.period[starts] != 0) | (lengths > 2), lengths)
+        return Survey(*(leaf[keep] for leaf in self))
+
+    def run_end(self, first: int) -> int:
+        """Last lane of the run of equal periods that begins at a lane."""
+        other = np.flatnonzero(self.period[first:] != self.period[first])
+        return first + int(other[0]) - 1 if len(other) else len(self.b) - 1
+
+
+def periods(options: PeriodOptions, lanes: int) -> float:
+    """Lane-periods of a run: the transient, the points looked at, and as much again for Newton."""
+    return 2.0 * lanes * (options.transient + 2 * options.limit)
+
+
+def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> Group:
+    """Least period of every lane with its residual and largest multiplier."""
+    start = np.broadcast_to(section_point(scene.start), (len(scene.values), 3))
+    found = survey(scene, lanes, scene.values, start, options.limit, "period", options.transient)
+    variables = {
+        "b": Variable(("b",), found.b, "coupling b"),
+        "period": Variable(("b",), found.period, "least period, 0: none up to the limit", "forcing periods"),
+        "residual": Variable(("b",), found.residual, "largest component of Pⁿ(u) − u of the orbit"),
+        "multiplier": Variable(("b",), found.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
+        "failed": Variable(("b",), found.failed.astype(np.int8), "1 where the lane has left the numbers"),
+    }
+    return Group(variables, {"limit": options.limit})
+
+
+def section_point(start: Any) -> np.ndarray:
+    """(3,) section coordinates of a start state of floats."""
+    (x, y), (n1, n2) = start
+    return np.array([x, y, math.atan2(n2, n1)])
+
+
+def survey(
+    scene: Scene,
+    lanes: LaneRunner,
+    b: np.ndarray,
+    u: np.ndarray,
+    limit: int,
+    label: str,
+    transient: int,
+    least: int = 1,
+) -> Survey:
+    """Attractor and period (from `least` up to a limit) of every lane from start points u (lanes, 3)."""
+    strobe = scene.strobe(0.5)  # only seeds Newton: half the steps will do
+    cost = transient + 2 * limit
+    with lanes.stage(f"{label}: {len(b)} values to their attractors", len(b) * cost):
+        points = lanes(_strobe_points, (strobe, np.int32(transient)), (u, b), periods=cost, static=(2 * limit,))
+    period = np.zeros(len(b), int)
+    base = np.zeros(len(b), int)  # least n after which the points recur, roughly: a multiple of it is the period
+    found = np.array(points[:, 0])
+    residual, multiplier = np.full(len(b), np.nan), np.full(len(b), np.nan)
+    for n in range(least, limit + 1):
+        recurs = np.max(np.abs(points[:, n : n + limit, :2] - points[:, :limit, :2]), axis=(1, 2)) < _CLOSE
+        base[(base == 0) & recurs] = n
+        open_ = np.flatnonzero((period == 0) & recurs & (n % np.maximum(base, 1) == 0))
+        if not len(open_):
+            continue
+        with lanes.stage(f"{label}: orbits of period {n} at {len(open_)} values", 0):
+            orbit = orbits(lanes, scene.strobe(), found[open_], b[open_], n)
+        near = np.max(np.abs(orbit.u[:, :2] - found[open_][:, :2]), axis=1) < 2 * _CLOSE
+        largest = largest_multiplier(orbit.monodromy)
+        settled = (orbit.residual < CONVERGED) & near & (largest < 1.0)
+        here = open_[settled]
+        period[here], found[here] = n, orbit.u[settled]
+        residual[here], multiplier[here] = orbit.residual[settled], largest[settled]
+    return Survey(b, period, found, residual, multiplier, ~np.all(np.isfinite(points), axis=(1, 2)))
+
+
+def orbits(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
+    """`find_orbit` of period n over lanes (lanes, 3), (lanes,)."""
+    return lanes(find_orbit, (strobe, np.int32(n)), (u, b), tile=_ORBIT_TILE)
+
+
+def largest_multiplier(monodromy: np.ndarray) -> np.ndarray:
+    """Largest modulus of the eigenvalues, (lanes,); infinite where the matrix is not finite."""
+    finite = np.all(np.isfinite(monodromy), axis=(1, 2))
+    moduli = np.abs(np.linalg.eigvals(np.where(finite[:, None, None], monodromy, 0.0)))
+    return np.where(finite, moduli.max(axis=1), np.inf)
+
+
+def _strobe_points(strobe: Strobe, transient: Any, u: Array, b: Any, count: int) -> Array:
+    """(count, 3) section points after a transient, of one lane."""
+    settled = iterate(strobe, transient, unchart(u), b)
+    (x, y), (n1, n2) = record(strobe, settled, b, count)[1]
+    return jnp.stack([x, y, jnp.arctan2(n2, n1)], axis=-1)

@@ -1,0 +1,95 @@
+"""Poincaré map: the states at successive strobes after a transient, for every b."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from pydantic import Field
+
+from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.strobe import Strobe, iterate, record
+from jaxnh.systems import State
+
+
+class PoincareOptions(Options):
+    """Options of `poincare`."""
+
+    transient: int = Field(default=512, ge=0, description="Periods before the first strobe; 0: it is the start state")
+    strobes: int = Field(default=1024, ge=1, description="Number of strobes kept, one period apart")
+
+
+def periods(options: PoincareOptions, lanes: int) -> float:
+    """Lane-periods of a run."""
+    return float(lanes * (options.transient + options.strobes - 1))
+
+
+def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> Group:
+    """States at `strobes` strobes after the transient, from the start state, dimensions (b, strobe)."""
+    count = len(scene.values)
+    start = spread(scene.start, count)
+    total = periods(options, count)
+    with lanes.stage(f"poincare: {options.strobes} strobes at {count:,} values of b", total):
+        states = lanes(
+            strobe_states,
+            (scene.strobe(), np.int32(options.transient)),
+            (start, scene.values),
+            periods=total / count,
+            static=(options.strobes,),
+        )
+    time = scene.system.period * (options.transient + np.arange(options.strobes))
+    variables = {
+        "b": coupling(scene),
+        "t": Variable(("strobe",), time, "time since the start"),
+        **state_variables(states, scene.system.speed(np.zeros(1)), ("b", "strobe"), {"coordinates": "t"}),
+    }
+    return Group(variables, warnings=lost("poincare", states))
+
+
+def strobe_states(strobe: Strobe, transient: Any, state: State, b: Any, count: int) -> State:
+    """Of one lane: states (count,) after `transient` periods and each one after; `transient` may be traced."""
+    first = iterate(strobe, transient, state, b)
+    _, following = record(strobe, first, b, count - 1)
+    return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), first, following)
+
+
+def spread(start: State, lanes: int) -> State:
+    """A start state of floats as lanes, components of shape (lanes,)."""
+    return jax.tree.map(lambda component: np.full(lanes, component, float), start)
+
+
+def coupling(scene: Scene) -> Variable:
+    """The swept values as the coordinate b."""
+    return Variable(("b",), scene.values, "coupling b")
+
+
+def state_variables(
+    states: State, speed: np.ndarray, dims: tuple[str, ...], attrs: dict[str, Any] | None = None
+) -> dict[str, Variable]:
+    """The paper's coordinates of states (q, n), the velocity being s(t) n.
+
+    Args:
+        states: components of the shape that the dimensions have.
+        speed: s at the times of the states, (1,) or as long as the last dimension.
+        dims: names of the dimensions.
+        attrs: attributes of each variable.
+    """
+    (x1, y1), (n1, n2) = states
+    named = {
+        "x1": (x1, "position x1"),
+        "x2": (speed * n1, "velocity x2 = dx1/dt"),
+        "y1": (y1, "position y1"),
+        "y2": (speed * n2, "velocity y2 = dy1/dt"),
+    }
+    return {name: Variable(dims, data, words, attrs=attrs or {}) for name, (data, words) in named.items()}
+
+
+def lost(analysis: str, states: State) -> tuple[str, ...]:
+    """A warning where lanes have left the numbers: they are not finite from there on."""
+    last = [np.asarray(component)[..., -1] for component in jax.tree.leaves(states)]
+    failed = ~np.all(np.isfinite(last), axis=0)
+    if not failed.any():
+        return ()
+    return (f"{analysis}: {np.count_nonzero(failed)} of {failed.size} trajectories are not finite at their end",)

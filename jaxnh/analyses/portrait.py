@@ -1,0 +1,68 @@
+"""Phase portraits: trajectories after a transient, sampled many times a period, for every b."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+from jax import lax
+from pydantic import Field
+
+from jaxnh.analyses.poincare import coupling, lost, spread, state_variables
+from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.strobe import Strobe, iterate, make_parts
+from jaxnh.systems import State
+
+
+class PortraitOptions(Options):
+    """Options of `portrait`."""
+
+    transient: int = Field(default=512, ge=0, description="Periods before the first sample; 0: it is the start state")
+    periods: int = Field(default=16, ge=1, description="Length of the trajectory, in periods")
+    samples: int = Field(default=256, ge=1, le=65536, description="Samples a period, evenly spaced in time")
+
+
+def periods(options: PortraitOptions, lanes: int) -> float:
+    """Lane-periods of a run."""
+    return float(lanes * (options.transient + options.periods))
+
+
+def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> Group:
+    """Trajectories of `periods` periods after the transient, from the start state, dimensions (b, time)."""
+    count = len(scene.values)
+    total = periods(options, count)
+    parts = make_parts(scene.system, scene.solver, scene.steps, options.samples, compensated=scene.compensated)
+    with lanes.stage(f"portrait: {options.periods} periods at {count:,} values of b", total):
+        states = lanes(
+            trajectory,
+            (scene.strobe(), parts, np.int32(options.transient)),
+            (spread(scene.start, count), scene.values),
+            periods=total / count,
+            static=(options.periods,),
+        )
+    in_period = scene.system.period * np.arange(options.samples) / options.samples
+    elapsed = np.arange(options.periods * options.samples) / options.samples
+    speed = np.tile(scene.system.speed(in_period), options.periods)
+    variables = {
+        "b": coupling(scene),
+        "t": Variable(("time",), scene.system.period * (options.transient + elapsed), "time since the start"),
+        **state_variables(states, speed, ("b", "time"), {"coordinates": "t"}),
+    }
+    return Group(variables, warnings=lost("portrait", states))
+
+
+def trajectory(strobe: Strobe, parts: Strobe, transient: Any, state: State, b: Any, count: int) -> State:
+    """Of one lane: states (count · samples,) over `count` periods after a transient, which may be traced.
+
+    `parts` are the maps over the parts of a period, stacked (`strobe.make_parts`).
+    """
+
+    def sample(z: State, part: Strobe) -> tuple[State, State]:
+        return part(z, b), z
+
+    def period(z: State, _: None) -> tuple[State, State]:
+        return lax.scan(sample, z, parts)
+
+    _, path = lax.scan(period, iterate(strobe, transient, state, b), length=count)
+    return jax.tree.map(lambda component: component.reshape(-1), path)
