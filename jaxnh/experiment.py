@@ -210,8 +210,11 @@ class AnalysesBase(Section):
         return analyses
 
     def requested(self) -> list[tuple[Analysis, Options]]:
-        """Each analysis with its options, in the order of the config."""
-        return [(ANALYSES[name], getattr(self, name)) for name in self._order]
+        """Each analysis with its options, in the order of the config; those that one needs come before it."""
+        order: list[str] = []
+        for name in self._order:
+            order += [need for need in (*ANALYSES[name].needs, name) if need not in order]
+        return [(ANALYSES[name], getattr(self, name) or ANALYSES[name].options()) for name in order]
 
 
 if TYPE_CHECKING:

@@ -67,7 +67,8 @@ def _run(experiment: Experiment, path: Path, began: float) -> None:
         scene = scene_of(experiment, calibrate(experiment, lanes))
     groups: dict[str, Group] = {}
     for analysis, options in experiment.requested():
-        groups[analysis.name] = analysis.run(options, scene, lanes)
+        needed = ({name: groups[name] for name in analysis.needs},) if analysis.needs else ()
+        groups[analysis.name] = analysis.run(options, scene, lanes, *needed)
     stored = time.perf_counter()
     store.write(path, provenance(experiment, scene, lanes, stored - began, "jaxnh.sweep"), groups)
     for name, group in groups.items():

@@ -1,6 +1,6 @@
 """One file an analysis, one analysis a quantity. The table below is the only place that lists them."""
 
-from jaxnh.analyses import doubling, lyapunov, period
+from jaxnh.analyses import chaos01, diagram, doubling, lyapunov, period, poincare, portrait, verdict
 from jaxnh.analyses.record import Analysis
 
 ANALYSES: dict[str, Analysis] = {
@@ -9,6 +9,13 @@ ANALYSES: dict[str, Analysis] = {
         Analysis("doubling", doubling.DoublingOptions, doubling.periods, doubling.run),
         Analysis("lyapunov", lyapunov.LyapunovOptions, lyapunov.periods, lyapunov.run),
         Analysis("period", period.PeriodOptions, period.periods, period.run),
+        Analysis("portrait", portrait.PortraitOptions, portrait.periods, portrait.run),
+        Analysis("poincare", poincare.PoincareOptions, poincare.periods, poincare.run),
+        Analysis("diagram", diagram.DiagramOptions, diagram.periods, diagram.run),
+        Analysis("chaos01", chaos01.Chaos01Options, chaos01.periods, chaos01.run),
+        Analysis(
+            "verdict", verdict.VerdictOptions, verdict.periods, verdict.run, needs=("period", "lyapunov", "chaos01")
+        ),
     )
 }
 """Every analysis by its key in YAML."""

@@ -109,10 +109,12 @@ class Analysis:
         name: the key in YAML and the group in the result file.
         options: the model of its options.
         periods: (options, number of lanes) to the lane-periods that a run of it is expected to integrate.
-        run: (options, scene, lane runner) to its group.
+        run: (options, scene, lane runner) to its group; with `needs`, also a mapping of the groups it needs.
+        needs: analyses that have to run before, with their defaults where the config does not ask for them.
     """
 
     name: str
     options: type[Options]
     periods: Callable[[Any, int], float]
-    run: Callable[[Any, Scene, LaneRunner], Group]
+    run: Callable[..., Group]
+    needs: tuple[str, ...] = ()

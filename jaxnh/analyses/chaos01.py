@@ -1,0 +1,89 @@
+"""The 0–1 test for chaos on strobe points (Gottwald and Melbourne, SIAM J. Appl. Dyn. Syst. 8 (2009) 129).
+
+The strobe values of x1 drive a walk in the plane with many fixed angles. Regular motion keeps the walk bounded (K near
+0), chaos makes its mean square displacement grow in proportion to time (K near 1).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+from pydantic import Field
+
+from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.strobe import Strobe, iterate, record
+from jaxnh.systems import State
+
+_ANGLES = 64
+_TILE = 32
+_NO_MOTION = 1e-9  # a mean square displacement below this, relative to the signal's, is that of a fixed point
+
+
+class Chaos01Options(Options):
+    """Options of `chaos01`."""
+
+    transient: int = Field(default=512, ge=0, description="Periods before the strobe points are used")
+    periods: int = Field(default=1024, ge=100, description="Strobe points used")
+
+
+def periods(options: Chaos01Options, lanes: int) -> float:
+    """Lane-periods of a run."""
+    return float(lanes * (options.transient + options.periods))
+
+
+def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> Group:
+    """K of every lane, the median over angles, and half the distance between their quartiles."""
+    count = len(scene.values)
+    # Fixed angles, spread evenly over (π/5, 4π/5) by the golden ratio: no resonance is shared by many of them.
+    angles = np.pi / 5 + 3 * np.pi / 5 * ((np.arange(_ANGLES) * (np.sqrt(5.0) - 1) / 2) % 1.0)
+    state = jax.tree.map(lambda leaf: np.full(count, leaf, float), scene.start)
+    cost = options.transient + options.periods
+    with lanes.stage(f"chaos01: {count} values", count * cost):
+        shared = (scene.strobe(), np.int32(options.transient), angles)
+        k = lanes(_growth, shared, (state, scene.values), periods=cost, tile=_TILE, static=(options.periods,))
+    low, median, high = np.quantile(k, [0.25, 0.5, 0.75], axis=1)
+    variables = {
+        "b": Variable(("b",), scene.values, "coupling b"),
+        "k": Variable(("b",), median, "growth rate K of the 0–1 test: near 0 regular, near 1 chaotic"),
+        "k_error": Variable(("b",), 0.5 * (high - low), "half the distance between the quartiles of K over the angles"),
+    }
+    return Group(variables, {"angles": _ANGLES})
+
+
+def _growth(strobe: Strobe, transient: Any, angles: Array, state: State, b: Any, count: int) -> Array:
+    """K of one lane for every angle, (angles,)."""
+    signal = record(strobe, iterate(strobe, transient, state, b), b, count)[1][0][0]
+    return growth_rates(signal, angles)
+
+
+def growth_rates(signal: Array, angles: Array) -> Array:
+    """K_c of a signal (N,) for every angle c (angles,): correlation of the damped displacement D_c(n) with n ≤ N/10."""
+    count = signal.shape[0]
+    longest = count // 10
+    steps = jnp.arange(1, longest + 1)
+    mean = jnp.mean(signal)
+    scale = jnp.mean(signal**2)
+
+    def one(c: Array) -> Array:
+        phase = c * jnp.arange(1, count + 1)
+        p, q = jnp.cumsum(signal * jnp.cos(phase)), jnp.cumsum(signal * jnp.sin(phase))
+
+        def displacement(n: Array) -> Array:
+            used = count - longest
+            dp = lax.dynamic_slice(p, (n,), (used,)) - p[:used]
+            dq = lax.dynamic_slice(q, (n,), (used,)) - q[:used]
+            return jnp.mean(dp**2 + dq**2)
+
+        moved = lax.map(displacement, steps) - mean**2 * (1 - jnp.cos(steps * c)) / (1 - jnp.cos(c))
+        n = steps - jnp.mean(steps)
+        d = moved - jnp.mean(moved)
+        spread = jnp.sqrt(jnp.mean(d**2))
+        correlation = jnp.mean(n * d) / jnp.sqrt(jnp.mean(n**2)) / jnp.where(spread > 0, spread, 1.0)
+        return jnp.where(spread > _NO_MOTION * scale, correlation, 0.0)
+
+    return lax.map(one, angles)
