@@ -1,0 +1,78 @@
+"""What several tests share: systems and their twins in the Taylor reference, lanes, and solvers under plain diffrax."""
+
+from __future__ import annotations
+
+import functools
+
+import diffrax
+import jax
+import numpy as np
+import taylor
+
+from jaxnh.solvers import IsokineticSplitting, isokinetic_terms
+from jaxnh.strobe import chart, unchart
+from jaxnh.systems import constant_speed, disturbed_speed
+
+UNIT = np.finfo(float).eps / 2  # roundoff of one operation
+SYSTEMS = {
+    "constant": constant_speed(),
+    "disturbed": disturbed_speed(),
+    "other": disturbed_speed(a=0.3, c=1.7, d=0.2, omega=1.5),
+}
+LANES = 16
+B = np.linspace(0.2, 2.4, LANES)
+STATES = np.random.default_rng(3).uniform([-1, -1, -3], [1, 1, 3], (LANES, 3))
+
+
+def twin(system):
+    """The parameters of the same system in the Taylor reference."""
+    return taylor.Parameters(system.a, system.c, system.d, system.omega)
+
+
+def apart(one, other):
+    """Largest difference of section coordinates (..., 3), angles modulo whole turns: shape (...,)."""
+    gap = np.asarray(one, taylor.REAL) - np.asarray(other, taylor.REAL)
+    gap[..., 2] -= taylor.turns(gap[..., 2])
+    return np.abs(gap).max(axis=-1).astype(float)
+
+
+@functools.cache
+def stock(system, solver):
+    """One period of lanes under `diffrax.diffeqsolve` with constant steps: (u, b, dt) to section points."""
+    terms = (
+        isokinetic_terms(system)
+        if isinstance(solver, IsokineticSplitting)
+        else diffrax.ODETerm(system.vector_field)
+    )
+
+    def lane(u, b, dt):
+        solution = diffrax.diffeqsolve(
+            terms, solver, 0.0, system.period, dt, unchart(u), args=b, max_steps=4096, throw=False
+        )
+        return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
+
+    return jax.jit(jax.vmap(lane, in_axes=(0, 0, None)))
+
+
+CALM = {"constant": constant_speed(c=0.1), "disturbed": disturbed_speed(c=0.1, d=0.03)}
+"""Slow particles near the origin, with CALM_B and CALM_STATES: the error of a method of order ten already falls by its
+law well above the rounding floor, and the flow of a period hardly enlarges roundings."""
+CALM_B = np.linspace(0.1, 0.5, LANES)
+CALM_STATES = STATES * [0.2, 0.2, 1]
+
+
+def order_of(system, solver):
+    """Order of convergence of a solver: the slope of log error over log steps, under plain diffrax.
+
+    The error of a number of steps is the geometric mean over lanes of one period's error against the Taylor reference.
+    The slope is fitted over the finest steps, down to errors of 1e-11, some 100 times what rounding leaves, and from
+    there on over up to four digits of error.
+    """
+    exact = taylor.strobe(twin(system), CALM_B, CALM_STATES)
+    steps = np.unique(np.rint(np.geomspace(50, 2000, 22) / solver.stages).astype(int))
+    images = (stock(system, solver)(CALM_STATES, CALM_B, system.period / n) for n in steps)
+    errors = np.array([np.exp(np.log(apart(image, exact)).mean()) for image in images])
+    used = errors > 1e-11
+    used &= errors < 1e4 * errors[used].min()
+    assert used.sum() >= 5
+    return -np.polyfit(np.log(steps[used]), np.log(errors[used]), 1)[0]
