@@ -11,7 +11,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 import typer
 
@@ -23,6 +22,7 @@ from jaxnh.experiment import ConfigError, Experiment, load
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SOLVERS
 
+_UsageError = typer.BadParameter.__mro__[1]  # base of all faults of a command line, wherever typer keeps its parser
 _VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
 
 
@@ -112,10 +112,10 @@ def run_app(app: typer.Typer) -> int:
     except Refused as refusal:
         print(refusal, file=sys.stderr)
         return 2
-    except click.ClickException as error:
-        print(f"command line: {' '.join(error.format_message().split())}", file=sys.stderr)
+    except _UsageError as error:
+        print(f"command line: {' '.join(str(error.format_message()).split())}", file=sys.stderr)
         return 2
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         print("interrupted; nothing was written", file=sys.stderr)
         return 130
     except Exception as error:
