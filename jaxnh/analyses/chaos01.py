@@ -65,18 +65,18 @@ def growth_rates(signal: Array, angles: Array) -> Array:
     """K_c of a signal (N,) for every angle c (angles,): correlation of the damped displacement D_c(n) with n ≤ N/10."""
     count = signal.shape[0]
     longest = count // 10
-    steps = jnp.arange(1, longest + 1)
+    steps = jnp.arange(1.0, longest + 1)
     mean = jnp.mean(signal)
     scale = jnp.mean(signal**2)
 
     def one(c: Array) -> Array:
-        phase = c * jnp.arange(1, count + 1)
+        phase = c * jnp.arange(1.0, count + 1)
         p, q = jnp.cumsum(signal * jnp.cos(phase)), jnp.cumsum(signal * jnp.sin(phase))
 
         def displacement(n: Array) -> Array:
             used = count - longest
-            dp = lax.dynamic_slice(p, (n,), (used,)) - p[:used]
-            dq = lax.dynamic_slice(q, (n,), (used,)) - q[:used]
+            dp = lax.dynamic_slice(p, (n.astype(int),), (used,)) - p[:used]
+            dq = lax.dynamic_slice(q, (n.astype(int),), (used,)) - q[:used]
             return jnp.mean(dp**2 + dq**2)
 
         moved = lax.map(displacement, steps) - mean**2 * (1 - jnp.cos(steps * c)) / (1 - jnp.cos(c))

@@ -168,7 +168,7 @@ def _advance(strobes: Strobe, count: Any, begun: Any, flow: Flow, b: Any) -> Flo
     def period(i: Array, flow: Flow) -> Flow:
         after, _ = lax.scan(part, flow, strobes)
         grown = [new - old for new, old in zip((*after.logs, after.volume), (*flow.logs, flow.volume), strict=True)]
-        at = begun + (i + 0.5) / (count * _BLOCKS)
+        at = begun + (jnp.float64(i) + 0.5) / (jnp.float64(count) * _BLOCKS)
         smooth = tuple(
             tuple(sum_ + window(at, power) * g for sum_, g in zip(sums, grown, strict=True))
             for power, sums in zip(_WINDOWS, flow.smooth, strict=True)

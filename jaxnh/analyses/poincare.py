@@ -13,6 +13,9 @@ from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
 from jaxnh.strobe import Strobe, iterate, record
 from jaxnh.systems import State
 
+TILE = 16
+"""Lanes a tile: few values of b are looked at for long, and small tiles take a period sooner."""
+
 
 class PoincareOptions(Options):
     """Options of `poincare`."""
@@ -37,6 +40,7 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> Group:
             (scene.strobe(), np.int32(options.transient)),
             (start, scene.values),
             periods=total / count,
+            tile=TILE,
             static=(options.strobes,),
         )
     time = scene.system.period * (options.transient + np.arange(options.strobes))

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from pydantic import Field
 
-from jaxnh.analyses.poincare import coupling, lost, spread, state_variables
+from jaxnh.analyses.poincare import TILE, coupling, lost, spread, state_variables
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
 from jaxnh.strobe import Strobe, iterate, make_parts
 from jaxnh.systems import State
@@ -39,6 +39,7 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> Group:
             (scene.strobe(), parts, np.int32(options.transient)),
             (spread(scene.start, count), scene.values),
             periods=total / count,
+            tile=TILE,
             static=(options.periods,),
         )
     in_period = scene.system.period * np.arange(options.samples) / options.samples

@@ -1,0 +1,178 @@
+"""Lyapunov spectra, least periods, the 0–1 test and the verdict, against Taylor integration and exact identities."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+import taylor
+
+from jaxnh.analyses import chaos01, lyapunov, period, verdict
+from jaxnh.analyses.record import Scene
+from jaxnh.lanes import Lanes
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.systems import constant_speed, disturbed_speed
+
+START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
+# (system, its twin in the reference, b of the paper's figures 1 and 6 with their periods, 0: chaotic)
+CASES = {
+    "constant": (constant_speed(), taylor.Parameters(), {5.8: 1, 2.5: 2, 4.1: 4, 5.3: 0}),
+    "disturbed": (disturbed_speed(), taylor.Parameters(d=0.1), {5.9: 1, 2.5: 2, 4.2: 4, 5.6: 0}),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request):
+    """A system at the paper's four values: scene, twin, periods, and the groups `period` and `lyapunov`."""
+    system, twin, periods = CASES[request.param]
+    # The map of one period is right to about 1e-10 with these steps, and so are exponents of periodic orbits.
+    scene = Scene(system, START, np.array(list(periods)), SPLITTINGS["kahan_li8"], 240, False, 1e-10)
+    lanes = Lanes()
+    found = period.run(period.PeriodOptions(limit=16), scene, lanes)
+    options = lyapunov.LyapunovOptions(transient=256, periods=512)
+    return scene, twin, np.array(list(periods.values())), found, lyapunov.run(options, scene, lanes)
+
+
+def test_periods_of_the_paper(case):
+    """Periods 1, 2, 4 and chaos where the paper's figures 1 and 6 show them."""
+    _, _, periods, found, _ = case
+    np.testing.assert_array_equal(found.variables["period"].data, periods)
+    assert np.all(found.variables["residual"].data[:3] < 1e-7)
+
+
+def test_exponents_of_periodic_orbits(case):
+    """All three exponents are ln|μ|/(nT) of multipliers by an independent Taylor integration, to 1e-6.
+
+    The third multiplier of a period is down to e^−48, below what long double keeps of a monodromy matrix: the third
+    exponent is what the mean divergence, by quadrature along the orbit, leaves over the other two.
+    """
+    scene, twin, periods, _, group = case
+    for i in np.flatnonzero(periods):
+        b, n = float(scene.values[i]), int(periods[i])
+        points = taylor.orbit(twin, n, b, taylor.attractor(twin, b, twin.start(), 400)[0])
+        _, blocks, _ = taylor.strobe_jacobian(twin, np.full(n, b), points)
+        sums = multiplier_logs(np.asarray(blocks, np.longdouble))
+        first, second = np.sort(sums)[::-1][:2].astype(float) / (n * twin.period)
+        third = divergence(twin, b, points) / (n * twin.period) - first - second
+        np.testing.assert_allclose(group.variables["exponents"].data[i], [first, second, third], atol=1e-6)
+
+
+def divergence(par, b, points):
+    """∫ −n·F/s dt over the orbit through the points (n, 3), by DOP853."""
+
+    def field(t, u):
+        x, y, theta, _ = u
+        g, s = 1 + math.sin(par.omega * t), math.sqrt(par.c + par.d * math.sin(t))
+        n1, n2 = math.cos(theta), math.sin(theta)
+        f1, f2 = b * y - g * (par.a * x + x**3), b * x - g * (y + par.a * y**3)
+        return [s * n1, s * n2, (n1 * f2 - n2 * f1) / s, -(n1 * f1 + n2 * f2) / s]
+
+    spans = [(0.0, float(par.period))] * len(points)
+    runs = [
+        scipy.integrate.solve_ivp(field, span, [*map(float, u), 0.0], method="DOP853", rtol=1e-11, atol=1e-12)
+        for span, u in zip(spans, points, strict=True)
+    ]
+    return sum(run.y[3, -1] for run in runs)
+
+
+def multiplier_logs(blocks):
+    """ln|μ| of the product of blocks (n, 3, 3), by simultaneous iteration in long double: no product is formed."""
+    basis, settled = np.eye(3, dtype=np.longdouble), []
+    for _ in range(400):
+        logs = np.zeros(3, np.longdouble)
+        for block in blocks:
+            vectors = (block @ basis).T
+            for k in range(3):
+                for j in range(k):
+                    vectors[k] -= (vectors[k] @ vectors[j]) * vectors[j]
+                length = np.sqrt(vectors[k] @ vectors[k])
+                vectors[k] /= length
+                logs[k] += np.log(length)
+            basis = vectors.T
+        settled.append(logs)
+    weights = lyapunov.window((np.arange(300) + 0.5) / 300, 1.0)[:, None]
+    return np.sum(weights * np.array(settled[100:]), axis=0) / weights.sum()
+
+
+def test_sum_rule(case):
+    """The exponents add up to the mean divergence; to 1e-8 relative on periodic orbits."""
+    _, _, periods, _, group = case
+    total = group.variables["exponents"].data.sum(axis=1)
+    residual = np.abs(group.variables["sum_rule_residual"].data)
+    assert np.all(residual[periods > 0] < 1e-8 * np.abs(total[periods > 0]))
+    assert np.all(residual < group.variables["exponents_error"].data.sum(axis=1) + 1e-8)
+    np.testing.assert_allclose(group.variables["transverse"].data, 2 * total, atol=1e-6)
+
+
+def test_chaos_is_positive_beyond_its_error(case):
+    """Where there is no period the largest exponent is positive by more than its error bar; elsewhere negative."""
+    _, _, periods, _, group = case
+    largest = group.variables["exponents"].data[:, 0]
+    error = group.variables["exponents_error"].data[:, 0]
+    assert np.all((largest - error > 0) == (periods == 0))
+
+
+def test_one_exponent_is_the_largest_of_three(case):
+    """Asked for alone, the largest exponent is the same where it converges to rounding."""
+    scene, _, periods, _, group = case
+    alone = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=512, exponents=1), scene, Lanes())
+    one = alone.variables["exponents"].data[:, 0]
+    real = periods > 0
+    np.testing.assert_allclose(one[real], group.variables["exponents"].data[real, 0], atol=1e-6)
+    assert alone.variables["exponents"].data.shape == (4, 1)
+
+
+def test_gram_schmidt_is_qr():
+    """Written-out Gram–Schmidt gives numpy's Q up to signs, and the logarithms of |diag R|."""
+    matrix = np.random.default_rng(5).normal(size=(3, 3))
+    vectors, logs = lyapunov.gram_schmidt([tuple(jnp.asarray(row)) for row in matrix])
+    q, r = np.linalg.qr(matrix.T)
+    np.testing.assert_allclose(np.array(logs), np.log(np.abs(np.diag(r))), atol=1e-13)
+    np.testing.assert_allclose(np.abs(np.array(vectors)), np.abs(q.T), atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("exponents", "dimension"),
+    [((0.5, -1.0, -2.0), 1.5), ((-0.1, -1.0, -2.0), 0.0), ((0.5, 0.1, -1.2), 2.5), ((0.5, 0.1, -0.2), 3.0)],
+)
+def test_kaplan_yorke(exponents, dimension):
+    """The definition, worked by hand."""
+    assert lyapunov.kaplan_yorke(np.array([exponents]))[0] == pytest.approx(dimension)
+
+
+def test_growth_of_the_logistic_map():
+    """The 0–1 test on the map of its authors' examples: K near 1 at 3.97, near 0 at 3.55 (period 8)."""
+    growth = {}
+    for r in (3.97, 3.55):
+        x = [0.3]
+        for _ in range(2000):
+            x.append(r * x[-1] * (1 - x[-1]))
+        angles = jnp.linspace(np.pi / 5, 4 * np.pi / 5, 40)
+        growth[r] = np.median(chaos01.growth_rates(jnp.array(x[1001:]), angles))
+    assert growth[3.97] > 0.95
+    assert abs(growth[3.55]) < 0.1
+
+
+def test_verdict_rule():
+    """One row a clause of the rule, and disagreement is undecided."""
+    nan, t = np.nan, 2 * np.pi
+    mu = 0.5
+    expected = math.log(mu) / (2 * t)
+    rows = [  # period, multiplier, failed, λ1, error, K -> kind
+        (2, mu, False, expected, 1e-6, 0.0, "periodic"),
+        (2, mu, False, expected + 0.1, 1e-6, 0.0, "undecided"),
+        (2, mu, False, expected, 1e-6, 0.9, "undecided"),
+        (0, nan, False, 0.1, 0.01, 0.99, "chaotic"),
+        (0, nan, False, 0.1, 0.2, 0.99, "undecided"),
+        (0, nan, False, 0.1, 0.01, 0.1, "undecided"),
+        (0, nan, False, 1e-5, 1e-4, 0.0, "quasiperiodic"),
+        (0, nan, False, 1e-3, 1e-1, 0.0, "undecided"),
+        (1, mu, True, expected, 1e-6, 0.0, "failed"),
+        (0, nan, False, nan, nan, 0.0, "failed"),
+    ]
+    columns = [np.array(column) for column in list(zip(*rows, strict=True))[:6]]
+    kinds = verdict.judge(*columns, t, np.full(len(rows), 1000))
+    assert [verdict.KINDS[kind] for kind in kinds] == [row[6] for row in rows]
