@@ -22,7 +22,8 @@ from jaxnh.experiment import ConfigError, Experiment, load
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SOLVERS
 
-_UsageError = typer.BadParameter.__mro__[1]  # base of all faults of a command line, wherever typer keeps its parser
+# The base of all faults of a command line, wherever typer keeps its parser.
+_UsageError: Any = typer.BadParameter.__mro__[1]
 _VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
 
 

@@ -1,0 +1,150 @@
+"""Pictures of what accuracy costs: files of `jaxnh.cost`, read by xarray, onto matplotlib axes. No solver here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+_SIZE = (9.0, 5.6)  # inches
+_MICRO = 1e6
+_SPLITTINGS = {
+    "strang2": "#f1b04c",
+    "blanes_moan4": "#e07b39",
+    "blanes_moan6": "#b3261e",
+    "kahan_li8": "#7a3b8f",
+    "sofroniou_spaletta10": "#3b6fb5",
+}
+_WRITTEN_OUT = {"tsit5": "#8fc3a3", "dopri5": "#4f9d73", "dopri8": "#1c6e4a"}
+_STOCK = {"diffrax Tsit5": "#9a9a9a", "diffrax Dopri8": "#303030"}
+_COLOURS = {**_SPLITTINGS, **_WRITTEN_OUT, **_STOCK}
+_OTHER = "#6d4c41"
+_METHODS = {
+    "period detection": ("#b3261e", "o", "detection of the period after $N$ periods"),
+    "multisection": ("#3b6fb5", "s", "multisection on the orbit's multiplier"),
+    "Newton": ("#1c6e4a", "D", "Newton on orbit, $b$ and multiplier −1"),
+}
+_SIXTH_DECIMAL = 5e-7
+
+
+def work_precision(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Error of one period against time per lane-period: a curve a solver, the target, and the engine's pick."""
+    ax = _axes(ax)
+    method, summation = data["method"].to_numpy().astype(str), data["summation"].to_numpy().astype(str)
+    seconds = _MICRO * np.stack([data[name].to_numpy() for name in ("seconds_least", "seconds", "seconds_largest")])
+    error = data["error"].to_numpy()
+    for name in dict.fromkeys(method):
+        for sums in ("plain", "compensated"):
+            chosen = (method == name) & (summation == sums)
+            if chosen.any():
+                _curve(ax, name, sums, seconds[:, chosen], error[chosen])
+    target = float(data.attrs["target"])
+    ax.axhline(target, color="black", linewidth=0.9, linestyle=(0, (6, 3)), label=f"target {target:.1g}")
+    picked = np.flatnonzero(data["picked"].to_numpy())[0]
+    label = f"picked: {method[picked]}, {int(data['steps'][picked])} steps"
+    ax.plot(seconds[1, picked], error[picked], "*", color="#ffd54a", markeredgecolor="black", markersize=17, zorder=5,
+            linestyle="", label=label)  # fmt: skip
+    ax.set(xscale="log", yscale="log")
+    ax.grid(which="major", color="0.9", linewidth=0.6)
+    ax.set(xlabel="time per lane-period $τ$ (µs)", ylabel="error of one period's map $ε$ (dimensionless)")
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8)
+    return ax
+
+
+def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Error of a doubling point against processor time: period detection, multisection on the multiplier, Newton."""
+    ax = _axes(ax)
+    method, effort = data["method"].to_numpy().astype(str), data["effort"].to_numpy()
+    cpu, error = data["cpu_seconds"].to_numpy(), data["error"].to_numpy()
+    smallest = np.min(error[error > 0], initial=1e-10) / 2
+    for name, (colour, marker, label) in _METHODS.items():
+        chosen = method == name
+        ax.plot(
+            cpu[chosen], np.maximum(error[chosen], smallest), color=colour, marker=marker, markersize=5, label=label
+        )
+    for x, y, transient in zip(*(leaf[method == "period detection"] for leaf in (cpu, error, effort)), strict=True):
+        ax.annotate(f"$N$ = {transient:,}", (x, y), (6, 5), textcoords="offset points", fontsize=8)
+    ax.axhline(_SIXTH_DECIMAL, color="0.5", linewidth=0.9, linestyle=(0, (6, 3)))
+    ax.annotate("half of the sixth decimal", (0.99, _SIXTH_DECIMAL), (0, 3), xycoords=ax.get_yaxis_transform(),
+                textcoords="offset points", ha="right", color="0.4", fontsize=8)  # fmt: skip
+    n = int(data.attrs["period"])
+    ax.set(xscale="log", yscale="log")
+    ax.grid(which="major", color="0.9", linewidth=0.6)
+    ax.set(xlabel="processor time $t$ (s)", ylabel="error of the doubling point $|b - b^*|$ (dimensionless)")
+    ax.set_title(f"period {n} → {2 * n} at $b^*$ = {float(data.attrs['reference']):.12f}", fontsize=10)
+    ax.set_xlim(cpu.min() / 1.3, cpu.max() * 2.5)
+    ax.legend(loc="lower right", frameon=False, fontsize=9)
+    return ax
+
+
+def exponent(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Error of the largest Lyapunov exponent, true and as the analysis has it, against the averaging time."""
+    ax = _axes(ax)
+    periods = data["averaged"].to_numpy()
+    longer, lanes = int(data.attrs["reference_periods"]), int(data.attrs["lanes"])
+    shown = (
+        ("error", "#b3261e", "o", f"distance from the mean of {lanes} lanes over {longer:,} periods"),
+        ("error_bar", "#3b6fb5", "s", "error bar that the analysis gives"),
+    )
+    for name, colour, marker, label in shown:
+        low, middle, high = data[name].to_numpy().T
+        ax.fill_between(periods, low, high, color=colour, alpha=0.18, linewidth=0)
+        ax.plot(periods, middle, color=colour, marker=marker, markersize=5, label=label)
+    guide = data["error"].to_numpy()[-1, 1] * np.sqrt(periods[-1] / periods)
+    ax.plot(periods, guide, color="black", linewidth=0.9, linestyle=(0, (6, 3)), label="$∝ N^{-1/2}$")
+    ax.set(xscale="log", yscale="log")
+    ax.set_xticks(periods, [f"{n:,}" for n in periods])
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.grid(which="major", color="0.9", linewidth=0.6)
+    cpu = data["cpu_seconds"].to_numpy()
+    each = (cpu[-1] - cpu[0]) / (periods[-1] - periods[0])
+    above = ax.secondary_xaxis("top", functions=(lambda n: n * each, lambda t: t / each))
+    above.set_xlabel("processor time of the average at one $b$ (s)")
+    ax.set(xlabel="averaging time $N$ (forcing periods)", ylabel="error of $λ_1$ (1/time)")
+    value, b = float(data.attrs["reference"]), float(data.attrs["b"])
+    ax.legend(loc="lower left", frameon=False, fontsize=9, title_fontsize=9, alignment="left",
+              title=f"$b$ = {b:.6g}, $λ_1$ = {value:.4f}; median of {lanes} lanes, band: 10–90%")  # fmt: skip
+    return ax
+
+
+DRAWINGS: Mapping[str, tuple[str, Callable[[xr.Dataset], Axes]]] = {
+    "solvers": ("", work_precision),
+    "doubling_cost": ("_doubling", doubling),
+    "lyapunov_cost": ("_lyapunov", exponent),
+}
+"""Group of a file to what is added to the picture's name, and its drawing."""
+
+
+def figures(path: Path) -> dict[str, Figure]:
+    """A figure a group of a file of `jaxnh.cost`, by what is added to the picture's name."""
+    tree = xr.open_datatree(path, engine="h5netcdf").load()
+    drawn = {}
+    for name, (suffix, draw) in DRAWINGS.items():
+        if name in tree.children:
+            figure = draw(tree[name].to_dataset()).get_figure()
+            assert isinstance(figure, Figure)
+            figure.suptitle(tree.attrs["title"], fontsize=11)
+            figure.supxlabel(f"jaxnh {tree.attrs['jaxnh_version']}, {tree.attrs['device']}", fontsize=7, color="gray")
+            drawn[suffix] = figure
+    return drawn
+
+
+def _curve(ax: Axes, name: str, summation: str, seconds: np.ndarray, error: np.ndarray) -> None:
+    """One solver: medians joined, thin lines from least to largest time; seconds (3, rows), error (rows,)."""
+    plain, base = summation == "plain", name.removesuffix(" adaptive")
+    line = "-" if plain and base == name else ":" if plain else (0, (4, 2))
+    marker = "o" if base in _SPLITTINGS else "s" if base in _WRITTEN_OUT else "^"
+    colour = _COLOURS.get(base, _OTHER)
+    ax.hlines(error, seconds[0], seconds[2], color=colour, linewidth=0.7, alpha=0.6)
+    ax.plot(seconds[1], error, color=colour, marker=marker, markersize=4.5, linewidth=1.4, linestyle=line,
+            markerfacecolor=colour if plain and base == name else "white",
+            label=name if plain else f"{name}, compensated")  # fmt: skip
+
+
+def _axes(ax: Axes | None) -> Axes:
+    return Figure(figsize=_SIZE, layout="constrained").subplots() if ax is None else ax

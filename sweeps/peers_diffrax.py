@@ -1,0 +1,138 @@
+"""Stock diffrax as a contestant: `diffeqsolve` under vmap and jit, with diffrax's own Dopri8 and Tsit5.
+
+Nothing of jaxnh is used here, and its XLA options only where `peers.py` asks for them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sweeps.peers_scene import Errors, Scene, Setting, least_effort, unit
+
+_PERIODS = 8
+_MOST_STEPS = 1 << 20
+_SOLVERS = {"Dopri8": diffrax.Dopri8(), "Tsit5": diffrax.Tsit5()}
+_CONTROLLERS = ("PIDController", "constant steps")
+# One array as in diffrax's examples, or a tuple of scalars, of which XLA often makes faster programs.
+_FORMS = tuple(itertools.product(("unit vector", "angle"), ("tuple", "array")))
+
+
+def _field(scene: Scene, form: str, layout: str) -> Callable[[Any, Any, Any], Any]:
+    a, c, d = scene.a, scene.c, scene.d
+
+    def field(t: Any, state: Any, b: Any) -> Any:
+        n = (jnp.cos(state[2]), jnp.sin(state[2])) if form == "angle" else (state[2], state[3])
+        x, y = state[0], state[1]
+        sine = jnp.sin(t)
+        s = jnp.sqrt(c + d * sine) if d else math.sqrt(c)
+        g = 1.0 + sine
+        f1 = b * y - g * x * (a + x * x)
+        f2 = b * x - g * y * (1.0 + a * (y * y))
+        turn = (n[0] * f2 - n[1] * f1) / s
+        rate = (s * n[0], s * n[1], *((turn,) if form == "angle" else (-n[1] * turn, n[0] * turn)))
+        return jnp.stack(rate) if layout == "array" else rate
+
+    return field
+
+
+class Contestant:
+    """Both solvers, adaptive or with constant steps, in every form; rtol = atol."""
+
+    suffix = ""
+
+    def __init__(self, scene: Scene) -> None:
+        jax.config.update("jax_enable_x64", True)
+        self.scene = scene
+        self._programs: dict[tuple[object, ...], Any] = {}
+
+    def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
+        settings = []
+        efforts = {hint.key[:3]: hint.knob for hint in hints}
+        for solver, controller in itertools.product(_SOLVERS, _CONTROLLERS):
+            adaptive = controller == "PIDController"
+            guess = 30 / target if adaptive else (1e-8 / target) ** (0.125 if solver == "Dopri8" else 0.2) * 400
+            for form in _FORMS:
+                key = (solver, controller, *form)
+                found = least_effort(
+                    lambda effort, key=key: self._measured(key, effort),
+                    target,
+                    efforts.get(key[:3], guess),
+                    factor=10 if adaptive else 1.5,
+                    most=1e14 if adaptive else _MOST_STEPS,
+                    whole=not adaptive,
+                )
+                if found is None:
+                    continue
+                effort, errors = found
+                efforts[key[:3]] = effort
+                settings.append(
+                    Setting(
+                        peer=f"diffrax {solver}{self.suffix}",
+                        form=f"{form[0]}, {form[1]} state, {controller}",
+                        knob=effort,
+                        label=f"rtol = atol = {1 / effort:.1e}" if adaptive else f"{effort:.0f} steps a period",
+                        errors=errors,
+                        key=key,
+                    )
+                )
+        return settings
+
+    def program(self, setting: Setting) -> Callable[[], int]:
+        lanes = self.scene.timed()
+
+        def run() -> int:
+            self._solve(setting.key, lanes, _PERIODS, setting.knob)
+            return len(lanes) * _PERIODS
+
+        return run
+
+    def _measured(self, key: tuple[Any, ...], effort: float) -> Errors:
+        # In two halves, so that one compiled program both measures and runs.
+        halves = np.split(np.arange(len(self.scene.b)), 2)
+        ends = np.concatenate([self._solve(key, half, 1, effort) for half in halves])
+        return self.scene.errors(unit(ends) if key[2] == "angle" else ends)
+
+    def _solve(self, key: tuple[Any, ...], lanes: np.ndarray, periods: int, effort: float) -> np.ndarray:
+        """States (lanes, variables) some periods later."""
+        form, layout = key[2:]
+        start = (self.scene.states if form == "angle" else self.scene.unit_states)[lanes]
+        state = start if layout == "array" else tuple(start.T)
+        ends = self._program(key)(state, self.scene.b[lanes], effort, periods * self.scene.period)
+        return np.asarray(ends) if layout == "array" else np.stack(ends, axis=-1)
+
+    def _program(self, key: tuple[Any, ...]) -> Any:
+        if key in self._programs:
+            return self._programs[key]
+        solver, controller, form, layout = key
+        adaptive = controller == "PIDController"
+        period = self.scene.period
+        term = diffrax.ODETerm(_field(self.scene, form, layout))
+
+        def solve(state: Any, b: Any, effort: Any, t1: Any) -> Any:
+            solution = diffrax.diffeqsolve(
+                term,
+                _SOLVERS[solver],
+                t0=0.0,
+                t1=t1,
+                dt0=None if adaptive else period / effort,
+                y0=state,
+                args=b,
+                saveat=diffrax.SaveAt(t1=True),
+                stepsize_controller=diffrax.PIDController(rtol=1 / effort, atol=1 / effort)
+                if adaptive
+                else diffrax.ConstantStepSize(),
+                max_steps=_MOST_STEPS,
+                throw=False,
+            )
+            return jax.tree.map(lambda leaf: leaf[0], solution.ys)
+
+        self._programs[key] = jax.jit(jax.vmap(solve, in_axes=(0, 0, None, None)))
+        return self._programs[key]

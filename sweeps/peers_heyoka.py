@@ -1,0 +1,168 @@
+"""heyoka: the true results in long double, and its batch integrator as a contestant.
+
+heyoka's tolerance sets the order of its Taylor series and nothing else (the step follows from the coefficients), so
+the order is what is tuned: tol = e^(2 − 2 order). The steps could be cut further by `max_delta_t`: measured, an order
+with shorter steps is always slower than the next order at the same error.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from sweeps.peers_scene import TRANSIENT, VALUES, Errors, Scene, Setting, unit
+
+try:
+    import heyoka as hy
+except ImportError as error:
+    raise SystemExit("sweeps.peers needs heyoka: pip install 'jaxnh[dev]' (or conda install heyoka.py)") from error
+
+# 64 bits of mantissa on x86. Elsewhere long double may be float64 or software quadruple: fall back to float64.
+REAL: Any = np.longdouble if np.finfo(np.longdouble).nmant == 63 else np.float64
+_TOLERANCE = 1e-18 if REAL is np.longdouble else 1e-15
+_PERIODS = 16
+_MOST_ORDER = 30
+# Clock: sin t by heyoka's own time, or sin t and cos t as two more equations.
+_FORMS = tuple(itertools.product(("angle", "unit vector"), ("time", "clock equations")))
+_BATCHES = (1, 2, 4)  # in recommended SIMD sizes
+_OPTIONS: tuple[tuple[str, ...], ...] = ((), ("fast_math",), ("compact_mode",))
+
+
+def equations(a: float, c: float, d: float, form: str, clock: str) -> list[tuple[Any, Any]]:
+    """Equations of motion as heyoka takes them; parameter 0 is b. Cubes are products: x**3 is NaN at x = 0."""
+    b = hy.par[0]
+    x, y = hy.make_vars("x", "y")
+    sine, cosine = hy.make_vars("sine", "cosine") if clock == "clock equations" else (hy.sin(hy.time), None)
+    n1, n2 = hy.make_vars("n1", "n2")
+    theta = hy.make_vars("theta")
+    if form == "angle":
+        n1, n2 = hy.cos(theta), hy.sin(theta)
+    s = hy.sqrt(c + d * sine) if d else hy.expression(math.sqrt(c))
+    g = 1.0 + sine
+    f1 = b * y - g * (x * (a + x * x))
+    f2 = b * x - g * (y * (1.0 + a * (y * y)))
+    turn = (n1 * f2 - n2 * f1) / s
+    motion = [(x, s * n1), (y, s * n2)]
+    motion += [(theta, turn)] if form == "angle" else [(n1, -n2 * turn), (n2, n1 * turn)]
+    return motion + ([(sine, cosine), (cosine, -sine)] if cosine is not None else [])
+
+
+def true_scene(a: float, c: float, d: float) -> Scene:
+    """The scene of a system, its ends of one period by a Taylor integration at 1e-18 in long double."""
+    period = 8 * np.arctan(REAL(1))
+    ta = hy.taylor_adaptive(
+        equations(a, c, d, "angle", "time"),
+        np.zeros(3, dtype=REAL),
+        pars=np.zeros(1, dtype=REAL),
+        tol=REAL(_TOLERANCE),
+        fp_type=REAL if REAL is not np.float64 else float,
+    )
+
+    def after(state: np.ndarray, b: float, periods: int) -> np.ndarray:
+        ta.pars[0] = REAL(b)
+        ta.state[:] = state
+        for _ in range(periods):
+            ta.time = REAL(0)
+            outcome = ta.propagate_until(period)[0]
+            if outcome != hy.taylor_outcome.time_limit:
+                raise ArithmeticError(f"the reference stopped at t = {ta.time}, b = {b}: {outcome}")
+        return ta.state.copy()
+
+    start = np.array([0.1, 0.1, math.acos(0.1 / math.sqrt(c))])
+    later = np.array([after(start, b, TRANSIENT) for b in VALUES]).astype(float)
+    later[:, 2] -= 2 * math.pi * np.rint(later[:, 2] / (2 * math.pi))
+    states = np.concatenate([np.tile(start, (len(VALUES), 1)), later])
+    b = np.tile(VALUES, 2)
+    ends = np.array([after(z, value, 1) for z, value in zip(states, b, strict=True)])
+    return Scene(a, c, d, b, states, unit(ends))
+
+
+class Contestant:
+    """The batch integrator in all its forms: angle or unit vector, clock, batch size, fast_math, compact mode."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._integrators: dict[tuple[object, ...], Any] = {}
+        self._errors: dict[tuple[object, ...], Errors] = {}
+
+    def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
+        simd = hy.recommended_simd_size()
+        settings = []
+        for form, clock in _FORMS:
+            order = self._least_order(form, clock, target)
+            for multiple, options in itertools.product(_BATCHES, _OPTIONS):
+                batch = multiple * simd
+                default = clock == "time" and not options
+                settings.append(
+                    Setting(
+                        peer="heyoka batch, default options" if default else "heyoka batch",
+                        form=", ".join((form, clock, f"batch of {batch}", *options)),
+                        knob=order,
+                        label=f"order {order} (tol {math.exp(2 - 2 * order):.1e})",
+                        errors=self._measured(form, clock, batch, options, order),
+                        key=(form, clock, batch, options),
+                    )
+                )
+        # Reassociated sums can carry an error that just met the target over it.
+        return [s for s in settings if s.errors.max <= target]
+
+    def program(self, setting: Setting) -> Callable[[], int]:
+        lanes = self.scene.timed()
+
+        def run() -> int:
+            self._propagate(lanes, _PERIODS, (*setting.key, int(setting.knob)))
+            return len(lanes) * _PERIODS
+
+        return run
+
+    def _least_order(self, form: str, clock: str, target: float) -> int:
+        order = max(3, math.ceil(1 - 0.5 * math.log(target)) - 2)
+        simd = hy.recommended_simd_size()
+        while order > 3 and self._measured(form, clock, simd, (), order - 1).max <= target:
+            order -= 1
+        while self._measured(form, clock, simd, (), order).max > target:
+            order += 1
+            if order > _MOST_ORDER:
+                raise ArithmeticError(f"heyoka reaches no error of {target:g} in the {form} form")
+        return order
+
+    def _measured(self, *key: Any) -> Errors:
+        if key not in self._errors:
+            ends = self._propagate(np.arange(len(self.scene.b)), 1, key)
+            self._errors[key] = self.scene.errors(unit(ends[:, :3]) if key[0] == "angle" else ends[:, :4])
+        return self._errors[key]
+
+    def _propagate(self, lanes: np.ndarray, periods: int, key: tuple[Any, ...]) -> np.ndarray:
+        """States (lanes, variables) some periods later, by one run through all of them: no stop at the strobes."""
+        form, clock, batch, options, order = key
+        ta = self._integrator(form, clock, batch, options, order)
+        start = (self.scene.states if form == "angle" else self.scene.unit_states)[lanes]
+        if clock == "clock equations":
+            start = np.column_stack([start, np.zeros(len(lanes)), np.ones(len(lanes))])
+        b = self.scene.b[lanes]
+        ends = np.empty_like(start)
+        for at in range(0, len(lanes), batch):
+            part = slice(at, at + batch)
+            ta.set_time(0.0)
+            ta.pars[0] = b[part]
+            ta.state[:] = start[part].T
+            ta.propagate_until(periods * self.scene.period)
+            ends[part] = ta.state.T
+        return ends
+
+    def _integrator(self, form: str, clock: str, batch: int, options: tuple[str, ...], order: int) -> Any:
+        key = (form, clock, batch, options, order)
+        if key not in self._integrators:
+            motion = equations(self.scene.a, self.scene.c, self.scene.d, form, clock)
+            self._integrators[key] = hy.taylor_adaptive_batch(
+                motion,
+                np.zeros((len(motion), batch)),
+                pars=np.zeros((1, batch)),
+                tol=math.exp(2 - 2 * order),
+                **dict.fromkeys(options, True),
+            )
+        return self._integrators[key]

@@ -1,0 +1,71 @@
+"""jaxnh as a contestant, as its users have it: `Lanes` with `configure`, every splitting tried, fewest kicks win."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from jaxnh.lanes import Lanes, configure
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.strobe import Strobe, iterate, make_strobe
+from jaxnh.systems import IsokineticParticle, State
+from sweeps.peers_scene import VALUES, Errors, Scene, Setting, least_effort
+
+_PERIODS = 64
+_FIRST_GUESS = 1500  # kicks a period
+_MOST_KICKS = 20000
+_HOPELESS = 3.0  # times the fewest kicks so far: not followed any further
+
+
+class Contestant:
+    """All splittings on constant steps, over all devices."""
+
+    def __init__(self, scene: Scene) -> None:
+        configure()
+        self.scene = scene
+        self.system = IsokineticParticle(a=scene.a, c=scene.c, d=scene.d, omega=1.0)
+        self.lanes = Lanes()
+        self._one_device = Lanes(devices=self.lanes.devices[:1])
+
+    def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
+        everybody = np.arange(len(self.scene.b))
+        settings: list[Setting] = []
+        fewest = float(_MOST_KICKS)
+        for name, solver in sorted(SPLITTINGS.items(), key=lambda item: -item[1].convergence_order):
+
+            def measure(steps: float, name: str = name) -> Errors:
+                strobe = make_strobe(self.system, SPLITTINGS[name], int(steps))
+                (x, y), (n1, n2) = self._iterate(self.lanes, strobe, everybody, 1)
+                return self.scene.errors(np.stack([x, y, n1, n2], axis=-1))
+
+            guess = max(2.0, min(_FIRST_GUESS, fewest) / solver.stages)
+            most = max(2.0, min(_MOST_KICKS, _HOPELESS * fewest) / solver.stages)
+            found = least_effort(measure, target, guess, factor=1.5, most=most, whole=True)
+            if found is None:
+                continue
+            steps, errors = found
+            kicks = int(steps) * solver.stages
+            fewest = min(fewest, kicks)
+            label = f"{steps:.0f} steps, {kicks} kicks a period"
+            settings.append(Setting("jaxnh", name, steps, label, errors, (name,), kicks))
+        return settings
+
+    def program(
+        self, setting: Setting, count: int | None = None, periods: int = _PERIODS, one_device: bool = False
+    ) -> Callable[[], int]:
+        """As for every contestant; with a number of lanes (default: 256 a device), periods, and on one device only."""
+        pool = self._one_device if one_device else self.lanes
+        lanes = self.scene.timed(count or len(VALUES) * len(pool.devices))
+        strobe = make_strobe(self.system, SPLITTINGS[setting.form], int(setting.knob))
+
+        def run() -> int:
+            self._iterate(pool, strobe, lanes, periods)
+            return len(lanes) * periods
+
+        return run
+
+    def _iterate(self, pool: Lanes, strobe: Strobe, lanes: np.ndarray, periods: int) -> State:
+        x, y, n1, n2 = self.scene.unit_states[lanes].T
+        start = ((x, y), (n1, n2)), self.scene.b[lanes]
+        return pool(iterate, (strobe, np.int32(periods)), start, periods=periods)

@@ -1,0 +1,262 @@
+"""Tables of the peers study, on the terminal and in Markdown. Nothing is measured here."""
+
+from __future__ import annotations
+
+import platform
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.console import Console
+from rich.table import Table
+
+from sweeps.peers_scene import TRANSIENT, VALUES, Setting
+
+_PACKAGES = ("jaxnh", "jax", "jaxlib", "diffrax", "equinox", "heyoka", "scipy", "numpy")
+AT_OWN_ERROR = "jaxnh, at heyoka's own error"
+"""Row of jaxnh tuned to the error that heyoka really has, since heyoka's orders are whole numbers."""
+
+_BY_HAND = "<!-- Below this line: written by hand, kept by the next run. -->"
+_QUIET = 0.95  # share of a core below which a run was disturbed
+_SHOWN_FORMS = 4
+_WANTED_HEYOKA = {1e-6: 1.5, 1e-8: 1.5, 1e-10: 1.2}
+_WANTED_DIFFRAX = 30.0
+_WANTED_SCIPY = 500.0
+_WANTED_CORES = 1.8
+_WANTED_FLAT = 0.15
+
+
+class Scaling(NamedTuple):
+    """A program beside the first of its section, round by round.
+
+    rates: lane-periods a second. busy: cores that it kept busy. ratios: of its rate over the first's.
+    """
+
+    name: str
+    rates: list[float]
+    busy: list[float]
+    ratios: list[float]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A peer at a target: its setting and, round by round, lane-periods a second and jaxnh's ratio over it.
+
+    `shares` are processor over wall time a core: 1 where nothing else ran on the core. `processor_ratios` are the
+    ratios by processor time, which other programs on the machine disturb less.
+    """
+
+    target: float
+    name: str
+    setting: Setting
+    rates: list[float]
+    shares: list[float]
+    ratios: list[float]
+    processor_ratios: list[float]
+
+
+@dataclass(frozen=True)
+class Study:
+    """All that was measured."""
+
+    command: str
+    system: str
+    cores: int
+    repeats: int
+    rows: list[Row]
+    tried: dict[float, list[Setting]]
+    chosen: Setting
+    lanes: list[Scaling]
+    two_cores: list[Scaling] | None
+    seconds: float
+
+
+class _Grid(NamedTuple):
+    """A table in both worlds."""
+
+    title: str
+    columns: tuple[str, ...]
+    cells: list[tuple[str, ...]]
+
+
+def show(study: Study, console: Console) -> None:
+    """Print the tables."""
+    for grid in _grids(study):
+        table = Table(*grid.columns, title=grid.title, title_justify="left")
+        for cells in grid.cells:
+            table.add_row(*cells)
+        console.print(table)
+    console.print(f"{study.seconds:.0f} s")
+
+
+def markdown(study: Study, before: str = "") -> str:
+    """The page; what people wrote by hand at the end of the page before it is kept."""
+    packages = ", ".join(f"{name} {version(name)}" for name in _PACKAGES)
+    noun = "core" if study.cores == 1 else "cores"
+    parts = [
+        "# jaxnh beside other integrators",
+        f"Written by `{study.command}` on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, in {study.seconds:.0f} s.",
+        f"{_processor()}; {study.cores} {noun}; Python {platform.python_version()}; {packages}.",
+        f"System `{study.system}`, {len(VALUES)} values of b from {VALUES[0]:g} to {VALUES[-1]:g}. The error is that "
+        f"of one period's map: the largest of (x1, y1, n1, n2) in a lane, over the paper's start state and the state "
+        f"{TRANSIENT} periods on, against a Taylor integration at 1e-18 in long double. Each peer is tuned until its "
+        "largest error just meets the target (heyoka's order and jaxnh's steps are whole numbers), in several forms, "
+        f"and shown in its best. Timing: {len(VALUES)} lanes a core over several consecutive periods (8 lanes for "
+        f"scipy), {study.repeats} rounds in which all rows take turns, each beside a sample of jaxnh that its ratio is "
+        "formed with; medians; ± is half the interquartile range. "
+        "jaxnh runs as its users have it; stock diffrax in a process of its own without jaxnh's XLA options. On two "
+        "cores every peer has a process a core, jaxnh one process with two devices.",
+    ]
+    least = min(statistics.median(row.shares) for row in study.rows)
+    if least < _QUIET:
+        parts.append(f"Not a quiet run: other work left the study down to {least:.0%} of its share of the processor.")
+    for grid in (*_grids(study), _tried(study)):
+        parts += [f"## {grid.title}", _table(grid)]
+    return "\n\n".join(parts) + f"\n\n{_BY_HAND}\n" + before.partition(f"{_BY_HAND}\n")[2]
+
+
+def _table(grid: _Grid) -> str:
+    lines = [grid.columns, ("---",) * len(grid.columns), *grid.cells]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def _grids(study: Study) -> list[_Grid]:
+    noun = "core" if study.cores == 1 else "cores"
+    grids = [
+        _targets(study, f"jaxnh over each peer, {study.cores} {noun}"),
+        _Grid(
+            "Every row",
+            (
+                "target",
+                "peer",
+                "setting",
+                "max error",
+                "median error",
+                "lane-periods/s",
+                "share of core",
+                "jaxnh over it",
+                "by processor time",
+            ),
+            [_cells(row) for row in study.rows],
+        ),
+        _scaling(
+            f"Lanes: {study.cores} {noun}, {study.chosen.form} with {study.chosen.label}",
+            "lanes",
+            study.lanes,
+            f"within {_WANTED_FLAT:.0%} of 1",
+            lambda ratio: abs(ratio - 1) <= _WANTED_FLAT,
+        ),
+    ]
+    if study.two_cores:
+        grids.append(
+            _scaling(
+                f"Two cores: {study.chosen.form} with {study.chosen.label}",
+                "CPU devices",
+                study.two_cores,
+                f"≥ {_WANTED_CORES:g}",
+                lambda ratio: ratio >= _WANTED_CORES,
+            )
+        )
+    return grids
+
+
+def _targets(study: Study, title: str) -> _Grid:
+    """The targets of the study: a line a peer, a column an error."""
+    targets = list(dict.fromkeys(row.target for row in study.rows))
+    lines = [
+        ("heyoka batch", ("heyoka batch",), _WANTED_HEYOKA),
+        ("heyoka batch, at the error that it has", (AT_OWN_ERROR,), {}),
+        ("heyoka batch, default options", ("heyoka batch, default options",), {}),
+        ("stock diffrax, the better of both", ("diffrax Dopri8", "diffrax Tsit5"), _WANTED_DIFFRAX),
+        (
+            "stock diffrax with jaxnh's XLA options, the better",
+            ("diffrax Dopri8, jaxnh's XLA options", "diffrax Tsit5, jaxnh's XLA options"),
+            {},
+        ),
+        ("scipy DOP853", ("scipy DOP853",), _WANTED_SCIPY),
+    ]
+    cells = []
+    for label, names, wanted in lines:
+        line = [label]
+        for target in targets:
+            rows = [row for row in study.rows if row.target == target and row.name in names]
+            goal = wanted if isinstance(wanted, float) else wanted.get(target)
+            line.append(_verdict(min(rows, key=lambda row: statistics.median(row.ratios)), goal) if rows else "–")
+        cells.append(tuple(line))
+    return _Grid(title, ("over", *(f"error ≤ {target:.0e}" for target in targets)), cells)
+
+
+def _verdict(row: Row, wanted: float | None) -> str:
+    ratio = statistics.median(row.ratios)
+    text = _times(row.ratios)
+    return text if wanted is None else f"{text} ({'meets' if ratio >= wanted else 'below'} {wanted:g})"
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    mark = " heyoka" if row.name == AT_OWN_ERROR else ""
+    itself = row.name == "jaxnh"
+    return (
+        f"{row.target:.0e}",
+        row.name,
+        f"{row.setting.form}; {row.setting.label}",
+        f"{row.setting.errors.max:.1e}",
+        f"{row.setting.errors.median:.1e}",
+        _spread(row.rates),
+        f"{statistics.median(row.shares):.0%}",
+        "1" if itself else _times(row.ratios) + mark,
+        "1" if itself else _times(row.processor_ratios) + mark,
+    )
+
+
+def _scaling(title: str, first: str, scalings: Sequence[Scaling], wanted: str, met: Callable[[float], bool]) -> _Grid:
+    cells = []
+    for i, s in enumerate(scalings):
+        verdict = "" if not i else f"{'meets' if met(statistics.median(s.ratios)) else 'misses'} {wanted}"
+        cells.append((s.name, _spread(s.rates), f"{statistics.median(s.busy):.2f}", _times(s.ratios), verdict))
+    return _Grid(title, (first, "lane-periods/s", "cores kept busy", "over the first", "wanted"), cells)
+
+
+def _tried(study: Study) -> _Grid:
+    """The fastest forms of each peer, in the order of the rows; of jaxnh all splittings."""
+    cells = []
+    for target, settings in study.tried.items():
+        for peer in dict.fromkeys(s.peer for s in settings):
+            forms = sorted((s for s in settings if s.peer == peer), key=lambda s: -s.rate)
+            cells += [
+                (f"{target:.0e}", peer, s.form, s.label, f"{s.errors.max:.1e}", f"{s.rate:.3g}")
+                for s in (forms if peer == "jaxnh" else forms[:_SHOWN_FORMS])
+            ]
+    columns = ("target", "peer", "form", "setting", "max error", "lane-periods a processor second, short trial")
+    return _Grid("Forms tried, the fastest of each peer", columns, cells)
+
+
+def _half_range(values: Sequence[float]) -> float:
+    if len(values) < 2:
+        return 0.0
+    low, _, high = statistics.quantiles(values, n=4, method="inclusive")
+    return 0.5 * (high - low)
+
+
+def _times(ratios: Sequence[float]) -> str:
+    middle, spread = statistics.median(ratios), _half_range(ratios)
+    digits = 0 if middle >= 100 else 1 if middle >= 10 else 2
+    return f"{middle:,.{digits}f} ± {spread:,.{digits}f}×"
+
+
+def _spread(rates: Sequence[float]) -> str:
+    middle = statistics.median(rates)
+    return f"{float(f'{middle:.3g}'):,.0f} ± {_half_range(rates) / middle:.0%}"
+
+
+def _processor() -> str:
+    """The processor's name as Linux has it."""
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()

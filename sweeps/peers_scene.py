@@ -1,0 +1,168 @@
+"""What all contestants of `sweeps.peers` share: lanes and true results, errors, settings, and the search for a setting.
+
+No integrator lives here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+VALUES = np.linspace(2.0, 6.0, 256)
+"""The values of b."""
+TRANSIENT = 30
+"""Periods after the start at which the second state of every value of b is taken."""
+
+_CLOSE = 0.9  # an error in [0.9, 1] of the target meets it closely enough to stop the search
+_MOST_TRIES = 14
+
+
+class Errors(NamedTuple):
+    """Error of one period's map, the largest component of (x1, y1, n1, n2) in each lane: over all lanes."""
+
+    max: float
+    median: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The lanes everybody integrates: every value of b at the paper's start, then all of them TRANSIENT periods on.
+
+    Attributes:
+        a, c, d: parameters of the system (ω = 1).
+        b: (lanes,) parameter of each lane.
+        states: (lanes, 3) start states (x1, y1, θ), θ the direction of the velocity.
+        ends: (lanes, 4) true (x1, y1, n1, n2) one period later, in long double.
+    """
+
+    a: float
+    c: float
+    d: float
+    b: np.ndarray
+    states: np.ndarray
+    ends: np.ndarray
+
+    period = 2.0 * math.pi
+
+    @property
+    def unit_states(self) -> np.ndarray:
+        """(lanes, 4) start states (x1, y1, n1, n2)."""
+        return unit(self.states)
+
+    def timed(self, count: int = len(VALUES)) -> np.ndarray:
+        """Indices (count,) of the lanes that are timed: those past the transient, repeated as needed."""
+        return np.resize(np.arange(len(VALUES), len(self.b)), count)
+
+    def errors(self, ends: np.ndarray) -> Errors:
+        """Errors of computed ends (lanes, 4); a lane that is not finite counts as infinitely wrong."""
+        error = np.abs(ends - self.ends).max(axis=1).astype(float)
+        error[~np.isfinite(error)] = np.inf
+        return Errors(float(error.max()), float(np.median(error)))
+
+
+def unit(states: np.ndarray) -> np.ndarray:
+    """(x1, y1, n1, n2) of shape (lanes, 4) from (x1, y1, θ) of shape (lanes, 3)."""
+    return np.column_stack([states[:, :2], np.cos(states[:, 2]), np.sin(states[:, 2])])
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way of one peer to reach a target, with the error it was measured to have.
+
+    Attributes:
+        peer: row of the table that it competes for.
+        form: what distinguishes the program, in words.
+        knob: the tuned number: steps a period, tolerance, or order.
+        label: the knob in words.
+        errors: measured.
+        key: whatever the contestant needs to build the program, besides the knob.
+        kicks: forces a period where that alone decides the cost; else None, and the rate decides.
+        rate: lane-periods a second of processor time in a short trial; 0 before it.
+    """
+
+    peer: str
+    form: str
+    knob: float
+    label: str
+    errors: Errors
+    key: tuple[object, ...] = field(default=())
+    kicks: int | None = None
+    rate: float = 0.0
+
+
+class Contestant(Protocol):
+    """One integrator in a process of its own."""
+
+    def __init__(self, scene: Scene) -> None: ...
+
+    def tune(self, target: float, hints: Sequence[Setting]) -> list[Setting]:
+        """All its ways to a largest error of `target`, tuned to just meet it; hints are settings to try first."""
+        ...
+
+    def program(self, setting: Setting) -> Callable[[], int]:
+        """A call that integrates once over several periods and says how many lane-periods these were."""
+        ...
+
+
+def best(settings: Sequence[Setting]) -> Setting:
+    """The setting of fewest kicks, or where that does not decide, the fastest in the trial."""
+    return min(settings, key=lambda s: (s.kicks or 0, -s.rate))
+
+
+def least_effort(
+    measure: Callable[[float], Errors],
+    target: float,
+    guess: float,
+    *,
+    factor: float,
+    most: float,
+    whole: bool = False,
+) -> tuple[float, Errors] | None:
+    """The least effort (steps, or 1/tolerance) whose largest error meets the target, and its errors; None if none does.
+
+    Brackets by steps of a factor, then interpolates in the logarithms, where an error is nearly a straight line.
+    """
+    tried: dict[float, Errors] = {}
+
+    def at(effort: float) -> float:
+        if effort not in tried:
+            tried[effort] = measure(effort)
+        return tried[effort].max
+
+    low, high = 0.0, math.inf
+    effort = min(guess, most)
+    while len(tried) < _MOST_TRIES:
+        effort = float(round(effort)) if whole else effort
+        if effort in tried:
+            break
+        if at(effort) <= target:
+            high = effort
+            if at(high) >= _CLOSE * target:
+                break
+        else:
+            low = effort
+        if high == math.inf:
+            if low >= most:
+                return None
+            effort = min(low * factor, most)
+        elif low == 0.0:
+            effort = high / factor
+        elif high <= 1.005 * low:
+            break
+        else:
+            effort = low * (high / low) ** _fraction(at(low), at(high), target)
+            if whole:
+                effort = min(max(effort, low + 1), high - 1)
+    return (high, tried[high]) if high < math.inf else None
+
+
+def _fraction(above: float, below: float, target: float) -> float:
+    """Where between a too large error and one that meets the target to look next, in the logarithm of the effort."""
+    if not math.isfinite(above) or below <= 0.0 or below >= above:
+        return 0.5
+    aimed = math.log(above / (0.96 * target)) / math.log(above / below)
+    return min(max(aimed, 0.1), 0.9)
