@@ -128,7 +128,9 @@ def _save(path: Path, suffix: str, figure: figures_cost.Figure) -> Path:
 
 
 def _table(title: str, caption: str, left: tuple[str, ...], right: tuple[str, ...]) -> Table:
-    table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    table = Table(
+        title=title, caption=caption, box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True
+    )
     for head in left:
         table.add_column(head, no_wrap=True)
     for head in right:
@@ -142,14 +144,14 @@ def _solvers_table(group: Group) -> Table:
     work, target = group.attrs["projected_lane_periods"], group.attrs["target"]
     table = _table(
         "Error of one period, and its price",
-        f"µs a lane-period; whole run of {work:,.0f} lane-periods; ◀ picked for {target:.1e}",
+        f"µs a lane-period; whole run: {work:,.0f}; comp.: compensated sums; ◀ picked for {target:.1e}",
         ("solver",),
         ("steps", "forces", "error", "µs", "whole run", ""),
     )
     for i, name in enumerate(columns["method"]):
         adaptive, picked = columns["steps"][i] == 0, bool(columns["picked"][i])
         table.add_row(
-            f"{name}, compensated" if columns["summation"][i] == "compensated" else str(name),
+            f"{name}, comp." if columns["summation"][i] == "compensated" else str(name),
             f"tol {columns['tolerance'][i]:.0e}" if adaptive else str(columns["steps"][i]),
             "–" if adaptive else f"{columns['forces'][i]:.0f}",
             f"{columns['error'][i]:.1e}",
@@ -166,7 +168,7 @@ def _doubling_table(group: Group) -> Table:
     n, reference = group.attrs["period"], group.attrs["reference"]
     table = _table(
         f"Price of the doubling {n} → {2 * n}",
-        f"after so many periods, rounds or steps; processor time; b* = {reference:.13f}",
+        f"processor time; b* = {reference:.13f}",
         ("method",),
         ("after", "b", "|b − b*|", "seconds"),
     )

@@ -37,7 +37,10 @@ def sweep() -> Command:
 
     def run(*arguments: object, cwd: Path = ROOT) -> subprocess.CompletedProcess:
         command = [sys.executable, "-m", "jaxnh.sweep", *map(str, arguments)]
-        return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=500, check=False)
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}  # this checkout, from whatever folder
+        return subprocess.run(
+            command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=900, check=False
+        )
 
     return run
 

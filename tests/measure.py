@@ -40,9 +40,7 @@ def apart(one, other):
 def stock(system, solver):
     """One period of lanes under `diffrax.diffeqsolve` with constant steps: (u, b, dt) to section points."""
     terms = (
-        isokinetic_terms(system)
-        if isinstance(solver, IsokineticSplitting)
-        else diffrax.ODETerm(system.vector_field)
+        isokinetic_terms(system) if isinstance(solver, IsokineticSplitting) else diffrax.ODETerm(system.vector_field)
     )
 
     def lane(u, b, dt):

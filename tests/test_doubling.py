@@ -21,7 +21,11 @@ SMALL = ("accuracy.target=1e-9", "analyses.doubling.levels=3")
 OTHERS = {
     "d": ("table2", ("system.d=0.05", "sweep.b={start: 5.75, stop: 5.6, count: 64}"), taylor.Parameters(d=0.05)),
     "c": ("table1", ("system.c=1.1", "sweep.b={start: 5.95, stop: 5.8, count: 64}"), taylor.Parameters(c=1.1)),
-    "omega": ("table1", ("system.omega=1.02", "sweep.b={start: 5.5, stop: 5.3, count: 64}"), taylor.Parameters(omega=1.02)),
+    "omega": (
+        "table1",
+        ("system.omega=1.02", "sweep.b={start: 5.5, stop: 5.3, count: 64}"),
+        taylor.Parameters(omega=1.02),
+    ),
     "omega, from period 2": (
         "table1",
         ("system.omega=0.95", "sweep.b={start: 5.4, stop: 5.53, count: 64}"),

@@ -164,7 +164,10 @@ def test_step_is_symmetric_in_time(system, solver):
     there, back = jax.vmap(there_and_back)(STATES, B, t, np.full(LANES, 2 * np.pi / 50))  # compiling takes longer
     start = jax.vmap(unchart)(jnp.asarray(STATES))
     moved = [
-        [np.abs(np.asarray(a) - np.asarray(b)) for a, b in zip(jax.tree.leaves(end), jax.tree.leaves(start), strict=True)]
+        [
+            np.abs(np.asarray(a) - np.asarray(b))
+            for a, b in zip(jax.tree.leaves(end), jax.tree.leaves(start), strict=True)
+        ]
         for end in (there, back)
     ]
     assert np.min(np.max(moved[0], axis=0)) > 1e-3
@@ -181,7 +184,9 @@ def test_unit_vector_stays_one(system, solver):
     """
     count, periods, steps = 256, 1000, max(1, 1000 // solver.stages)
     start = (np.full(count, 0.1),) * 2, (np.full(count, 0.1), np.full(count, math.sqrt(0.99)))
-    _, n = Lanes()(iterate, (make_strobe(system, solver, steps), np.int32(periods)), (start, np.linspace(0.1, 6, count)))
+    _, n = Lanes()(
+        iterate, (make_strobe(system, solver, steps), np.int32(periods)), (start, np.linspace(0.1, 6, count))
+    )
     length = np.hypot(*(np.asarray(component, np.longdouble) for component in n))
     assert np.abs(length - 1).max() < 6 * 2 * UNIT * math.sqrt(periods * steps * solver.stages)
 
