@@ -17,6 +17,8 @@ from jaxnh.command import Refused, calibrate, check_output, experiment_of, prove
 from jaxnh.experiment import Experiment, schema
 from jaxnh.lanes import Lanes, configure
 
+_LOG_WIDTH = 100  # columns of a table that goes to a file
+
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
@@ -61,6 +63,8 @@ def _already_there(path: Path, experiment: Experiment, fresh: bool) -> bool:
 
 def _run(experiment: Experiment, path: Path, began: float) -> None:
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=_LOG_WIDTH)
     configure()
     lanes = Lanes(terminal.progress(Console(stderr=True)))
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):

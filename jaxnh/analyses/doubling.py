@@ -42,7 +42,8 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Find up to `levels` doublings n → 2n, each with its b, its error, and δ."""
     limit = 2**options.levels
     start = np.broadcast_to(section_point(scene.start), (len(scene.values), 3))
-    found = survey(scene, lanes, scene.values, start, limit, "doubling", _TRANSIENT).without_holes()
+    found = survey(scene, lanes, scene.values, start, limit, "doubling", _TRANSIENT, only_doublings=True)
+    found = found.without_holes()
     followed = _follow(found)
     points: list[DoublingPoint] = []
     errors: list[float] = []
@@ -175,7 +176,8 @@ def _next_run(
         b = np.linspace(born.b, stop, _CLOSER + 1)[1:]
         start = np.broadcast_to(born.orbit[0] + 0.01 * born.vector[0], (_CLOSER, 3))
         label = f"doubling, beyond b = {born.b:.9g}"
-        closer = survey(scene, lanes, b, start, limit, label, _TRANSIENT, least=n).without_holes()
+        closer = survey(scene, lanes, b, start, limit, label, _TRANSIENT, least=n, only_doublings=True)
+        closer = closer.without_holes()
         first = np.flatnonzero(closer.period == n)
         if len(first):
             return closer, int(first[0])

@@ -99,8 +99,13 @@ def survey(
     label: str,
     transient: int,
     least: int = 1,
+    only_doublings: bool = False,
 ) -> Survey:
-    """Attractor and period (from `least` up to a limit) of every lane from start points u (lanes, 3)."""
+    """Attractor and period (from `least` up to a limit) of every lane from start points u (lanes, 3).
+
+    The period is a multiple of the least n after which the points roughly recur; with `only_doublings`, for a cascade,
+    2, 4, 8, … times that alone are tried.
+    """
     strobe = scene.strobe(0.5)  # only seeds Newton: half the steps will do
     cost = transient + 2 * limit
     with lanes.stage(f"{label}: {len(b)} values to their attractors", len(b) * cost):
@@ -112,7 +117,9 @@ def survey(
     for n in range(least, limit + 1):
         recurs = np.max(np.abs(points[:, n : n + limit, :2] - points[:, :limit, :2]), axis=(1, 2)) < _CLOSE
         base[(base == 0) & recurs] = n
-        open_ = np.flatnonzero((period == 0) & recurs & (n % np.maximum(base, 1) == 0))
+        ratio, rest = np.divmod(n, np.maximum(base, 1))
+        possible = (rest == 0) & ((ratio & (ratio - 1) == 0) | (not only_doublings))
+        open_ = np.flatnonzero((period == 0) & recurs & possible)
         if not len(open_):
             continue
         with lanes.stage(f"{label}: orbits of period {n} at {len(open_)} values", 0):
