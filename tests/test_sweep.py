@@ -54,6 +54,13 @@ def done(result, tmp_path_factory, tmp_path):
     return config, path, out, err
 
 
+@pytest.fixture(scope="module")
+def exact():
+    """b of the doubling that the config finds, by the reference."""
+    par = taylor.Parameters()
+    return float(taylor.doubling_point(par, 1, 5.5198, taylor.attractor(par, 5.53, par.start(), 400)[0])[0])
+
+
 def tree(folder):
     """Every file below a folder with its content."""
     return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
@@ -142,17 +149,15 @@ def test_target_out_of_reach(sweep, config):
 # ---- what is there already
 
 
-def test_run_and_what_it_leaves(done):
+def test_run_and_what_it_leaves(done, exact):
     """One doubling, as the reference has it; on the terminal, in the file, and one file alone."""
     config, path, out, _ = done
-    par = taylor.Parameters()
-    exact = float(taylor.doubling_point(par, 1, 5.5198, taylor.attractor(par, 5.53, par.start(), 400)[0])[0])
     with h5py.File(path) as file:
         b, error = file["doubling/b"][0], file["doubling/b_error"][0]
         assert file.attrs["config"] == CONFIG
         assert file.attrs["error_estimate"] <= 1e-6
     assert abs(b - exact) <= error < 1e-6
-    assert f"{b:.9f}" in out
+    assert f"{b:.12f}"[:11] in out  # nine decimals, however narrow the terminal is
     assert tree(path.parent) == {config: CONFIG.encode(), path: path.read_bytes()}
 
 
@@ -205,17 +210,26 @@ def test_result_goes_by_the_name_of_the_config(sweep, config):
     assert set(tree(config.parent)) == {config, config.parent / "results" / "small.h5"}
 
 
-@pytest.mark.parametrize(("solver", "steps"), [("strang2", 400), ("tsit5", 100)])
-def test_solver_and_steps_asked_for(sweep, config, solver, steps):
+@pytest.mark.parametrize(
+    ("solver", "steps"), [("blanes_moan4", 100), pytest.param("tsit5", 300, marks=pytest.mark.slow)]
+)
+def test_solver_and_steps_asked_for(sweep, config, exact, solver, steps):
     """They are what is used, and the error estimate is theirs: the doubling is found to that, not to the target."""
     override = f"accuracy={{solver: {solver}, steps: {steps}}}"
     run = sweep(config.name, override, "--output", "asked.h5", cwd=config.parent)
     assert run.returncode == 0, run.stderr
-    par = taylor.Parameters()
-    exact = float(taylor.doubling_point(par, 1, 5.5198, taylor.attractor(par, 5.53, par.start(), 400)[0])[0])
     with h5py.File(config.parent / "asked.h5") as file:
         assert (file.attrs["solver"], file.attrs["steps_per_period"]) == (solver, steps)
         assert 1e-9 < file.attrs["error_estimate"] < 1
+        assert abs(file["doubling/b"][0] - exact) <= file["doubling/b_error"][0]
+
+
+@pytest.mark.xfail(strict=True, reason="the survey has half the steps, and takes an orbit of period n for one of 2n")
+def test_coarse_accuracy(sweep, config, exact):
+    """With an error of 1e-3 allowed, the doubling is found less exactly, but it is found."""
+    run = sweep(config.name, "accuracy.target=1e-3", "--output", "coarse.h5", cwd=config.parent)
+    assert run.returncode == 0, run.stderr
+    with h5py.File(config.parent / "coarse.h5") as file:
         assert abs(file["doubling/b"][0] - exact) <= file["doubling/b_error"][0]
 
 
@@ -239,15 +253,17 @@ def test_schema(sweep, tmp_path):
 def test_help(sweep, tmp_path):
     run = sweep("--help", cwd=tmp_path)
     assert (run.returncode, run.stderr) == (0, "")
-    assert all(word in run.stdout for word in ("CONFIG", "KEY=VALUE", "--output", "--fresh", "--schema"))
+    assert all(word in run.stdout for word in ("config", "KEY=VALUE", "--output", "--fresh", "--schema"))
 
 
 # ---- ends
 
 
 def started(config, stage):
-    """A run that has come to a stage."""
-    command = [sys.executable, "-m", "jaxnh.sweep", config.name, "--output", "killed.h5"]
+    """A run that has come to a stage, and that Control-C reaches, which the workers of pytest-xdist ignore."""
+    code = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code += "runpy.run_module('jaxnh.sweep', run_name='__main__')"
+    command = [sys.executable, "-c", code, config.name, "--output", "killed.h5"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     run = subprocess.Popen(
         command, cwd=config.parent, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
