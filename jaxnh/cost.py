@@ -141,10 +141,10 @@ def _table(title: str, caption: str, left: tuple[str, ...], right: tuple[str, ..
 def _solvers_table(group: Group) -> Table:
     """A row a setting; the one that the engine uses is marked."""
     columns = {name: variable.data for name, variable in group.variables.items()}
-    work, target = group.attrs["projected_lane_periods"], group.attrs["target"]
+    work = group.attrs["projected_lane_periods"]
     table = _table(
         "Error of one period, and its price",
-        f"µs a lane-period; whole run: {work:,.0f}; comp.: compensated sums; ◀ picked for {target:.1e}",
+        f"µs a lane-period, of which the run has {work:,.0f}; comp.: compensated sums; ◀ picked",
         ("solver",),
         ("steps", "forces", "error", "µs", "whole run", ""),
     )

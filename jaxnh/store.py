@@ -35,11 +35,14 @@ def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, Group]) -> 
     except OSError as error:
         raise StoreError(f"cannot write in {path.parent}: {error.strerror or error}") from error
     try:
-        with h5py.File(temporary, "w", track_order=True) as file:
+        # Made in memory: HDF5 cannot close a file that a full disk kept it from writing, and ends the process.
+        with h5py.File(path.name, "w", driver="core", backing_store=False, track_order=True) as file:
             for key, value in attrs.items():
                 file.attrs[key] = value
             for group_name, group in groups.items():
                 _write_group(file.create_group(group_name, track_order=True), group)
+            file.flush()
+            temporary.write_bytes(file.id.get_file_image())
         temporary.chmod(0o666 & ~_umask())
         _sync(temporary)
         temporary.replace(path)

@@ -102,7 +102,8 @@ def doubling_table(group: Group, published: Mapping[str, np.ndarray], source: st
         name: np.append(published.get(name, np.empty(0)), np.full(levels, np.nan))[:levels] for name in ("b", "delta")
     }
     limit, error = group.attrs["delta_limit"], group.attrs["delta_limit_error"]
-    table = Table(title="Period doublings", caption=f"δ → {limit:.4f} ± {error:.1g}" if np.isfinite(limit) else None)
+    caption = f"δ → {limit:.4f} ± {error:.1g}" if np.isfinite(limit) else None
+    table = Table(title="Period doublings", caption=caption, padding=(0, 0, 0, 1))  # within 80 columns
     compared = bool(published)
     table.add_column("period", justify="right")
     if compared:

@@ -157,7 +157,7 @@ def test_run_and_what_it_leaves(done, exact):
         assert file.attrs["config"] == CONFIG
         assert file.attrs["error_estimate"] <= 1e-6
     assert abs(b - exact) <= error < 1e-6
-    assert f"{b:.12f}"[:11] in out  # nine decimals, however narrow the terminal is
+    assert f"{b:.12f}" in out
     assert tree(path.parent) == {config: CONFIG.encode(), path: path.read_bytes()}
 
 
@@ -224,7 +224,6 @@ def test_solver_and_steps_asked_for(sweep, config, exact, solver, steps):
         assert abs(file["doubling/b"][0] - exact) <= file["doubling/b_error"][0]
 
 
-@pytest.mark.xfail(strict=True, reason="the survey has half the steps, and takes an orbit of period n for one of 2n")
 def test_coarse_accuracy(sweep, config, exact):
     """With an error of 1e-3 allowed, the doubling is found less exactly, but it is found."""
     run = sweep(config.name, "accuracy.target=1e-3", "--output", "coarse.h5", cwd=config.parent)
@@ -288,7 +287,9 @@ def test_killed_run_leaves_nothing(config, stage):
 def test_interrupted_run_says_so(config):
     """Control-C: one line after the stages, no traceback, nothing written."""
     run = started(config, "accuracy")
-    run.send_signal(signal.SIGINT)
+    while run.poll() is None:  # one that comes while a library runs its own clean-up is lost, as at a terminal
+        run.send_signal(signal.SIGINT)
+        time.sleep(0.2)
     out, err = run.communicate(timeout=120)
     assert run.returncode == 130
     assert out == ""

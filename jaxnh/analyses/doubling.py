@@ -20,6 +20,7 @@ from jaxnh.orbits import DoublingPoint, refine_doubling, segment
 from jaxnh.strobe import Strobe, section_map
 
 _TRANSIENT = 512  # periods before the strobe points are looked at
+_SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: the cascade may begin at 2 or 3
 _CANDIDATES = 64  # lanes of a multisection
 _CLOSER = 64  # lanes of a closer survey
 _CLOSER_TRIES = 4
@@ -40,7 +41,7 @@ def periods(options: DoublingOptions, lanes: int) -> float:
 
 def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Find up to `levels` doublings n → 2n, each with its b, its error, and δ."""
-    limit = 2**options.levels
+    limit = max(_SMALLEST_LIMIT, 2**options.levels)
     start = np.broadcast_to(section_point(scene.start), (len(scene.values), 3))
     found = survey(scene, lanes, scene.values, start, limit, "doubling", _TRANSIENT, only_doublings=True)
     found = found.without_holes()
@@ -65,7 +66,7 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
             errors.append(error)
             if level + 1 == options.levels:
                 break
-            ahead = _next_run(scene, lanes, found, points, 2 * n, limit * period, end)
+            ahead = _next_run(scene, lanes, found, points, 2 * n, limit, end)
             if ahead is None:
                 warning = f"no stable orbit of period {2 * n} was found beyond the doubling at b = {point.b:.9g}"
                 break

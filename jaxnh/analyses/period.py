@@ -106,7 +106,7 @@ def survey(
     The period is a multiple of the least n after which the points roughly recur; with `only_doublings`, for a cascade,
     2, 4, 8, … times that alone are tried.
     """
-    strobe = scene.strobe(0.5)  # only seeds Newton: half the steps will do
+    strobe = scene.strobe()
     cost = transient + 2 * limit
     with lanes.stage(f"{label}: {len(b)} values to their attractors", len(b) * cost):
         points = lanes(_strobe_points, (strobe, np.int32(transient)), (u, b), periods=cost, static=(2 * limit,))
@@ -123,7 +123,7 @@ def survey(
         if not len(open_):
             continue
         with lanes.stage(f"{label}: orbits of period {n} at {len(open_)} values", 0):
-            orbit = orbits(lanes, scene.strobe(), found[open_], b[open_], n)
+            orbit = orbits(lanes, strobe, found[open_], b[open_], n)
         near = np.max(np.abs(orbit.u[:, :2] - found[open_][:, :2]), axis=1) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = (orbit.residual < CONVERGED) & near & (largest < 1.0)

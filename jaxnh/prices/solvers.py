@@ -30,7 +30,7 @@ _DECADES = 1.5  # of error between the rows of a splitting; their program is one
 _FEW_DECADES = 3.0  # of the others, each row of which is compiled
 _FIRST_KICKS = 48
 _FIRST_STEPS = {8: 60, 5: 125}  # by order
-_FIRST_TOLERANCE = 1e-7
+_FIRST_TOLERANCE, _LEAST_TOLERANCE = 1e-7, 1e-14
 _HOPELESS, _USEFUL = 30.0, 1e-12  # times the slowest row that is worth its time and has an error of more than that
 _MOST_ROWS, _FEW_ROWS, _MOST_TRIED = 14, 3, 14
 _GAIN = 0.8  # of the error before, at most, or rounding rules
@@ -217,7 +217,7 @@ def _runge_kutta() -> Iterator[Iterator[Setting]]:
 
     def adaptive(name: str, solver: Any) -> Iterator[Setting]:
         tolerance = _FIRST_TOLERANCE
-        while True:
+        while tolerance > _LEAST_TOLERANCE:
             yield Setting(name, AdaptivePeriod(solver, tolerance), 1, math.nan, tolerance=tolerance)
             tolerance *= 10**-_FEW_DECADES
 
