@@ -109,7 +109,10 @@ def provenance(experiment: Experiment, scene: Scene, lanes: Lanes, seconds: floa
 def run_app(app: typer.Typer) -> int:
     """Run a command; 0 done, 2 bad input, 1 any other failure, each failure with one line and no traceback."""
     try:
-        app(standalone_mode=False)
+        code = app(standalone_mode=False)  # a number where typer itself ended the run, as after Control-C
+        if isinstance(code, int) and code:
+            print("interrupted; nothing was written", file=sys.stderr)
+            return code
     except Refused as refusal:
         print(refusal, file=sys.stderr)
         return 2

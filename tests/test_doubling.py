@@ -31,6 +31,11 @@ OTHERS = {
         ("system.omega=0.95", "sweep.b={start: 5.4, stop: 5.53, count: 64}"),
         taylor.Parameters(omega=0.95),
     ),
+    "omega, from period 3": (
+        "table1",
+        ("system.omega=0.9", "sweep.b={start: 5.722, stop: 5.71, count: 64}", "analyses.doubling.levels=4"),
+        taylor.Parameters(omega=0.9),
+    ),
     "omega, disturbed": (
         "table2",
         ("system.omega=2", "sweep.b={start: 1.5, stop: 1.9, count: 64}", "analyses.doubling.levels=2"),

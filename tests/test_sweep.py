@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -287,9 +288,10 @@ def test_killed_run_leaves_nothing(config, stage):
 def test_interrupted_run_says_so(config):
     """Control-C: one line after the stages, no traceback, nothing written."""
     run = started(config, "accuracy")
-    while run.poll() is None:  # one that comes while a library runs its own clean-up is lost, as at a terminal
+    while run.poll() is None:  # a signal that comes while a library runs its own clean-up is lost, as at a terminal
         run.send_signal(signal.SIGINT)
-        time.sleep(0.2)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            run.wait(timeout=1.5)
     out, err = run.communicate(timeout=120)
     assert run.returncode == 130
     assert out == ""

@@ -66,7 +66,7 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
             errors.append(error)
             if level + 1 == options.levels:
                 break
-            ahead = _next_run(scene, lanes, found, points, 2 * n, limit, end)
+            ahead = _next_run(scene, lanes, found, points, 2 * n, max(limit, period << options.levels), end)
             if ahead is None:
                 warning = f"no stable orbit of period {2 * n} was found beyond the doubling at b = {point.b:.9g}"
                 break
