@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -288,10 +287,7 @@ def test_killed_run_leaves_nothing(config, stage):
 def test_interrupted_run_says_so(config):
     """Control-C: one line after the stages, no traceback, nothing written."""
     run = started(config, "accuracy")
-    while run.poll() is None:  # a signal that comes while a library runs its own clean-up is lost, as at a terminal
-        run.send_signal(signal.SIGINT)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            run.wait(timeout=1.5)
+    run.send_signal(signal.SIGINT)
     out, err = run.communicate(timeout=120)
     assert run.returncode == 130
     assert out == ""
