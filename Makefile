@@ -4,8 +4,10 @@ VENV := .venv
 RUN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 TABLES := table1 table2
+FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
+RANGES := range_constant range_disturbed
 
-.PHONY: install $(TABLES) test slow clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) paper test slow clean
 
 install: $(INSTALLED)
 
@@ -17,6 +19,15 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 $(TABLES): $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml
+
+$(FIGURES) $(RANGES): $(INSTALLED)
+	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
+	$(RUN)/python -m jaxnh.plot results/$@.h5
+
+# Both tables and all ten figures anew, one after the other: each run uses all cores.
+paper: $(INSTALLED)
+	for table in $(TABLES); do $(RUN)/python -m jaxnh.sweep configs/$$table.yaml --fresh || exit; done
+	$(MAKE) --jobs=1 $(FIGURES)
 
 test: $(INSTALLED)
 	$(RUN)/ruff check .

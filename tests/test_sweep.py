@@ -232,6 +232,19 @@ def test_coarse_accuracy(sweep, config, exact):
         assert abs(file["doubling/b"][0] - exact) <= file["doubling/b_error"][0]
 
 
+def test_compiled_programs_are_kept(sweep, config, monkeypatch):
+    """A run leaves its programs in the cache, and the same run again finds every one: it adds none."""
+    cache = config.parent / "cache"
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(cache))
+    analyses = "analyses={diagram: {transient: 4, strobes: 4}}"
+    kept = []
+    for _ in range(2):
+        assert sweep(config.name, analyses, "--output", "kept.h5", "--fresh", cwd=config.parent).returncode == 0
+        kept.append({path.name for path in cache.iterdir() if path.name.endswith("-cache")})
+    assert kept[0] == kept[1]
+    assert len(kept[0]) > 1
+
+
 # ---- help
 
 
