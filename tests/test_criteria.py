@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import scipy.integrate
 import taylor
+import xarray as xr
+from conftest import ROOT
 
 from jaxnh.analyses import chaos01, lyapunov, period, verdict
 from jaxnh.analyses.record import Scene
@@ -195,3 +197,26 @@ def test_verdict_rule():
     columns = [np.array(column) for column in list(zip(*rows, strict=True))[:6]]
     kinds = verdict.judge(*columns, t, np.full(len(rows), 1000))
     assert [verdict.KINDS[kind] for kind in kinds] == [row[6] for row in rows]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["range_constant", "range_disturbed"])
+def test_whole_range(result, name):
+    """All criteria at 4096 values of b over the paper's range: at most 2% undecided, none failed.
+
+    At every decided b the sign of λ1, beyond its error, is that of the period analysis, and on periodic orbits all
+    exponents add up to the divergence.
+    """
+    path, _, _ = result(name, ROOT / "configs" / f"{name}.yaml")
+    tree = xr.open_datatree(path, engine="h5netcdf").load()
+    kind = tree["verdict/kind"].to_numpy()
+    assert len(kind) == 4096
+    counts = dict(zip(verdict.KINDS, np.bincount(kind, minlength=len(verdict.KINDS)), strict=True))
+    assert counts["failed"] == 0
+    assert counts["undecided"] <= 0.02 * len(kind)
+    largest = tree["lyapunov/exponents"].to_numpy()[:, 0]
+    error = tree["lyapunov/exponents_error"].to_numpy()[:, 0]
+    periodic = tree["period/period"].to_numpy() > 0
+    decided = (kind == verdict.KINDS.index("periodic")) | (kind == verdict.KINDS.index("chaotic"))
+    assert np.all((largest - error > 0)[decided] == ~periodic[decided])
+    assert np.all(largest[decided & periodic] < error[decided & periodic])
