@@ -17,6 +17,7 @@ from jaxnh.analyses import chaos01, lyapunov, period, verdict
 from jaxnh.analyses.record import Scene
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SPLITTINGS
+from jaxnh.strobe import make_strobe, section_map
 from jaxnh.systems import constant_speed, disturbed_speed
 
 GROWTH_RATES, WITHOUT_PERIOD = jax.jit(chaos01.growth_rates), jax.jit(chaos01.without_period)
@@ -45,6 +46,23 @@ def test_periods_of_the_paper(case):
     _, _, periods, found, _ = case
     np.testing.assert_array_equal(found.variables["period"].data, periods)
     assert np.all(found.variables["residual"].data[:3] < 1e-7)
+
+
+def test_multiple_of_the_period():
+    """A point of the orbits of period 1 at b = 5.8 and 2 at 2.5, met by Newton at a period of 8, is of theirs."""
+    strobe = make_strobe(constant_speed(), SPLITTINGS["kahan_li8"], 120)
+    lanes, b = Lanes(), np.array([5.8, 2.5])
+    start = np.tile(period.section_point(START), (2, 1))
+    u = lanes(section_map, (strobe, np.int32(400)), (start, b))
+    np.testing.assert_array_equal(period.least_period(lanes, strobe, u, b, 8), [1, 2])
+
+
+def test_lanes_of_no_part_in_a_cascade():
+    """Lone lanes of no period, and of another than their equal neighbours, go; doublings and windows stay."""
+    found = np.array([1, 1, 1, 0, 2, 2, 2, 32, 2, 2, 4, 8, 8, 8, 0, 0, 0, 6, 6, 6])
+    other = [np.arange(len(found))] * 5
+    kept = period.Survey(other[0], found, *other[1:]).without_holes()
+    np.testing.assert_array_equal(kept.period, [1, 1, 1, 2, 2, 2, 2, 2, 4, 8, 8, 8, 0, 0, 0, 6, 6, 6])
 
 
 def test_exponents_of_periodic_orbits(case):

@@ -55,7 +55,9 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> Group:
     low, median, high = np.quantile(k, [0.25, 0.5, 0.75], axis=1)
     variables = {
         "b": Variable(("b",), scene.values, "coupling b"),
-        "k": Variable(("b",), median, "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"),
+        "k": Variable(
+            ("b",), median, "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"
+        ),
         "k_error": Variable(("b",), 0.5 * (high - low), "half the distance between the quartiles of K over the angles"),
     }
     return Group(variables, {"angles": _ANGLES})

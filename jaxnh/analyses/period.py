@@ -17,7 +17,7 @@ from pydantic import Field
 
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
 from jaxnh.orbits import Orbit, find_orbit
-from jaxnh.strobe import Strobe, iterate, record, unchart
+from jaxnh.strobe import Strobe, iterate, record, section_map, unchart, wrap
 
 CONVERGED = 1e-7
 """Residual of an orbit that Newton has found."""
@@ -53,10 +53,16 @@ class Survey(NamedTuple):
     failed: np.ndarray
 
     def without_holes(self) -> Survey:
-        """The survey without the undecided lanes that stand alone or in pairs: they lie in windows or at doublings."""
-        starts = np.flatnonzero(np.diff(self.period != 0, prepend=~(self.period[:1] != 0)))
+        """The survey without lanes that stand alone or in pairs and are no part of a cascade.
+
+        Undecided ones lie in windows or at doublings; ones of another period than both neighbours, which have the
+        same, are on a coexisting attractor.
+        """
+        starts = np.flatnonzero(np.diff(self.period, prepend=-1))
         lengths = np.diff(np.append(starts, len(self.period)))
-        keep = np.repeat((self.period[starts] != 0) | (lengths > 2), lengths)
+        found = self.period[starts]
+        before, after = np.append(-1, found[:-1]), np.append(found[1:], -2)
+        keep = np.repeat((lengths > 2) | ((found != 0) & (before != after)), lengths)
         return Survey(*(leaf[keep] for leaf in self))
 
     def run_end(self, first: int) -> int:
@@ -127,15 +133,36 @@ def survey(
         near = np.max(np.abs(orbit.u[:, :2] - found[open_][:, :2]), axis=1) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = (orbit.residual < CONVERGED) & near & (largest < 1.0)
-        here = open_[settled]
-        period[here], found[here] = n, orbit.u[settled]
-        residual[here], multiplier[here] = orbit.residual[settled], largest[settled]
+        shortest = least_period(lanes, strobe, orbit.u[settled], b[open_[settled]], n)
+        for d in np.unique(shortest):
+            part = np.flatnonzero(settled)[shortest == d]
+            here = open_[part]
+            exact = (
+                Orbit(*(leaf[part] for leaf in orbit)) if d == n else orbits(lanes, strobe, orbit.u[part], b[here], d)
+            )
+            period[here], found[here] = d, exact.u
+            residual[here], multiplier[here] = exact.residual, largest_multiplier(exact.monodromy)
     return Survey(b, period, found, residual, multiplier, ~np.all(np.isfinite(points), axis=(1, 2)))
 
 
 def orbits(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
     """`find_orbit` of period n over lanes (lanes, 3), (lanes,)."""
     return lanes(find_orbit, (strobe, np.int32(n)), (u, b), tile=_ORBIT_TILE)
+
+
+def least_period(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> np.ndarray:
+    """Least d that divides n with P^d(u) = u, for points (lanes, 3) of orbits of period n: (lanes,).
+
+    A lane that was still on its way may miss its orbit at d and meet it at a multiple.
+    """
+    period = np.full(len(b), n)
+    for d in (d for d in range(1, n) if n % d == 0):
+        open_ = np.flatnonzero(period == n)
+        if not len(open_):
+            break
+        image = lanes(section_map, (strobe, np.int32(d)), (u[open_], b[open_]), periods=d, tile=_ORBIT_TILE)
+        period[open_[np.max(np.abs(wrap(image - u[open_])), axis=1) < CONVERGED]] = d
+    return period
 
 
 def largest_multiplier(monodromy: np.ndarray) -> np.ndarray:
