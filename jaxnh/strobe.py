@@ -8,6 +8,7 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
@@ -95,28 +96,38 @@ class KickStrobe(Strobe):
 
     def __call__(self, state: State, b: ArrayLike) -> State:
         def advance(entry: Array, carry: _Carry) -> _Carry:
-            return self._kick_compensated(entry, carry, b) if self.compensated else self._kick(entry, carry, b)
+            return _one_loop(lambda carry: self._kick(entry, carry, b), carry)
 
-        return self._end(self._run(advance, self._begin(state)))
+        return self._end(self._run(advance, jnp.asarray(self.table), self._begin(state)))
 
     def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
         # A kick turns θ alone, so few numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, b). Differentiating
-        # where the kick is keeps every component an array of lanes; jacfwd of the whole period would not.
+        # where the kick is keeps every component an array of lanes; jacfwd of the whole period would not. Tangents are
+        # carried from before one kick to before the next, so that they need the n after a kick alone.
         in_b = any(t.b is not None for t in tangents)
 
-        def advance(entry: Array, carry: tuple[_Carry, tuple[Vector, ...], Array]) -> Any:
-            before, moved, volume = carry
-            kick = self._kick_compensated if self.compensated else self._kick_unmarked
-            after = kick(entry, before, b)
-            slopes = self._slopes(entry, after.q, before.n, b, in_b)
-            moved = tuple(_drift_tangent(before.n, v, entry[0]) for v in moved)
-            moved = tuple(_kick_tangent(slopes, v, t.b) for v, t in zip(moved, tangents, strict=True))
-            return after, moved, volume * slopes[0]
+        def kick(entry: Array, before: _Carry) -> tuple[_Carry, Vector]:
+            after = self._kick(entry, before, b)
+            return after, self._slopes(entry, after.q, before.n, b, in_b)
 
-        moved = tuple((*t.state[0], _cross(state[1], t.state[1])) for t in tangents)
-        carry, moved, volume = self._run(advance, (self._begin(state), moved, jnp.ones_like(state[0][0])))
+        def move(
+            length: Array, n: Vector, slopes: Vector, moved: tuple[Vector, ...], volume: Array
+        ) -> tuple[tuple[Vector, ...], Array]:
+            kicked = [_kick_tangent(slopes, v, t.b) for v, t in zip(moved, tangents, strict=True)]
+            return tuple(_drift_tangent(n, v, length) for v in kicked), volume * slopes[0]
+
+        def advance(entry: Array, carry: tuple[_Carry, tuple[Vector, ...], Array]) -> Any:
+            after, slopes = _one_loop(partial(kick, entry), carry[0])
+            return after, *_one_loop(partial(move, entry[3]), after.n, slopes, *carry[1:])
+
+        table = jnp.asarray(self.table)
+        drift_after = jnp.roll(table[:, 0], -1).at[self.kicks - 1].set(self.rest)
+        moved = [(*t.state[0], _cross(state[1], t.state[1])) for t in tangents]
+        moved = tuple(_drift_tangent(state[1], v, table[0, 0]) for v in moved)
+        carry, moved, volume = self._run(
+            advance, jnp.column_stack([table, drift_after]), (self._begin(state), moved, jnp.ones_like(state[0][0]))
+        )
         q, n = self._end(carry)
-        moved = tuple(_drift_tangent(n, v, self.rest) for v in moved)
         pushed = tuple(
             Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.b)
             for (dx, dy, dtheta), t in zip(moved, tangents, strict=True)
@@ -124,14 +135,8 @@ class KickStrobe(Strobe):
         return Pushed((q, n), pushed, volume)
 
     def _kick(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
-        # Each component of n from copies of its own: XLA then puts all outputs of a kick into one loop, where it would
-        # store the force between two. The copies are identities that its common-subexpression pass cannot merge.
-        state = carry.q, carry.n
-        copies = [jax.tree.map(lambda v, i=i: lax.reduce_precision(v, 11, 53 + i), state) for i in range(len(carry.n))]
-        turned = [self._kick_unmarked(entry, _Carry(copy[0], copy[1], None), b).n[i] for i, copy in enumerate(copies)]
-        return _Carry(_along(carry.q, carry.n, entry[0]), tuple(turned), None)
-
-    def _kick_unmarked(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
+        if self.compensated:
+            return self._kick_compensated(entry, carry, b)
         q = _along(carry.q, carry.n, entry[0])
         return _Carry(q, kick(carry.n, self.system.force(q, entry[2], entry[1], b), half_turn), None)
 
@@ -146,26 +151,25 @@ class KickStrobe(Strobe):
         n, n_lost = _add_compensated(n, carry.lost[1], (-turn * m[1], turn * m[0]))
         return _Carry(q, n, (q_lost, n_lost))
 
-    def _slopes(self, entry: Array, q: Vector, n: Vector, b: ArrayLike, in_b: bool) -> tuple[Array, ...]:
-        """∂θ'/∂(θ, x1, y1) of a kick at q, and if asked for ∂b: with the bisector m = D n + N f, θ' = 2 arg m − θ."""
+    def _slopes(self, entry: Array, q: Vector, n: Vector, b: ArrayLike, in_b: bool) -> Vector:
+        """∂θ'/∂(θ, x1, y1) of a kick at q, and if asked for ∂b.
 
-        def force(at: Vector) -> Vector:
-            return self.system.force(at[:2], entry[2], entry[1], at[2])
-
-        at = (*q, b)
-        f = force(at)
-        one = jnp.ones_like(q[0])
-        (top, bottom), (top_rate, bottom_rate) = jax.jvp(half_turn, (f[0] * f[0] + f[1] * f[1],), (one,))
-        m = tuple(bottom * ni + top * fi for ni, fi in zip(n, f, strict=True))
-        scale = 2.0 / (m[0] * m[0] + m[1] * m[1])
-        stretch = 2.0 * (bottom_rate * _cross(m, n) + top_rate * _cross(m, f))
-
-        def slope(index: int) -> Array:
-            _, df = jax.jvp(lambda v: force((*at[:index], v, *at[index + 1 :])), (at[index],), (one,))
-            return scale * ((f[0] * df[0] + f[1] * df[1]) * stretch + top * _cross(m, df))
-
-        along = scale * (m[0] * n[0] + m[1] * n[1])
-        return bottom * along - 1.0, slope(0), slope(1), *((slope(2),) if in_b else ())
+        With the bisector m = D n + N f, θ' = 2 arg m − θ. So ∂θ'/∂θ = 2 D (m·n)/(m·m) − 1, and of the force
+        ∂θ'/∂f = (2 N J m + 4 (N' D − N D') (n × f) f)/(m·m), J the quarter turn and ' the derivative in z = f·f.
+        """
+        f = self.system.force(q, entry[2], entry[1], b)
+        z = f[0] * f[0] + f[1] * f[1]
+        (top, bottom), (top_rate, bottom_rate) = jax.jvp(half_turn, (z,), (jnp.ones_like(z),))
+        m = tuple(ni * bottom + fi * top for ni, fi in zip(n, f, strict=True))
+        length = m[0] * m[0] + m[1] * m[1]
+        half = bottom * (m[0] * n[0] + m[1] * n[1])
+        scale = 1.0 / length
+        twice = scale + scale
+        across = twice * top
+        along = (twice + twice) * _cross(n, f) * (top_rate * bottom - top * bottom_rate)
+        by_force = along * f[0] - across * m[1], along * f[1] + across * m[0]
+        rows = self.system.force_pullback(q, entry[2], entry[1], b, by_force)
+        return (half + half - length) * scale, *(rows if in_b else rows[:2])
 
     def _begin(self, state: State) -> _Carry:
         return _Carry(*state, jax.tree.map(jnp.zeros_like, state) if self.compensated else None)
@@ -177,8 +181,7 @@ class KickStrobe(Strobe):
         scale = 1.5 - 0.5 * sum(ni * ni for ni in n)
         return q, tuple(scale * ni for ni in n)
 
-    def _run(self, advance: Callable[[Array, Any], Any], carry: Any) -> Any:
-        table = jnp.asarray(self.table)
+    def _run(self, advance: Callable[[Array, Any], Any], table: Array, carry: Any) -> Any:
         return lax.fori_loop(0, self.kicks, lambda i, carry: advance(table[i], carry), carry)
 
 
@@ -225,6 +228,20 @@ class SolveStrobe(Strobe):
     def _field_and_divergence(self, t: ArrayLike, y: tuple[State, Array], b: ArrayLike) -> tuple[State, Array]:
         state, _ = y
         return self.system.vector_field(t, state, b), self.system.divergence(t, state, b)
+
+
+def _one_loop(function: Callable[..., Any], *carried: Any) -> Any:
+    """function(*carried), each component of the result from copies of its own of what a loop carries.
+
+    XLA then puts all components into one loop over the lanes, where it would store what they share between several.
+    The copies are identities that its common-subexpression pass cannot merge; LLVM does.
+    """
+    structure = jax.tree.structure(jax.eval_shape(function, *carried))
+    components = []
+    for i in range(structure.num_leaves):
+        copies = jax.tree.map(lambda v, i=i: lax.reduce_precision(v, 11, 53 + i), carried)
+        components.append(jax.tree.leaves(function(*copies))[i])
+    return jax.tree.unflatten(structure, components)
 
 
 def _along(q: Vector, n: Vector, length: ArrayLike) -> Vector:
@@ -294,6 +311,22 @@ def make_parts(
     each = max(1, math.ceil(steps * np.diff(shares).max() - 1e-6))
     grid = np.interp(np.linspace(shares[:-1], shares[1:], each + 1, axis=-1), share, fine)
     grid[:, 0], grid[:, -1] = ends[:-1], ends[1:]
+    system = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
+    if isinstance(solver, IsokineticSplitting):
+        return _tabulate(system, solver, grid, compensated, smallest=1)
+    return SolveStrobe(system, solver, grid)
+
+
+def cut_strobe(
+    system: IsokineticParticle, solver: Solver, steps: int, parts: int, *, compensated: bool = False
+) -> Strobe:
+    """The strobe map cut into so many maps of equally many steps, stacked as by `make_parts`.
+
+    The parts differ in length, and together have the least multiple of `parts` from `steps` on as steps.
+    """
+    each = -(-steps // parts)
+    ends = step_grid(system, each * parts, (0.0, system.period))
+    grid = ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
     system = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
     if isinstance(solver, IsokineticSplitting):
         return _tabulate(system, solver, grid, compensated, smallest=1)

@@ -76,8 +76,17 @@ class IsokineticParticle(eqx.Module):
         `g` is the forcing times the weight and `weight` the weight alone, as both come ready-made from tables.
         """
         x, y = q
-        coupling = weight * b
-        return coupling * y - g * x * (self.a + x * x), coupling * x - g * y * (1.0 + self.a * (y * y))
+        return weight * (b * y) - g * x * (self.a + x * x), weight * (b * x) - g * y * (1.0 + self.a * (y * y))
+
+    def force_pullback(self, q: Vector, g: ArrayLike, weight: ArrayLike, b: ArrayLike, p: Vector) -> Vector:
+        """Derivatives of p·F, with F as in `force` and p held, in (x1, y1, b): the row p ∂F/∂(x1, y1, b)."""
+        x, y = q
+        xx, ayy = x * x, self.a * (y * y)
+        return (
+            weight * (b * p[1]) - p[0] * (g * (self.a + xx + (xx + xx))),
+            weight * (b * p[0]) - p[1] * (g * (1.0 + ayy + (ayy + ayy))),
+            weight * (p[0] * y + p[1] * x),
+        )
 
     def vector_field(self, t: ArrayLike, state: State, b: ArrayLike) -> State:
         """Time derivative (q', n'); shapes (...,) in and out."""

@@ -157,3 +157,13 @@ def test_period_of_a_system_is_disturbed_only_by_a_disturbance():
     assert disturbed_speed(d=0.0, omega=3.0).period == 2 * math.pi / 3
     assert disturbed_speed(d=0.1, omega=3.0).period == 2 * math.pi
     assert disturbed_speed(d=0.1, omega=2 / 3).period == 6 * math.pi
+
+
+@systems
+def test_force_pullback(system):
+    """p ∂F/∂(x1, y1, b) in closed form is the reverse-mode derivative of the force."""
+    q, p, weight = (X, Y), N, np.full(MOMENTS, 0.7)
+    g = system.forcing(T) * weight
+    by_q, by_b = jax.vjp(lambda q, b: system.force(q, g, weight, b), q, B)[1](p)
+    rows = system.force_pullback(q, g, weight, B, p)
+    np.testing.assert_allclose(np.array(rows), np.array([*by_q, by_b]), atol=ROUNDOFF, rtol=0)

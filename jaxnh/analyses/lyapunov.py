@@ -17,14 +17,13 @@ from jaxtyping import Array
 from pydantic import Field
 
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.strobe import Strobe, Tangent, iterate, make_strobe
+from jaxnh.strobe import Strobe, Tangent, iterate, cut_strobe
 from jaxnh.systems import State, Vector
 
 _BLOCKS = 16
 _LARGEST_LOSS = 12.0  # a tangent may shrink by e^−12 against another between orthonormalisations: five digits
 _PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
-_TILE = 128
 _WINDOWS = (1.0, 2.0)  # powers of the two windows of `window`; their difference is the error of the smooth average
 _ROUNDING = 1e-10  # of a smooth average a period
 
@@ -105,13 +104,7 @@ def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> Group:
 
 
 def _parts(scene: Scene, parts: int) -> Strobe:
-    """Maps over equal parts of a period, stacked along a new first axis of their tables."""
-    ends = np.linspace(0.0, scene.system.period, parts + 1)
-    maps = [
-        make_strobe(scene.system, scene.solver, scene.steps, compensated=scene.compensated, span=(t0, t1))
-        for t0, t1 in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
-    ]
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *maps)
+    return cut_strobe(scene.system, scene.solver, scene.steps, parts, compensated=scene.compensated)
 
 
 def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> int:
@@ -139,7 +132,7 @@ def _average(
     """
     if not count:
         return flow, np.full((len(b), len(flow.logs) + 1), np.nan)
-    flow = lanes(_advance, (strobes, np.int32(count), np.float64(begun)), (flow, b), periods=count, tile=_TILE)
+    flow = lanes(_advance, (strobes, np.int32(count), np.float64(begun)), (flow, b), periods=count)
     return flow, np.stack([*flow.logs, flow.volume], axis=-1) / count
 
 
@@ -203,9 +196,10 @@ def gram_schmidt(vectors: list[Vector]) -> tuple[tuple[Vector, ...], tuple[Array
         for base in orthonormal:
             overlap = sum(v * e for v, e in zip(vector, base, strict=True))
             vector = tuple(v - overlap * e for v, e in zip(vector, base, strict=True))
-        length = jnp.sqrt(sum(v * v for v in vector))
-        orthonormal.append(tuple(v / length for v in vector))
-        logs.append(jnp.log(length))
+        square = sum(v * v for v in vector)
+        inverse = 1.0 / jnp.sqrt(square)
+        orthonormal.append(tuple(v * inverse for v in vector))
+        logs.append(0.5 * jnp.log(square))
     return tuple(orthonormal), tuple(logs)
 
 
