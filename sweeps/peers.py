@@ -1,10 +1,12 @@
 """How fast jaxnh is beside other integrators: side by side in one run, on named cores, at equal measured error.
 
     python -m sweeps.peers [--cores 1|2] [--repeats R] [--targets 1e-6 1e-8 1e-10] [--system constant_speed]
+        [--only lyapunov]
 
 An error is that of one period's map, largest component over all lanes, against a Taylor integration in long double.
 Every peer is tuned until its error just meets the target; then all run in turn, several rounds, each in a process of
-its own that sleeps while another runs. Prints the tables and writes results/peers.md.
+its own that sleeps while another runs. Prints the tables and writes results/peers.md. Lyapunov spectra come last, on
+one core, where the error is that of the derivative of one period's map; alone they are printed only.
 """
 
 from __future__ import annotations
@@ -22,16 +24,15 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from sweeps.peers_report import AT_OWN_ERROR, Row, Scaling, Study, markdown, show
-from sweeps.peers_scene import Scene, Setting, best
+from sweeps.peers_report import AT_OWN_ERROR, Row, Scaling, Study, markdown, show, show_lyapunov
+from sweeps.peers_scene import Setting, TangentScene, best
 from sweeps.peers_worker import Peer, Sample
 
 SYSTEMS = {"constant_speed": 0.0, "disturbed_speed": 0.1}
 """d of each system; a = 0.5 and c = 1."""
 
-# Contestants of the one-period map. Lyapunov spectra (jaxnh's tangent flow against heyoka's variational batch) go
-# beside it: a second tuple like this, their own Scene (true exponents), the same tune and program, the same rounds.
 CONTESTANTS = ("jaxnh", "heyoka", "diffrax", "diffrax_options", "scipy")
+TANGENT_CONTESTANTS = ("jaxnh_tangent", "heyoka_tangent")
 
 _SAMPLE_SECONDS = 0.4
 _SCALING_TARGET = 1e-8  # the setting of the sections on cores and lanes, where it is among the targets
@@ -60,7 +61,10 @@ def main() -> None:
         raise SystemExit(f"--cores {args.cores}: this process may run on {len(available)} only")
     cores = available[: args.cores]
     scene = _scene(args.system)
-    console.log(f"true ends of one period: {len(scene.b)} lanes")
+    console.log(f"true ends and derivatives of one period: {len(scene.b)} lanes")
+    if args.only == "lyapunov":
+        show_lyapunov(_lyapunov(args, scene, cores[0], console), console)
+        return
     alone = [[core] for core in cores]
     peers = {kind: Peer(kind, scene, [cores] if kind == "jaxnh" else alone) for kind in CONTESTANTS}
     pair = Peer("jaxnh", scene, [available[:2]]) if len(available) > 1 else None
@@ -73,6 +77,7 @@ def main() -> None:
     finally:
         for peer in (*peers.values(), *([pair] if pair else [])):
             peer.close()
+    spectra = _lyapunov(args, scene, cores[0], console)
     study = Study(
         command=shlex.join(["python", "-m", "sweeps.peers", *sys.argv[1:]]),
         system=args.system,
@@ -83,6 +88,7 @@ def main() -> None:
         chosen=chosen,
         lanes=lanes,
         two_cores=two,
+        lyapunov=spectra,
         seconds=time.perf_counter() - began,
     )
     show(study, console)
@@ -98,20 +104,47 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--repeats", type=int, default=7, help="rounds of the timing")
     parser.add_argument("--targets", type=float, nargs="+", default=[1e-6, 1e-8, 1e-10], help="largest errors allowed")
     parser.add_argument("--system", choices=tuple(SYSTEMS), default="constant_speed")
+    parser.add_argument("--only", choices=("lyapunov",), help="this section alone, printed and not written")
     parser.add_argument("--output", type=Path, default=Path("results/peers.md"))
     return parser.parse_args()
 
 
-def _scene(system: str) -> Scene:
+def _scene(system: str) -> TangentScene:
     """The scene, from a process that ends: this one stays free of every integrator."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         return pool.submit(_true_scene, SYSTEMS[system]).result()
 
 
-def _true_scene(d: float) -> Scene:
+def _true_scene(d: float) -> TangentScene:
     from sweeps.peers_heyoka import true_scene  # only in the process above
+    from sweeps.peers_heyoka_tangent import true_derivatives
 
-    return true_scene(0.5, 1.0, d)
+    scene = true_scene(0.5, 1.0, d)
+    return TangentScene(**vars(scene), derivatives=true_derivatives(scene))
+
+
+def _lyapunov(args: argparse.Namespace, scene: TangentScene, core: int, console: Console) -> list[Row]:
+    """The rows of Lyapunov spectra."""
+    jaxnh, heyoka = peers = [Peer(kind, scene, [[core]]) for kind in TANGENT_CONTESTANTS]
+    entries: list[Entry] = []
+    try:
+        for target in args.targets:
+            own = jaxnh.tune(target)
+            if not own:
+                console.log(f"no splitting of jaxnh has an error of the derivatives of {target:g} over these lanes")
+                continue
+            first = Entry(target, own[0].peer, jaxnh, own[0], None, [])
+            others = [Entry(target, s.peer, jaxnh, s, first, []) for s in own[1:]]
+            found = best(heyoka.tune(target))
+            rows = [first, *others, Entry(target, found.peer, heyoka, found, first, [])]
+            for row in rows:
+                console.log(_line(row))
+            entries += rows
+        _timed(entries, args.repeats, console)
+    finally:
+        for peer in peers:
+            peer.close()
+    return [_row(e, 1) for e in entries]
 
 
 def _tuned(

@@ -23,9 +23,9 @@ except ImportError as error:
 
 # 64 bits of mantissa on x86. Elsewhere long double may be float64 or software quadruple: fall back to float64.
 REAL: Any = np.longdouble if np.finfo(np.longdouble).nmant == 63 else np.float64
-_TOLERANCE = 1e-18 if REAL is np.longdouble else 1e-15
+TOLERANCE = 1e-18 if REAL is np.longdouble else 1e-15
 _PERIODS = 16
-_MOST_ORDER = 30
+MOST_ORDER = 30
 # Clock: sin t by heyoka's own time, or sin t and cos t as two more equations.
 _FORMS = tuple(itertools.product(("angle", "unit vector"), ("time", "clock equations")))
 _BATCHES = (1, 2, 4)  # in recommended SIMD sizes
@@ -58,7 +58,7 @@ def true_scene(a: float, c: float, d: float) -> Scene:
         equations(a, c, d, "angle", "time"),
         np.zeros(3, dtype=REAL),
         pars=np.zeros(1, dtype=REAL),
-        tol=REAL(_TOLERANCE),
+        tol=REAL(TOLERANCE),
         fp_type=REAL if REAL is not np.float64 else float,
     )
 
@@ -126,7 +126,7 @@ class Contestant:
             order -= 1
         while self._measured(form, clock, simd, (), order).max > target:
             order += 1
-            if order > _MOST_ORDER:
+            if order > MOST_ORDER:
                 raise ArithmeticError(f"heyoka reaches no error of {target:g} in the {form} form")
         return order
 

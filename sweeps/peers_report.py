@@ -24,6 +24,7 @@ _BY_HAND = "<!-- Below this line: written by hand, kept by the next run. -->"
 _QUIET = 0.9  # share of a core below which a run was disturbed
 _SHOWN_FORMS = 4
 _WANTED_HEYOKA = {1e-6: 1.5, 1e-8: 1.5, 1e-10: 1.2}
+_WANTED_SPECTRA = 1.5
 _WANTED_DIFFRAX = 30.0
 _WANTED_SCIPY = 500.0
 _WANTED_CORES = 1.8
@@ -72,6 +73,7 @@ class Study:
     chosen: Setting
     lanes: list[Scaling]
     two_cores: list[Scaling] | None
+    lyapunov: list[Row]
     seconds: float
 
 
@@ -85,12 +87,21 @@ class _Grid(NamedTuple):
 
 def show(study: Study, console: Console) -> None:
     """Print the tables."""
-    for grid in _grids(study):
+    _print(_grids(study), console)
+    console.print(f"{study.seconds:.0f} s")
+
+
+def show_lyapunov(rows: Sequence[Row], console: Console) -> None:
+    """Print the table of Lyapunov spectra."""
+    _print([_spectra(rows)], console)
+
+
+def _print(grids: Sequence[_Grid], console: Console) -> None:
+    for grid in grids:
         table = Table(*grid.columns, title=grid.title, title_justify="left")
         for cells in grid.cells:
             table.add_row(*cells)
         console.print(table)
-    console.print(f"{study.seconds:.0f} s")
 
 
 def markdown(study: Study, before: str = "") -> str:
@@ -163,7 +174,23 @@ def _grids(study: Study) -> list[_Grid]:
                 lambda ratio: ratio >= _WANTED_CORES,
             )
         )
-    return grids
+    return [*grids, _spectra(study.lyapunov)]
+
+
+def _spectra(rows: Sequence[Row]) -> _Grid:
+    """Lyapunov spectra: a line a row, with what is wanted of the ratio over heyoka."""
+    columns = ("target", "peer", "setting", "max error", "lane-periods/s", "share of core")
+    cells = []
+    for row in rows:
+        target, name, setting, worst, _, rate, share, over, by_processor = _cells(row)
+        heyoka = name.startswith("heyoka")
+        over = _verdict(row, _WANTED_SPECTRA) if heyoka else over
+        cells.append((target, name, setting, worst, rate, share, over, by_processor))
+    return _Grid(
+        "Lyapunov spectra, 1 core: error of the derivative of one period's map relative to its norm",
+        (*columns, "jaxnh's spectrum over it", "by processor time"),
+        cells,
+    )
 
 
 def _targets(study: Study, title: str) -> _Grid:

@@ -64,6 +64,24 @@ class Scene:
         return Errors(float(error.max()), float(np.median(error)))
 
 
+@dataclass(frozen=True)
+class TangentScene(Scene):
+    """The same with the true derivative of one period's map in every timed lane.
+
+    Attributes:
+        derivatives: (timed lanes, 3, 3) ∂(x1, y1, θ) one period later/∂(x1, y1, θ).
+    """
+
+    derivatives: np.ndarray
+
+    def derivative_errors(self, derivatives: np.ndarray) -> Errors:
+        """Frobenius norms of the errors of computed derivatives (timed lanes, 3, 3), relative to those of the true."""
+        norm = np.sqrt((self.derivatives**2).sum(axis=(1, 2)))
+        error = (np.sqrt(((derivatives - self.derivatives) ** 2).sum(axis=(1, 2))) / norm).astype(float)
+        error[~np.isfinite(error)] = np.inf
+        return Errors(float(error.max()), float(np.median(error)))
+
+
 def unit(states: np.ndarray) -> np.ndarray:
     """(x1, y1, n1, n2) of shape (lanes, 4) from (x1, y1, θ) of shape (lanes, 3)."""
     return np.column_stack([states[:, :2], np.cos(states[:, 2]), np.sin(states[:, 2])])

@@ -16,7 +16,18 @@ from measure import CALM, CALM_B, CALM_STATES, SYSTEMS, UNIT, apart, twin
 
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SOLVERS, SPLITTINGS, isokinetic_terms
-from jaxnh.strobe import chart, cut_strobe, derivatives, iterate, make_strobe, record, section_map, step_grid, unchart, wrap
+from jaxnh.strobe import (
+    chart,
+    cut_strobe,
+    derivatives,
+    iterate,
+    make_strobe,
+    record,
+    section_map,
+    step_grid,
+    unchart,
+    wrap,
+)
 from jaxnh.systems import disturbed_speed
 
 # Roundings of some 2000 kicks add up at random to 1e-14, and the calm flow enlarges them up to ten times: with ten
