@@ -1,4 +1,4 @@
-"""heyoka's tangent flow: variational equations in its batch integrator, orthonormalised by NumPy over all lanes at once.
+"""heyoka's tangent flow: variational equations in its batch integrator, orthonormalised by NumPy over all lanes.
 
 The variational equations are written by heyoka's own derivatives, so that the clock equations carry no tangents: two
 thirds of the equations that `var_ode_sys` makes of them would stay zero.

@@ -142,6 +142,37 @@ def attractor(par, b, state, periods):
     return strobe(par, b, state, periods, real=np.float64)
 
 
+# Lyapunov exponents
+
+
+def spectra(par, b, states, transient, periods, parts=8, tol=1e-11):
+    """Growth of tangents (lanes, 3), a time, averaged from states (lanes, 3) over `periods` after `transient`; b (lanes,).
+
+    Variational equations in float64, all lanes in one batch, orthonormalised by QR `parts` times a period.
+    """
+    state, _, equations = flow()
+    lanes = len(states)
+    system = hy.var_ode_sys(equations, [*state], order=1)
+    ta = hy.taylor_adaptive_batch(system, np.zeros((3, lanes)), pars=np.zeros((5, lanes)), tol=tol, compact_mode=True)
+    ta.pars[:] = np.array([np.broadcast_to(v, lanes) for v in (b, par.a, par.c, par.d, par.omega)], float)
+    ta.state[:3] = np.asarray(states, float).T
+    basis = np.broadcast_to(np.eye(3), (lanes, 3, 3))
+    ends = np.linspace(0.0, float(par.period), parts + 1)
+    logs = np.zeros((lanes, 3))
+    for count in range(transient + periods):
+        ta.state[2] -= turns(ta.state[2])
+        for begin, end in itertools.pairwise(ends):
+            ta.set_time(begin)
+            ta.state[3:] = np.moveaxis(basis, 0, 2).reshape(9, lanes)
+            ta.propagate_until(end)
+            if any(outcome != hy.taylor_outcome.time_limit for outcome, *_ in ta.propagate_res):
+                raise ArithmeticError(f"integration stopped at t = {ta.time}")
+            basis, grown = np.linalg.qr(np.moveaxis(ta.state[3:].reshape(3, 3, lanes), 2, 0))
+            if count >= transient:
+                logs += np.log(np.abs(np.diagonal(grown, axis1=1, axis2=2)))
+    return logs / (periods * float(par.period))
+
+
 # Periodic orbits
 
 

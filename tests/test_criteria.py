@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import jax
@@ -13,7 +14,7 @@ import taylor
 import xarray as xr
 from conftest import ROOT
 
-from jaxnh.analyses import chaos01, lyapunov, period, verdict
+from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.record import Scene
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SPLITTINGS
@@ -80,6 +81,66 @@ def test_exponents_of_periodic_orbits(case):
         first, second = np.sort(sums)[::-1][:2].astype(float) / (n * twin.period)
         third = divergence(twin, b, points) / (n * twin.period) - first - second
         np.testing.assert_allclose(group.variables["exponents"].data[i], [first, second, third], atol=1e-6)
+
+
+def check_chaotic_spectrum(scene, twin, i, group, lanes, periods):
+    """Two finite averages of all three exponents, by Taylor variational equations and by us, agree within their bars.
+
+    The mean of lanes that chaos has parted has as its bar 2.5 standard errors: those of a few lanes are rough.
+    """
+    starts = twin.start() + 1e-3 * np.arange(lanes)[:, None]
+    found = taylor.spectra(twin, np.full(lanes, scene.values[i]), starts, 30, periods)
+    bar = 2.5 * found.std(axis=0, ddof=1) / math.sqrt(lanes)
+    ours, error = (group.variables[name].data[i] for name in ("exponents", "exponents_error"))
+    assert np.all(bar[0] < 0.5 * ours[0])  # else the comparison says little
+    assert np.all(np.abs(found.mean(axis=0) - ours) < bar + error)
+
+
+def test_exponents_of_chaos(case):
+    """The same at the chaotic values, whose averages are finite."""
+    scene, twin, periods, _, group = case
+    for i in np.flatnonzero(periods == 0):
+        check_chaotic_spectrum(scene, twin, i, group, 16, 60)
+
+
+@pytest.mark.slow
+def test_exponents_of_chaos_over_many_periods(case):
+    """Error bars three to five times smaller."""
+    scene, twin, periods, _, _ = case
+    chaotic = dataclasses.replace(scene, values=scene.values[periods == 0])
+    group = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=8192), chaotic, Lanes())
+    check_chaotic_spectrum(chaotic, twin, 0, group, 32, 1000)
+
+
+def test_tangents_cost_operations_only_where_asked_for():
+    """Operations that XLA counts in a program: none of tangents in a diagram, fewer for one exponent than for three."""
+    scene = Scene(constant_speed(), START, np.array([2.0, 3.0]), SPLITTINGS["strang2"], 40, False, 0.0)
+
+    def most_operations(analyse):
+        lanes = Lanes()
+        analyse(lanes)
+        return max(program.cost_analysis().get("flops", 0.0) for program in lanes._programs.values())
+
+    def spectrum(k):
+        options = lyapunov.LyapunovOptions(transient=16, periods=16, exponents=k)
+        return most_operations(lambda lanes: lyapunov.run(options, scene, lanes))
+
+    map_alone = most_operations(
+        lambda lanes: lanes(map_and_rest, (scene.strobe(),), (np.full((2, 4), 0.5), scene.values))
+    )
+    of_diagram = most_operations(
+        lambda lanes: diagram.run(diagram.DiagramOptions(transient=4, strobes=4), scene, lanes)
+    )
+    one, three = spectrum(1), spectrum(3)
+    assert of_diagram < 1.1 * map_alone
+    assert of_diagram < 0.5 * one
+    assert one < 0.7 * three
+
+
+def map_and_rest(strobe, z, b):
+    """One period, and the velocity of the state that it leads to."""
+    state = strobe(((z[0], z[1]), (z[2], z[3])), b)
+    return state, strobe.system.velocity(0.0, state)
 
 
 def divergence(par, b, points):

@@ -17,7 +17,7 @@ from jaxtyping import Array
 from pydantic import Field
 
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.strobe import Strobe, Tangent, iterate, cut_strobe
+from jaxnh.strobe import Strobe, Tangent, cut_strobe, iterate
 from jaxnh.systems import State, Vector
 
 _BLOCKS = 16
