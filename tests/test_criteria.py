@@ -132,9 +132,9 @@ def test_tangents_cost_operations_only_where_asked_for():
         lambda lanes: diagram.run(diagram.DiagramOptions(transient=4, strobes=4), scene, lanes)
     )
     one, three = spectrum(1), spectrum(3)
-    assert of_diagram < 1.1 * map_alone
-    assert of_diagram < 0.5 * one
-    assert one < 0.7 * three
+    assert of_diagram < 2.1 * map_alone  # a kick stands twice in it: on the way to the strobes, and between them
+    assert of_diagram < 0.7 * one
+    assert one < 0.8 * three
 
 
 def map_and_rest(strobe, z, b):

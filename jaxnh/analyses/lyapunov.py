@@ -21,7 +21,7 @@ from jaxnh.strobe import Strobe, Tangent, cut_strobe, iterate
 from jaxnh.systems import State, Vector
 
 _BLOCKS = 16
-_LARGEST_LOSS = 12.0  # a tangent may shrink by e^−12 against another between orthonormalisations: five digits
+_LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left
 _PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
 _WINDOWS = (1.0, 2.0)  # powers of the two windows of `window`; their difference is the error of the smooth average
