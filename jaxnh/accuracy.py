@@ -63,17 +63,16 @@ class Calibration:
             TargetError: none meets it; the message names the smallest error measured.
         """
         smallest = math.inf
-        by_order = sorted(SPLITTINGS.values(), key=lambda s: abs(s.convergence_order - 8))
+        by_order = sorted(SPLITTINGS.values(), key=lambda s: (abs(s.convergence_order - 8), not s.processor[1]))
         for compensated in (False, True):
-            best: Plan | None = None
+            best, most = None, _MOST_KICKS
             for solver in by_order:
                 if best is None and solver.convergence_order < 6:
                     break  # where no high order meets the target, no low one does
-                most = _MOST_KICKS if best is None else best.steps * best.solver.stages - 1
-                for plan in self._search(solver, target, most // solver.stages, compensated):
+                for plan in self._search(solver, target, solver.most_steps(most), compensated):
                     smallest = min(smallest, plan.error_estimate)
                     if plan.error_estimate <= target:
-                        best = plan
+                        best, most = plan, solver.total_kicks(plan.steps) - 1
             if best is not None:
                 return best
         raise TargetError(
@@ -83,8 +82,10 @@ class Calibration:
 
     def _search(self, solver: IsokineticSplitting, target: float, most: int, compensated: bool) -> Iterator[Plan]:
         """Plans of one solver on the way to the fewest steps that meet the target; nothing above `most` steps."""
+        if most < 1:
+            return
         failed, met = 0, most + 1
-        steps = min(most, max(2, 2048 // solver.stages))
+        steps = min(most, max(2, solver.most_steps(2048)))
         previous = math.inf
         for _ in range(_ROUNDS):
             error = self.error(solver, steps, compensated=compensated)

@@ -17,6 +17,7 @@ _SPLITTINGS = {
     "strang2": "#f1b04c",
     "blanes_moan4": "#e07b39",
     "blanes_moan6": "#b3261e",
+    "processed6": "#e0447c",
     "kahan_li8": "#7a3b8f",
     "sofroniou_spaletta10": "#3b6fb5",
 }

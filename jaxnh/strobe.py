@@ -20,11 +20,12 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from jaxnh.grids import GRID_POINTS, share_of_steps, step_grid
 from jaxnh.solvers import IsokineticSplitting, Solver, half_turn, kick
 from jaxnh.systems import IsokineticParticle, State, Vector
+from jaxnh.tables import cut_table, kick_table, processed_table
 
 _SMALLEST_TABLE = 1024
-_GRID_POINTS = 1 << 16
 
 
 class Tangent(NamedTuple):
@@ -291,9 +292,14 @@ def make_strobe(
             another phase; it gets its share of the steps, at least one.
     """
     t0, t1 = span or (0.0, system.period)
-    grid = step_grid(system, max(1, math.ceil(steps * (t1 - t0) / system.period)), (t0, t1))
+    if span:
+        steps = max(1, math.ceil(steps * share_of_steps(system, span) - 1e-6))
+    if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
+        table = processed_table(system, solver, steps, (t0, t1), smallest=_SMALLEST_TABLE)
+        return KickStrobe(system, *table, compensated)
+    grid = step_grid(system, steps, (t0, t1))
     if isinstance(solver, IsokineticSplitting):
-        return _tabulate(system, solver, grid, compensated)
+        return KickStrobe(system, *kick_table(system, solver, grid, smallest=_SMALLEST_TABLE), compensated)
     return SolveStrobe(system, solver, grid)
 
 
@@ -304,17 +310,19 @@ def make_parts(
 
     Every leaf has the parts as first axis. No step is longer than those of the whole period's map with `steps` steps.
     """
-    fine = step_grid(system, _GRID_POINTS, (0.0, system.period))
-    share = np.linspace(0.0, 1.0, _GRID_POINTS + 1)
+    fine = step_grid(system, GRID_POINTS, (0.0, system.period))
+    share = np.linspace(0.0, 1.0, GRID_POINTS + 1)
     ends = np.linspace(0.0, system.period, parts + 1)
     shares = np.interp(ends, fine, share)
     each = max(1, math.ceil(steps * np.diff(shares).max() - 1e-6))
     grid = np.interp(np.linspace(shares[:-1], shares[1:], each + 1, axis=-1), share, fine)
     grid[:, 0], grid[:, -1] = ends[:-1], ends[1:]
-    system = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
+    many = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
+    if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
+        return KickStrobe(many, *processed_table(system, solver, each, (ends[:-1], ends[1:])), compensated)
     if isinstance(solver, IsokineticSplitting):
-        return _tabulate(system, solver, grid, compensated, smallest=1)
-    return SolveStrobe(system, solver, grid)
+        return KickStrobe(many, *kick_table(system, solver, grid), compensated)
+    return SolveStrobe(many, solver, grid)
 
 
 def cut_strobe(
@@ -322,50 +330,19 @@ def cut_strobe(
 ) -> Strobe:
     """The strobe map cut into so many maps of equally many steps, stacked as by `make_parts`.
 
-    The parts differ in length, and together have the least multiple of `parts` from `steps` on as steps.
+    The parts differ in length, and together have the least multiple of `parts` from `steps` on as steps. A processed
+    solver's processor stands at the ends of the first and of the last alone.
     """
     each = -(-steps // parts)
+    many = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
+    if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
+        whole = processed_table(system, solver, each * parts, (0.0, system.period))
+        return KickStrobe(many, *cut_table(whole, parts, each * solver.stages), compensated)
     ends = step_grid(system, each * parts, (0.0, system.period))
     grid = ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
-    system = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
     if isinstance(solver, IsokineticSplitting):
-        return _tabulate(system, solver, grid, compensated, smallest=1)
-    return SolveStrobe(system, solver, grid)
-
-
-def step_grid(system: IsokineticParticle, steps: int, span: tuple[float, float]) -> np.ndarray:
-    """Ends of the steps over a span, (steps + 1,): shared by all lanes, denser where they all turn faster.
-
-    The density (g + 1/10)^0.3 / s follows the forcing weakly and the inverse speed fully: at constant speed it lowers
-    the largest error of a period about 1.5 times at equal cost (stronger grading raises it again), and where the speed
-    nearly vanishes it refines geometrically towards that moment.
-    """
-    t = np.linspace(*span, _GRID_POINTS + 1)
-    density = (system.forcing(t) + 0.1) ** 0.3 / system.speed(t)
-    share = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
-    grid = np.interp(np.linspace(0.0, share[-1], steps + 1), share, t)
-    grid[-1] = span[1]
-    return grid
-
-
-def _tabulate(
-    system: IsokineticParticle,
-    solver: IsokineticSplitting,
-    grid: np.ndarray,
-    compensated: bool,
-    smallest: int = _SMALLEST_TABLE,
-) -> KickStrobe:
-    """Kicks of all steps in a row, grid (..., steps + 1); the last drift of each step joins the first of the next."""
-    rows = solver.schedule(system, grid[..., :-1], grid[..., 1:])
-    before = np.array(rows.drift[..., :-1])
-    before[..., 1:, 0] += rows.drift[..., :-1, -1]
-    kicks = np.stack([before, rows.weight, rows.forcing], axis=-1)
-    kicks = kicks.reshape(*grid.shape[:-1], -1, 3)
-    count = kicks.shape[-2]
-    table = np.zeros((*grid.shape[:-1], max(smallest, 1 << (count - 1).bit_length()), 3))
-    table[..., :count, :] = kicks
-    rest = np.asarray(rows.drift[..., -1, -1])
-    return KickStrobe(system, table, np.full(rest.shape, count, np.int32), rest, compensated)
+        return KickStrobe(many, *kick_table(system, solver, grid), compensated)
+    return SolveStrobe(many, solver, grid)
 
 
 def iterate(strobe: Strobe, n: ArrayLike, state: State, b: ArrayLike) -> State:

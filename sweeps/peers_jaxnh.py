@@ -45,7 +45,7 @@ class Contestant:
             if found is None:
                 continue
             steps, errors = found
-            kicks = int(steps) * solver.stages
+            kicks = solver.total_kicks(int(steps))
             fewest = min(fewest, kicks)
             label = f"{steps:.0f} steps, {kicks} kicks a period"
             settings.append(Setting("jaxnh", name, steps, label, errors, (name,), kicks))

@@ -10,7 +10,7 @@ import numpy as np
 import taylor
 
 from jaxnh.solvers import IsokineticSplitting, isokinetic_terms
-from jaxnh.strobe import chart, unchart
+from jaxnh.strobe import chart, make_strobe, section_map, unchart
 from jaxnh.systems import constant_speed, disturbed_speed
 
 UNIT = np.finfo(float).eps / 2  # roundoff of one operation
@@ -62,13 +62,19 @@ CALM_STATES = STATES * [0.2, 0.2, 1]
 def order_of(system, solver):
     """Order of convergence of a solver: the slope of log error over log steps, under plain diffrax.
 
+    Of a processed splitting the steps are those of the strobe map, which has the processor at its ends.
+
     The error of a number of steps is the geometric mean over lanes of one period's error against the Taylor reference.
     The slope is fitted over the finest steps, down to errors of 1e-11, some 100 times what rounding leaves, and from
     there on over up to four digits of error.
     """
     exact = taylor.strobe(twin(system), CALM_B, CALM_STATES)
     steps = np.unique(np.rint(np.geomspace(50, 2000, 22) / solver.stages).astype(int))
-    images = (stock(system, solver)(CALM_STATES, CALM_B, system.period / n) for n in steps)
+    if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
+        run = jax.jit(jax.vmap(section_map, in_axes=(None, None, 0, 0)))
+        images = (run(make_strobe(system, solver, n), 1, CALM_STATES, CALM_B) for n in steps.tolist())
+    else:
+        images = (stock(system, solver)(CALM_STATES, CALM_B, system.period / n) for n in steps)
     errors = np.array([np.exp(np.log(apart(image, exact)).mean()) for image in images])
     used = errors > 1e-11
     used &= errors < 1e4 * errors[used].min()

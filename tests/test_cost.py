@@ -71,7 +71,9 @@ def test_errors_fall_at_the_order(solvers, name):
     assert len(above) == 3
     assert np.all(np.diff(error[above]) < 0)
     order = -np.polyfit(np.log(steps[above]), np.log(error[above]), 1)[0]
-    assert abs(order - SPLITTINGS[name].convergence_order) < 1.5
+    assert order > SPLITTINGS[name].convergence_order - 1.5
+    if not SPLITTINGS[name].processor[1]:  # its terms of the first order were made small for this flow
+        assert order < SPLITTINGS[name].convergence_order + 1.5
 
 
 def test_every_method_has_a_row(solvers):
@@ -136,8 +138,9 @@ def test_price_of_a_doubling(tree):
     errors = [
         by[name]["error"][-1] for name in ("multisection", "Newton")
     ]  # at the scene's steps, and at twice as many
-    assert errors[0] < 0.1 * tree["solvers"].attrs["target"]
-    assert errors[1] < 2.0 ** (1 - order) * errors[0]
+    most = 0.1 * tree["solvers"].attrs["target"]
+    assert errors[0] < most
+    assert errors[1] < min(2.0 ** (1 - order) * most, errors[0])  # in one lane terms of several orders may cancel
     assert all(np.all(np.diff(by[name]["cpu_seconds"]) >= 0) for name in ("multisection", "Newton"))
     np.testing.assert_allclose(data["error"], np.abs(data["b"] - reference), atol=1e-15)
 

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from measure import CALM, CALM_B, CALM_STATES, SYSTEMS, UNIT, apart, twin
 
+from jaxnh.grids import SmoothGrid, step_grid
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SOLVERS, SPLITTINGS, isokinetic_terms
 from jaxnh.strobe import (
@@ -24,7 +25,6 @@ from jaxnh.strobe import (
     make_strobe,
     record,
     section_map,
-    step_grid,
     unchart,
     wrap,
 )
@@ -106,9 +106,10 @@ def test_compensated_sums(lanes, system):
     assert plain.max() < ROUNDOFF
 
 
-def test_map_over_a_part_of_the_period():
+@pytest.mark.parametrize("name", ["blanes_moan6", "processed6"])
+def test_map_over_a_part_of_the_period(name):
     """From 0 to t and from t to the end is the whole period, up to the error of the method at either number of steps."""
-    system, solver = CALM["disturbed"], SPLITTINGS["blanes_moan6"]
+    system, solver = CALM["disturbed"], SPLITTINGS[name]
     state, b = unchart(jnp.asarray(CALM_STATES[0])), CALM_B[0]
     exact = taylor.strobe(twin(system), b, CALM_STATES[0])[0]
     errors = []
@@ -118,7 +119,7 @@ def test_map_over_a_part_of_the_period():
     assert errors[1] < errors[0] * 2.0 ** (1 - solver.convergence_order) < 1e-6
 
 
-@pytest.mark.parametrize("name", ["blanes_moan6", "tsit5"])
+@pytest.mark.parametrize("name", ["blanes_moan6", "processed6", "tsit5"])
 def test_map_cut_into_parts(name):
     """Seven parts, one after the other, are the map of the next number of steps that seven divides."""
     system, solver = CALM["disturbed"], SOLVERS[name]
@@ -150,6 +151,19 @@ def test_grid_of_steps(system, steps):
         assert grid.shape == (steps + 1,)
         assert (grid[0], grid[-1]) == span
         assert np.all(np.diff(grid) > 0)
+
+
+@pytest.mark.parametrize("system", [*SYSTEMS.values(), disturbed_speed(d=0.999)])
+def test_smooth_grid(system):
+    """Its map and inverse undo each other, its rate is its slope, and its steps end where `step_grid` has them."""
+    grid = SmoothGrid(system)
+    t = np.linspace(-0.3, 1.2, 1001) * system.period
+    share = grid.share(t)
+    np.testing.assert_allclose(grid.time(share), t, rtol=0, atol=1e-13 * system.period)
+    slope = (grid.time(share + 1e-6) - grid.time(share - 1e-6)) / 2e-6
+    np.testing.assert_allclose(slope, grid.rate(t), rtol=1e-6)
+    ends = grid.time(np.linspace(0.0, grid.share(np.asarray(system.period)), 101))
+    np.testing.assert_allclose(ends, step_grid(system, 100, (0.0, system.period)), rtol=0, atol=1e-4 * system.period)
 
 
 # ---- derivatives

@@ -202,7 +202,7 @@ def _rows(calibration: Calibration, bench: Bench) -> list[Row]:
 def _splitting(solver: IsokineticSplitting, first: int = 0, *, compensated: bool = False) -> Iterator[Setting]:
     steps = first or math.ceil(_FIRST_KICKS / solver.stages)
     while True:
-        yield Setting(solver.name, solver, steps, float(steps * solver.stages), compensated)
+        yield Setting(solver.name, solver, steps, float(solver.total_kicks(steps)), compensated)
         steps = math.ceil(steps * 10 ** (_DECADES / solver.convergence_order))
 
 
@@ -261,9 +261,9 @@ def _with_pick(rows: list[Row], scene: Scene, bench: Bench) -> tuple[list[Row], 
         s = row.setting
         if (s.method, s.steps, s.compensated) == (scene.solver.name, scene.steps, scene.compensated):
             return rows, i
-    setting = Setting(
-        scene.solver.name, scene.solver, scene.steps, float(scene.steps * scene.solver.stages), scene.compensated
-    )
+    solver, steps = scene.solver, scene.steps
+    kicks = solver.total_kicks(steps) if isinstance(solver, IsokineticSplitting) else steps * solver.stages
+    setting = Setting(solver.name, solver, steps, float(kicks), scene.compensated)
     bench.seconds(setting)
     pick = Row(setting, scene.error_estimate, bench.seconds(setting))
     same = [

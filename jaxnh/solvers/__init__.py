@@ -1,7 +1,7 @@
 """diffrax solvers of the package: isokinetic splittings, and Runge–Kutta methods with their stages written out."""
 
+from jaxnh.solvers.compositions import SPLITTINGS
 from jaxnh.solvers.isokinetic import (
-    SPLITTINGS,
     IsokineticSplitting,
     Schedule,
     exact_half_turn,

@@ -111,6 +111,10 @@ class IsokineticSplitting(diffrax.AbstractSolver):
         convergence_order: order of the composition.
         name: name in configs and result files.
         source: where the coefficients come from.
+        processor: drifts (one more) and kicks, fractions of the step that sum to zero, of a processed method (Blanes,
+            Casas and Murua, SIAM J. Sci. Comput. 27 (2006) 1817); without one, of no stages. Its order is that of
+            processor, steps, inverse of the processor: `sequence`. Its steps alone, and so `diffeqsolve`, have order
+            two; `strobe.make_strobe` puts the processor before the first step of a map and its inverse after the last.
     """
 
     drifts: tuple[float, ...] = eqx.field(static=True)
@@ -118,6 +122,7 @@ class IsokineticSplitting(diffrax.AbstractSolver):
     convergence_order: int = eqx.field(static=True)
     name: str = eqx.field(static=True)
     source: str = eqx.field(static=True)
+    processor: tuple[tuple[float, ...], tuple[float, ...]] = eqx.field(static=True, default=((0.0,), ()))
 
     term_structure: ClassVar = (diffrax.AbstractTerm, diffrax.AbstractTerm)
     interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
@@ -128,7 +133,26 @@ class IsokineticSplitting(diffrax.AbstractSolver):
         return len(self.kicks)
 
     def order(self, terms: Any) -> int:
-        return self.convergence_order
+        return 2 if self.processor[1] else self.convergence_order
+
+    def most_steps(self, kicks: int) -> int:
+        """Steps of a map with so many kicks at most, those of the processor at both ends included."""
+        return (kicks - 2 * len(self.processor[1])) // self.stages
+
+    def total_kicks(self, steps: int) -> int:
+        """Kicks of a map of so many steps, those of the processor at both ends included."""
+        return steps * self.stages + 2 * len(self.processor[1])
+
+    def sequence(self, steps: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where the kicks of a map of so many steps are, and their lengths, both in steps and of shape (kicks,).
+
+        The processor comes first, its inverse last.
+        """
+        drifts, kicks = (np.asarray(row) for row in self.processor)
+        before = np.cumsum(drifts)[:-1]
+        at = np.arange(steps)[:, None] + np.cumsum(self.drifts)[:-1]
+        places = [before, at.ravel(), steps + before[::-1]]
+        return np.concatenate(places), np.concatenate([kicks, np.tile(self.kicks, steps), -kicks[::-1]])
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: State, args: Any) -> None:
         return None
@@ -165,88 +189,3 @@ class IsokineticSplitting(diffrax.AbstractSolver):
                 n = kick(n, kick_term.vf_prod(nodes[i + 1], q, args, control))
         y1 = (q, n)
         return y1, None, {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful
-
-
-def _palindrome(half: tuple[float, ...]) -> tuple[float, ...]:
-    """half, then what is missing to one, then half backwards: an odd number of coefficients."""
-    return (*half, 1.0 - 2.0 * sum(half), *half[::-1])
-
-
-def _mirror(half: tuple[float, ...]) -> tuple[float, ...]:
-    """half, what is missing to one half, and the same backwards: an even number of coefficients."""
-    whole = (*half, 0.5 - sum(half))
-    return (*whole, *whole[::-1])
-
-
-def _of_steps(name: str, order: int, source: str, half: tuple[float, ...]) -> IsokineticSplitting:
-    """A symmetric composition of Strang steps: drift γ/2, kick γ, drift γ/2, for each γ; neighbouring drifts join."""
-    gammas = np.array(_palindrome(half))
-    drifts = 0.5 * (np.append(gammas, 0.0) + np.append(0.0, gammas))
-    return IsokineticSplitting(tuple(drifts.tolist()), tuple(gammas.tolist()), order, name, source)
-
-
-_STRANG_2 = _of_steps("strang2", 2, "Strang, SIAM J. Numer. Anal. 5 (1968) 506", ())
-
-_BLANES_MOAN_4 = IsokineticSplitting(
-    drifts=_palindrome((0.0792036964311957, 0.353172906049774, -0.0420650803577195)),
-    kicks=_mirror((0.209515106613362, -0.143851773179818)),
-    convergence_order=4,
-    name="blanes_moan4",
-    source="Blanes and Moan, J. Comput. Appl. Math. 142 (2002) 313, S6 of order four",
-)
-
-_BLANES_MOAN_6 = IsokineticSplitting(
-    drifts=_palindrome(
-        (0.0502627644003922, 0.413514300428344, 0.0450798897943977, -0.188054853819569, 0.541960678450780)
-    ),
-    kicks=_mirror((0.148816447901042, -0.132385865767784, 0.067307604692185, 0.432666402578175)),
-    convergence_order=6,
-    name="blanes_moan6",
-    source="Blanes and Moan, J. Comput. Appl. Math. 142 (2002) 313, S10 of order six",
-)
-
-_KAHAN_LI_8 = _of_steps(
-    "kahan_li8",
-    8,
-    "Kahan and Li, Math. Comp. 66 (1997) 1089, s17odr8a",
-    (
-        0.13020248308889008087881763,
-        0.56116298177510838456196441,
-        -0.38947496264484728640807860,
-        0.15884190655515560089621075,
-        -0.39590389413323757733623154,
-        0.18453964097831570709183254,
-        0.25837438768632204729397911,
-        0.29501172360931029887096624,
-    ),
-)
-
-_SOFRONIOU_SPALETTA_10 = _of_steps(
-    "sofroniou_spaletta10",
-    10,
-    "Sofroniou and Spaletta, Optim. Methods Softw. 20 (2005) 597, 35 stages",
-    (
-        0.07879572252168641926390768,
-        0.31309610341510852776481247,
-        0.02791838323507806610952027,
-        -0.22959284159390709415121340,
-        0.13096206107716486317465686,
-        -0.26973340565451071434460973,
-        0.07497334315589143566613711,
-        0.11199342399981020488957508,
-        0.36613344954622675119314812,
-        -0.39910563013603589787862981,
-        0.10308739852747107731580277,
-        0.41143087395589023782070412,
-        -0.00486636058313526176219566,
-        -0.39203335370863990644808194,
-        0.05194250296244964703718290,
-        0.05066509075992449633587434,
-        0.04967437063972987905456880,
-    ),
-)
-
-SPLITTINGS: dict[str, IsokineticSplitting] = {
-    s.name: s for s in (_STRANG_2, _BLANES_MOAN_4, _BLANES_MOAN_6, _KAHAN_LI_8, _SOFRONIOU_SPALETTA_10)
-}
-"""Splittings by their name in configs, in rising order."""
