@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -44,7 +45,7 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
         lanes=count,
         tile=_LANES,
     )
-    found = dict.fromkeys(job.order, (0, 0))
+    found: dict[str, tuple[int, int]] = dict.fromkeys(job.order, (0, 0))
     if not split:
         return found
     configure()
@@ -66,8 +67,9 @@ def _pairs(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The bytes of each lane, (lanes, bytes), as they come out now and as they stand in the file."""
     with h5py.File(path, "r") as file:
+        group: Any = file[name]
         for key, ours in variables.items():
-            theirs = store.read(file[name][key], slice(piece.first, piece.end))
+            theirs = store.read(group[key], slice(piece.first, piece.end))
             if theirs.dtype != ours.dtype or theirs.shape != ours.shape:
                 yield np.zeros((len(ours), 1)), np.ones((len(ours), 1))
             else:

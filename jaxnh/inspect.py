@@ -192,7 +192,7 @@ def _write_csv(file: h5py.File, name: str) -> None:
     """A row for every place along the dimensions of the group's largest variables; those with fewer are repeated."""
     if name not in file:
         raise Refused(f"command line: --csv: {file.filename} has the groups {', '.join(file)}, and no {name}")
-    group = file[name]
+    group: Any = file[name]
     dims = max((store.dimensions(item) for item in group.values()), key=len)
     fitting = {key: item for key, item in group.items() if set(store.dimensions(item)) <= set(dims)}
     sizes = {dim: group[dim].shape[0] for dim in dims}

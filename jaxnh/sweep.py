@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from jaxnh import store, tiles
+from jaxnh import store, tiles, workers
 from jaxnh.command import experiment_of
 from jaxnh.exits import Refused, Stop, check_output, run_app
 from jaxnh.experiment import Experiment, schema
@@ -48,6 +48,8 @@ def sweep(
     how = How(_part(part), merge_only, dask, tile, quiet)
     if merge_only and (part or dask):
         raise Refused("command line: --merge: it goes without --part and --dask")
+    if dask:
+        workers.check(dask)
     experiment = experiment_of(config, overrides)
     path = output or Path("results") / f"{experiment.source.stem}.h5"
     if _already_there(path, experiment, fresh):

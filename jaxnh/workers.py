@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib.util
 import logging
 import os
 import re
@@ -22,6 +23,19 @@ _RETRIES = 2
 _POLL = 0.5  # seconds between two looks at what is done
 _CONNECT = 30.0  # seconds
 _AT_ONCE = threading.Lock()
+_LOCAL = re.compile(r"local(?::([1-9]\d*))?")
+
+
+def check(where: str) -> None:
+    """See that a cluster is named as it can be.
+
+    Raises:
+        Refused: it is not, or Dask is not installed.
+    """
+    if not (_LOCAL.fullmatch(where) or "://" in where or Path(where).is_file()):
+        raise Refused(f"command line: --dask: {where} is neither local[:N] nor tcp://HOST:PORT nor a scheduler file")
+    if not importlib.util.find_spec("distributed"):
+        raise Refused("command line: --dask: this needs the extra dask: pip install 'jaxnh[dask]'")
 
 
 def run(
@@ -93,39 +107,28 @@ def _ended(client: Any, futures: list[Any]) -> list[Any]:
 @contextlib.contextmanager
 def _cluster(where: str) -> Iterator[Any]:
     """A client of the cluster; one of our own ends with it."""
-    try:
-        import dask.config as settings
-        from distributed import Client, LocalCluster
-    except ImportError:
-        raise Refused("command line: --dask: this needs the extra dask: pip install 'jaxnh[dask]'") from None
+    import dask.config as settings
+    from distributed import Client, LocalCluster
+
     for name in ("distributed", "distributed.client", "tornado"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what matters of it we say ourselves
     # A lost worker is no fault of the piece it was at, and a piece that is done is not computed again.
     settings.set({"distributed.scheduler.allowed-failures": 10, "distributed.comm.timeouts.connect": f"{_CONNECT}s"})
     options: dict[str, Any] = {}
     with contextlib.ExitStack() as stack:
-        local = re.fullmatch(r"local(?::([1-9]\d*))?", where)
+        local = _LOCAL.fullmatch(where)
         if local:
             count = int(local[1] or len(os.sched_getaffinity(0)))
             environment = {"JAX_NUM_CPU_DEVICES": "1", "OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
             settings.set({"distributed.nanny.pre-spawn-environ": environment})
             settings.set({"distributed.worker.multiprocessing-method": "spawn"})
-            layout: dict[str, Any] = {
-                "dashboard_address": None,
-                "n_workers": count,
-                "threads_per_worker": 1,
-                "processes": True,
-                "memory_limit": 0,
-            }
+            layout: dict[str, Any] = {"n_workers": count, "threads_per_worker": 1, "processes": True}
+            layout |= {"dashboard_address": None, "memory_limit": 0}
             options["address"] = stack.enter_context(LocalCluster(**layout))
         elif "://" in where:
             options["address"] = where
-        elif Path(where).is_file():
-            options["scheduler_file"] = where
         else:
-            raise Refused(
-                f"command line: --dask: {where} is not local[:N], ADDRESS:PORT with tcp://, or a scheduler file"
-            )
+            options["scheduler_file"] = where
         try:
             client = stack.enter_context(Client(**options, timeout=_CONNECT))
         except (OSError, ValueError, TimeoutError) as error:
