@@ -233,7 +233,7 @@ def _verify(path: Path) -> None:
         print(
             f"{name}: {lanes} lanes run again are equal bit for bit"
             if lanes
-            else f"{name}: runs as a whole, not in lanes"
+            else f"{name}: runs as a whole, not lane by lane"
         )
 
 

@@ -123,7 +123,8 @@ def writing(path: Path, *, checked: bool = False) -> Iterator[tuple[Any, _Sink]]
     try:
         with h5py.File(sink, "w", track_order=True, libver=_VERSION) as file:
             yield file, sink
-            file.attrs[SEAL] = _digest(file)
+            if SEAL not in file.attrs:
+                file.attrs[SEAL] = _digest(file)
         sink.check()
         os.fchmod(handle, 0o666 & ~_umask())
         os.fsync(handle)
@@ -139,8 +140,8 @@ def writing(path: Path, *, checked: bool = False) -> Iterator[tuple[Any, _Sink]]
             temporary.unlink(missing_ok=True)
 
 
-def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, Group]) -> None:
-    """Write a result file, whole or not at all.
+def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, Group]) -> str:
+    """Write a result file, whole or not at all; returns its seal.
 
     Raises:
         StoreError: the folder or the disk refuses.
@@ -150,6 +151,8 @@ def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, Group]) -> 
             file.attrs[key] = value
         for name, group in groups.items():
             _write_group(file.create_group(name, track_order=True), group)
+        file.attrs[SEAL] = seal = _digest(file)
+    return seal
 
 
 def _write_group(target: Any, group: Group) -> None:

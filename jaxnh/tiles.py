@@ -268,8 +268,7 @@ def write_piece(
         "spent": json.dumps(spent),
     }
     path = piece_path(folder, piece)
-    store.write(path, attrs, groups)
-    return receipt(folder, job, piece)
+    return Receipt(piece.number, path, store.write(path, attrs, groups), spent, counts)
 
 
 def receipt(folder: Path, job: Job, piece: Piece) -> Receipt:
