@@ -1,4 +1,4 @@
-"""What the commands share: a config read or refused, the scene made of it, provenance, exit codes. No numerics."""
+"""What the commands share: a config read or refused, the scene made of it, provenance, accounts. No numerics."""
 
 from __future__ import annotations
 
@@ -9,26 +9,28 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import typer
 
 import jaxnh
-from jaxnh import store
 from jaxnh.accuracy import Calibration, Plan, TargetError
 from jaxnh.analyses.record import Scene
+from jaxnh.exits import Refused
 from jaxnh.experiment import ConfigError, Experiment, load
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SOLVERS
 
-# The base of all faults of a command line, wherever typer keeps its parser.
-_UsageError: Any = typer.BadParameter.__mro__[1]
 _VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
 
 
-class Refused(Exception):
-    """Bad input; the message is the line to print."""
+class Account(NamedTuple):
+    """What something has cost, and on what devices."""
+
+    wall_seconds: float
+    compile_seconds: float
+    lane_periods: float
+    device: str
 
 
 def experiment_of(config: Path | None, overrides: Sequence[str] | None) -> Experiment:
@@ -43,18 +45,6 @@ def experiment_of(config: Path | None, overrides: Sequence[str] | None) -> Exper
         return load(config, overrides or [])
     except ConfigError as error:
         raise Refused(str(error)) from None
-
-
-def check_output(path: Path) -> None:
-    """Make the folder of an output.
-
-    Raises:
-        Refused: nothing can be written there.
-    """
-    try:
-        store.check_writable(path)
-    except store.StoreError as error:
-        raise Refused(f"command line: --output: {error}") from None
 
 
 def scene_of(experiment: Experiment, calibration: Calibration) -> Scene:
@@ -82,9 +72,14 @@ def calibrate(experiment: Experiment, lanes: Lanes) -> Calibration:
     return Calibration(system, experiment.initial.state(system), experiment.sweep.grid(), lanes)
 
 
-def provenance(experiment: Experiment, scene: Scene, lanes: Lanes, seconds: float, module: str) -> dict[str, Any]:
+def account(lanes: Lanes, seconds: float) -> Account:
+    """What a runner has spent so far, in so many seconds."""
+    device = f"{len(lanes.devices)} x {lanes.devices[0].device_kind} ({lanes.devices[0].platform})"
+    return Account(seconds, lanes.compile_seconds, lanes.lane_periods, device)
+
+
+def provenance(experiment: Experiment, scene: Scene, spent: Account, module: str) -> dict[str, Any]:
     """Root attributes of what a command writes; `module` is how it is called by `python -m`."""
-    device = lanes.devices[0]
     command = shlex.join(["python", "-m", module, *sys.argv[1:]])
     return {
         "title": experiment.title,
@@ -93,36 +88,19 @@ def provenance(experiment: Experiment, scene: Scene, lanes: Lanes, seconds: floa
         "config": experiment.text,
         "config_sha256": experiment.sha256,
         "jaxnh_version": jaxnh.__version__,
-        "versions": json.dumps({name: version(name) for name in _VERSIONS}),
+        "versions": json.dumps(versions()),
         "solver": scene.solver.name,
         "steps_per_period": scene.steps,
         "summation": "compensated" if scene.compensated else "plain",
         "error_estimate": scene.error_estimate,
-        "wall_seconds": seconds,
-        "compile_seconds": lanes.compile_seconds,
-        "lane_periods": lanes.lane_periods,
-        "device": f"{len(lanes.devices)} x {device.device_kind} ({device.platform})",
+        "wall_seconds": spent.wall_seconds,
+        "compile_seconds": spent.compile_seconds,
+        "lane_periods": spent.lane_periods,
+        "device": spent.device,
         "strobe_period": np.float64(scene.system.period),
     }
 
 
-def run_app(app: typer.Typer) -> int:
-    """Run a command; 0 done, 2 bad input, 1 any other failure, each failure with one line and no traceback."""
-    try:
-        code = app(standalone_mode=False)  # a number where typer itself ended the run, as after Control-C
-        if isinstance(code, int) and code:
-            print("interrupted; nothing was written", file=sys.stderr)
-            return code
-    except Refused as refusal:
-        print(refusal, file=sys.stderr)
-        return 2
-    except _UsageError as error:
-        print(f"command line: {' '.join(str(error.format_message()).split())}", file=sys.stderr)
-        return 2
-    except (KeyboardInterrupt, typer.Abort):
-        print("interrupted; nothing was written", file=sys.stderr)
-        return 130
-    except Exception as error:
-        print(f"failed: {type(error).__name__}: {' '.join(str(error).split())[:500]}", file=sys.stderr)
-        return 1
-    return 0
+def versions() -> dict[str, str]:
+    """Versions of the libraries that the numbers rest on."""
+    return {name: version(name) for name in _VERSIONS}

@@ -17,7 +17,8 @@ from rich.table import Table
 
 from jaxnh import figures_cost, store, terminal
 from jaxnh.analyses.record import Group, Scene
-from jaxnh.command import Refused, calibrate, check_output, experiment_of, provenance, run_app, scene_of
+from jaxnh.command import account, calibrate, experiment_of, provenance, scene_of
+from jaxnh.exits import Refused, check_output, run_app
 from jaxnh.experiment import Experiment
 from jaxnh.lanes import Lanes, configure
 from jaxnh.prices import doubling, exponent, solvers
@@ -76,7 +77,7 @@ def _run(experiment: Experiment, path: Path, repeats: int, began: float) -> None
     console.print(_solvers_table(groups["solvers"]))
     groups |= _derived(experiment, scene, lanes, spent)
     with _part("figures", spent):
-        attrs = provenance(experiment, scene, lanes, time.perf_counter() - began, "jaxnh.cost")
+        attrs = provenance(experiment, scene, account(lanes, time.perf_counter() - began), "jaxnh.cost")
         attrs["cost_of"] = attrs.pop("config_sha256")
         store.write(path, attrs, groups)
         pictures = [_save(path, suffix, figure) for suffix, figure in figures_cost.figures(path).items()]

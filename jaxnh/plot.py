@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from jaxnh.command import Refused, check_output, run_app
+from jaxnh.exits import Refused, check_output, run_app
 from jaxnh.figures import FigureError, figure
 
 _DPI = 140

@@ -1,23 +1,21 @@
-"""The command `python -m jaxnh.sweep CONFIG [KEY=VALUE ...] [--output FILE] [--fresh]`: load, run, store, print."""
+"""The command `python -m jaxnh.sweep CONFIG [KEY=VALUE ...]`: a config to a result, in one run or in many."""
 
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from jaxnh import store, terminal
-from jaxnh.analyses.record import Group
-from jaxnh.command import Refused, calibrate, check_output, experiment_of, provenance, run_app, scene_of
+from jaxnh import store, tiles, workers
+from jaxnh.command import experiment_of
+from jaxnh.exits import Refused, Stop, check_output, run_app
 from jaxnh.experiment import Experiment, schema
-from jaxnh.lanes import Lanes, configure
-
-_LOG_WIDTH = 100  # columns of a table that goes to a file
+from jaxnh.run import How, Run
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -30,6 +28,16 @@ def sweep(
     ] = None,
     output: Annotated[Path | None, typer.Option(help="Result file; by default results/NAME.h5")] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Replace a result that exists")] = False,
+    dask: Annotated[
+        str | None,
+        typer.Option(metavar="WHERE", help="Use Dask workers: local[:N], tcp://HOST:PORT or a scheduler file"),
+    ] = None,
+    part: Annotated[str | None, typer.Option(metavar="K/N", help="Do only share K of N; --merge joins them")] = None,
+    merge_only: Annotated[bool, typer.Option("--merge", help="Join what the parts have done")] = False,
+    tile: Annotated[
+        int | None, typer.Option(min=1, metavar="LANES", help="Lanes a tile; by default some ten seconds of work")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors")] = False,
     print_schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of a config")] = False,
 ) -> None:
     """Body of the command; the words above are what --help shows."""
@@ -37,13 +45,34 @@ def sweep(
         print(json.dumps(schema(), indent=2, ensure_ascii=False))
         return
     began = time.perf_counter()
+    how = How(_part(part), merge_only, dask, tile, quiet)
+    if merge_only and (part or dask):
+        raise Refused("command line: --merge: it goes without --part and --dask")
+    if dask:
+        workers.check(dask)
     experiment = experiment_of(config, overrides)
     path = output or Path("results") / f"{experiment.source.stem}.h5"
     if _already_there(path, experiment, fresh):
-        print(f"{path}: the result of this config is there; --fresh runs it again")
+        tiles.tidy(tiles.folder_of(path))
+        if not quiet:
+            print(f"{path}: the result of this config is there; --fresh runs it again")
         return
     check_output(path)
-    _run(experiment, path, began)
+    folder = tiles.folder_of(path)
+    try:
+        with Stop() as stop, tiles.hold(folder, how.part):
+            Run(experiment, path, how, stop, began).run(fresh)
+    except tiles.Busy as busy:
+        raise Refused(f"command line: --output: {busy}") from None
+
+
+def _part(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not match or not 1 <= int(match[1]) <= int(match[2]):
+        raise Refused(f"command line: --part: it is K/N with K from 1 to N, not {text}")
+    return int(match[1]), int(match[2])
 
 
 def _already_there(path: Path, experiment: Experiment, fresh: bool) -> bool:
@@ -59,39 +88,6 @@ def _already_there(path: Path, experiment: Experiment, fresh: bool) -> bool:
     if not same:
         raise Refused(f"command line: --output: {path} holds the result of another config; --fresh replaces it")
     return True
-
-
-def _run(experiment: Experiment, path: Path, began: float) -> None:
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=_LOG_WIDTH)
-    configure()
-    lanes = Lanes(terminal.progress(Console(stderr=True)))
-    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
-        scene = scene_of(experiment, calibrate(experiment, lanes))
-    groups: dict[str, Group] = {}
-    for analysis, options in experiment.requested():
-        needed = ({name: groups[name] for name in analysis.needs},) if analysis.needs else ()
-        groups[analysis.name] = analysis.run(options, scene, lanes, *needed)
-    stored = time.perf_counter()
-    store.write(path, provenance(experiment, scene, lanes, stored - began, "jaxnh.sweep"), groups)
-    for name, group in groups.items():
-        published = (experiment.compare or {}).get(name)
-        columns, source = (published.columns(), published.source) if published else ({}, "")
-        if name in terminal.TABLES:
-            console.print(terminal.TABLES[name](group, columns, source))
-        for warning in group.warnings:
-            print(f"warning: {warning}", file=sys.stderr)
-    print(
-        f"{scene.solver.name}, {scene.steps} steps a period, error of one period {scene.error_estimate:.1e}; "
-        f"{lanes.lane_periods:,.0f} lane-periods"
-    )
-    total = time.perf_counter() - began
-    print(
-        f"{total:.1f} s: compile {lanes.compile_seconds:.1f} s, run {lanes.run_seconds:.1f} s, "
-        f"set-up and the rest {total - lanes.compile_seconds - lanes.run_seconds:.1f} s"
-    )
-    print(f"wrote {path}")
 
 
 def main() -> int:

@@ -9,7 +9,7 @@ from measure import SYSTEMS, twin
 
 from jaxnh.analyses import poincare
 from jaxnh.analyses.poincare import PoincareOptions, run
-from jaxnh.analyses.record import Scene
+from jaxnh.analyses.record import Scene, Variable
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.strobe import KickStrobe
@@ -73,9 +73,9 @@ def test_nothing_is_differentiated(monkeypatch):
 
 
 def test_trajectories_that_leave_the_numbers_are_counted():
-    state = tuple(tuple(np.array([[0.0, 1.0], [0.0, np.nan], [np.inf, np.nan]]) for _ in range(2)) for _ in range(2))
-    assert poincare.lost("poincare", state) == ("poincare: 2 of 3 trajectories are not finite at their end",)
-    assert poincare.lost("poincare", tuple(tuple(np.zeros((3, 2)) for _ in range(2)) for _ in range(2))) == ()
+    for data, lost in ((np.array([[0.0, 1.0], [0.0, np.nan], [np.inf, np.nan]]), 2), (np.zeros((3, 2)), 0)):
+        variables = {name: Variable(("b", "strobe"), data, name) for name in ("x1", "x2", "y1", "y2")}
+        assert poincare.count(variables) == {"trajectories": 3, "not_finite": lost}
 
 
 def test_expected_work_is_the_work_done():

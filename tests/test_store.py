@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import shutil
 import subprocess
 import sys
 
@@ -17,7 +18,18 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from jaxnh.analyses.record import Group, Variable
-from jaxnh.store import StoreError, check_writable, read_attrs, read_variables, write
+from jaxnh.store import (
+    SEAL,
+    StoreError,
+    attributes,
+    check_writable,
+    dimensions,
+    read,
+    read_attrs,
+    read_variables,
+    verify,
+    write,
+)
 
 ATTRS = {"title": "Täst δ", "jaxnh_version": "0", "steps": 160, "error_estimate": 3.5e-11, "config": "a: 1\nb: 2\n"}
 ENGINES = [
@@ -104,7 +116,7 @@ def test_every_array_comes_back_bit_for_bit(tmp_path_factory, data):
     back = read_variables(path, "any")["data"]
     assert back.dtype == data.dtype
     assert back.tobytes() == data.tobytes()
-    assert read_attrs(path) == ATTRS
+    assert {name: value for name, value in read_attrs(path).items() if name != SEAL} == ATTRS
 
 
 def test_writing_replaces_a_file_and_nothing_else(tmp_path):
@@ -147,6 +159,81 @@ def test_damaged_data_is_not_read_as_numbers(tmp_path):
     path.write_bytes(content)
     with pytest.raises(StoreError, match="no readable group diagram"):
         read_variables(path, "diagram")
+
+
+# ---- checksums
+
+
+def test_file_fits_its_checksums(tmp_path):
+    path = tmp_path / "result.h5"
+    write_group(path)
+    verify(path)
+
+
+def everything(path):
+    """All that a reader sees in a file."""
+    with h5py.File(path) as file:
+        seen = [sorted((key, str(value)) for key, value in file.attrs.items())]
+        for group in file.values():
+            seen.append((group.name, sorted((key, str(value)) for key, value in group.attrs.items())))
+            for item in group.values():
+                attrs = sorted((key, str(value)) for key, value in attributes(item).items())
+                seen.append((item.name, item.shape, item.dtype, dimensions(item), read(item).tobytes(), attrs))
+    return seen
+
+
+def test_any_flipped_bit_is_found(tmp_path):
+    """Of some hundred all over the file: what is not found is not seen by a reader either (gaps that HDF5 leaves)."""
+    path = tmp_path / "result.h5"
+    write(path, ATTRS, {"diagram": group()})
+    sound, seen = path.read_bytes(), everything(path)
+    bits = np.random.default_rng(3).integers(0, 8 * len(sound), 400)
+    found = 0
+    for bit in bits.tolist():
+        content = bytearray(sound)
+        content[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(content)
+        try:
+            verify(path)
+        except StoreError:
+            found += 1
+        else:
+            assert everything(path) == seen
+    assert found > 300
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.9, 0.999])
+def test_file_cut_short_is_found(tmp_path, share):
+    path = tmp_path / "result.h5"
+    write_group(path)
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    with pytest.raises(StoreError, match="cannot be read: it is damaged"):
+        verify(path)
+
+
+def test_changed_name_or_attribute_is_found(tmp_path):
+    """Changed by HDF5 itself, so that only the seal can tell."""
+    for change in (
+        lambda file: file.attrs.update({"config": "a: 2"}),
+        lambda file: file["diagram"].attrs.update({"levels_found": 4}),
+        lambda file: file["diagram/x1"].attrs.update({"units": "1/length"}),
+        lambda file: file.move("second", "third"),
+    ):
+        path = tmp_path / "result.h5"
+        write_group(path)
+        with h5py.File(path, "r+") as file:
+            change(file)
+        with pytest.raises(StoreError, match="names or attributes do not fit their checksum"):
+            verify(path)
+
+
+@pytest.mark.skipif(not shutil.which("h5dump"), reason="h5dump is not installed")
+def test_h5dump_reads_it(tmp_path):
+    path = tmp_path / "result.h5"
+    write_group(path)
+    command = ["h5dump", "-d", "/diagram/kind", "-y", "-w", "0", str(path)]
+    out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "0, 1, 0, 1, 0, 1, 0" in out
 
 
 # ---- folders and disks that refuse

@@ -287,23 +287,26 @@ def started(config, stage):
 
 
 @pytest.mark.parametrize("stage", ["accuracy", "doubling"])
-def test_killed_run_leaves_nothing(config, stage):
+def test_killed_run_leaves_no_result(config, stage):
+    """Nor anything else but the folder in which it began; what a kill keeps is shown in test_batch.py."""
     run = started(config, stage)
     time.sleep(0.3)
     run.kill()
     run.communicate()
     assert run.returncode == -signal.SIGKILL
-    assert not (config.parent / "killed.h5").exists()
-    assert tree(config.parent) == {config: CONFIG.encode()}
+    left = tree(config.parent)
+    assert left.pop(config) == CONFIG.encode()
+    assert {path.parent.name for path in left} == {"killed.h5.tiles"}
 
 
-def test_interrupted_run_says_so(config):
-    """Control-C: one line after the stages, no traceback, nothing written."""
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_run_says_so(config, number):
+    """Control-C or a scheduler's preemption: one line after the stages, no traceback, and the code to go on."""
     run = started(config, "accuracy")
-    run.send_signal(signal.SIGINT)
+    run.send_signal(number)
     out, err = run.communicate(timeout=120)
-    assert run.returncode == 130
+    assert run.returncode == 75
     assert out == ""
-    assert err.splitlines()[-1] == "interrupted; nothing was written"
+    assert err.splitlines()[-1] == f"stopped by {number.name}; run the same command again to go on"
     assert "Traceback" not in err
     assert tree(config.parent) == {config: CONFIG.encode()}

@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.poincare import coupling, lost, spread, state_variables, strobe_states
+from jaxnh.analyses.poincare import coupling, spread, state_variables, strobe_states
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene
 from jaxnh.faults import rule
 from jaxnh.strobe import Strobe, iterate, make_strobe
@@ -55,6 +55,16 @@ def periods(options: DiagramOptions, lanes: int) -> float:
     return lanes * each * (options.starts if options.start == "random" else 1)
 
 
+def splits(options: DiagramOptions) -> bool:
+    """Whether lanes know nothing of each other: a state carried along b knows where it comes from."""
+    return options.start in ("fixed", "random")
+
+
+def numbers(options: DiagramOptions) -> int:
+    """Numbers that a lane leaves."""
+    return 4 * options.strobes * (options.starts if options.start == "random" else 1)
+
+
 def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """States at `strobes` strobes after the transient, dimensions (b, strobe), or (b, start, strobe) if random.
 
@@ -67,7 +77,7 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> Group:
         if options.start == "random":
             dims = ("b", "start", "strobe")
             b = np.repeat(scene.values, options.starts)
-            states = _side_by_side(options, scene, lanes, random_starts(options, count), b)
+            states = _side_by_side(options, scene, lanes, random_starts(options, count, scene.first), b)
             states = jax.tree.map(lambda component: component.reshape(count, options.starts, -1), states)
         elif options.start == "fixed":
             states = _side_by_side(options, scene, lanes, spread(scene.start, count), scene.values)
@@ -75,12 +85,17 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> Group:
             states = _in_turn(options, scene, lanes)
     speed = scene.system.speed(np.array([options.phase * scene.system.period]))
     variables = {"b": coupling(scene), **state_variables(states, speed, dims)}
-    return Group(variables, {"start": options.start, "phase": options.phase}, lost("diagram", states))
+    return Group(variables, {"start": options.start, "phase": options.phase})
 
 
-def random_starts(options: DiagramOptions, count: int) -> State:
-    """Random states at t = 0, components (count · starts,): those at the first values of b whatever their number."""
-    draws = np.random.default_rng(options.seed).uniform(-1.0, 1.0, (count * options.starts, 3))
+def random_starts(options: DiagramOptions, count: int, first: int = 0) -> State:
+    """Random states at t = 0, components (count · starts,), at `count` values of b of which the first is so far on.
+
+    A value of b has its states by its place in the sweep, however many values are asked for at once.
+    """
+    bits = np.random.PCG64(options.seed)
+    bits.advance(first * options.starts * 3)  # a draw of 64 bits a number
+    draws = np.random.Generator(bits).uniform(-1.0, 1.0, (count * options.starts, 3))
     angle = np.pi * draws[:, 2]
     return (options.box * draws[:, 0], options.box * draws[:, 1]), (np.cos(angle), np.sin(angle))
 

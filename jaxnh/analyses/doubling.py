@@ -39,6 +39,11 @@ def periods(options: DoublingOptions, lanes: int) -> float:
     return 2.0 * lanes * (_TRANSIENT + 2 * 2**options.levels)
 
 
+def splits(options: DoublingOptions) -> bool:
+    """Never: a cascade is found by comparing neighbouring lanes."""
+    return False
+
+
 def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Find up to `levels` doublings n → 2n, each with its b, its error, and δ."""
     limit = max(_SMALLEST_LIMIT, 2**options.levels)

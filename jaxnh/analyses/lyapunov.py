@@ -62,10 +62,15 @@ def periods(options: LyapunovOptions, lanes: int) -> float:
     return float(lanes * (options.transient + options.periods * (1 + 2 * options.exponents)))
 
 
+def choose(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> dict[str, int]:
+    """How many times a period tangents are orthonormalised, the same for all lanes of a sweep."""
+    return {"parts": _parts_needed(scene, lanes, options.exponents)}
+
+
 def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """The `exponents` largest exponents of every lane, their errors, and the sum rule where there are three."""
     count, k = len(scene.values), options.exponents
-    parts = _parts_needed(scene, lanes, k)
+    parts = (scene.chosen.get("lyapunov") or choose(options, scene, lanes))["parts"]
     strobes = _parts(scene, parts)
     aligning = options.transient // _ALIGNING
     settling = options.transient - aligning

@@ -76,6 +76,11 @@ def periods(options: PeriodOptions, lanes: int) -> float:
     return 2.0 * lanes * (options.transient + 2 * options.limit)
 
 
+def numbers(options: PeriodOptions) -> int:
+    """Numbers that a lane needs: the strobe points it is judged by."""
+    return 6 * options.limit
+
+
 def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Least period of every lane with its residual and largest multiplier."""
     start = np.broadcast_to(section_point(scene.start), (len(scene.values), 3))

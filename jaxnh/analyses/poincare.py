@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -29,6 +30,11 @@ def periods(options: PoincareOptions, lanes: int) -> float:
     return float(lanes * (options.transient + options.strobes - 1))
 
 
+def numbers(options: PoincareOptions) -> int:
+    """Numbers that a lane leaves."""
+    return 4 * options.strobes
+
+
 def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """States at `strobes` strobes after the transient, from the start state, dimensions (b, strobe)."""
     count = len(scene.values)
@@ -49,7 +55,7 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> Group:
         "t": Variable(("strobe",), time, "time since the start"),
         **state_variables(states, scene.system.speed(np.zeros(1)), ("b", "strobe"), {"coordinates": "t"}),
     }
-    return Group(variables, warnings=lost("poincare", states))
+    return Group(variables)
 
 
 def strobe_states(strobe: Strobe, transient: Any, state: State, b: Any, count: int) -> State:
@@ -90,10 +96,7 @@ def state_variables(
     return {name: Variable(dims, data, words, attrs=attrs or {}) for name, (data, words) in named.items()}
 
 
-def lost(analysis: str, states: State) -> tuple[str, ...]:
-    """A warning where lanes have left the numbers: they are not finite from there on."""
-    last = [np.asarray(component)[..., -1] for component in jax.tree.leaves(states)]
-    failed = ~np.all(np.isfinite(last), axis=0)
-    if not failed.any():
-        return ()
-    return (f"{analysis}: {np.count_nonzero(failed)} of {failed.size} trajectories are not finite at their end",)
+def count(variables: Mapping[str, Variable]) -> dict[str, int]:
+    """How many trajectories there are, and how many have left the numbers: they are not finite from there on."""
+    finite = np.all([np.isfinite(variables[name].data[..., -1]) for name in ("x1", "x2", "y1", "y2")], axis=0)
+    return {"trajectories": finite.size, "not_finite": int(np.count_nonzero(~finite))}

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from pydantic import Field
 
-from jaxnh.analyses.poincare import TILE, coupling, lost, spread, state_variables
+from jaxnh.analyses.poincare import TILE, coupling, spread, state_variables
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
 from jaxnh.strobe import Strobe, iterate, make_parts
 from jaxnh.systems import State
@@ -26,6 +26,11 @@ class PortraitOptions(Options):
 def periods(options: PortraitOptions, lanes: int) -> float:
     """Lane-periods of a run."""
     return float(lanes * (options.transient + options.periods))
+
+
+def numbers(options: PortraitOptions) -> int:
+    """Numbers that a lane leaves."""
+    return 4 * options.periods * options.samples
 
 
 def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> Group:
@@ -50,7 +55,7 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> Group:
         "t": Variable(("time",), scene.system.period * (options.transient + elapsed), "time since the start"),
         **state_variables(states, speed, ("b", "time"), {"coordinates": "t"}),
     }
-    return Group(variables, warnings=lost("portrait", states))
+    return Group(variables)
 
 
 def trajectory(strobe: Strobe, parts: Strobe, transient: Any, state: State, b: Any, count: int) -> State:

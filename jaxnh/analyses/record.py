@@ -65,6 +65,8 @@ class Scene:
         values: swept values of b in the order of the sweep, (lanes,).
         solver, steps, compensated: what P is computed with.
         error_estimate: estimated largest error of one period's map.
+        first: place of the first value in the whole sweep, where these are a part of it.
+        chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
     """
 
     system: IsokineticParticle
@@ -74,6 +76,8 @@ class Scene:
     steps: int
     compensated: bool
     error_estimate: float
+    first: int = 0
+    chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
     def strobe(self, refinement: float = 1) -> Strobe:
         """P with `refinement` times the steps that the accuracy asks for."""
@@ -101,6 +105,18 @@ class LaneRunner(Protocol):
         ...
 
 
+def _always(options: Any) -> bool:
+    return True
+
+
+def _few(options: Any) -> int:
+    return 64
+
+
+def _nothing(variables: Mapping[str, Variable]) -> Mapping[str, int]:
+    return {}
+
+
 @dataclass(frozen=True)
 class Analysis:
     """An entry in the table of analyses.
@@ -111,6 +127,12 @@ class Analysis:
         periods: (options, number of lanes) to the lane-periods that a run of it is expected to integrate.
         run: (options, scene, lane runner) to its group; with `needs`, also a mapping of the groups it needs.
         needs: analyses that have to run before, with their defaults where the config does not ask for them.
+        splits: options to whether its lanes know nothing of each other, so that a sweep may be run in parts: every
+            variable either has b as first dimension or is the same in all parts.
+        numbers: options to about how many numbers a lane leaves.
+        choose: (options, scene of the whole sweep, lane runner) to whole numbers that are chosen from all lanes and
+            hold for each part; `run` finds them in `Scene.chosen`.
+        count: variables over b to how many lanes are what: attributes of the group, that add up over parts.
     """
 
     name: str
@@ -118,3 +140,7 @@ class Analysis:
     periods: Callable[[Any, int], float]
     run: Callable[..., Group]
     needs: tuple[str, ...] = ()
+    splits: Callable[[Any], bool] = _always
+    numbers: Callable[[Any], int] = _few
+    choose: Callable[[Any, Scene, LaneRunner], Mapping[str, int]] | None = None
+    count: Callable[[Mapping[str, Variable]], Mapping[str, int]] = _nothing

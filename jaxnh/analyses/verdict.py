@@ -54,8 +54,12 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
         "b": Variable(("b",), scene.values, "coupling b"),
         "kind": Variable(("b",), kind, "kind of motion from all criteria together", attrs=flags),
     }
-    counts = {name: int(np.sum(kind == i)) for i, name in enumerate(KINDS)}
-    return Group(variables, counts)
+    return Group(variables)
+
+
+def count(variables: Mapping[str, Variable]) -> dict[str, int]:
+    """Lanes of each kind."""
+    return {name: int(np.sum(variables["kind"].data == i)) for i, name in enumerate(KINDS)}
 
 
 def judge(
