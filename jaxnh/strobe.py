@@ -292,8 +292,7 @@ def make_strobe(
             another phase; it gets its share of the steps, at least one.
     """
     t0, t1 = span or (0.0, system.period)
-    if span:
-        steps = max(1, math.ceil(steps * share_of_steps(system, span) - 1e-6))
+    steps = max(1, math.ceil(steps * share_of_steps(system, (t0, t1)) - 1e-6))
     if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
         table = processed_table(system, solver, steps, (t0, t1), smallest=_SMALLEST_TABLE)
         return KickStrobe(system, *table, compensated)
@@ -336,8 +335,8 @@ def cut_strobe(
     each = -(-steps // parts)
     many = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
     if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
-        whole = processed_table(system, solver, each * parts, (0.0, system.period))
-        return KickStrobe(many, *cut_table(whole, parts, each * solver.stages), compensated)
+        table = processed_table(system, solver, each * parts, (0.0, system.period))
+        return KickStrobe(many, *cut_table(table, parts, each * solver.stages), compensated)
     ends = step_grid(system, each * parts, (0.0, system.period))
     grid = ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
     if isinstance(solver, IsokineticSplitting):
