@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -161,11 +162,9 @@ class Run:
         batches = work.batches(self._experiment, job, missing, len(lanes.devices))
         cut = [batch for batch in batches if batch[0].names == job.split]
         if len(cut) > 1:
-            self._over(
-                [p for b in cut for p in b], cost, lambda: [self._batch(job, batch, lanes, cost) for batch in cut]
-            )
-        for batch in batches if len(cut) < 2 else batches[len(cut) :]:
-            self._batch(job, batch, lanes, None)
+            batches = batches[len(cut) :]
+            self._over([piece for batch in cut for piece in batch], cost, lambda: self._in_turn(job, cut, lanes, cost))
+        self._in_turn(job, batches, lanes, {})
 
     def _over(self, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""
@@ -178,19 +177,35 @@ class Run:
             self._progress.shown = self._shown
             self._shown.finish()
 
-    def _batch(self, job: Job, batch: Sequence[Piece], lanes: Lanes, cost: dict[int, float] | None) -> None:
-        self._stop.check()
-        for done in work.compute(self._experiment, job, batch, lanes):
-            self._done(tiles.write_piece(self._folder, job, *done), cost)
+    def _in_turn(self, job: Job, batches: Sequence[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
+        """Compute batches one after the other; each is written while the next is computed."""
+        written: list[Future[list[Receipt]]] = []
+
+        def settle() -> None:
+            while written:
+                for receipt in written.pop().result():
+                    self._done(receipt, cost)
+
+        with ThreadPoolExecutor(1) as writer:
+            try:
+                for batch in batches:
+                    self._stop.check()
+                    computed = work.compute(self._experiment, job, batch, lanes)
+                    settle()
+                    written.append(writer.submit(self._write, job, computed))
+            finally:
+                settle()
+
+    def _write(self, job: Job, computed: Sequence[work.Done]) -> list[Receipt]:
+        return [tiles.write_piece(self._folder, job, *done) for done in computed]
 
     def _on_workers(self, job: Job, missing: list[Piece], cost: dict[int, float]) -> None:
         where = self._how.dask or ""
         workers.run(where, self._folder, job, missing, self._stop.check, lambda receipt: self._done(receipt, cost))
 
-    def _done(self, receipt: Receipt, cost: dict[int, float] | None) -> None:
+    def _done(self, receipt: Receipt, cost: dict[int, float]) -> None:
         self._receipts[receipt.number] = receipt
-        if cost:
-            self._shown.advance(cost[receipt.number])
+        self._shown.advance(cost.get(receipt.number, 0.0))
 
     def _finish(self, job: Job) -> None:
         """Merge, then remove the tiles, then show what there is."""

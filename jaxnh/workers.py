@@ -83,10 +83,15 @@ def run(
 
 
 def _receipt(future: Any, piece: Piece) -> Receipt:
-    if future.status == "finished":
-        return future.result(timeout=_CONNECT)
-    if future.status == "error":
+    from distributed import CancelledError
+
+    try:
+        if future.status == "finished":
+            return future.result(timeout=_CONNECT)
         error = future.exception(timeout=_CONNECT)
+    except (OSError, TimeoutError, CancelledError):
+        raise Unfinished("the Dask scheduler is gone") from None
+    if error is not None:
         if type(error).__name__ == "KilledWorker":
             raise Failed(f"tile {piece.number} has lost its worker again and again") from error
         raise Failed(f"tile {piece.number} failed on a worker: {' '.join(str(error).split())[:500]}") from error

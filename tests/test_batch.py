@@ -369,6 +369,7 @@ def test_full_disk(job, whole):
     finish(job, whole)
 
 
+@pytest.mark.slow
 def test_full_disk_as_a_mount(job, whole):
     """The same with a file system that is really full, where mounts are allowed."""
     mount = job.folder / "small"
@@ -392,7 +393,7 @@ def test_full_disk_as_a_mount(job, whole):
         subprocess.run(["umount", mount], check=True)
 
 
-@pytest.mark.parametrize("how", ["removed", "a file", "read-only"])
+@pytest.mark.parametrize("how", ["removed", pytest.param("a file", marks=pytest.mark.slow), "read-only"])
 def test_folder_taken_away(job, whole, how):
     """While the run is on: a sentence, no traceback; with the folder back, the same command has its result."""
     if how == "read-only" and os.geteuid() == 0:
