@@ -165,7 +165,7 @@ def test_file_and_figures(run, tree):
 
 def test_price_of_an_exponent(monkeypatch):
     """At the most chaotic b, the error falls as averages do: fourfold over sixteen times the periods, on the whole."""
-    for name, value in (("_SEARCHED", 8), ("_SEARCH_PERIODS", 64), ("_LANES", 64), ("_AVERAGED", (16, 256))):
+    for name, value in (("_SEARCHED", 8), ("_LANES", 64), ("_AVERAGED", (16, 256))):
         monkeypatch.setattr(exponent, name, value)
     group = exponent.price(scene(np.linspace(5.3, 5.35, 8)), Lanes())
     assert group is not None
