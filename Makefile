@@ -7,7 +7,7 @@ TABLES := table1 table2
 FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
 RANGES := range_constant range_disturbed
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) paper test slow clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) paper test slow hard clean
 
 install: $(INSTALLED)
 
@@ -37,6 +37,10 @@ test: $(INSTALLED)
 
 slow: $(INSTALLED)
 	$(RUN)/pytest --numprocesses 2 -m slow
+
+# The hard cases at full size; writes results/hard.md and its pictures.
+hard: $(INSTALLED)
+	$(RUN)/pytest --numprocesses 2 --hard --page results/hard.md tests/hard
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache

@@ -63,13 +63,22 @@ def scene_of(experiment: Experiment, calibration: Calibration) -> Scene:
         except TargetError as error:
             raise Refused(f"{experiment.source}: accuracy.target: {error}") from None
     system = experiment.system.build()
-    return Scene(system, experiment.initial.state(system), experiment.sweep.grid(), *plan)
+    start, values = experiment.initial.state(system), experiment.sweep.grid()
+    return Scene(system, start, values, *plan, precision=experiment.precision)
 
 
 def calibrate(experiment: Experiment, lanes: Lanes) -> Calibration:
-    """Errors of one period on sample lanes of the sweep."""
+    """Errors of one period on sample lanes of the sweep.
+
+    Raises:
+        Refused: no lane has a period that can be computed.
+    """
     system = experiment.system.build()
-    return Calibration(system, experiment.initial.state(system), experiment.sweep.grid(), lanes)
+    start, values = experiment.initial.state(system), experiment.sweep.grid()
+    try:
+        return Calibration(system, start, values, lanes, experiment.precision)
+    except TargetError as error:
+        raise Refused(f"{experiment.source}: sweep: {error}") from None
 
 
 def account(lanes: Lanes, seconds: float) -> Account:
@@ -92,6 +101,7 @@ def provenance(experiment: Experiment, scene: Scene, spent: Account, module: str
         "solver": scene.solver.name,
         "steps_per_period": scene.steps,
         "summation": "compensated" if scene.compensated else "plain",
+        "precision": scene.precision,
         "error_estimate": scene.error_estimate,
         "wall_seconds": spent.wall_seconds,
         "compile_seconds": spent.compile_seconds,

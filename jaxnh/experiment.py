@@ -32,7 +32,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.record import Analysis, Options
 from jaxnh.faults import Layout, close_match, first_fault, rule, shown
-from jaxnh.solvers import SOLVERS
+from jaxnh.solvers import RUNGE_KUTTA, SOLVERS
 from jaxnh.systems import IsokineticParticle, constant_speed, disturbed_speed, strobe_period
 from jaxnh.yaml_source import ConfigError, read
 
@@ -40,6 +40,7 @@ __all__ = ["ConfigError", "Experiment", "load", "schema"]
 
 _SOLVERS = tuple(SOLVERS)
 _MOST_LANES = 10_000_000
+_BY_NEWTON = ("doubling", "period")
 
 
 class Section(BaseModel):
@@ -177,6 +178,11 @@ class Accuracy(Section):
         default=None, ge=1, le=1_000_000, description="Steps a period instead of those chosen for the target"
     )
 
+    precision: Literal["float64", "float32"] | None = Field(
+        default=None,
+        description="Arithmetic within a period: float64, or if asked for float32, with errors of 1e-5 and more",
+    )
+
     @field_validator("solver")
     @classmethod
     def _known(cls, solver: str | None) -> str | None:
@@ -189,6 +195,8 @@ class Accuracy(Section):
         if (self.solver is None) != (self.steps is None):
             given, absent = ("solver", "steps") if self.steps is None else ("steps", "solver")
             raise rule(f"solver and steps go together; give {absent} as well", given)
+        if self.precision == "float32" and self.solver in RUNGE_KUTTA:
+            raise rule(f"float32 goes with the splittings, and {self.solver} is none", "precision", "solver")
         return self
 
 
@@ -290,6 +298,10 @@ class Experiment(Section):
         if x2 * x2 > c:
             message = f"the speed at t = 0 is {math.sqrt(c):g}, and |x2| cannot be above it; x2 is {x2:g}"
             raise rule(message, "initial.x2", "system.c")
+        for analysis, _ in self.requested():
+            if self.accuracy.precision == "float32" and analysis.name in _BY_NEWTON:
+                message = f"float32 is too coarse for Newton on orbits, which {analysis.name} rests on"
+                raise rule(message, "accuracy.precision")
         return self
 
     @property
@@ -312,6 +324,11 @@ class Experiment(Section):
         content = self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
+
+    @property
+    def precision(self) -> str:
+        """Arithmetic within a period: "float64", or "float32" where it is asked for."""
+        return self.accuracy.precision or "float64"
 
     def requested(self) -> list[tuple[Analysis, Options]]:
         """The analyses asked for, each with its options, in the order of the config."""

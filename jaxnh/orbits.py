@@ -21,6 +21,7 @@ from jaxnh.strobe import Strobe, Tangent, chart, derivatives, unchart, wrap
 _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-9  # residual after which one more step reaches the rounding floor
 _LARGEST_STEP = 0.25
+_MOST_TURNS = 200
 _PATIENCE, _NEAR = 4, 1e-2  # after so many steps a lane with a residual above this is given up
 
 
@@ -31,11 +32,13 @@ class Orbit(NamedTuple):
         u: section coordinates (x1, y1, θ), shape (3,).
         residual: largest component of Pⁿ(u) − u.
         monodromy: ∂Pⁿ/∂u, shape (3, 3).
+        steps: Newton steps taken.
     """
 
     u: Any
     residual: Any
     monodromy: Any
+    steps: Any
 
 
 def find_orbit(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Orbit:
@@ -45,25 +48,23 @@ def find_orbit(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Orbit:
     Newton does not care whether the orbit is stable, nor how slowly the map itself would approach it.
     """
 
-    def look(u: Array) -> tuple[Orbit, Array]:
+    def look(u: Array, steps: Array) -> tuple[Orbit, Array]:
         image, monodromy, _ = derivatives(strobe, n, u, b)
-        return Orbit(u, jnp.max(jnp.abs(wrap(image - u))), monodromy), image
+        return Orbit(u, jnp.max(jnp.abs(wrap(image - u))), monodromy, steps), image
 
-    def improve(carry: tuple[Orbit, Array, Array, Array]) -> tuple[Orbit, Array, Array, Array]:
-        orbit, image, steps, _ = carry
+    def improve(carry: tuple[Orbit, Array, Array]) -> tuple[Orbit, Array, Array]:
+        orbit, image, _ = carry
         step = solve3(orbit.monodromy - jnp.eye(3), wrap(orbit.u - image))
         step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(jnp.abs(step)))
         last = orbit.residual < _NEWTON_TOLERANCE
-        following, image = look(orbit.u + step)
-        return following, image, steps + 1, last
+        return *look(orbit.u + step, orbit.steps + 1), last
 
-    def unfinished(carry: tuple[Orbit, Array, Array, Array]) -> Array:
-        orbit, _, steps, last = carry
-        hopeless = (steps >= _PATIENCE) & (orbit.residual > _NEAR)
-        return ~last & (steps < _NEWTON_STEPS) & jnp.isfinite(orbit.residual) & ~hopeless
+    def unfinished(carry: tuple[Orbit, Array, Array]) -> Array:
+        orbit, _, last = carry
+        hopeless = (orbit.steps >= _PATIENCE) & (orbit.residual > _NEAR)
+        return ~last & (orbit.steps < _NEWTON_STEPS) & jnp.isfinite(orbit.residual) & ~hopeless
 
-    orbit, image = look(u)
-    return lax.while_loop(unfinished, improve, (orbit, image, jnp.int32(0), jnp.bool_(False)))[0]
+    return lax.while_loop(unfinished, improve, (*look(u, jnp.int32(0)), jnp.bool_(False)))[0]
 
 
 def solve3(matrix: Array, right: Array) -> Array:
@@ -165,6 +166,80 @@ def refine_doubling(
         if (step < 1e-10 and step >= 0.25 * previous) or step == 0.0:
             return DoublingPoint(b, orbit, vector, step, True)
     return DoublingPoint(b, orbit, vector, step, bool(step < 1e-10))
+
+
+class LongOrbit(NamedTuple):
+    """A periodic orbit of n points by multiple shooting.
+
+    Attributes:
+        points: section coordinates, (n, 3).
+        blocks: ∂P/∂u at each of them, (n, 3, 3).
+        residual: largest component of P(u_i) − u_{i+1}.
+    """
+
+    points: np.ndarray
+    blocks: np.ndarray
+    residual: float
+
+
+def close_orbit(
+    segments: Callable[[np.ndarray, np.ndarray, np.ndarray], Segment], points: np.ndarray, b: float
+) -> LongOrbit:
+    """Newton on P(u_i; b) = u_{i+1} around an orbit, all points (n, 3) at once: no error grows over more than a period.
+
+    Args:
+        segments: `segment` over lanes (n, 3), (n, 3), (n,).
+        points: starting points (n, 3).
+        b: the parameter value.
+    """
+    n = len(points)
+    there = np.tile(-np.eye(3), (n, 1, 1))
+    size = np.inf
+    for _ in range(_NEWTON_STEPS):
+        orbit, slope, right = _around(segments, points, b)
+        if not size > _NEWTON_TOLERANCE or not np.isfinite(orbit.residual):
+            return orbit
+        # Of the line of solutions with b free, the one that leaves b where it is.
+        (y0, shift0), (y1, shift1) = (
+            solve_cyclic(orbit.blocks, there, slope, right, np.ones(3), level) for level in (0.0, 1.0)
+        )
+        step = y0 - shift0 / (shift1 - shift0) * (y1 - y0)
+        size = float(np.abs(step).max())
+        points = points + step * min(1.0, _LARGEST_STEP / size)
+    return _around(segments, points, b)[0]
+
+
+def _around(
+    segments: Callable[[np.ndarray, np.ndarray, np.ndarray], Segment], points: np.ndarray, b: float
+) -> tuple[LongOrbit, np.ndarray, np.ndarray]:
+    """An orbit as it is, ∂P/∂b at its points (n, 3), and what its images miss the next points by (n, 3)."""
+    s = segments(points, np.zeros_like(points), np.full(len(points), b))
+    slope = np.asarray(s.image_slope)
+    missing = wrap(np.roll(points, -1, 0) - np.asarray(s.image))
+    return LongOrbit(points, slope[:, :, :3], float(np.abs(missing).max())), slope[:, :, 3], missing
+
+
+def log_volume(strobe: Strobe, u: Array, b: ArrayLike) -> Array:
+    """ln det ∂P/∂u for one lane, exact where the determinant itself is lost to rounding; u of shape (3,)."""
+    return jnp.log(strobe.push(unchart(u), b, ()).volume)
+
+
+def multiplier_logs(blocks: np.ndarray, volume: float) -> np.ndarray:
+    """ln|μ| of the three multipliers of an orbit with these ∂P/∂u (n, 3, 3), largest first; no product is formed.
+
+    Simultaneous iteration: two orthonormal vectors are carried around until their growth in a turn changes no more.
+    Rounding loses the third in a single period already; `volume`, the sum of `log_volume` around the orbit, has it.
+    Multipliers of one modulus, as complex ones, have it as the mean of their logarithms.
+    """
+    basis, logs = np.eye(3)[:, :2], np.full(2, np.inf)
+    for _ in range(_MOST_TURNS):
+        before, logs = logs, np.zeros(2)
+        for block in blocks:
+            basis, upper = np.linalg.qr(block @ basis)
+            logs += np.log(np.abs(np.diag(upper)))
+        if np.abs(logs - before).max() < 1e-13 * np.abs(logs).max():
+            break
+    return np.sort(np.append(logs, volume - logs.sum()))[::-1]
 
 
 def solve_cyclic(

@@ -236,7 +236,8 @@ class Run:
             for warning in filter(None, store.read_attrs(self._path, name).get("warnings", "").split("\n")):
                 print(f"warning: {warning}", file=sys.stderr)
         self._say(
-            f"{job.solver}, {job.steps} steps a period, error of one period {job.error_estimate:.1e}; "
+            f"{job.solver} in {self._experiment.precision}, {job.steps} steps a period, "
+            f"error of one period {job.error_estimate:.1e}; "
             f"{total.lane_periods:,.0f} lane-periods"
         )
         now = time.perf_counter() - self._began

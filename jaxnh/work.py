@@ -81,6 +81,7 @@ def scene_of_job(experiment: Experiment, job: Job) -> Scene:
         job.steps,
         job.compensated,
         job.error_estimate,
+        precision=experiment.precision,
         chosen=job.chosen,
     )
 

@@ -28,6 +28,8 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
+pytest_plugins = ["battery"]
+
 Command = Callable[..., subprocess.CompletedProcess]
 
 

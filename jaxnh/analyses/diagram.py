@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 from jaxnh.analyses.poincare import coupling, spread, state_variables, strobe_states
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene
 from jaxnh.faults import rule
+from jaxnh.precision import in_precision
 from jaxnh.strobe import Strobe, iterate, make_strobe
 from jaxnh.systems import State
 
@@ -144,7 +145,10 @@ def _at_phase(
         return start, scene.strobe()
     t, period = options.phase * scene.system.period, scene.system.period
     first, strobe = (
-        make_strobe(scene.system, scene.solver, scene.steps, compensated=scene.compensated, span=span)
+        in_precision(
+            make_strobe(scene.system, scene.solver, scene.steps, compensated=scene.compensated, span=span),
+            scene.precision,
+        )
         for span in ((0.0, t), (t, t + period))
     )
     return lanes(iterate, (first, np.int32(1)), (start, b), periods=options.phase), strobe

@@ -17,11 +17,14 @@ from jaxtyping import Array
 from pydantic import Field
 
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.precision import in_precision
 from jaxnh.strobe import Strobe, Tangent, cut_strobe, iterate
 from jaxnh.systems import State, Vector
 
 _BLOCKS = 16
 _LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left
+_LARGEST_SEEN = 24.0  # beyond that a loss drowns in rounding
+_MOST_PARTS = 1024
 _PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
 _WINDOWS = (1.0, 2.0)  # powers of the two windows of `window`; their difference is the error of the smooth average
@@ -109,23 +112,29 @@ def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> Group:
 
 
 def _parts(scene: Scene, parts: int) -> Strobe:
-    return cut_strobe(scene.system, scene.solver, scene.steps, parts, compensated=scene.compensated)
+    strobe = cut_strobe(scene.system, scene.solver, scene.steps, parts, compensated=scene.compensated)
+    return in_precision(strobe, scene.precision)
 
 
 def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> int:
     """Orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
 
     Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
-    bounds what a longer part does.
+    bounds what a longer part does; where that is all that rounding lets one see, a smaller part is looked at.
     """
     if k == 1:
         return 1
     picked = scene.values[np.unique(np.linspace(0, len(scene.values) - 1, _PILOT_LANES).round().astype(int))]
     state = jax.tree.map(lambda leaf: np.full(len(picked), leaf, float), scene.start)
-    flow = lanes(_begin, (), (state,), static=(k,))
-    flow, _ = _average(lanes, _parts(scene, _PILOT_PARTS), flow, picked, _PILOT_PERIODS)
-    loss = float(np.nanmax(flow.loss))
-    return int(np.clip(2 ** math.ceil(math.log2(max(_PILOT_PARTS * loss / _LARGEST_LOSS, 1.0))), 1, 1024))
+    parts = _PILOT_PARTS
+    while True:
+        flow = lanes(_begin, (), (state,), static=(k,))
+        flow, _ = _average(lanes, _parts(scene, parts), flow, picked, _PILOT_PERIODS)
+        loss = float(np.max(flow.loss, initial=0.0, where=np.isfinite(flow.loss)))
+        if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
+            break
+        parts *= 4
+    return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / _LARGEST_LOSS, 1.0))), 1, _MOST_PARTS))
 
 
 def _average(

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from jaxnh.analyses.poincare import TILE, coupling, spread, state_variables
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.precision import in_precision
 from jaxnh.strobe import Strobe, iterate, make_parts
 from jaxnh.systems import State
 
@@ -37,7 +38,10 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Trajectories of `periods` periods after the transient, from the start state, dimensions (b, time)."""
     count = len(scene.values)
     total = periods(options, count)
-    parts = make_parts(scene.system, scene.solver, scene.steps, options.samples, compensated=scene.compensated)
+    parts = in_precision(
+        make_parts(scene.system, scene.solver, scene.steps, options.samples, compensated=scene.compensated),
+        scene.precision,
+    )
     with lanes.stage(f"portrait: {options.periods} periods at {count:,} values of b", total):
         states = lanes(
             trajectory,

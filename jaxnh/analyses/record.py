@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from jaxnh.precision import in_precision
 from jaxnh.solvers import Solver
 from jaxnh.strobe import Strobe, make_strobe
 from jaxnh.systems import IsokineticParticle, State
@@ -67,6 +68,7 @@ class Scene:
         error_estimate: estimated largest error of one period's map.
         first: place of the first value in the whole sweep, where these are a part of it.
         chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
+        precision: "float64" or, where asked for, "float32", of the arithmetic within a period.
     """
 
     system: IsokineticParticle
@@ -78,11 +80,13 @@ class Scene:
     error_estimate: float
     first: int = 0
     chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    precision: str = "float64"
 
     def strobe(self, refinement: float = 1) -> Strobe:
         """P with `refinement` times the steps that the accuracy asks for."""
         steps = round(self.steps * refinement)
-        return make_strobe(self.system, self.solver, steps, compensated=self.compensated)
+        strobe = make_strobe(self.system, self.solver, steps, compensated=self.compensated)
+        return in_precision(strobe, self.precision)
 
 
 class LaneRunner(Protocol):

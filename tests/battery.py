@@ -1,0 +1,147 @@
+"""The battery of hard cases (tests/hard): sizes, rows of its report, and the page results/hard.md that `make hard` writes.
+
+A test there measures at small sizes in `make test`, and at full ones with `--hard`. Each number goes through
+`Battery.row`, which keeps it and asserts its limit, so that page and test cannot differ.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+import pytest
+
+CASES = (
+    "Off the constraint",
+    "Speed nearly vanishing",
+    "Strong force",
+    "Fast and slow forcing",
+    "Strong contraction",
+    "On the edge of a doubling",
+    "Deep in the cascade",
+    "Long chaos",
+    "Coexisting attractors",
+    "A poisoned lane",
+    "float32 on request",
+    "Random systems",
+)
+
+
+class Battery:
+    """What a hard case is given: whether sizes are full, and where its numbers and picture go.
+
+    Attributes:
+        full: full sizes, as `make hard` asks for; else those of `make test`.
+    """
+
+    def __init__(self, case, full, folder, keep):
+        assert case in CASES
+        self.case, self.full, self._folder, self._keep = case, full, folder, keep
+
+    def row(self, shown, measured, limit, what=""):
+        """Keep a measured number and assert that it is at most its limit. `what` says what the number is."""
+        self._keep(
+            "hard row",
+            [self.case, shown, f"{what} {_number(measured)}".strip(), f"≤ {_number(limit)}", _verdict(measured, limit)],
+        )
+        assert measured <= limit, f"{shown}: {what} {measured} is above {limit}"
+
+    def refused(self, shown, reason):
+        """Keep a case that the engine refuses, with the reason it gives."""
+        assert reason
+        self._keep("hard row", [self.case, shown, "–", "–", f"refused: {reason}"])
+
+    def note(self, text):
+        """Keep a sentence for the page, below the table of the case."""
+        self._keep("hard note", [self.case, text])
+
+    def picture(self, figure, name, caption):
+        """Save a picture beside the page, if one is written."""
+        if self._folder is not None:
+            figure.savefig(self._folder / f"hard_{name}.png", dpi=90, pil_kwargs={"optimize": True})
+            self._keep("hard picture", [self.case, f"![{caption}](hard_{name}.png)"])
+
+
+def _verdict(measured, limit):
+    return "pass" if measured <= limit else "**failed**"
+
+
+def _number(value):
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:.3g}" if value == 0 or 0.01 <= abs(value) < 1e4 else f"{value:.1e}"
+
+
+@pytest.fixture
+def battery(request, record_property):
+    """The `Battery` of a test whose module names its CASE, or whose marker `case` does."""
+    page = request.config.getoption("--page", default=None)
+    marker = request.node.get_closest_marker("case")
+    full = request.config.getoption("--hard", default=False)
+    return Battery(marker.args[0], full, page.parent if page else None, record_property)
+
+
+def pytest_addoption(parser):
+    group = parser.getgroup("hard cases")
+    group.addoption("--hard", action="store_true", help="measure the hard cases at full size")
+    group.addoption("--page", type=Path, default=None, help="write the report of the hard cases to this file")
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "case(name): the hard case that a test belongs to")
+    page = config.getoption("--page")
+    if page is not None and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(_Report(page), "hard report")
+
+
+class _Report:
+    """Collects what tests kept, on whatever worker they ran, and writes the page at the end."""
+
+    def __init__(self, page):
+        self._page, self._began, self._tests, self._failed = page, time.perf_counter(), [], []
+
+    def pytest_runtest_logreport(self, report):
+        if report.when == "call":
+            self._tests.append((report.nodeid, report.duration, report.user_properties))
+        if report.failed:
+            reason = report.longreprtext.strip().splitlines()[-1] if report.longreprtext else "no reason given"
+            self._failed.append((report.nodeid, reason))
+
+    def pytest_sessionfinish(self, session):
+        seconds = time.perf_counter() - self._began
+        self._page.parent.mkdir(exist_ok=True)
+        self._page.write_text(_page(self._tests, self._failed, seconds), encoding="utf-8")
+
+
+def _page(tests, failed, seconds):
+    """The page in Markdown: a table a case, in the order of CASES, and what failed at its head."""
+    kept = [(name, item, node) for node, _, properties in sorted(tests) for name, item in properties]
+    lines = [
+        "# Hard cases",
+        "",
+        "Written by `make hard`: the cases that break programs of this kind, each with the number that says stable, the",
+        "limit that it has to keep, and the command that measures it alone. `make test` runs them all at smaller sizes.",
+        "References: Taylor integration in long double (`tests/taylor.py`), exact identities, and second methods.",
+        "",
+        f"{sum(name == 'hard row' for name, *_ in kept)} rows, {len(failed)} failed; {seconds:.0f} s by the clock.",
+    ]
+    lines += [f"- **failed**: `{node}`: {reason}" for node, reason in failed]
+    for case in CASES:
+        rows = [(item, node) for name, item, node in kept if name == "hard row" and item[0] == case]
+        lines += ["", f"## {case}", ""]
+        if rows:
+            lines += ["| what is shown | measured | limit | |", "|---|---|---|---|"]
+            lines += [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in item[1:])} |" for item, _ in rows]
+        for node in dict.fromkeys(node.split("[")[0] for _, node in rows):
+            lines += ["", f"`.venv/bin/pytest --hard {node}`"]
+        for name, item, _ in kept:
+            if name in ("hard note", "hard picture") and item[0] == case:
+                lines += ["", item[1]]
+    return "\n".join(lines) + "\n"
+
+
+def worst(values):
+    """Largest of values, as a float; NaN counts as infinite, so that no limit lets it pass."""
+    largest = max(float(v) for v in values)
+    return largest if math.isfinite(largest) and not any(math.isnan(float(v)) for v in values) else math.inf

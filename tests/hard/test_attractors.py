@@ -1,0 +1,299 @@
+"""Long chaos, strong contraction, coexisting attractors and poisoned lanes: what ensembles of lanes have to keep."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import numpy as np
+import pytest
+import taylor
+from battery import worst
+from matplotlib.figure import Figure
+from measure import twin
+from test_cascade_depth import iterated
+from test_criteria import divergence
+
+from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
+from jaxnh.analyses.record import Scene
+from jaxnh.experiment import ConfigError, load
+from jaxnh.lanes import Lanes
+from jaxnh.orbits import close_orbit, segment
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.strobe import chart, iterate, record, unchart, wrap
+from jaxnh.systems import constant_speed, disturbed_speed
+
+START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
+
+
+def scene_of(system, values, steps=128, solver="blanes_moan6", compensated=False):
+    return Scene(system, START, np.array(values, float), SPLITTINGS[solver], steps, compensated, math.nan)
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """One runner, so that equal programs are compiled once."""
+    return Lanes()
+
+
+def random_points(count, seed=5, box=1.5):
+    return np.random.default_rng(seed).uniform([-box, -box, -math.pi], [box, box, math.pi], (count, 3))
+
+
+# ---- strong contraction
+
+
+@pytest.mark.case("Strong contraction")
+def test_strong_contraction(battery, lanes):
+    """Stable orbits with a third exponent down to −10 and below: by Taylor's monodromy matrices and the mean divergence."""
+    wanted = [(0.2, 4.1), (0.05, 3.1), (0.02, 2.2)] if battery.full else [(0.05, 3.1)]
+    for c, b in wanted:
+        system = constant_speed(c=c)
+        par = twin(system)
+        scene = scene_of(system, [b], 600, "kahan_li8")
+        found = period.survey(scene, lanes, scene.values, np.array([[1.0, 1.0, 0.3]]), 16, "hard", 400)
+        n = int(found.period[0])
+        assert n > 0
+        strobe = scene.strobe()
+        orbit = close_orbit(
+            lambda *a, strobe=strobe: lanes(segment, (strobe,), a, tile=32), walk(lanes, scene, found.u[0], n), b
+        )
+        options = lyapunov.LyapunovOptions(transient=128, periods=512 if battery.full else 128)
+        x, y, theta = found.u[0]
+        scene = Scene(system, ((x, y), (math.cos(theta), math.sin(theta))), *list(vars(scene).values())[2:])
+        ours = lyapunov.run(options, scene, lanes).variables
+        exponents = ours["exponents"].data[0]
+        mean = divergence(par, b, orbit.points) / (n * float(par.period))
+        logs = iterated(taylor.strobe_jacobian(par, np.full(n, b), orbit.points)[1]) / (n * float(par.period))
+        exact = [logs[0], logs[1], mean - logs[0] - logs[1]]
+        battery.row(
+            f"c = {c:g}, b = {b:g}, period {n}: λ = {exponents[0]:.4f}, {exponents[1]:.4f}, {exponents[2]:.4f}",
+            worst(np.abs(exponents - exact)),
+            1e-6,
+            "error",
+        )
+        battery.row(f"c = {c:g}, b = {b:g}: sum rule", worst(np.abs(ours["sum_rule_residual"].data)), 1e-6, "residual")
+
+
+def walk(lanes, scene, u, n):
+    """The n points of an orbit, (n, 3)."""
+    points = [u]
+    for _ in range(n - 1):
+        end = lanes(iterate, (scene.strobe(), np.int32(1)), (unchart(points[-1][:, None]), scene.values), tile=32)
+        points.append(np.array(chart(jax.tree.map(lambda leaf: leaf[0], end))))
+    return np.array(points)
+
+
+# ---- long chaos
+
+
+def means(lanes, strobe, state, b, periods):
+    """States `periods` on, and each lane's means of x1, y1, n1, n2 at the strobes until then, (4, lanes)."""
+    total, block = np.zeros((4, len(b))), min(periods, 400)
+    for _ in range(periods // block):
+        state, met = lanes(record, (strobe,), (state, b), periods=block, static=(block,))
+        total += [leaf.sum(axis=1) for leaf in jax.tree.leaves(met)]
+    return state, total / (periods // block * block)
+
+
+@pytest.mark.case("Long chaos")
+def test_long_chaos(battery, lanes):
+    """An attractor that is its own mirror image: odd means vanish within their error, over lanes that forgot their start."""
+    sizes = [(256, 100_000), (4096, 6_000)] if battery.full else [(256, 400)]
+    scene = scene_of(constant_speed(), [5.3])
+    strobe = scene.strobe()
+    for count, periods in sizes:
+        state = jax.tree.map(np.array, unchart(random_points(count).T))
+        b = np.full(count, 5.3)
+        state = lanes(iterate, (strobe, np.int32(200)), (state, b), periods=200)
+        end, averages = means(lanes, strobe, state, b, periods)
+        score = [abs(m.mean()) / (m.std(ddof=1) / math.sqrt(count)) for m in averages]
+        battery.row(
+            f"b = 5.3, {count:,} lanes, {periods:,} periods: means of x1, y1, n1, n2",
+            worst(score),
+            4.0,
+            "largest, in standard errors (of " + f"{max(m.std(ddof=1) / math.sqrt(count) for m in averages):.1e})",
+        )
+        off = np.abs(np.hypot(*end[1]) - 1)
+        battery.row("the same lanes at their end", worst(off), 1e-14, "largest \\|\\|n\\| − 1\\|")
+        few, shorter = slice(count // 2 - 37, count // 2 + 26), min(periods, 2000)
+        start = jax.tree.map(lambda leaf, few=few: leaf[few], state)
+        one = Lanes(devices=jax.devices()[:1])
+        alone = one(iterate, (strobe, np.int32(shorter)), (start, b[few]))
+        among = lanes(iterate, (strobe, np.int32(shorter)), (state, b))
+        differing = sum(
+            int(np.sum(x != y[few])) for x, y in zip(jax.tree.leaves(alone), jax.tree.leaves(among), strict=True)
+        )
+        battery.row(
+            f"63 of them for {shorter:,} periods, alone on one device and among all on {len(lanes.devices)}",
+            differing,
+            0,
+            "numbers that differ:",
+        )
+    scene = scene_of(constant_speed(), np.linspace(5.2, 5.8, 300 if battery.full else 20), 110)
+    on_one, on_two = everything(scene, Lanes(devices=jax.devices()[:1])), everything(scene, lanes)
+    differing = sum(
+        int(np.sum(~same(v.data, on_two[name].variables[key].data)))
+        for name, group in on_one.items()
+        for key, v in group.variables.items()
+    )
+    battery.row(
+        f"five analyses at {len(scene.values)} b on one device and on {len(lanes.devices)}",
+        differing,
+        0,
+        "numbers that differ:",
+    )
+    for system, b in (
+        ((constant_speed(), 5.3), (disturbed_speed(), 5.6)) if battery.full else ((constant_speed(), 5.3),)
+    ):
+        options = lyapunov.LyapunovOptions(transient=256, periods=4096 if battery.full else 64)
+        found = lyapunov.run(options, scene_of(system, b + 1e-6 * np.arange(32)), lanes).variables
+        share = np.abs(found["sum_rule_residual"].data) / found["exponents_error"].data.sum(axis=1)
+        battery.row(
+            f"d = {system.d:g}, b = {b}, {options.periods:,} periods: sum rule",
+            worst(share),
+            1.0,
+            "residual over error bars",
+        )
+    battery.note(
+        "The size of a tile is part of the program and fixed: other sizes give other vector code. Numbers do not depend on "
+        "how many lanes there are, where in a tile a lane stands, or how many devices share the tiles. 4096 lanes for 1e5 "
+        "periods would take two cores a quarter of an hour: length and number are shown one at a time. That an "
+        "interrupted run goes on with the same bits is not part of this page yet."
+    )
+
+
+# ---- coexisting attractors
+
+
+@pytest.mark.case("Coexisting attractors")
+def test_coexisting_attractors(battery, lanes):
+    """Random starts: every lane ends on an orbit that Newton finds and that is stable, or is chaotic; shares with errors."""
+    count = 4096 if battery.full else 256
+    picture = Figure(figsize=(9, 3.4), layout="constrained")
+    chosen = (4.0, 5.51, 4.52) if battery.full else (4.0,)
+    for axes, b in zip(np.atleast_1d(picture.subplots(1, len(chosen))), chosen, strict=True):
+        scene = scene_of(constant_speed(), np.full(count, b), 240, "kahan_li8")
+        starts = random_points(count)
+        found = period.survey(scene, lanes, scene.values, starts, 16, "hard", 512)
+        again = np.flatnonzero(found.period == 0)
+        if len(again):  # slow ones get more time
+            later = period.survey(scene, lanes, scene.values[again], found.u[again], 16, "hard", 4000)
+            for leaf, new in zip(found[1:], later[1:], strict=True):
+                leaf[again] = new
+        battery.row(
+            f"b = {b}, {count:,} random starts", int(np.sum(found.period == 0)), 0, "lanes on no verified orbit:"
+        )
+        residual = worst(found.residual)
+        battery.row(f"b = {b}: orbits by Newton, all stable", residual, 1e-9, "largest residual")
+        assert np.all(found.multiplier < 1)
+        kinds = attractors(lanes, scene, found)
+        shares = [(members, len(members) / count) for members in kinds]
+        words = []
+        for members, share in shares:
+            error = math.sqrt(share * (1 - share) / count)
+            n, at = int(found.period[members[0]]), found.u[members[0]]
+            words.append(f"period {n} through ({at[0]:.4f}, {at[1]:.4f}): {100 * share:.1f} ± {100 * error:.1f} %")
+            axes.plot(starts[members, 0], starts[members, 1], ".", ms=2, label=f"period {n}")
+        axes.set(title=f"b = {b}", xlabel="x1 at the start", ylabel="y1 at the start")
+        axes.legend(fontsize=7, loc="upper right")
+        battery.note(f"b = {b}: {'; '.join(words)}.")
+        # A symmetric attractor, or a pair of equal shares: starts are drawn evenly, and so is every mirror image.
+        for members, share in shares:
+            mirrored = mirror_of(found.u[members[0]])
+            partner = next(
+                (
+                    other
+                    for m, other in shares
+                    if same_orbit(lanes, scene, found.u[m[0]], int(found.period[m[0]]), mirrored)
+                ),
+                None,
+            )
+            assert partner is not None
+            assert abs(share - partner) <= 5 * math.sqrt(2 * share / count)
+    battery.picture(picture, "coexisting", "Starts by the attractor that they reach")
+
+
+def orbit_of(lanes, scene, u, n):
+    one = Scene(scene.system, scene.start, scene.values[:1], *list(vars(scene).values())[3:])
+    return walk(lanes, one, u, n)
+
+
+def mirror_of(u):
+    """The image under (x1, y1, n) → −(x1, y1, n)."""
+    return np.array([-u[0], -u[1], u[2] + math.pi])
+
+
+def same_orbit(lanes, scene, u, n, other):
+    """Whether a point lies on the period-n orbit through u."""
+    return bool(np.any(np.abs(wrap(orbit_of(lanes, scene, u, n) - other)).max(axis=1) < 1e-5))
+
+
+def attractors(lanes, scene, found):
+    """Lanes by the orbit they are on: a list of index arrays, largest first."""
+    left, kinds = np.arange(len(found.b)), []
+    while len(left):
+        first = left[0]
+        points = orbit_of(lanes, scene, found.u[first], int(found.period[first]))
+        gap = np.abs(wrap(found.u[left][:, None, :] - points[None])).max(axis=2).min(axis=1)
+        mine = (gap < 1e-5) & (found.period[left] == found.period[first])
+        assert mine[0]
+        kinds.append(left[mine])
+        left = left[~mine]
+    return sorted(kinds, key=len, reverse=True)
+
+
+# ---- a poisoned lane
+
+
+@pytest.mark.case("A poisoned lane")
+def test_poisoned_lane(battery, lanes, tmp_path):
+    """Not a number, infinite, or so large that the force overflows: that lane is marked failed, the others keep their bits."""
+    count = 600 if battery.full else 40
+    values = np.linspace(5.2, 5.8, count)
+    scene = scene_of(constant_speed(), values, 110)
+    clean = everything(scene, lanes)
+    place = count // 2
+    others = np.arange(count) != place
+    for poison in (math.nan, math.inf, -1e200) if battery.full else (-1e200,):
+        bad = values.copy()
+        bad[place] = poison
+        groups = everything(scene_of(constant_speed(), bad, 110), lanes)
+        differing = sum(
+            int(np.sum(~same(clean[name].variables[v].data[others], groups[name].variables[v].data[others])))
+            for name in groups
+            for v in groups[name].variables
+            if groups[name].variables[v].dims[0] == "b"
+        )
+        battery.row(
+            f"b = {poison:g} in lane {place} of {count}: all other lanes of 5 analyses",
+            differing,
+            0,
+            "numbers that differ:",
+        )
+        assert groups["period"].variables["failed"].data[place] == 1
+        assert np.sum(groups["period"].variables["failed"].data) == 1
+        assert verdict.KINDS[groups["verdict"].variables["kind"].data[place]] == "failed"
+        assert "1 of" in groups["diagram"].warnings[0]
+    path = tmp_path / "poisoned.yaml"
+    for word in (".nan", ".inf"):
+        path.write_text(
+            f"system: {{constraint: constant_speed}}\nsweep: {{b: {{values: [5.5, {word}]}}}}\nanalyses: {{period: {{}}}}\n"
+        )
+        with pytest.raises(ConfigError, match="finite number") as refusal:
+            load(path)
+        battery.refused(f"b = {word} in a config", str(refusal.value).split(": ", 1)[1])
+
+
+def everything(scene, lanes):
+    """Groups of five analyses of a scene."""
+    groups = {"period": period.run(period.PeriodOptions(limit=4, transient=64), scene, lanes)}
+    groups["lyapunov"] = lyapunov.run(lyapunov.LyapunovOptions(transient=16, periods=16), scene, lanes)
+    groups["chaos01"] = chaos01.run(chaos01.Chaos01Options(transient=16, periods=100), scene, lanes)
+    groups["verdict"] = verdict.run(verdict.VerdictOptions(), scene, lanes, groups)
+    groups["diagram"] = diagram.run(diagram.DiagramOptions(transient=16, strobes=8), scene, lanes)
+    return groups
+
+
+def same(one, other):
+    return (one == other) | (np.isnan(one.astype(float)) & np.isnan(other.astype(float)))

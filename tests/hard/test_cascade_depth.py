@@ -1,0 +1,209 @@
+"""On the edge of a doubling and deep in the cascade: Newton and multiple shooting where iteration and products fail."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import taylor
+from battery import worst
+from matplotlib.figure import Figure
+
+from jaxnh.analyses import chaos01, lyapunov, period, verdict
+from jaxnh.analyses.record import Scene
+from jaxnh.lanes import Lanes
+from jaxnh.orbits import close_orbit, find_orbit, log_volume, multiplier_logs, refine_doubling, segment
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.strobe import wrap
+from jaxnh.systems import constant_speed
+
+START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
+SCENE = Scene(constant_speed(), START, np.array([5.54]), SPLITTINGS["kahan_li8"], 240, True, 1e-10)
+FEIGENBAUM = 4.669201609102990
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """One runner, so that equal programs are compiled once."""
+    return Lanes()
+
+
+@pytest.fixture(scope="module")
+def segments(lanes):
+    strobe = SCENE.strobe()
+    return lambda u, w, b: lanes(segment, (strobe,), (u, w, b), tile=32)
+
+
+def dominant(blocks):
+    """The chain (n, 3) of vectors that the blocks carry along, of the largest multiplier, the first of length one."""
+    vector = np.ones(3)
+    for _ in range(3):
+        for block in blocks:
+            vector = block @ vector
+            vector /= np.linalg.norm(vector)
+    chain = [vector]
+    for block in blocks[:-1]:
+        chain.append(block @ chain[-1])
+    return np.array(chain)
+
+
+@pytest.fixture(scope="module")
+def first(lanes, segments):
+    """The doubling 1 → 2."""
+    start = period.survey(SCENE, lanes, SCENE.values, period.section_point(START)[None], 2, "hard", 300)
+    orbit = close_orbit(segments, start.u, 5.525)
+    return refine_doubling(segments, orbit.points, dominant(orbit.blocks), 5.525)
+
+
+def climb(segments, first, levels):
+    """Doublings of n = 1, 2, 4, … each from the one before: its orbit splits along its vector, and Newton follows."""
+    points = [first]
+    gap = -0.0241
+    for _ in range(1, levels):
+        last = points[-1]
+        b = last.b + 0.5 * gap
+        split = np.concatenate([last.orbit + 0.05 * last.vector, last.orbit - 0.05 * last.vector])
+        size = 0.05
+        for _ in range(8):  # the branches are √(b − b_k) apart, with a factor that one does not know beforehand
+            found = close_orbit(segments, split, b)
+            n = len(last.orbit)
+            apart = np.abs(wrap(found.points[:n] - found.points[n:])).max()
+            if found.residual < 1e-9 and apart > 1e-9 and apart > 1e-3 * size:
+                break
+            size /= 2.5
+            split = np.concatenate([last.orbit + size * last.vector, last.orbit - size * last.vector])
+        ahead = close_orbit(segments, found.points, last.b + 0.9 * gap)
+        points.append(refine_doubling(segments, ahead.points, dominant(ahead.blocks), last.b + gap))
+        gap = (points[-1].b - last.b) / (4.6 if len(points) < 4 else FEIGENBAUM)
+    return points
+
+
+# ---- on the edge of a doubling
+
+
+@pytest.mark.case("On the edge of a doubling")
+def test_on_the_edge_of_a_doubling(battery, lanes, first):
+    """Newton decides right on both sides, however near, and takes no more steps for it."""
+    n_edges = np.arange(2, 13)
+    battery.note(
+        "Sums are compensated in these two cases: with plain ones the rounding of the map, 1e-13 and times the "
+        "curvature 1e-11 in μ, turns verdicts about at \\|1 + μ\\| = 1e-12."
+    )
+    par = taylor.Parameters()
+    exact, _, info = taylor.doubling_point(par, 1, first.b, first.orbit[0])
+    battery.row("doubling 1 → 2, by Taylor with Newton", abs(float(first.b - exact)), 1e-11 + info.error, "error of b")
+    h = 1e-5
+    near = lanes(find_orbit, (SCENE.strobe(), np.int32(1)), (np.tile(first.orbit, (2, 1)), first.b + np.array([-h, h])))
+    low, high = (np.linalg.eigvals(m).real.min() for m in near.monodromy)
+    kappa = (high - low) / (2 * h)
+    edge = 10.0**-n_edges
+    b = np.concatenate([first.b + edge / kappa, first.b - edge / kappa])
+    start = np.tile(period.section_point(START), (len(b), 1))
+    found = period.survey(SCENE, lanes, b, start, 16, "hard", 512)
+    wanted = np.repeat([1, 2], len(edge))
+    wrong = int(np.sum(found.period != wanted))
+    battery.row("\\|1 + μ\\| = 1e-2 … 1e-12 on both sides: periods 1 and 2", wrong, 0, "wrong periods:")
+    # Beyond it 2n has μ = 1 − 4|1 + μ_n| + …; Newton stops at a residual of 1e-9 of a cubic, which is (1e-9)^(2/3) in μ.
+    expected = np.concatenate([1 - edge, 1 - 4 * edge])
+    off = np.abs(found.multiplier - expected) / (10 * edge[None, :].repeat(2, 0).ravel() ** 2 + 1e-6)
+    battery.row("largest multiplier: of 1e-6 and the second order in \\|1 + μ\\|", worst(off), 1.0, "share")
+    before = found.u[: len(edge)]
+    blocks = taylor.strobe_jacobian(par, b[: len(edge)], before)[1].astype(float)
+    reference = np.array([np.abs(np.linalg.eigvals(m)).max() for m in blocks])
+    off = np.abs(reference - found.multiplier[: len(edge)])
+    battery.row("multiplier of period 1, by Taylor's monodromy matrix", worst(off), 1e-9, "error")
+    steps = [
+        lanes(find_orbit, (SCENE.strobe(), np.int32(1)), (np.tile(first.orbit + 0.01, (len(edge), 1)), side)).steps
+        for side in np.split(b, 2)
+    ]
+    battery.row("Newton steps to the orbit of period 1", int(np.max(steps)), int(np.min(steps)) + 1, "largest number")
+    picture = Figure(figsize=(7, 4), layout="constrained")
+    axes = picture.subplots()
+    for side, label in ((slice(0, len(edge)), "before, period 1"), (slice(len(edge), None), "beyond, period 2")):
+        axes.loglog(edge, np.abs(1 - found.multiplier[side]), "o", label=label)
+    axes.loglog(edge, edge, "k:", lw=0.8)
+    axes.loglog(edge, 4 * edge, "k:", lw=0.8, label="1 and 4 times |1 + μ|")
+    axes.set(xlabel="|1 + μ| of the orbit of period 1", ylabel="1 − largest multiplier found")
+    axes.legend()
+    battery.picture(picture, "edge", "Multipliers on both sides of a doubling")
+    if battery.full:
+        scene = Scene(SCENE.system, START, b, *plan_of(SCENE))
+        done = {"period": period.run(period.PeriodOptions(limit=16), scene, lanes)}
+        done["lyapunov"] = lyapunov.run(lyapunov.LyapunovOptions(transient=512, periods=1024), scene, lanes)
+        done["chaos01"] = chaos01.run(chaos01.Chaos01Options(transient=512), scene, lanes)
+        kind = verdict.run(verdict.VerdictOptions(), scene, lanes, done).variables["kind"].data
+        battery.row("verdict of these 22 b, all of them periodic", int(np.sum(kind != 0)), 0, "other verdicts:")
+
+
+def plan_of(scene):
+    return scene.solver, scene.steps, scene.compensated, scene.error_estimate
+
+
+# ---- deep in the cascade
+
+
+@pytest.mark.case("Deep in the cascade")
+def test_deep_in_the_cascade(battery, lanes, segments, first):
+    """Doubling points up to 1024 → 2048, and stable orbits between them closed and with all their multipliers."""
+    deepest = 11 if battery.full else 7
+    points = climb(segments, first, deepest)
+    assert all(point.converged for point in points)
+    assert [len(point.orbit) for point in points] == [2**k for k in range(deepest)]
+    b = np.array([point.b for point in points])
+    par = taylor.Parameters()
+    checked = range(1, 5 if battery.full else 2)
+    exact = [float(taylor.doubling_point(par, 2**k, b[k], points[k].orbit[0])[0]) for k in checked]
+    off = worst(np.abs(np.array(exact) - b[list(checked)]))
+    battery.row(
+        f"doublings 2 → 4 to {2 ** checked[-1]} → {2 ** (checked[-1] + 1)}, by Taylor", off, 1e-10, "error of b"
+    )
+    delta = (b[1:-1] - b[:-2]) / (b[2:] - b[1:-1])
+    # Corrections to scaling fall by about δ a level (measured: 0.28, 0.034, 0.0055); rounding of b, 1e-12 over the
+    # last distance of 0.024/δ^(k−1), takes over in the end.
+    expected = 0.9 * FEIGENBAUM ** -np.arange(len(delta)) + 10 * 1e-12 / np.abs(b[2:] - b[1:-1])
+    off = np.abs(delta - FEIGENBAUM)
+    battery.row(
+        f"δ of {len(delta)} levels, the last {delta[-1]:.5f}: distance from Feigenbaum's",
+        worst(off / expected),
+        1.0,
+        "share of 0.9/δᵏ and rounding",
+    )
+    closing = []
+    for k in (6, 8, 10) if battery.full else (6,):
+        n, last = 2**k, points[k]
+        # Midway between two doublings, from the orbit at the second.
+        at = 0.5 * (points[k - 1].b + last.b)
+        orbit = close_orbit(segments, last.orbit, at)
+        closing.append(orbit.residual)
+        battery.row(f"period {n} at b = {at:.12f}: closed", orbit.residual, 1e-10, "largest gap")
+        half = np.abs(wrap(orbit.points - np.roll(orbit.points, n // 2, 0))).max()
+        assert half > 1e-7  # not the orbit of half the period
+        volume = lanes(log_volume, (SCENE.strobe(),), (orbit.points, np.full(n, at)), tile=32).sum()
+        ours = multiplier_logs(orbit.blocks, volume)
+        assert ours[0] < 0  # stable
+        blocks = taylor.strobe_jacobian(par, np.full(n, at), orbit.points)[1]
+        off = np.abs(ours - iterated(blocks)) / np.maximum(np.abs(ours), 1.0)
+        battery.row(
+            f"period {n}: ln\\|μ\\| = {ours[0]:.4f}, {ours[1]:.2f}, {ours[2]:.2f}, by Taylor",
+            worst(off),
+            1e-6,
+            "error, relative,",
+        )
+
+
+def iterated(blocks):
+    """ln|μ| by Gram–Schmidt in long double over blocks (n, 3, 3), the last of ten turns; multipliers are far apart."""
+    basis = np.eye(3, dtype=np.longdouble)
+    for _ in range(10):
+        logs = np.zeros(3, np.longdouble)
+        for block in blocks:
+            vectors = (block @ basis).T
+            for k in range(3):
+                for j in range(k):
+                    vectors[k] -= (vectors[k] @ vectors[j]) * vectors[j]
+                length = np.sqrt(vectors[k] @ vectors[k])
+                vectors[k] /= length
+                logs[k] += np.log(length)
+            basis = vectors.T
+    return np.sort(logs.astype(float))[::-1]
