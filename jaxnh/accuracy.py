@@ -26,6 +26,7 @@ _SEED_STEPS = 32
 _SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very system
 _MOST_SEED_KICKS = 1 << 16
 _ROUNDS = 6
+_TABLES = 4  # that the rounding of plain sums is measured on
 _PRECISE = {"float64": 1e-6, "float32": 1e-1}  # an error below this that more steps do not halve is rounding
 _MOST_KICKS = 1 << 20
 
@@ -49,7 +50,7 @@ class Calibration:
     The error of a map is the largest difference of any component of (q, n) from a reference that is refined until it
     changes no more, over all samples, times two. The reference is in float64 whatever the `precision` of the map. Some
     sample states lie on the way, most on the attractors. No error is given that is below what the reference itself is
-    known to.
+    known to, and of plain sums none below what their rounding does to the most sensitive sample.
 
     Attributes:
         floor: how far apart the two finest references are: what rounding leaves, or the steps that there can be.
@@ -63,6 +64,7 @@ class Calibration:
         self._drop_lost()
         self._reference, self._known, self._enough = self._refine()
         self.floor = float(np.max(self._known))
+        self._rounding = self._rounding_of_sums()
 
     def error(self, solver: Solver, steps: int, *, compensated: bool = False) -> float:
         """Error estimate of one period with so many steps; infinite where a lane leaves the numbers."""
@@ -125,7 +127,8 @@ class Calibration:
         """Error estimate of every sample."""
         strobe = make_strobe(self._system, solver, steps, compensated=compensated)
         image = self._image(in_precision(strobe, self._precision), self._states, self._values)
-        return np.maximum(_SAFETY * _gaps(image, self._reference), self._known)
+        chance = 0.0 if compensated else self._rounding
+        return np.maximum(_SAFETY * np.maximum(_gaps(image, self._reference), chance), self._known)
 
     def _samples(self, start: State, values: np.ndarray) -> tuple[State, np.ndarray]:
         """Sample states and their b: across the sweep, and from the start towards the attractor."""
@@ -183,6 +186,18 @@ class Calibration:
             for leaf, new in zip(finest, finer, strict=True):
                 leaf[open_] = new
         return finest, gaps, steps * solver.stages
+
+    def _rounding_of_sums(self) -> float:
+        """What plain sums cost the most sensitive sample, in the worst of a few tables.
+
+        The roundings of one table may happen to be small in it; those of the lanes of the sweep will not all be.
+        """
+        solver, worst = SPLITTINGS[_REFERENCE], 0.0
+        for steps in (max(_REFERENCE_STEPS, self._enough // (2 * solver.stages)) + i for i in range(_TABLES)):
+            plain, exact = (self._one_period(solver, steps, c, self._states, self._values) for c in (False, True))
+            gaps = _gaps(plain, exact)
+            worst = max(worst, float(np.max(gaps, where=np.isfinite(gaps), initial=0.0)))
+        return worst
 
     def _one_period(
         self, solver: Solver, steps: int, compensated: bool, state: State, values: np.ndarray
