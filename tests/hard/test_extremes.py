@@ -116,7 +116,7 @@ def test_slow_forcing(battery, lanes):
     """A period of 628 at ω = 0.01: held where the flow is calm; where it enlarges roundings to its own size, refused,
     and two Taylor integrations in double and long double disagree there as well."""
     scenes = [(0.01, 0.1, 1e-4), (0.01, 0.3, 1e-4), (0.001, 0.7, 1e-4)] if battery.full else [(0.01, 0.1, 1e-4)]
-        plans = []
+    held_by = 0
     for c, b, target in scenes:
         system = constant_speed(c=c, omega=0.01)
         held = hold(lanes, system, start_at(system), np.array([b]), target, 12)
