@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxnh.lanes import Lanes
+from jaxnh.lanes import TILE, Lanes
 from jaxnh.precision import in_precision
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver
 from jaxnh.strobe import Strobe, iterate, make_strobe
@@ -136,7 +136,9 @@ class Calibration:
         state = jax.tree.map(lambda leaf: np.full(len(picked), leaf, float), start)
         strobe = make_strobe(self._system, SPLITTINGS[_REFERENCE], self._seed_steps(state, picked))
         states, before = [], 0
-        for periods in _SAMPLED_TIMES:
+        # A sweep of few values is sampled more often, up to what one tile holds at no further cost.
+        often = np.linspace(0, _SAMPLED_TIMES[-1], min(_SAMPLED_TIMES[-1] + 1, TILE // len(picked) + 1)).round()
+        for periods in sorted({*_SAMPLED_TIMES, *often.astype(int).tolist()} if len(often) > 8 else _SAMPLED_TIMES):
             passed = periods - before
             state = self._lanes(iterate, (strobe, np.int32(passed)), (state, picked), periods=passed)
             states.append(state)

@@ -19,7 +19,7 @@ from jaxnh.strobe import wrap
 from jaxnh.systems import constant_speed
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
-SCENE = Scene(constant_speed(), START, np.array([5.54]), SPLITTINGS["kahan_li8"], 240, True, 1e-10)
+SCENE = Scene(constant_speed(), START, np.array([5.54]), SPLITTINGS["kahan_li8"], 320, True, 1e-11)
 FEIGENBAUM = 4.669201609102990
 
 
