@@ -8,6 +8,7 @@ import diffrax
 import equinox as eqx
 
 from jaxnh.mechanics import Motion, NonholonomicSystem
+from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
 
 
 class Projected(diffrax.AbstractSolver):
@@ -20,7 +21,7 @@ class Projected(diffrax.AbstractSolver):
         system: the system whose `vector_field` that term has.
     """
 
-    solver: diffrax.AbstractSolver = eqx.field(static=True)
+    solver: WrittenOutRungeKutta = eqx.field(static=True)
     system: NonholonomicSystem
 
     term_structure: ClassVar = diffrax.AbstractTerm
@@ -42,3 +43,7 @@ class Projected(diffrax.AbstractSolver):
         y1, _, _, solver_state, result = self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
         y1 = self.system.project(t1, y1, args)
         return y1, None, {"y0": y0, "y1": y1}, solver_state, result
+
+    def rolled_step(self, terms: Any, t0: Any, t1: Any, y0: Motion, args: Any) -> Motion:
+        """The same state after one step by a smaller program; see `WrittenOutRungeKutta.rolled_step`."""
+        return self.system.project(t1, self.solver.rolled_step(terms, t0, t1, y0, args), args)
