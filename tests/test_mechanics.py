@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from measure import SYSTEMS, UNIT
 
-from jaxnh.mechanics import FAULTS, Equations, Motion, accelerations, eliminate, nonholonomic_system
+from jaxnh.elimination import eliminate
+from jaxnh.mechanics import FAULTS, Equations, Motion, accelerations, nonholonomic_system
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.solvers.isokinetic import DriftTerm, KickTerm
 from jaxnh.solvers.projected import Projected
@@ -141,7 +142,15 @@ def march(system, state, t1, steps, b=0.0, solver="dopri8", project=True):
     """State at t1 from t = 0 by constant steps."""
     solver = Projected(SOLVERS[solver], system) if project else SOLVERS[solver]
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(system.vector_field), solver, 0.0, t1, t1 / steps, state, args=b, max_steps=steps + 1, throw=False
+        diffrax.ODETerm(system.vector_field),
+        solver,
+        0.0,
+        t1,
+        t1 / steps,
+        state,
+        args=b,
+        max_steps=steps + 1,
+        throw=False,
     )
     return jax.tree.map(lambda leaf: np.asarray(leaf[-1]), solution.ys)
 
