@@ -10,9 +10,10 @@ import jax
 import numpy as np
 
 from jaxnh.lanes import TILE, Lanes
+from jaxnh.maps import Strobe, System
 from jaxnh.precision import in_precision
-from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver
-from jaxnh.strobe import Strobe, iterate, make_strobe
+from jaxnh.solvers import SPLITTINGS, Solver, dopri8, tsit5
+from jaxnh.strobe import iterate, make_strobe
 from jaxnh.systems import IsokineticParticle, State
 
 _SAMPLED_VALUES = 1024
@@ -25,6 +26,7 @@ _ROUGH = 1e-8  # references further apart than this say nothing: more steps may 
 _SEED_STEPS = 32
 _SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very system
 _MOST_SEED_KICKS = 1 << 16
+_GENERAL = dopri8, tsit5  # what a system of T, Q and f is integrated with
 _ROUNDS = 6
 _TABLES = 4  # that the rounding of plain sums is measured on
 _PRECISE = {"float64": 1e-6, "float32": 1e-1}  # an error below this that more steps do not halve is rounding
@@ -57,9 +59,13 @@ class Calibration:
     """
 
     def __init__(
-        self, system: IsokineticParticle, start: State, values: np.ndarray, lanes: Lanes, precision: str = "float64"
+        self, system: System, start: State, values: np.ndarray, lanes: Lanes, precision: str = "float64"
     ) -> None:
         self._system, self._lanes, self._precision = system, lanes, precision
+        planar = isinstance(system, IsokineticParticle)
+        self._finest: Solver = SPLITTINGS[_REFERENCE] if planar else dopri8
+        self._candidates: tuple[Solver, ...] = tuple(SPLITTINGS.values()) if planar else _GENERAL
+        self._summations = (False, True) if planar else (False,)  # plain, compensated
         self._states, self._values = self._samples(start, values)
         self._drop_lost()
         self._reference, self._known, self._enough = self._refine()
@@ -78,9 +84,9 @@ class Calibration:
         """
         if self.floor > target:
             raise self._refusal(target, self._known)
-        nearest = Plan(SPLITTINGS[_REFERENCE], _REFERENCE_STEPS, False, math.inf)
-        by_order = sorted(SPLITTINGS.values(), key=lambda s: (abs(s.convergence_order - 8), not s.processor[1]))
-        for compensated in (False, True):
+        nearest = Plan(self._finest, _REFERENCE_STEPS, False, math.inf)
+        by_order = sorted(self._candidates, key=lambda s: (abs(s.convergence_order - 8), not s.processor[1]))
+        for compensated in self._summations:
             best, most = None, _MOST_KICKS
             for solver in by_order:
                 if best is None and solver.convergence_order < 6:
@@ -100,7 +106,7 @@ class Calibration:
             f"that at b = {self._values[np.argmax(errors)]:.9g} comes down to {np.max(errors):.2g}"
         )
 
-    def _search(self, solver: IsokineticSplitting, target: float, most: int, compensated: bool) -> Iterator[Plan]:
+    def _search(self, solver: Solver, target: float, most: int, compensated: bool) -> Iterator[Plan]:
         """Plans of one solver on the way to the fewest steps that meet the target; nothing above `most` steps."""
         if most < 1:
             return
@@ -134,7 +140,7 @@ class Calibration:
         """Sample states and their b: across the sweep, and from the start towards the attractor."""
         picked = values[np.unique(np.linspace(0, len(values) - 1, _SAMPLED_VALUES).round().astype(int))]
         state = jax.tree.map(lambda leaf: np.full(len(picked), leaf, float), start)
-        strobe = make_strobe(self._system, SPLITTINGS[_REFERENCE], self._seed_steps(state, picked))
+        strobe = make_strobe(self._system, self._finest, self._seed_steps(state, picked))
         states, before = [], 0
         # A sweep of few values is sampled more often, up to what one tile holds at no further cost.
         often = np.linspace(0, _SAMPLED_TIMES[-1], min(_SAMPLED_TIMES[-1] + 1, TILE // len(picked) + 1)).round()
@@ -151,7 +157,7 @@ class Calibration:
         Raises:
             TargetError: there are no others.
         """
-        image = self._one_period(SPLITTINGS[_REFERENCE], _REFERENCE_STEPS, False, self._states, self._values)
+        image = self._one_period(self._finest, _REFERENCE_STEPS, False, self._states, self._values)
         kept = np.flatnonzero(np.all(np.isfinite(image), axis=0))
         if not len(kept):
             raise TargetError("every lane of this sweep leaves the numbers within a period")
@@ -159,7 +165,8 @@ class Calibration:
 
     def _seed_steps(self, state: State, values: np.ndarray) -> int:
         """Steps with which the first period is roughly right."""
-        solver, steps = SPLITTINGS[_REFERENCE], _SEED_STEPS
+        solver = self._finest
+        steps = _SEED_STEPS if isinstance(self._system, IsokineticParticle) else 4 * _SEED_STEPS
         image = self._one_period(solver, steps, False, state, values)
         while 2 * steps * solver.stages <= _MOST_SEED_KICKS:
             coarser, image = image, self._one_period(solver, 2 * steps, False, state, values)
@@ -174,7 +181,7 @@ class Calibration:
 
         Each sample is refined until rounding is all that is left, most of them a few times only.
         """
-        solver, steps = SPLITTINGS[_REFERENCE], _REFERENCE_STEPS
+        solver, steps = self._finest, _REFERENCE_STEPS
         finest = self._one_period(solver, steps, True, self._states, self._values)
         gaps, before = np.full((2, len(self._values)), np.inf)
         while 1.5 * steps * solver.stages <= _MOST_KICKS:
@@ -194,7 +201,7 @@ class Calibration:
 
         The roundings of one table may happen to be small in it; those of the lanes of the sweep will not all be.
         """
-        solver, worst = SPLITTINGS[_REFERENCE], 0.0
+        solver, worst = self._finest, 0.0
         for steps in (max(_REFERENCE_STEPS, self._enough // (2 * solver.stages)) + i for i in range(_TABLES)):
             plain, exact = (self._one_period(solver, steps, c, self._states, self._values) for c in (False, True))
             gaps = _gaps(plain, exact)
@@ -208,7 +215,7 @@ class Calibration:
 
     def _image(self, strobe: Strobe, state: State, values: np.ndarray) -> list[np.ndarray]:
         image = self._lanes(iterate, (strobe, np.int32(1)), (state, values), periods=1)
-        return [np.array(leaf) for leaf in jax.tree.leaves(image)]
+        return [np.array(leaf) for leaf in jax.tree.leaves(image[:2])]
 
 
 def _gaps(one: list[np.ndarray], other: list[np.ndarray]) -> np.ndarray:

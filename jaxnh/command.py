@@ -18,7 +18,7 @@ from jaxnh.accuracy import Calibration, Plan, TargetError
 from jaxnh.analyses.record import Scene
 from jaxnh.exits import Refused
 from jaxnh.experiment import ConfigError, Experiment, load
-from jaxnh.lanes import Lanes
+from jaxnh.lanes import Lanes, configure
 from jaxnh.solvers import SOLVERS
 
 _VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
@@ -41,6 +41,7 @@ def experiment_of(config: Path | None, overrides: Sequence[str] | None) -> Exper
     """
     if config is None:
         raise Refused("command line: CONFIG: name a YAML file")
+    configure()  # before a user's file is tried out
     try:
         return load(config, overrides or [])
     except ConfigError as error:
@@ -108,6 +109,7 @@ def provenance(experiment: Experiment, scene: Scene, spent: Account, module: str
         "lane_periods": spent.lane_periods,
         "device": spent.device,
         "strobe_period": np.float64(scene.system.period),
+        **({"swept": scene.system.sweeps, "system_file": experiment.own.text} if experiment.own else {}),
     }
 
 

@@ -42,6 +42,8 @@ def cost(
     """Body of the command; the words above are what --help shows."""
     began = time.perf_counter()
     experiment = experiment_of(config, overrides)
+    if experiment.own:
+        raise Refused(f"{experiment.source}: system.file: prices are of the built-in systems; name a constraint")
     path = output or Path("results") / f"{experiment.source.stem}_cost.h5"
     _check_replaceable(path)
     check_output(path)

@@ -15,13 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
     ConfigDict,
-    Discriminator,
     Field,
     ModelWrapValidatorHandler,
     PrivateAttr,
-    Tag,
     ValidationError,
     create_model,
     field_validator,
@@ -32,27 +29,31 @@ from pydantic.json_schema import GenerateJsonSchema
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.record import Analysis, Options
 from jaxnh.faults import Layout, close_match, first_fault, rule, shown
+from jaxnh.own_sections import own_sections
+from jaxnh.own_system import OwnSystem, OwnSystemError
+from jaxnh.sections import Evenly, Grid, Named, Section
 from jaxnh.solvers import RUNGE_KUTTA, SOLVERS
 from jaxnh.systems import IsokineticParticle, constant_speed, disturbed_speed, strobe_period
-from jaxnh.yaml_source import ConfigError, read
+from jaxnh.yaml_source import ConfigError, KeyPath, read
 
 __all__ = ["ConfigError", "Experiment", "load", "schema"]
 
 _SOLVERS = tuple(SOLVERS)
-_MOST_LANES = 10_000_000
 _BY_NEWTON = ("doubling", "period")
-
-
-class Section(BaseModel):
-    """A mapping in a config: frozen, strict about types, and a key that is not known is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 # ---- system and start
 
 
-class ConstantSpeed(Section):
+class PlanarSystem(Section):
+    """A particle in the plane at a prescribed speed."""
+
+    def exponents(self, sweep: Any) -> int:
+        """How many Lyapunov exponents there are."""
+        return IsokineticParticle.exponents
+
+
+class ConstantSpeed(PlanarSystem):
     """x2² + y2² = c, equation (12) of the paper."""
 
     constraint: Literal["constant_speed"] = Field(description="The squared speed is held at c")
@@ -65,7 +66,7 @@ class ConstantSpeed(Section):
         return constant_speed(self.a, self.c, self.omega)
 
 
-class DisturbedSpeed(Section):
+class DisturbedSpeed(PlanarSystem):
     """x2² + y2² = c + d sin t, equation (22) of the paper."""
 
     constraint: Literal["disturbed_speed"] = Field(description="The squared speed is held at c + d sin(t)")
@@ -107,53 +108,21 @@ class Initial(Section):
         speed = math.sqrt(system.c)  # c + d sin t at t = 0
         return (self.x1, self.y1), (self.x2 / speed, math.sqrt(system.c - self.x2 * self.x2) / speed)
 
+    def check(self, system: ConstantSpeed | DisturbedSpeed, sweep: Any) -> None:
+        """See that the speed at t = 0 is enough for x2."""
+        if self.x2 * self.x2 > system.c:
+            speed = math.sqrt(system.c)
+            message = f"the speed at t = 0 is {speed:g}, and |x2| cannot be above it; x2 is {self.x2:g}"
+            raise rule(message, "initial.x2", "system.c")
+
 
 # ---- sweep
-
-
-class Evenly(Section):
-    """Evenly spaced values of a parameter, both ends included."""
-
-    start: float = Field(description="First value")
-    stop: float = Field(description="Last value, above or below the first")
-    count: int = Field(ge=2, le=_MOST_LANES, description="Number of values, both ends included")
-
-    @model_validator(mode="after")
-    def _check(self) -> Evenly:
-        if self.start == self.stop:
-            raise rule(f"must differ from start, and both are {self.start:g}", "stop", "start")
-        if not math.isfinite(self.stop - self.start):
-            raise rule("start and stop are further apart than a double can say", "stop", "start")
-        return self
-
-    def grid(self) -> np.ndarray:
-        """The values from start to stop, shape (count,)."""
-        return np.linspace(self.start, self.stop, self.count)
-
-
-class Named(Section):
-    """Values of a parameter, named one by one."""
-
-    values: tuple[float, ...] = Field(
-        min_length=1, max_length=_MOST_LANES, strict=False, description="The values, in the order they are wanted"
-    )
-
-    def grid(self) -> np.ndarray:
-        """The values as given, shape (count,)."""
-        return np.array(self.values, dtype=np.float64)
-
-
-def _grid_kind(content: Any) -> str:
-    named = "values" in content if isinstance(content, dict) else isinstance(content, Named)
-    return "values" if named else "start, stop, count"
 
 
 class Sweep(Section):
     """The parameter that differs from lane to lane."""
 
-    b: Annotated[
-        Annotated[Evenly, Tag("start, stop, count")] | Annotated[Named, Tag("values")], Discriminator(_grid_kind)
-    ] = Field(description="Coupling b: start, stop and count, or values")
+    b: Grid = Field(description="Coupling b: start, stop and count, or values")
 
     def grid(self) -> np.ndarray:
         """Values of b in the order of the config, float64 of shape (lanes,)."""
@@ -283,6 +252,7 @@ class Experiment(Section):
 
     _source: Path = PrivateAttr(default=Path())
     _text: str = PrivateAttr(default="")
+    _own: OwnSystem | None = PrivateAttr(default=None)
 
     @field_validator("compare")
     @classmethod
@@ -294,10 +264,17 @@ class Experiment(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Experiment:
-        x2, c = self.initial.x2, self.system.c
-        if x2 * x2 > c:
-            message = f"the speed at t = 0 is {math.sqrt(c):g}, and |x2| cannot be above it; x2 is {x2:g}"
-            raise rule(message, "initial.x2", "system.c")
+        self.initial.check(self.system, self.sweep)
+        solver = self.accuracy.solver
+        if solver and solver not in RUNGE_KUTTA and not isinstance(self.system, PlanarSystem):
+            general = ", ".join(RUNGE_KUTTA)
+            raise rule(f"{solver} is for a particle at a prescribed speed; others are {general}", "accuracy.solver")
+        options = getattr(self.analyses, "lyapunov", None)
+        most = self.system.exponents(self.sweep)
+        if options is not None and "exponents" in options.model_fields_set and options.exponents > most:
+            raise rule(f"must be at most {most}, not {options.exponents}", "analyses.lyapunov.exponents")
+        if self.accuracy.precision == "float32" and not isinstance(self.system, PlanarSystem):
+            raise rule("float32 is for a particle at a prescribed speed", "accuracy.precision")
         for analysis, _ in self.requested():
             if self.accuracy.precision == "float32" and analysis.name in _BY_NEWTON:
                 message = f"float32 is too coarse for Newton on orbits, which {analysis.name} rests on"
@@ -322,6 +299,8 @@ class Experiment(Section):
         defaults written out do not change it. Nor do `title` and `compare`, which change no number.
         """
         content = self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
+        if self._own:
+            content["system"]["file"] = self._own.sha256
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -329,6 +308,11 @@ class Experiment(Section):
     def precision(self) -> str:
         """Arithmetic within a period: "float64", or "float32" where it is asked for."""
         return self.accuracy.precision or "float64"
+
+    @property
+    def own(self) -> OwnSystem | None:
+        """The user's file that the system is from, if it is."""
+        return self._own
 
     def requested(self) -> list[tuple[Analysis, Options]]:
         """The analyses asked for, each with its options, in the order of the config."""
@@ -353,6 +337,27 @@ _LAYOUT = Layout(
 )
 
 
+def _of_own(own: OwnSystem) -> tuple[type[Experiment], Layout]:
+    """The experiment of a user's system: its parameters, coordinates and sweep have the places of the built-in ones."""
+    system, initial, sweep = own_sections(own)
+    fields: dict[str, Any] = {
+        "system": (system, Field(description="The user's file, and the parameters")),
+        "initial": (
+            initial,
+            Field(default_factory=initial, description="Start state at t = 0, the same for all lanes"),
+        ),
+        "sweep": (sweep, Field(description="The parameter that differs from lane to lane, and its values")),
+    }
+    model = create_model("OwnExperiment", __base__=Experiment, **fields)
+    grids: dict[KeyPath, Any] = {("sweep", name): _LAYOUT.variants["sweep", "b"] for name in own.parameters}
+    layout = Layout(
+        models={**_LAYOUT.models, (): model, ("system",): system, ("initial",): initial, ("sweep",): sweep},
+        variants=grids,
+        selectors=dict.fromkeys(grids, "values"),
+    )
+    return model, layout
+
+
 def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
     """Read, override and validate a config.
 
@@ -361,14 +366,24 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
         overrides: KEY=VALUE, KEY a dotted path into the YAML (a number for an item of a list), VALUE as in YAML.
 
     Raises:
-        ConfigError: one line, `FILE:LINE: KEY: what is wrong`, or `command line: KEY: ...` for an override.
+        ConfigError: one line, `FILE:LINE: KEY: what is wrong`, or `command line: KEY: ...` for an override; of a
+            user's system, also `ITS FILE:LINE: what is wrong`.
     """
     source = read(path, overrides)
+    model, layout, own = Experiment, _LAYOUT, None
     try:
-        experiment = Experiment.model_validate(source.data)
+        named = source.data.get("system")
+        if isinstance(named, dict) and isinstance(named.get("file"), str):
+            if not (path.parent / named["file"]).is_file():
+                raise source.error(("system", "file"), f"there is no file {path.parent / named['file']}")
+            own = OwnSystem(path.parent / named["file"])
+            model, layout = _of_own(own)
+        experiment = model.model_validate(source.data)
     except ValidationError as error:
-        raise first_fault(error, source, _LAYOUT) from None
-    experiment._source, experiment._text = path, source.text
+        raise first_fault(error, source, layout) from None
+    except OwnSystemError as error:
+        raise ConfigError(str(error)) from None
+    experiment._source, experiment._text, experiment._own = path, source.text, own
     return experiment
 
 

@@ -33,7 +33,7 @@ _COLUMNS, _ROWS = 1200, 500  # cells of a density, a little below the pixels it 
 _MARKERS = 20_000  # up to so many points are drawn one by one
 _DISTINCT = 256  # up to so many different strobe points get large markers
 _FEW = 48  # curves over fewer values of b show their points
-_SYMBOLS = {"x1": "$x_1$", "x2": "$x_2$", "y1": "$y_1$", "y2": "$y_2$"}
+_SYMBOLS = {"x1": "$x_1$", "x2": "$x_2$", "y1": "$y_1$", "y2": "$y_2$", "b": "$b$"}
 _LINE, _POINT, _MARK = "#7f9cb8", "#b3261e", "#1c6e4a"
 _INK = ListedColormap(colormaps["magma_r"](np.linspace(0.22, 1.0, 24)))  # few steps: they print well, files stay small
 _KINDS = {
@@ -53,32 +53,38 @@ class FigureError(Exception):
 
 
 def portrait(data: xr.Dataset, index: int = 0, ax: Axes | None = None, *, strobes: xr.Dataset | None = None) -> Axes:
-    """Phase portrait of one value of b in the plane (x1, x2), with the points of a `poincare` group over it."""
+    """Phase portrait of one value of b in the plane of the first position and its velocity, (x1, x2) of the paper.
+
+    The points of a `poincare` group are drawn over it.
+    """
     ax = _axes(ax)
     chosen = data.isel(b=index)
-    ax.plot(chosen["x1"], chosen["x2"], color=_LINE, linewidth=0.5, zorder=1)
+    ax.plot(*(chosen[name] for name in _first(data)), color=_LINE, linewidth=0.5, zorder=1)
     if strobes is not None:
         _points(strobes.isel(b=index), ax)
     return _plane(data, index, ax)
 
 
 def poincare(data: xr.Dataset, index: int = 0, ax: Axes | None = None) -> Axes:
-    """Poincaré map of one value of b in the plane (x1, x2)."""
+    """Poincaré map of one value of b in the plane of the first position and its velocity."""
     ax = _axes(ax)
     _points(data.isel(b=index), ax)
     return _plane(data, index, ax)
 
 
 def diagram(
-    data: xr.Dataset, ax: Axes | None = None, *, variable: str = "x1", doublings: xr.Dataset | None = None
+    data: xr.Dataset, ax: Axes | None = None, *, variable: str = "", doublings: xr.Dataset | None = None
 ) -> Axes:
-    """Bifurcation diagram: a variable at the strobes against b, as a density unless the points are few.
+    """Bifurcation diagram: a variable, by default the first position, at the strobes against b.
+
+    Unless the points are few, it is drawn as a density.
 
     The colour is the share of a column's strobe points that fall into a cell, on a logarithmic scale: an orbit of
     period n has n cells of 1/n each. With a `doubling` group its points are marked.
     """
     ax = _axes(ax)
     b = data["b"].to_numpy()
+    variable = variable or _first(data)[0]
     values = data[variable].transpose("b", ...).to_numpy().reshape(len(b), -1)
     if values.size <= _MARKERS:
         ax.plot(np.repeat(b, values.shape[1]), values.ravel(), ".", color=_POINT, markersize=2, markeredgewidth=0)
@@ -87,7 +93,7 @@ def diagram(
         norm = LogNorm(share[share > 0].min(initial=0.5), 1.0)
         image = ax.pcolorfast(across, up, np.ma.masked_equal(share.T, 0.0), cmap=_INK, norm=norm)
         _key_to_colours(image, ax)
-    _over_b(data, ax, _label(data[variable], _SYMBOLS[variable]))
+    _over_b(data, ax, _label(data[variable]))
     if doublings is not None:
         _mark_doublings(doublings, ax)
     return ax
@@ -108,7 +114,10 @@ def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.set_xticks(
         level, [f"{n} → {2 * n}\n{b:.8f}" for n, b in zip(periods, found["b"].to_numpy(), strict=True)], fontsize=8
     )
-    ax.set(xlabel="doubling of the period, and its $b$ (dimensionless)", ylabel="ratio δ (dimensionless)")
+    ax.set(
+        xlabel=f"doubling of the period, and its {_named(data['b'])[1]} (dimensionless)",
+        ylabel="ratio δ (dimensionless)",
+    )
     ax.set_xlim(level.min(initial=1) - 0.5, level.max(initial=1) + 0.5)
     ax.margins(y=0.25)
     ax.legend(fontsize=8, frameon=False, loc="lower right")
@@ -315,9 +324,33 @@ def _axes(ax: Axes | None) -> Axes:
     return Figure(figsize=(0.7 * _WIDTH, 4.5), layout="constrained").subplots() if ax is None else ax
 
 
-def _label(variable: xr.DataArray, symbol: str) -> str:
+def _first(data: xr.Dataset) -> tuple[str, str]:
+    """Names of the first position and its velocity: the first variables along trajectories."""
+    names = [str(name) for name, v in data.data_vars.items() if v.dims[-1:] in (("strobe",), ("time",)) and name != "t"]
+    return names[0], names[1]
+
+
+def _symbol(name: str) -> str:
+    """A name as it is written in a figure."""
+    base = name.removesuffix("_dot")
+    letters = base if len(base) == 1 else rf"\mathrm{{{base}}}".replace("_", r"\_")
+    return _SYMBOLS.get(name) or (rf"$\dot{{{letters}}}$" if base != name else f"${letters}$")
+
+
+def _named(variable: xr.DataArray) -> tuple[str, str]:
+    """What a variable is in words, and its symbol."""
+    words, name = (
+        str(variable.attrs.get("long_name", f"parameter {variable.name}"))
+        .split(" = ")[0]
+        .split(" at the ")[0]
+        .rsplit(" ", 1)
+    )
+    return words, _symbol(name)
+
+
+def _label(variable: xr.DataArray) -> str:
     """What a variable is in words, its symbol and its units."""
-    words = str(variable.attrs["long_name"]).split(" = ")[0].rsplit(" ", 1)[0]
+    words, symbol = _named(variable)
     units = variable.attrs["units"]
     return f"{words} {symbol} ({'dimensionless' if units == '1' else units})"
 
@@ -325,20 +358,21 @@ def _label(variable: xr.DataArray, symbol: str) -> str:
 def _over_b(data: xr.Dataset, ax: Axes, ylabel: str) -> Axes:
     """Axes over b: all panels of a file end at the same values."""
     edges = _edges(np.unique(data["b"].to_numpy()))
-    ax.set(xlabel=_label(data["b"], "$b$"), ylabel=ylabel, xlim=(edges[0], edges[-1]))
+    ax.set(xlabel=_label(data["b"]), ylabel=ylabel, xlim=(edges[0], edges[-1]))
     return ax
 
 
 def _plane(data: xr.Dataset, index: int, ax: Axes) -> Axes:
-    ax.set(xlabel=_label(data["x1"], "$x_1$"), ylabel=_label(data["x2"], "$x_2$"))
+    x, y = _first(data)
+    ax.set(xlabel=_label(data[x]), ylabel=_label(data[y]))
     letter = f"({chr(ord('a') + index)}) " if data.sizes["b"] <= 26 else ""
-    ax.set_title(f"{letter}$b$ = {float(data['b'][index]):.10g}", fontsize=10)
+    ax.set_title(f"{letter}{_named(data['b'])[1]} = {float(data['b'][index]):.10g}", fontsize=10)
     return ax
 
 
 def _points(strobes: xr.Dataset, ax: Axes) -> None:
     """Strobe points of one b, large where few differ."""
-    points = np.column_stack([strobes["x1"], strobes["x2"]])
+    points = np.column_stack([strobes[name] for name in _first(strobes)])
     few = len(np.unique(points.round(4), axis=0)) <= _DISTINCT
     size = 5.0 if few else 1.4
     ax.plot(*points.T, "o", color=_POINT, markersize=size, markeredgewidth=0, zorder=2)
@@ -397,5 +431,5 @@ def _key_to_colours(image: ColorizingArtist, ax: Axes) -> None:
     bar = ax.figure.colorbar(image, cax=ax.inset_axes((0.7, 1.03, 0.3, 0.025)), orientation="horizontal")
     bar.ax.xaxis.set_ticks_position("top")
     bar.ax.tick_params(labelsize=7, pad=1)
-    label = "share of the strobe points at a $b$"
+    label = "share of the strobe points of a column"
     ax.annotate(label, (0.69, 1.04), xycoords="axes fraction", ha="right", va="center", fontsize=8)

@@ -19,6 +19,8 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from jaxnh.maps import Strobe
+
 TILE = 256
 """Lanes a tile: large enough to hide what a kernel call costs, small enough for a core's first cache."""
 
@@ -108,7 +110,8 @@ class Lanes:
         Returns:
             The function's results as NumPy arrays with the lanes as first axis.
         """
-        tile = tile or self.tile
+        most = [part.most_lanes for part in shared if isinstance(part, Strobe) and part.most_lanes]
+        tile = min(tile or self.tile, *most) if most else tile or self.tile
         chunk = tile * len(self.devices)
         lanes = jax.tree.map(np.asarray, lanes)
         count = len(jax.tree.leaves(lanes)[0])
@@ -166,7 +169,9 @@ def configure(devices: int | None = None) -> None:
     os.environ["XLA_FLAGS"] = flags
     os.environ.setdefault("EQX_ON_ERROR", "nan")  # no host callbacks: they keep diffrax programs out of the cache
     if "JAX_NUM_CPU_DEVICES" not in os.environ:
-        jax.config.update("jax_num_cpu_devices", devices or len(os.sched_getaffinity(0)))
+        count = devices or len(os.sched_getaffinity(0))
+        if jax.config.jax_num_cpu_devices != count:  # pyright: ignore[reportAttributeAccessIssue]
+            jax.config.update("jax_num_cpu_devices", count)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(root / "jaxnh" / "programs"))

@@ -16,7 +16,10 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.strobe import Strobe, Tangent, chart, derivatives, unchart, wrap
+from jaxnh.elimination import eliminate
+from jaxnh.maps import Strobe, Tangent
+from jaxnh.strobe import derivatives
+from jaxnh.systems import wrap as planar_wrap
 
 _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-9  # residual after which one more step reaches the rounding floor
@@ -29,9 +32,9 @@ class Orbit(NamedTuple):
     """A point of a period-n orbit of one lane.
 
     Attributes:
-        u: section coordinates (x1, y1, θ), shape (3,).
+        u: section coordinates, shape (d,).
         residual: largest component of Pⁿ(u) − u.
-        monodromy: ∂Pⁿ/∂u, shape (3, 3).
+        monodromy: ∂Pⁿ/∂u, shape (d, d).
         steps: Newton steps taken.
     """
 
@@ -42,11 +45,13 @@ class Orbit(NamedTuple):
 
 
 def find_orbit(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Orbit:
-    """Newton on Pⁿ(u; b) = u for one lane, from u of shape (3,); n may be traced.
+    """Newton on Pⁿ(u; b) = u for one lane, from u of shape (d,); n may be traced.
 
     Stops by itself; a lane that does not converge shows it by its residual (NaN where it left the numbers).
     Newton does not care whether the orbit is stable, nor how slowly the map itself would approach it.
     """
+
+    wrap, one = strobe.system.wrap, jnp.eye(strobe.system.dimension)
 
     def look(u: Array, steps: Array) -> tuple[Orbit, Array]:
         image, monodromy, _ = derivatives(strobe, n, u, b)
@@ -54,7 +59,7 @@ def find_orbit(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Orbit:
 
     def improve(carry: tuple[Orbit, Array, Array]) -> tuple[Orbit, Array, Array]:
         orbit, image, _ = carry
-        step = solve3(orbit.monodromy - jnp.eye(3), wrap(orbit.u - image))
+        step = solve(orbit.monodromy - one, wrap(orbit.u - image))
         step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(jnp.abs(step)))
         last = orbit.residual < _NEWTON_TOLERANCE
         return *look(orbit.u + step, orbit.steps + 1), last
@@ -67,8 +72,17 @@ def find_orbit(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Orbit:
     return lax.while_loop(unfinished, improve, (*look(u, jnp.int32(0)), jnp.bool_(False)))[0]
 
 
+def solve(matrix: Array, right: Array) -> Array:
+    """Solution of a small system, (d, d) and (d,) to (d,): batched LAPACK calls are slow on these."""
+    d = len(right)
+    if d == 3:
+        return solve3(matrix, right)
+    (solution,), _ = eliminate([[matrix[i, j] for j in range(d)] for i in range(d)], [[right[i] for i in range(d)]])
+    return jnp.stack(solution)
+
+
 def solve3(matrix: Array, right: Array) -> Array:
-    """Solution of a 3×3 system by cofactors, (3, 3) and (3,) to (3,): batched LAPACK calls are slow on these."""
+    """Solution of a 3×3 system by cofactors, (3, 3) and (3,) to (3,)."""
     r0, r1, r2 = matrix
     c0, c1, c2 = jnp.cross(r1, r2), jnp.cross(r2, r0), jnp.cross(r0, r1)
     return (c0 * right[0] + c1 * right[1] + c2 * right[2]) / jnp.dot(r0, c0)
@@ -78,10 +92,10 @@ class Segment(NamedTuple):
     """One period of an orbit with a vector carried along, and all that Newton on both needs.
 
     Attributes:
-        image: P(u; b), (3,).
-        carried: M w with M = ∂P/∂u, (3,).
-        image_slope: ∂P/∂(u, b), (3, 4).
-        carried_slope: ∂(M w)/∂(u, b), (3, 4).
+        image: P(u; b), (d,).
+        carried: M w with M = ∂P/∂u, (d,).
+        image_slope: ∂P/∂(u, b), (d, d + 1).
+        carried_slope: ∂(M w)/∂(u, b), (d, d + 1).
     """
 
     image: Any
@@ -91,12 +105,14 @@ class Segment(NamedTuple):
 
 
 def segment(strobe: Strobe, u: Array, w: Array, b: ArrayLike) -> Segment:
-    """P, M w and their derivatives in u and b for one lane; u and w of shape (3,)."""
+    """P, M w and their derivatives in u and b for one lane; u and w of shape (d,)."""
+
+    system, d = strobe.system, strobe.system.dimension
 
     def carry(v: Array) -> tuple[Array, Array]:
-        state, tangent = jax.jvp(unchart, (v[:3],), (w,))
-        pushed = strobe.push(state, v[3], (Tangent(tangent),))
-        image, carried = jax.jvp(chart, (pushed.state,), (pushed.tangents[0].state,))
+        state, tangent = jax.jvp(system.unchart, (v[:d],), (w,))
+        pushed = strobe.push(state, v[d], (Tangent(tangent),))
+        image, carried = jax.jvp(system.chart, (pushed.state,), (pushed.tangents[0].state,))
         return image, carried
 
     point = jnp.append(u, b)
@@ -109,8 +125,8 @@ class DoublingPoint(NamedTuple):
 
     Attributes:
         b: the parameter value.
-        orbit: the n points of the orbit in section coordinates, (n, 3).
-        vector: the eigenvector of −1 at each of them, (n, 3), of length one at the first.
+        orbit: the n points of the orbit in section coordinates, (n, d).
+        vector: the eigenvector of −1 at each of them, (n, d), of length one at the first.
         last_step: size of the last Newton step in b, which is rounding once it has converged.
         converged: whether it has.
     """
@@ -127,6 +143,7 @@ def refine_doubling(
     orbit: np.ndarray,
     vector: np.ndarray,
     b: float,
+    wrap: Callable[[np.ndarray], np.ndarray] = planar_wrap,
 ) -> DoublingPoint:
     """Newton on orbit, eigenvector and b together, so that the orbit of n points has the multiplier −1.
 
@@ -135,12 +152,13 @@ def refine_doubling(
     solution of an equation, critical slowing plays no part.
 
     Args:
-        segments: `segment` over lanes (n, 3), (n, 3), (n,).
-        orbit: starting points (n, 3).
-        vector: starting vectors (n, 3).
+        segments: `segment` over lanes (n, d), (n, d), (n,).
+        orbit: starting points (n, d).
+        vector: starting vectors (n, d).
         b: starting value.
+        wrap: brings angles of a difference of section coordinates into their range.
     """
-    n = len(orbit)
+    n, d = orbit.shape
     turn = np.ones((n, 1))
     turn[-1] = -1.0
     vector = vector / np.linalg.norm(vector[0])
@@ -150,16 +168,16 @@ def refine_doubling(
         residual = np.concatenate(
             [wrap(np.roll(orbit, -1, 0) - s.image), turn * np.roll(vector, -1, 0) - s.carried], axis=1
         )
-        here = np.zeros((n, 6, 6))
-        here[:, :3, :3] = here[:, 3:, 3:] = s.image_slope[:, :, :3]
-        here[:, 3:, :3] = s.carried_slope[:, :, :3]
-        there = np.zeros((n, 6, 6))
-        there[:, :3, :3] = -np.eye(3)
-        there[:, 3:, 3:] = -np.eye(3) * turn[:, :, None]
-        slope = np.concatenate([s.image_slope[:, :, 3], s.carried_slope[:, :, 3]], axis=1)
-        normal = np.concatenate([np.zeros(3), 2.0 * vector[0]])
+        here = np.zeros((n, 2 * d, 2 * d))
+        here[:, :d, :d] = here[:, d:, d:] = s.image_slope[:, :, :d]
+        here[:, d:, :d] = s.carried_slope[:, :, :d]
+        there = np.zeros((n, 2 * d, 2 * d))
+        there[:, :d, :d] = -np.eye(d)
+        there[:, d:, d:] = -np.eye(d) * turn[:, :, None]
+        slope = np.concatenate([s.image_slope[:, :, d], s.carried_slope[:, :, d]], axis=1)
+        normal = np.concatenate([np.zeros(d), 2.0 * vector[0]])
         moved, shift = solve_cyclic(here, there, slope, residual, normal, 1.0 - vector[0] @ vector[0])
-        orbit, vector, b = orbit + moved[:, :3], vector + moved[:, 3:], b + shift
+        orbit, vector, b = orbit + moved[:, :d], vector + moved[:, d:], b + shift
         previous, step = step, abs(shift)
         if not np.isfinite(step):
             break
@@ -215,13 +233,13 @@ def _around(
     """An orbit as it is, ∂P/∂b at its points (n, 3), and what its images miss the next points by (n, 3)."""
     s = segments(points, np.zeros_like(points), np.full(len(points), b))
     slope = np.asarray(s.image_slope)
-    missing = wrap(np.roll(points, -1, 0) - np.asarray(s.image))
+    missing = planar_wrap(np.roll(points, -1, 0) - np.asarray(s.image))
     return LongOrbit(points, slope[:, :, :3], float(np.abs(missing).max())), slope[:, :, 3], missing
 
 
 def log_volume(strobe: Strobe, u: Array, b: ArrayLike) -> Array:
     """ln det ∂P/∂u for one lane, exact where the determinant itself is lost to rounding; u of shape (3,)."""
-    return jnp.log(strobe.push(unchart(u), b, ()).volume)
+    return jnp.log(strobe.push(strobe.system.unchart(u), b, ()).volume)
 
 
 def multiplier_logs(blocks: np.ndarray, volume: float) -> np.ndarray:

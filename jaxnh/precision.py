@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxnh.strobe import Pushed, Strobe, Tangent
+from jaxnh.maps import Pushed, Strobe, Tangent
 from jaxnh.systems import IsokineticParticle, State
 
 

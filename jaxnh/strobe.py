@@ -5,7 +5,6 @@ Every lane keeps the same clock, and the clock starts anew each period, so no ph
 
 from __future__ import annotations
 
-import abc
 import math
 from collections.abc import Callable
 from functools import partial
@@ -21,49 +20,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.grids import GRID_POINTS, share_of_steps, step_grid
+from jaxnh.maps import Pushed, Strobe, System, Tangent
+from jaxnh.marched import marched
+from jaxnh.mechanics import NonholonomicSystem
 from jaxnh.solvers import IsokineticSplitting, Solver, half_turn, kick
 from jaxnh.systems import IsokineticParticle, State, Vector
 from jaxnh.tables import cut_table, kick_table, processed_table
 
 _SMALLEST_TABLE = 1024
-
-
-class Tangent(NamedTuple):
-    """A direction in phase and parameter space: δ(q, n) as a state, and δb, each component of shape ().
-
-    Without δb nothing of the derivative in b is computed.
-    """
-
-    state: State
-    b: ArrayLike | None = None
-
-
-class Pushed(NamedTuple):
-    """Result of `Strobe.push`.
-
-    Attributes:
-        state: the state later.
-        tangents: the tangents later, in the order given.
-        volume: determinant of the derivative of the section coordinates (x1, y1, θ): exp(−∫ n·F/s dt).
-    """
-
-    state: State
-    tangents: tuple[Tangent, ...]
-    volume: Array
-
-
-class Strobe(eqx.Module):
-    """P(z; b) for one lane: state (q, n) and b in, the state one period later out. Use under `jax.vmap`."""
-
-    system: eqx.AbstractVar[IsokineticParticle]
-
-    @abc.abstractmethod
-    def __call__(self, state: State, b: ArrayLike) -> State:
-        """The state one strobe period later."""
-
-    @abc.abstractmethod
-    def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
-        """The state and any number of tangents one strobe period later, exact derivatives of `__call__`."""
 
 
 class _Carry(NamedTuple):
@@ -277,7 +241,7 @@ def _cross(u: Vector, v: Vector) -> Array:
 
 
 def make_strobe(
-    system: IsokineticParticle,
+    system: System,
     solver: Solver,
     steps: int,
     *,
@@ -293,18 +257,23 @@ def make_strobe(
     """
     t0, t1 = span or (0.0, system.period)
     steps = max(1, math.ceil(steps * share_of_steps(system, (t0, t1)) - 1e-6))
-    if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
+    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle) and solver.processor[1]:
         table = processed_table(system, solver, steps, (t0, t1), smallest=_SMALLEST_TABLE)
         return KickStrobe(system, *table, compensated)
     grid = step_grid(system, steps, (t0, t1))
-    if isinstance(solver, IsokineticSplitting):
+    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle):
         return KickStrobe(system, *kick_table(system, solver, grid, smallest=_SMALLEST_TABLE), compensated)
+    return _solved(system, solver, grid)
+
+
+def _solved(system: System, solver: Solver, grid: np.ndarray) -> Strobe:
+    """The map, or stacked maps, of a Runge–Kutta method over a grid (..., steps + 1)."""
+    if isinstance(system, NonholonomicSystem):
+        return marched(system, solver, grid)
     return SolveStrobe(system, solver, grid)
 
 
-def make_parts(
-    system: IsokineticParticle, solver: Solver, steps: int, parts: int, *, compensated: bool = False
-) -> Strobe:
+def make_parts(system: System, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> Strobe:
     """The maps over so many equal parts of a period, one after the other, as one pytree for `lax.scan`.
 
     Every leaf has the parts as first axis. No step is longer than those of the whole period's map with `steps` steps.
@@ -317,16 +286,14 @@ def make_parts(
     grid = np.interp(np.linspace(shares[:-1], shares[1:], each + 1, axis=-1), share, fine)
     grid[:, 0], grid[:, -1] = ends[:-1], ends[1:]
     many = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
-    if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
+    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle) and solver.processor[1]:
         return KickStrobe(many, *processed_table(system, solver, each, (ends[:-1], ends[1:])), compensated)
-    if isinstance(solver, IsokineticSplitting):
+    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle):
         return KickStrobe(many, *kick_table(system, solver, grid), compensated)
-    return SolveStrobe(many, solver, grid)
+    return _solved(many, solver, grid)
 
 
-def cut_strobe(
-    system: IsokineticParticle, solver: Solver, steps: int, parts: int, *, compensated: bool = False
-) -> Strobe:
+def cut_strobe(system: System, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> Strobe:
     """The strobe map cut into so many maps of equally many steps, stacked as by `make_parts`.
 
     The parts differ in length, and together have the least multiple of `parts` from `steps` on as steps. A processed
@@ -334,14 +301,14 @@ def cut_strobe(
     """
     each = -(-steps // parts)
     many = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
-    if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
+    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle) and solver.processor[1]:
         table = processed_table(system, solver, each * parts, (0.0, system.period))
         return KickStrobe(many, *cut_table(table, parts, each * solver.stages), compensated)
     ends = step_grid(system, each * parts, (0.0, system.period))
     grid = ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
-    if isinstance(solver, IsokineticSplitting):
+    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle):
         return KickStrobe(many, *kick_table(system, solver, grid), compensated)
-    return SolveStrobe(many, solver, grid)
+    return _solved(many, solver, grid)
 
 
 def iterate(strobe: Strobe, n: ArrayLike, state: State, b: ArrayLike) -> State:
@@ -359,42 +326,25 @@ def record(strobe: Strobe, state: State, b: ArrayLike, count: int) -> tuple[Stat
     return lax.scan(step, state, length=count)
 
 
-def chart(state: State) -> Array:
-    """(x1, y1, θ) of shape (3,), θ the direction of n in (−π, π]: coordinates of the section."""
-    (x, y), (n1, n2) = state
-    return jnp.stack([x, y, jnp.arctan2(n2, n1)])
-
-
-def unchart(u: Array) -> State:
-    """The state with section coordinates (x1, y1, θ)."""
-    return (u[0], u[1]), (jnp.cos(u[2]), jnp.sin(u[2]))
-
-
 def section_map(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Array:
-    """Pⁿ in section coordinates, (3,) to (3,)."""
-    return chart(iterate(strobe, n, unchart(u), b))
+    """Pⁿ in section coordinates, (d,) to (d,)."""
+    return strobe.system.chart(iterate(strobe, n, strobe.system.unchart(u), b))
 
 
 def derivatives(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> tuple[Array, Array, Array]:
-    """Pⁿ(u; b) of shape (3,), its monodromy matrix ∂Pⁿ/∂u (3, 3) and ∂Pⁿ/∂b (3,), in one forward pass.
+    """Pⁿ(u; b) of shape (d,), its monodromy matrix ∂Pⁿ/∂u (d, d) and ∂Pⁿ/∂b (d,), in one forward pass.
 
     The same as `jax.jacfwd` of `section_map`, to rounding.
     """
-    basis = jnp.eye(4)
+    system, d = strobe.system, strobe.system.dimension
+    basis = jnp.eye(d + 1)
 
     def lift(v: Array) -> tuple[State, Array]:
-        return unchart(v[:3]), v[3]
+        return system.unchart(v[:d]), v[d]
 
     point = jnp.append(u, b)
     state, _ = lift(point)
     tangents = tuple(Tangent(*jax.jvp(lift, (point,), (e,))[1]) for e in basis)
     state, tangents = lax.fori_loop(0, n, lambda _, carry: strobe.push(carry[0], b, carry[1])[:2], (state, tangents))
-    columns = [jax.jvp(chart, (state,), (t.state,))[1] for t in tangents]
-    return chart(state), jnp.stack(columns[:3], axis=-1), columns[3]
-
-
-def wrap(difference: Any) -> Any:
-    """A difference of section coordinates (..., 3) with its angle brought into [−π, π)."""
-    xp = np if isinstance(difference, np.ndarray) else jnp
-    angle = (difference[..., 2] + np.pi) % (2 * np.pi) - np.pi
-    return xp.stack([difference[..., 0], difference[..., 1], angle], axis=-1)
+    columns = [jax.jvp(system.chart, (state,), (t.state,))[1] for t in tangents]
+    return system.chart(state), jnp.stack(columns[:d], axis=-1), columns[d]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -31,6 +31,24 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _LARGEST_DENOMINATOR = 64
 
 
+def chart(state: State) -> Array:
+    """(x1, y1, θ) of shape (3,), θ the direction of n in (−π, π]: coordinates of the section."""
+    (x, y), (n1, n2) = state
+    return jnp.stack([x, y, jnp.arctan2(n2, n1)])
+
+
+def unchart(u: Array) -> State:
+    """The state with section coordinates (x1, y1, θ)."""
+    return (u[0], u[1]), (jnp.cos(u[2]), jnp.sin(u[2]))
+
+
+def wrap(difference: Any) -> Any:
+    """A difference of section coordinates (..., 3) with its angle brought into [−π, π)."""
+    xp = np if isinstance(difference, np.ndarray) else jnp
+    angle = (difference[..., 2] + np.pi) % (2 * np.pi) - np.pi
+    return xp.stack([difference[..., 0], difference[..., 1], angle], axis=-1)
+
+
 class IsokineticParticle(eqx.Module):
     """Forced coupled oscillator (1) whose squared speed is held at c + d sin t: equations (12) and (22).
 
@@ -47,6 +65,15 @@ class IsokineticParticle(eqx.Module):
     c: float = eqx.field(static=True)
     d: float = eqx.field(static=True)
     omega: float = eqx.field(static=True)
+
+    dimension: ClassVar[int] = 3
+    """Coordinates of the section: (x1, y1, θ)."""
+    signal: ClassVar[int] = 0
+    """Number of the position that stands for a motion where one is enough."""
+    exponents: ClassVar[int] = 3
+    """Lyapunov exponents of motions that keep the constraint."""
+    sweeps: ClassVar[str] = "coupling b"
+    """What differs from lane to lane, in words and with its symbol."""
 
     @property
     def period(self) -> float:
@@ -109,6 +136,61 @@ class IsokineticParticle(eqx.Module):
         """(x2, y2) = s(t) n."""
         s = self.speed(t)
         return s * state[1][0], s * state[1][1]
+
+    def chart(self, state: State) -> Array:
+        """Section coordinates (x1, y1, θ) of a state, (3,)."""
+        return chart(state)
+
+    def unchart(self, u: Array) -> State:
+        """The state with section coordinates (3,)."""
+        return unchart(u)
+
+    def wrap(self, difference: Any) -> Any:
+        """A difference of section coordinates (..., 3), its angle in [−π, π)."""
+        return wrap(difference)
+
+    def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Largest difference of positions between section points (..., 3): (...,)."""
+        return np.max(np.abs(one[..., :2] - other[..., :2]), axis=-1)
+
+    def section_point(self, start: State) -> np.ndarray:
+        """(3,) section coordinates of a start state of floats."""
+        (x, y), (n1, n2) = start
+        return np.array([x, y, math.atan2(n2, n1)])
+
+    def directions(self, k: int) -> tuple[Vector, ...]:
+        """k tangents of three components to begin with: coordinate directions."""
+        return tuple(tuple(float(i == j) for j in range(3)) for i in range(k))
+
+    def lift(self, state: State, tangent: Vector) -> State:
+        """δ(q, n) of a tangent δ(x1, y1, θ) at a state."""
+        (dx, dy, dtheta), n = tangent, state[1]
+        return (dx, dy), (-n[1] * dtheta, n[0] * dtheta)
+
+    def lower(self, state: State, tangent: State) -> Vector:
+        """δ(x1, y1, θ) of a tangent δ(q, n) at a state."""
+        n, dn = state[1], tangent[1]
+        return *tangent[0], n[0] * dn[1] - n[1] * dn[0]
+
+    def random_states(self, draws: np.ndarray, box: float, b: np.ndarray) -> State:
+        """Start states of even draws (lanes, 3) from [−1, 1]: x1 and y1 in [−box, box] and any direction."""
+        angle = np.pi * draws[:, 2]
+        return (box * draws[:, 0], box * draws[:, 1]), (np.cos(angle), np.sin(angle))
+
+    def outputs(self, states: State, t: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
+        """The paper's coordinates of states by name, each with words for it; times t repeat along their last axis."""
+        (x1, y1), (n1, n2) = states
+        speed = np.tile(self.speed(t), n1.shape[-1] // len(t))
+        return {
+            "x1": (x1, "position x1"),
+            "x2": (speed * n1, "velocity x2 = dx1/dt"),
+            "y1": (y1, "position y1"),
+            "y2": (speed * n2, "velocity y2 = dy1/dt"),
+        }
+
+    def reports(self, states: State) -> dict[str, tuple[np.ndarray, str, dict[str, Any]]]:
+        """Nothing: the constraint holds by construction."""
+        return {}
 
 
 def _namespace(t: Any) -> Any:

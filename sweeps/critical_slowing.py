@@ -30,8 +30,8 @@ from jaxnh.experiment import Experiment
 from jaxnh.lanes import Lanes, configure
 from jaxnh.orbits import Orbit, find_orbit
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import Strobe, chart, iterate, make_strobe, record, unchart
-from jaxnh.systems import State
+from jaxnh.strobe import Strobe, iterate, make_strobe, record
+from jaxnh.systems import State, chart, unchart
 
 TABLES = ("table1", "table2")
 THRESHOLDS = (1e-4, 1e-5, 1e-6)

@@ -10,8 +10,8 @@ import numpy as np
 import taylor
 
 from jaxnh.solvers import IsokineticSplitting, isokinetic_terms
-from jaxnh.strobe import chart, make_strobe, section_map, unchart
-from jaxnh.systems import constant_speed, disturbed_speed
+from jaxnh.strobe import make_strobe, section_map
+from jaxnh.systems import chart, constant_speed, disturbed_speed, unchart
 
 UNIT = np.finfo(float).eps / 2  # roundoff of one operation
 SYSTEMS = {

@@ -13,7 +13,8 @@ from measure import SYSTEMS, UNIT, apart, twin
 from jaxnh.accuracy import Calibration, TargetError
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SOLVERS, SPLITTINGS
-from jaxnh.strobe import chart, iterate, make_strobe, section_map
+from jaxnh.strobe import iterate, make_strobe, section_map
+from jaxnh.systems import chart
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 RANGES = {

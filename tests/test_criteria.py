@@ -53,7 +53,7 @@ def test_multiple_of_the_period():
     """A point of the orbits of period 1 at b = 5.8 and 2 at 2.5, met by Newton at a period of 8, is of theirs."""
     strobe = make_strobe(constant_speed(), SPLITTINGS["kahan_li8"], 120)
     lanes, b = Lanes(), np.array([5.8, 2.5])
-    start = np.tile(period.section_point(START), (2, 1))
+    start = np.tile(constant_speed().section_point(START), (2, 1))
     u = lanes(section_map, (strobe, np.int32(400)), (start, b))
     np.testing.assert_array_equal(period.least_period(lanes, strobe, u, b, 8), [1, 2])
 

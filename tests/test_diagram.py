@@ -107,16 +107,17 @@ def test_up_and_down_part_where_two_attractors_live():
 
 def test_random_starts_fill_the_box_evenly_and_never_change():
     options = DiagramOptions(start="random", starts=64, box=2.5, seed=3)
-    (x, y), (n1, n2) = random_starts(options, 100)
+    scene = coarse()
+    (x, y), (n1, n2) = random_starts(options, scene, np.zeros(64 * 100))
     count = 64 * 100
     assert np.abs(n1**2 + n2**2 - 1).max() < 1e-15
     for values, half in ((x, 2.5), (y, 2.5), (np.arctan2(n2, n1), np.pi)):
         shares = np.histogram(values, 8, (-half, half))[0] / count
         assert shares.sum() == 1.0
         assert np.abs(shares - 1 / 8).max() < 5 * np.sqrt(1 / 8 * 7 / 8 / count)  # five standard deviations
-    again = random_starts(options, 40)
+    again = random_starts(options, scene, np.zeros(64 * 40))
     assert np.array_equal(again[0][0], x[: 40 * 64])
-    assert not np.array_equal(random_starts(options.model_copy(update={"seed": 4}), 100)[0][0], x)
+    assert not np.array_equal(random_starts(options.model_copy(update={"seed": 4}), scene, np.zeros(64))[0][0], x[:64])
 
 
 def test_random_starts_are_the_same_in_any_tiles():

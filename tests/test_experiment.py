@@ -315,7 +315,7 @@ FAULTS = {
     ),
     "unknown solver": (
         ("target: 1e-8", "solver: dopri9\n  steps: 9"),
-        "FILE:17: accuracy.solver: must be one of strang2, blanes_moan4, blanes_moan6, kahan_li8, sofroniou_spaletta10, tsit5, dopri5, dopri8, not the text 'dopri9' (did you mean",
+        "FILE:17: accuracy.solver: must be one of strang2, blanes_moan4, blanes_moan6, processed6, kahan_li8, sofroniou_spaletta10, tsit5, dopri5, dopri8, not the text 'dopri9' (did you mean",
     ),
     "solver without steps": (
         ("target: 1e-8", "solver: dopri8"),

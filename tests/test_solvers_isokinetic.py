@@ -14,7 +14,8 @@ from scipy.special import ellipe
 
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SPLITTINGS, isokinetic_terms, kick
-from jaxnh.strobe import iterate, make_strobe, unchart
+from jaxnh.strobe import iterate, make_strobe
+from jaxnh.systems import unchart
 
 systems = pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
 splittings = pytest.mark.parametrize("solver", SPLITTINGS.values(), ids=SPLITTINGS)

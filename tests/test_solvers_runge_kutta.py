@@ -10,7 +10,7 @@ import taylor
 from measure import CALM, STATES, SYSTEMS, UNIT, B, apart, order_of, twin
 
 from jaxnh.solvers import RUNGE_KUTTA
-from jaxnh.strobe import chart, unchart
+from jaxnh.systems import chart, unchart
 
 methods = pytest.mark.parametrize("solver", RUNGE_KUTTA.values(), ids=RUNGE_KUTTA)
 

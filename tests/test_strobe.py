@@ -17,18 +17,8 @@ from measure import CALM, CALM_B, CALM_STATES, SYSTEMS, UNIT, apart, twin
 from jaxnh.grids import SmoothGrid, step_grid
 from jaxnh.lanes import Lanes
 from jaxnh.solvers import SOLVERS, SPLITTINGS, isokinetic_terms
-from jaxnh.strobe import (
-    chart,
-    cut_strobe,
-    derivatives,
-    iterate,
-    make_strobe,
-    record,
-    section_map,
-    unchart,
-    wrap,
-)
-from jaxnh.systems import disturbed_speed
+from jaxnh.strobe import cut_strobe, derivatives, iterate, make_strobe, record, section_map
+from jaxnh.systems import chart, disturbed_speed, unchart, wrap
 
 # Roundings of some 2000 kicks add up at random to 1e-14, and the calm flow enlarges them up to ten times: with ten
 # times that to spare,

@@ -1,7 +1,8 @@
 """The 0–1 test for chaos on strobe points (Gottwald and Melbourne, SIAM J. Appl. Dyn. Syst. 8 (2009) 129).
 
-The strobe values of x1 drive a walk in the plane with many fixed angles. Regular motion keeps the walk bounded (K near
-0), chaos makes its mean square displacement grow in proportion to time (K near 1).
+The strobe values of x1, or of a system's first coordinate, drive a walk in the plane with many fixed angles. Regular
+motion keeps the walk bounded (K near 0), chaos makes its mean square displacement grow in proportion to time (K near
+1).
 
 Chaos in m bands that are visited in turn is a motion of period m with a little noise on it: the large bounded walk of
 the first hides for very long that the second spreads (K = 0.2 after 1000 points where λ1 is ten times its error). So
@@ -54,7 +55,7 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> Group:
         k = lanes(_growth, shared, (state, scene.values), periods=cost, tile=_TILE, static=(options.periods,))
     low, median, high = np.quantile(k, [0.25, 0.5, 0.75], axis=1)
     variables = {
-        "b": Variable(("b",), scene.values, "coupling b"),
+        "b": Variable(("b",), scene.values, scene.system.sweeps),
         "k": Variable(
             ("b",), median, "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"
         ),
@@ -65,7 +66,7 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> Group:
 
 def _growth(strobe: Strobe, transient: Any, angles: Array, state: State, b: Any, count: int) -> Array:
     """K of one lane for every angle, (angles,)."""
-    signal = record(strobe, iterate(strobe, transient, state, b), b, count)[1][0][0]
+    signal = record(strobe, iterate(strobe, transient, state, b), b, count)[1][0][strobe.system.signal]
     return growth_rates(without_period(signal), angles, jnp.mean(signal**2))
 
 

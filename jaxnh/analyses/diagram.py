@@ -78,27 +78,27 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> Group:
         if options.start == "random":
             dims = ("b", "start", "strobe")
             b = np.repeat(scene.values, options.starts)
-            states = _side_by_side(options, scene, lanes, random_starts(options, count, scene.first), b)
+            states = _side_by_side(options, scene, lanes, random_starts(options, scene, b), b)
             states = jax.tree.map(lambda component: component.reshape(count, options.starts, -1), states)
         elif options.start == "fixed":
             states = _side_by_side(options, scene, lanes, spread(scene.start, count), scene.values)
         else:
             states = _in_turn(options, scene, lanes)
-    speed = scene.system.speed(np.array([options.phase * scene.system.period]))
-    variables = {"b": coupling(scene), **state_variables(states, speed, dims)}
+    t = np.array([options.phase * scene.system.period])
+    variables = {"b": coupling(scene), **state_variables(scene.system, states, t, dims)}
     return Group(variables, {"start": options.start, "phase": options.phase})
 
 
-def random_starts(options: DiagramOptions, count: int, first: int = 0) -> State:
-    """Random states at t = 0, components (count · starts,), at `count` values of b of which the first is so far on.
+def random_starts(options: DiagramOptions, scene: Scene, b: np.ndarray) -> State:
+    """Random states at t = 0, components (lanes,), for lanes with these b, so many starts at each value of the scene.
 
     A value of b has its states by its place in the sweep, however many values are asked for at once.
     """
     bits = np.random.PCG64(options.seed)
-    bits.advance(first * options.starts * 3)  # a draw of 64 bits a number
-    draws = np.random.Generator(bits).uniform(-1.0, 1.0, (count * options.starts, 3))
-    angle = np.pi * draws[:, 2]
-    return (options.box * draws[:, 0], options.box * draws[:, 1]), (np.cos(angle), np.sin(angle))
+    d = scene.system.dimension
+    bits.advance(scene.first * options.starts * d)  # a draw of 64 bits a number
+    draws = np.random.Generator(bits).uniform(-1.0, 1.0, (len(b), d))
+    return scene.system.random_states(draws, options.box, b)
 
 
 def _side_by_side(options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, b: np.ndarray) -> State:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from jaxnh.analyses.period import CONVERGED, Survey, orbits, section_point, survey
+from jaxnh.analyses.period import CONVERGED, Survey, orbits, section_points, survey
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
 from jaxnh.orbits import DoublingPoint, refine_doubling, segment
 from jaxnh.strobe import Strobe, section_map
@@ -47,8 +47,9 @@ def splits(options: DoublingOptions) -> bool:
 def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Find up to `levels` doublings n → 2n, each with its b, its error, and δ."""
     limit = max(_SMALLEST_LIMIT, 2**options.levels)
-    start = np.broadcast_to(section_point(scene.start), (len(scene.values), 3))
-    found = survey(scene, lanes, scene.values, start, limit, "doubling", _TRANSIENT, only_doublings=True)
+    found = survey(
+        scene, lanes, scene.values, section_points(scene), limit, "doubling", _TRANSIENT, only_doublings=True
+    )
     found = found.without_holes()
     followed = _follow(found)
     points: list[DoublingPoint] = []
@@ -78,7 +79,7 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
             found, lane = ahead
     if warning:
         warning = f"doubling: {len(points)} of {options.levels} levels found; {warning}"
-    return _group(options.levels, period, points, errors, warning)
+    return _group(scene.system.sweeps, options.levels, period, points, errors, warning)
 
 
 def _follow(found: Survey) -> tuple[Survey, int] | None:
@@ -113,7 +114,7 @@ def _locate(scene: Scene, lanes: LaneRunner, found: Survey, lane: int, n: int) -
         return None
     bracket = np.linspace(found.b[last], found.b[last + 1], _CANDIDATES)
     with lanes.stage(f"doubling: period {n} → {2 * n}, multisection of {_CANDIDATES}", 0):
-        start = np.broadcast_to(found.u[last], (_CANDIDATES, 3))
+        start = np.broadcast_to(found.u[last], (_CANDIDATES, found.u.shape[1]))
         orbit = orbits(lanes, scene.strobe(), start, bracket, n)
     ok = (orbit.residual < CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
     beyond = np.flatnonzero(ok & (_most_negative(np.where(ok[:, None, None], orbit.monodromy, 0.0)) < -1.0))
@@ -136,14 +137,16 @@ def _refine(
     values, vectors = np.linalg.eig(monodromy)
     vector = np.real(vectors[:, np.argmin(np.abs(values + 1.0))])
     orbit = _walk(lanes, scene.strobe(), u, b, n)
-    carried = np.empty((n, 3))
+    carried = np.empty((n, len(u)))
     for i in range(n):
         carried[i] = vector
         vector = _segments(lanes, scene.strobe(), orbit[i : i + 1], vector[None], np.array([b])).carried[0]
     refined: list[DoublingPoint] = []
     for refinement in _REFINEMENTS:
         strobe = scene.strobe(refinement)
-        point = refine_doubling(lambda *a, strobe=strobe: _segments(lanes, strobe, *a), orbit, carried, b)
+        point = refine_doubling(
+            lambda *a, strobe=strobe: _segments(lanes, strobe, *a), orbit, carried, b, scene.system.wrap
+        )
         if not point.converged:
             return None
         orbit, carried, b = point.orbit, point.vector, point.b
@@ -153,7 +156,7 @@ def _refine(
 
 
 def _walk(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: float, n: int) -> np.ndarray:
-    """The n points of an orbit, (n, 3)."""
+    """The n points of an orbit, (n, d)."""
     points = [u]
     for _ in range(n - 1):
         points.append(
@@ -180,7 +183,7 @@ def _next_run(
     for _ in range(_CLOSER_TRIES):
         stop = born.b + sign * min(reach, abs(end - born.b))
         b = np.linspace(born.b, stop, _CLOSER + 1)[1:]
-        start = np.broadcast_to(born.orbit[0] + 0.01 * born.vector[0], (_CLOSER, 3))
+        start = np.broadcast_to(born.orbit[0] + 0.01 * born.vector[0], (_CLOSER, born.orbit.shape[1]))
         label = f"doubling, beyond b = {born.b:.9g}"
         closer = survey(scene, lanes, b, start, limit, label, _TRANSIENT, least=n, only_doublings=True)
         closer = closer.without_holes()
@@ -191,7 +194,9 @@ def _next_run(
     return None
 
 
-def _group(levels: int, period: int, points: list[DoublingPoint], errors: list[float], warning: str) -> Group:
+def _group(
+    sweeps: str, levels: int, period: int, points: list[DoublingPoint], errors: list[float], warning: str
+) -> Group:
     """Points as the variables of the contract, NaN where a level was not found."""
     b = np.full(levels, np.nan)
     b[: len(points)] = [point.b for point in points]
@@ -205,7 +210,7 @@ def _group(levels: int, period: int, points: list[DoublingPoint], errors: list[f
         "period": Variable(
             ("level",), period * 2 ** (index - 1), "period n of the orbit that doubles to 2n", "forcing periods"
         ),
-        "b": Variable(("level",), b, "coupling b at the doubling"),
+        "b": Variable(("level",), b, f"{sweeps} at the doubling"),
         "b_error": Variable(("level",), b_error, "largest error of b, from step refinement and the Newton residual"),
         "delta": Variable(("level",), delta, "ratio δ of successive distances between doublings, equation (14)"),
         "delta_error": Variable(("level",), delta_error, "error of δ that the errors of b cause"),

@@ -17,9 +17,10 @@ from jaxtyping import Array
 from pydantic import Field
 
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.maps import Strobe, System, Tangent
 from jaxnh.precision import in_precision
-from jaxnh.strobe import Strobe, Tangent, cut_strobe, iterate
-from jaxnh.systems import State, Vector
+from jaxnh.strobe import cut_strobe, iterate
+from jaxnh.systems import IsokineticParticle, State, Vector
 
 _BLOCKS = 16
 _LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left
@@ -37,15 +38,15 @@ class LyapunovOptions(Options):
     transient: int = Field(default=256, ge=0, description="Periods before the average begins")
     periods: int = Field(default=1024, ge=_BLOCKS, description="Periods averaged over, at most")
     error: float = Field(default=0.0, ge=0.0, description="Stop a lane whose error bars are below this; 0: never")
-    exponents: int = Field(default=3, ge=1, le=3, description="How many of the largest exponents are wanted")
+    exponents: int = Field(default=3, ge=1, description="How many of the largest exponents are wanted")
 
 
 class Flow(NamedTuple):
-    """A lane on its way: state, orthonormal tangents (x1, y1, θ), and logarithms summed so far.
+    """A lane on its way: state, orthonormal tangents in section coordinates, and logarithms summed so far.
 
     Attributes:
         state: (q, n).
-        tangents: k of three components each.
+        tangents: k of d components each.
         logs: k sums of the logarithms of the tangents' growth.
         volume: sum of the logarithms of the growth of volume.
         smooth: the same k + 1 sums over periods under two smooth windows, (2, k + 1) as tuples.
@@ -67,12 +68,12 @@ def periods(options: LyapunovOptions, lanes: int) -> float:
 
 def choose(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> dict[str, int]:
     """How many times a period tangents are orthonormalised, the same for all lanes of a sweep."""
-    return {"parts": _parts_needed(scene, lanes, options.exponents)}
+    return {"parts": _parts_needed(scene, lanes, min(options.exponents, scene.system.exponents))}
 
 
 def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """The `exponents` largest exponents of every lane, their errors, and the sum rule where there are three."""
-    count, k = len(scene.values), options.exponents
+    count, k = len(scene.values), min(options.exponents, scene.system.exponents)
     parts = (scene.chosen.get("lyapunov") or choose(options, scene, lanes))["parts"]
     strobes = _parts(scene, parts)
     aligning = options.transient // _ALIGNING
@@ -81,7 +82,7 @@ def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> Group:
     with lanes.stage(f"lyapunov: transient of {count} values", count * options.transient):
         state = jax.tree.map(lambda leaf: np.full(count, leaf, float), scene.start)
         state = lanes(iterate, (scene.strobe(), np.int32(settling)), (state, scene.values), periods=settling)
-        flow = lanes(_begin, (), (state,), static=(k,))
+        flow = lanes(_begin, (scene.system,), (state,), static=(k,))
         flow = _average(lanes, strobes, flow, scene.values, aligning)[0]
     rates = np.full((count, _BLOCKS, k + 1), np.nan)
     smooth = np.zeros((count, 2, k + 1))
@@ -128,7 +129,7 @@ def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> int:
     state = jax.tree.map(lambda leaf: np.full(len(picked), leaf, float), scene.start)
     parts = _PILOT_PARTS
     while True:
-        flow = lanes(_begin, (), (state,), static=(k,))
+        flow = lanes(_begin, (scene.system,), (state,), static=(k,))
         flow, _ = _average(lanes, _parts(scene, parts), flow, picked, _PILOT_PERIODS)
         loss = float(np.max(flow.loss, initial=0.0, where=np.isfinite(flow.loss)))
         if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
@@ -150,27 +151,28 @@ def _average(
     return flow, np.stack([*flow.logs, flow.volume], axis=-1) / count
 
 
-def _begin(state: State, k: int) -> Flow:
-    """A lane at a state with the first k coordinate directions as tangents."""
+def _begin(system: System, state: State, k: int) -> Flow:
+    """A lane at a state with k tangents."""
     zero = jnp.zeros_like(state[0][0])
-    tangents = tuple(tuple(zero + float(i == j) for j in range(3)) for i in range(k))
+    tangents = jax.tree.map(lambda component: zero + component, system.directions(k))
     return Flow(state, tangents, (zero,) * k, zero, ((zero,) * (k + 1),) * 2, zero)
 
 
 def _advance(strobes: Strobe, count: Any, begun: Any, flow: Flow, b: Any) -> Flow:
     """One lane `count` periods on, its sums begun anew."""
     flow = Flow(flow.state, flow.tangents, *jax.tree.map(jnp.zeros_like, flow[2:]))
+    # Of T, Q and f the divergence is a derivative more, and serves the sum rule alone.
+    wanted = isinstance(strobes.system, IsokineticParticle) or len(flow.tangents) == strobes.system.exponents
 
     def part(flow: Flow, strobe: Strobe) -> tuple[Flow, None]:
-        n = flow.state[1]
-        moved = tuple(Tangent(((dx, dy), (-n[1] * dt, n[0] * dt))) for dx, dy, dt in flow.tangents)
-        pushed = strobe.push(flow.state, b, moved)
-        n = pushed.state[1]
-        moved = [(*t.state[0], n[0] * t.state[1][1] - n[1] * t.state[1][0]) for t in pushed.tangents]
+        system = strobe.system
+        pushed = strobe.push(flow.state, b, tuple(Tangent(system.lift(flow.state, v)) for v in flow.tangents))
+        moved = [system.lower(pushed.state, t.state) for t in pushed.tangents]
         tangents, grown = gram_schmidt(moved)
         logs = tuple(sum_ + g for sum_, g in zip(flow.logs, grown, strict=True))
         loss = jnp.maximum(flow.loss, grown[0] - grown[-1])
-        return Flow(pushed.state, tangents, logs, flow.volume + jnp.log(pushed.volume), flow.smooth, loss), None
+        volume = flow.volume + jnp.log(pushed.volume) if wanted else flow.volume
+        return Flow(pushed.state, tangents, logs, volume, flow.smooth, loss), None
 
     def period(i: Array, flow: Flow) -> Flow:
         after, _ = lax.scan(part, flow, strobes)
@@ -235,17 +237,20 @@ def _group(scene: Scene, mean: np.ndarray, error: np.ndarray, averaged: np.ndarr
     errors = np.take_along_axis(error[:, :k], order, axis=1)
     unit = "1/time"
     variables = {
-        "b": Variable(("b",), scene.values, "coupling b"),
+        "b": Variable(("b",), scene.values, scene.system.sweeps),
         "exponent": Variable(("exponent",), np.arange(1, k + 1), "number of the exponent, largest first"),
         "exponents": Variable(("b", "exponent"), exponents, "Lyapunov exponents, natural logarithm", unit),
         "exponents_error": Variable(("b", "exponent"), errors, "error of the exponents: two standard errors", unit),
-        "transverse": Variable(("b",), 2.0 * mean[:, k], "exponent off the constraint, −2⟨n·F⟩/s", unit),
-        "averaged": Variable(("b",), averaged, "periods averaged over", "forcing periods"),
     }
-    if k == 3:
+    divergence = ""
+    if isinstance(scene.system, IsokineticParticle):  # a field of T, Q and f keeps f off the constraint as well
+        divergence = " −⟨n·F⟩/s"
+        variables["transverse"] = Variable(("b",), 2.0 * mean[:, k], "exponent off the constraint, −2⟨n·F⟩/s", unit)
+    variables["averaged"] = Variable(("b",), averaged, "periods averaged over", "forcing periods")
+    if k == scene.system.exponents:
         residual = exponents.sum(axis=1) - mean[:, k]
         variables["sum_rule_residual"] = Variable(
-            ("b",), residual, "sum of the exponents minus the mean divergence −⟨n·F⟩/s", unit
+            ("b",), residual, f"sum of the exponents minus the mean divergence{divergence}", unit
         )
         variables["kaplan_yorke"] = Variable(
             ("b",), kaplan_yorke(exponents), "Kaplan–Yorke dimension of the Poincaré section"

@@ -7,17 +7,16 @@ coexisting partner orbit is taken for another period.
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array
 from pydantic import Field
 
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
 from jaxnh.orbits import Orbit, find_orbit
-from jaxnh.strobe import Strobe, iterate, record, section_map, unchart, wrap
+from jaxnh.strobe import Strobe, iterate, record, section_map
 
 CONVERGED = 1e-7
 """Residual of an orbit that Newton has found."""
@@ -39,7 +38,7 @@ class Survey(NamedTuple):
     Attributes:
         b: (lanes,).
         period: least period of the attractor, 0 where it is none up to the limit, (lanes,).
-        u: a point of the orbit in section coordinates, (lanes, 3).
+        u: a point of the orbit in section coordinates, (lanes, d).
         residual: largest component of Pⁿ(u) − u, NaN where no orbit was found, (lanes,).
         multiplier: largest modulus of the multipliers, NaN likewise, (lanes,).
         failed: whether the lane has left the numbers, (lanes,).
@@ -83,10 +82,10 @@ def numbers(options: PeriodOptions) -> int:
 
 def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Least period of every lane with its residual and largest multiplier."""
-    start = np.broadcast_to(section_point(scene.start), (len(scene.values), 3))
+    start = section_points(scene)
     found = survey(scene, lanes, scene.values, start, options.limit, "period", options.transient)
     variables = {
-        "b": Variable(("b",), found.b, "coupling b"),
+        "b": Variable(("b",), found.b, scene.system.sweeps),
         "period": Variable(("b",), found.period, "least period, 0: none up to the limit", "forcing periods"),
         "residual": Variable(("b",), found.residual, "largest component of Pⁿ(u) − u of the orbit"),
         "multiplier": Variable(("b",), found.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
@@ -95,10 +94,9 @@ def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> Group:
     return Group(variables, {"limit": options.limit})
 
 
-def section_point(start: Any) -> np.ndarray:
-    """(3,) section coordinates of a start state of floats."""
-    (x, y), (n1, n2) = start
-    return np.array([x, y, math.atan2(n2, n1)])
+def section_points(scene: Scene) -> np.ndarray:
+    """(lanes, d) section coordinates of the start state, in every lane."""
+    return np.broadcast_to(scene.system.section_point(scene.start), (len(scene.values), scene.system.dimension))
 
 
 def survey(
@@ -112,12 +110,12 @@ def survey(
     least: int = 1,
     only_doublings: bool = False,
 ) -> Survey:
-    """Attractor and period (from `least` up to a limit) of every lane from start points u (lanes, 3).
+    """Attractor and period (from `least` up to a limit) of every lane from start points u (lanes, d).
 
     The period is a multiple of the least n after which the points roughly recur; with `only_doublings`, for a cascade,
     2, 4, 8, … times that alone are tried.
     """
-    strobe = scene.strobe()
+    strobe, apart = scene.strobe(), scene.system.apart
     cost = transient + 2 * limit
     with lanes.stage(f"{label}: {len(b)} values to their attractors", len(b) * cost):
         points = lanes(_strobe_points, (strobe, np.int32(transient)), (u, b), periods=cost, static=(2 * limit,))
@@ -126,7 +124,7 @@ def survey(
     found = np.array(points[:, 0])
     residual, multiplier = np.full(len(b), np.nan), np.full(len(b), np.nan)
     for n in range(least, limit + 1):
-        recurs = np.max(np.abs(points[:, n : n + limit, :2] - points[:, :limit, :2]), axis=(1, 2)) < _CLOSE
+        recurs = np.max(apart(points[:, n : n + limit], points[:, :limit]), axis=1) < _CLOSE
         base[(base == 0) & recurs] = n
         ratio, rest = np.divmod(n, np.maximum(base, 1))
         possible = (rest == 0) & ((ratio & (ratio - 1) == 0) | (not only_doublings))
@@ -135,7 +133,7 @@ def survey(
             continue
         with lanes.stage(f"{label}: orbits of period {n} at {len(open_)} values", 0):
             orbit = orbits(lanes, strobe, found[open_], b[open_], n)
-        near = np.max(np.abs(orbit.u[:, :2] - found[open_][:, :2]), axis=1) < 2 * _CLOSE
+        near = apart(orbit.u, found[open_]) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = (orbit.residual < CONVERGED) & near & (largest < 1.0)
         shortest = least_period(lanes, strobe, orbit.u[settled], b[open_[settled]], n)
@@ -151,12 +149,12 @@ def survey(
 
 
 def orbits(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
-    """`find_orbit` of period n over lanes (lanes, 3), (lanes,)."""
+    """`find_orbit` of period n over lanes (lanes, d), (lanes,)."""
     return lanes(find_orbit, (strobe, np.int32(n)), (u, b), tile=_ORBIT_TILE)
 
 
 def least_period(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> np.ndarray:
-    """Least d that divides n with P^d(u) = u, for points (lanes, 3) of orbits of period n: (lanes,).
+    """Least d that divides n with P^d(u) = u, for points (lanes, d) of orbits of period n: (lanes,).
 
     A lane that was still on its way may miss its orbit at d and meet it at a multiple.
     """
@@ -166,7 +164,7 @@ def least_period(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray
         if not len(open_):
             break
         image = lanes(section_map, (strobe, np.int32(d)), (u[open_], b[open_]), periods=d, tile=_ORBIT_TILE)
-        period[open_[np.max(np.abs(wrap(image - u[open_])), axis=1) < CONVERGED]] = d
+        period[open_[np.max(np.abs(strobe.system.wrap(image - u[open_])), axis=1) < CONVERGED]] = d
     return period
 
 
@@ -178,7 +176,7 @@ def largest_multiplier(monodromy: np.ndarray) -> np.ndarray:
 
 
 def _strobe_points(strobe: Strobe, transient: Any, u: Array, b: Any, count: int) -> Array:
-    """(count, 3) section points after a transient, of one lane."""
-    settled = iterate(strobe, transient, unchart(u), b)
-    (x, y), (n1, n2) = record(strobe, settled, b, count)[1]
-    return jnp.stack([x, y, jnp.arctan2(n2, n1)], axis=-1)
+    """(count, d) section points after a transient, of one lane."""
+    system = strobe.system
+    settled = iterate(strobe, transient, system.unchart(u), b)
+    return jax.vmap(system.chart)(record(strobe, settled, b, count)[1])

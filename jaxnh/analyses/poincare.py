@@ -11,7 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.strobe import Strobe, iterate, record
+from jaxnh.maps import Strobe, System
+from jaxnh.strobe import iterate, record
 from jaxnh.systems import State
 
 TILE = 16
@@ -53,7 +54,7 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> Group:
     variables = {
         "b": coupling(scene),
         "t": Variable(("strobe",), time, "time since the start"),
-        **state_variables(states, scene.system.speed(np.zeros(1)), ("b", "strobe"), {"coordinates": "t"}),
+        **state_variables(scene.system, states, np.zeros(1), ("b", "strobe"), {"coordinates": "t"}),
     }
     return Group(variables)
 
@@ -72,31 +73,33 @@ def spread(start: State, lanes: int) -> State:
 
 def coupling(scene: Scene) -> Variable:
     """The swept values as the coordinate b."""
-    return Variable(("b",), scene.values, "coupling b")
+    return Variable(("b",), scene.values, scene.system.sweeps)
 
 
 def state_variables(
-    states: State, speed: np.ndarray, dims: tuple[str, ...], attrs: dict[str, Any] | None = None
+    system: System, states: Any, t: np.ndarray, dims: tuple[str, ...], attrs: dict[str, Any] | None = None
 ) -> dict[str, Variable]:
-    """The paper's coordinates of states (q, n), the velocity being s(t) n.
+    """Coordinates and velocities of states, and what the system has to report of each trajectory.
 
     Args:
         states: components of the shape that the dimensions have.
-        speed: s at the times of the states, (1,) or as long as the last dimension.
+        t: times of the states within a period, repeated along the last dimension.
         dims: names of the dimensions.
         attrs: attributes of each variable.
     """
-    (x1, y1), (n1, n2) = states
     named = {
-        "x1": (x1, "position x1"),
-        "x2": (speed * n1, "velocity x2 = dx1/dt"),
-        "y1": (y1, "position y1"),
-        "y2": (speed * n2, "velocity y2 = dy1/dt"),
+        name: Variable(dims, data, words, attrs=attrs or {})
+        for name, (data, words) in system.outputs(states, t).items()
     }
-    return {name: Variable(dims, data, words, attrs=attrs or {}) for name, (data, words) in named.items()}
+    reports = {
+        name: Variable(dims[:-1], data, words, attrs=flags)
+        for name, (data, words, flags) in system.reports(states).items()
+    }
+    return named | reports
 
 
 def count(variables: Mapping[str, Variable]) -> dict[str, int]:
     """How many trajectories there are, and how many have left the numbers: they are not finite from there on."""
-    finite = np.all([np.isfinite(variables[name].data[..., -1]) for name in ("x1", "x2", "y1", "y2")], axis=0)
+    paths = [v.data for v in variables.values() if len(v.dims) > 1 and v.dims[-1] in ("strobe", "time")]
+    finite = np.all([np.isfinite(path[..., -1]) for path in paths], axis=0)
     return {"trajectories": finite.size, "not_finite": int(np.count_nonzero(~finite))}

@@ -53,11 +53,10 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> Group:
         )
     in_period = scene.system.period * np.arange(options.samples) / options.samples
     elapsed = np.arange(options.periods * options.samples) / options.samples
-    speed = np.tile(scene.system.speed(in_period), options.periods)
     variables = {
         "b": coupling(scene),
         "t": Variable(("time",), scene.system.period * (options.transient + elapsed), "time since the start"),
-        **state_variables(states, speed, ("b", "time"), {"coordinates": "t"}),
+        **state_variables(scene.system, states, in_period, ("b", "time"), {"coordinates": "t"}),
     }
     return Group(variables)
 

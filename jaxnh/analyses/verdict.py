@@ -51,7 +51,7 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
     )
     flags = {"flag_values": np.arange(len(KINDS), dtype=np.int8), "flag_meanings": " ".join(KINDS)}
     variables = {
-        "b": Variable(("b",), scene.values, "coupling b"),
+        "b": Variable(("b",), scene.values, scene.system.sweeps),
         "kind": Variable(("b",), kind, "kind of motion from all criteria together", attrs=flags),
     }
     return Group(variables)

@@ -15,11 +15,13 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxnh.analyses import doubling
-from jaxnh.analyses.period import CONVERGED, section_point
+from jaxnh.analyses.period import CONVERGED
 from jaxnh.analyses.record import Group, LaneRunner, Scene, Variable
+from jaxnh.maps import Strobe
 from jaxnh.orbits import Orbit, find_orbit, refine_doubling, segment
 from jaxnh.prices.stage import Inside
-from jaxnh.strobe import Strobe, iterate, record, section_map, unchart
+from jaxnh.strobe import iterate, record, section_map
+from jaxnh.systems import unchart
 
 DETECTION, MULTISECTION, NEWTON = "period detection", "multisection", "Newton"
 
@@ -97,7 +99,7 @@ def by_detection(scene: Scene, lanes: LaneRunner, cascade: Cascade, transients: 
     Nothing is given for a transient too short for any lane to have settled.
     """
     estimates = []
-    u = section_point(scene.start)
+    u = scene.system.section_point(scene.start)
     for transient in transients:
         watch, (near, far) = _Watch(), cascade.bracket
         while abs(far - near) > _DETECTED:
@@ -169,7 +171,7 @@ def by_newton(scene: Scene, lanes: LaneRunner, cascade: Cascade) -> tuple[list[E
 def _settled(scene: Scene, lanes: LaneRunner, cascade: Cascade) -> np.ndarray:
     """A point near the orbit at the stable end of the bracket, (3,)."""
     b = np.array(cascade.bracket[:1])
-    u = section_point(scene.start)[None]
+    u = scene.system.section_point(scene.start)[None]
     return lanes(section_map, (scene.strobe(0.5), np.int32(_SETTLED)), (u, b), periods=_SETTLED, tile=_TILE)[0]
 
 

@@ -9,6 +9,7 @@ from jaxnh.solvers.isokinetic import (
     isokinetic_terms,
     kick,
 )
+from jaxnh.solvers.projected import Projected
 from jaxnh.solvers.runge_kutta import RUNGE_KUTTA, WrittenOutRungeKutta, dopri5, dopri8, tsit5, written_out
 
 Solver = IsokineticSplitting | WrittenOutRungeKutta
@@ -21,6 +22,7 @@ __all__ = [
     "SOLVERS",
     "SPLITTINGS",
     "IsokineticSplitting",
+    "Projected",
     "Schedule",
     "Solver",
     "WrittenOutRungeKutta",

@@ -9,7 +9,6 @@ import taylor
 from measure import apart, twin
 
 from jaxnh.accuracy import Calibration, Plan, TargetError
-from jaxnh.analyses.period import section_point
 from jaxnh.experiment import Initial
 from jaxnh.strobe import make_strobe, section_map
 
@@ -34,7 +33,7 @@ def hold(lanes, system, start, values, target, count=24):
         return Held(None, np.inf, str(refusal))
     strobe = make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated)
     b = np.random.default_rng(11).choice(values, count)
-    u = np.tile(section_point(start), (count, 1))
+    u = np.tile(system.section_point(start), (count, 1))
     for k, n in enumerate((0, 3, 20)):
         part = slice(k * count // 3, (k + 1) * count // 3)
         u[part] = lanes(section_map, (strobe, np.int32(n)), (u[part], b[part]))

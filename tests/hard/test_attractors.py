@@ -20,8 +20,8 @@ from jaxnh.experiment import ConfigError, load
 from jaxnh.lanes import Lanes
 from jaxnh.orbits import close_orbit, segment
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import chart, iterate, record, unchart, wrap
-from jaxnh.systems import constant_speed, disturbed_speed
+from jaxnh.strobe import iterate, record
+from jaxnh.systems import chart, constant_speed, disturbed_speed, unchart, wrap
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 

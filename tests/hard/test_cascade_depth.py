@@ -15,8 +15,7 @@ from jaxnh.analyses.record import Scene
 from jaxnh.lanes import Lanes
 from jaxnh.orbits import close_orbit, find_orbit, log_volume, multiplier_logs, refine_doubling, segment
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import wrap
-from jaxnh.systems import constant_speed
+from jaxnh.systems import constant_speed, wrap
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SCENE = Scene(constant_speed(), START, np.array([5.54]), SPLITTINGS["kahan_li8"], 320, True, 1e-11)
@@ -51,7 +50,7 @@ def dominant(blocks):
 @pytest.fixture(scope="module")
 def first(lanes, segments):
     """The doubling 1 → 2."""
-    start = period.survey(SCENE, lanes, SCENE.values, period.section_point(START)[None], 2, "hard", 300)
+    start = period.survey(SCENE, lanes, SCENE.values, constant_speed().section_point(START)[None], 2, "hard", 300)
     orbit = close_orbit(segments, start.u, 5.525)
     return refine_doubling(segments, orbit.points, dominant(orbit.blocks), 5.525)
 
@@ -99,7 +98,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     kappa = (high - low) / (2 * h)
     edge = 10.0**-n_edges
     b = np.concatenate([first.b + edge / kappa, first.b - edge / kappa])
-    start = np.tile(period.section_point(START), (len(b), 1))
+    start = np.tile(constant_speed().section_point(START), (len(b), 1))
     found = period.survey(SCENE, lanes, b, start, 16, "hard", 512)
     wanted = np.repeat([1, 2], len(edge))
     wrong = int(np.sum(found.period != wanted))

@@ -14,7 +14,6 @@ from measure import apart, twin
 from scenes import SPREAD, start_at
 
 from jaxnh.accuracy import Calibration, TargetError
-from jaxnh.analyses.period import section_point
 from jaxnh.experiment import ConfigError, load
 from jaxnh.lanes import Lanes
 from jaxnh.precision import in_precision
@@ -45,7 +44,7 @@ def test_error_and_gain(battery, lanes):
         plan = calibration.cheapest(1e-3)
         count = 48 if battery.full else 12
         b = np.random.default_rng(3).choice(values, count)
-        u = np.tile(section_point(start), (count, 1))
+        u = np.tile(constant_speed().section_point(start), (count, 1))
         maps = {
             precision: in_precision(
                 make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated), precision

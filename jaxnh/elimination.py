@@ -1,0 +1,98 @@
+"""Small linear systems lane by lane: a component an array of its own, no batch of matrices, no library."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+
+def eliminate(matrix: list[list[Any]], rights: list[list[Any]], ordered: int = 0) -> tuple[list[list[Any]], Any]:
+    """Solutions of a linear system for several right sides, by Gauss with partial pivoting, components of any shape.
+
+    Rows change places by selection, lane by lane, so that the program has no branch and no indexing. Entries that are
+    floats are known to it: what is zero among them costs nothing.
+
+    Args:
+        matrix: n rows of n components.
+        rights: right sides of n components each.
+        ordered: number of leading columns whose pivots are good as they stand, as those of a mass matrix are.
+
+    Returns:
+        The solutions, and the smallest pivot in units of the matrix's largest entry. At zero they are not finite.
+    """
+    n = len(matrix)
+    rows = [[*row, *(right[i] for right in rights)] for i, row in enumerate(matrix)]
+    largest = largest_of([entry for row in matrix for entry in row])
+    pivots = []
+    for c in range(n):
+        for r in range(c + 1, n) if c >= ordered else ():
+            if is_zero(rows[r][c]):
+                continue
+            swap = jnp.abs(rows[r][c]) > jnp.abs(rows[c][c])
+            pairs = [(rows[c][j], rows[r][j]) for j in range(c, n + len(rights))]
+            rows[c][c:] = [jnp.where(swap, lower, upper) for upper, lower in pairs]
+            rows[r][c:] = [jnp.where(swap, upper, lower) for upper, lower in pairs]
+        pivots.append(rows[c][c])
+        inverse = 1.0 / jnp.asarray(rows[c][c]) if not isinstance(rows[c][c], float) else _inverse(rows[c][c])
+        rows[c][c + 1 :] = [times(entry, inverse) for entry in rows[c][c + 1 :]]
+        for r in range(c + 1, n):
+            factor = rows[r][c]
+            below = zip(rows[r][c + 1 :], rows[c][c + 1 :], strict=True)
+            rows[r][c + 1 :] = [minus(x, times(factor, y)) for x, y in below]
+    solutions = []
+    for s in range(n, n + len(rights)):
+        solution: list[Any] = [None] * n
+        for c in reversed(range(n)):
+            solution[c] = rows[c][s]
+            for j in range(c + 1, n):
+                solution[c] = minus(solution[c], times(rows[c][j], solution[j]))
+        solutions.append(solution)
+    smallest = jnp.abs(pivots[0])
+    for pivot in pivots[1:]:
+        smallest = jnp.minimum(smallest, jnp.abs(pivot))
+    return solutions, smallest / largest
+
+
+def known(x: Any) -> Any:
+    """A component as a float where it is known while the program is traced, else as it is."""
+    return x if isinstance(x, Tracer) or jnp.ndim(x) else float(x)
+
+
+def is_zero(x: Any) -> bool:
+    """Whether a component is known to vanish."""
+    return isinstance(x, float) and x == 0.0
+
+
+def _inverse(x: float) -> float:
+    return 1.0 / x if x else math.inf
+
+
+def times(x: Any, y: Any) -> Any:
+    """x y, nothing where one of them is known to vanish."""
+    return 0.0 if is_zero(x) or is_zero(y) else x * y
+
+
+def minus(x: Any, y: Any) -> Any:
+    """x − y, without what is known to vanish."""
+    if is_zero(y):
+        return x
+    return -y if is_zero(x) else x - y
+
+
+def definite(mass: list[list[Any]]) -> bool:
+    """Whether a mass matrix is known, and positive definite."""
+    if not all(isinstance(entry, float) for row in mass for entry in row):
+        return False
+    return bool(np.linalg.eigvalsh(np.array(mass)).min() > 1e-8 * np.abs(mass).max())
+
+
+def largest_of(values: list[Any]) -> Any:
+    """Largest modulus of some components."""
+    largest = jnp.abs(values[0])
+    for value in values[1:]:
+        largest = jnp.maximum(largest, jnp.abs(value))
+    return largest

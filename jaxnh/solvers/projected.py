@@ -1,0 +1,49 @@
+"""A solver whose every step ends on the constraints of the system."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import diffrax
+import equinox as eqx
+
+from jaxnh.mechanics import Motion, NonholonomicSystem
+from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
+
+
+class Projected(diffrax.AbstractSolver):
+    """Steps of another solver, each followed by `NonholonomicSystem.project`.
+
+    The order stays: a projection moves a step by no more than a multiple of its own error.
+
+    Attributes:
+        solver: the solver that steps, of one term.
+        system: the system whose `vector_field` that term has.
+    """
+
+    solver: WrittenOutRungeKutta = eqx.field(static=True)
+    system: NonholonomicSystem
+
+    term_structure: ClassVar = diffrax.AbstractTerm
+    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
+
+    def order(self, terms: Any) -> int | None:
+        return self.solver.order(terms)
+
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Motion, args: Any) -> Any:
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def func(self, terms: Any, t0: Any, y0: Motion, args: Any) -> Any:
+        return self.solver.func(terms, t0, y0, args)
+
+    def step(
+        self, terms: Any, t0: Any, t1: Any, y0: Motion, args: Any, solver_state: Any, made_jump: Any
+    ) -> tuple[Motion, Any, dict[str, Motion], Any, diffrax.RESULTS]:
+        """One step and its projection; `args` is the lane's swept parameter."""
+        y1, _, _, solver_state, result = self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
+        y1 = self.system.project(t1, y1, args)
+        return y1, None, {"y0": y0, "y1": y1}, solver_state, result
+
+    def rolled_step(self, terms: Any, t0: Any, t1: Any, y0: Motion, args: Any) -> Motion:
+        """The same state after one step by a smaller program; see `WrittenOutRungeKutta.rolled_step`."""
+        return self.system.project(t1, self.solver.rolled_step(terms, t0, t1, y0, args), args)

@@ -1,0 +1,191 @@
+"""A system of the user's own: its file, its place in a config, its analyses beside those of the built-in systems."""
+
+from __future__ import annotations
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from measure import SYSTEMS
+
+from jaxnh.analyses import doubling, lyapunov
+from jaxnh.analyses.record import Scene
+from jaxnh.experiment import ConfigError, load
+from jaxnh.lanes import Lanes
+from jaxnh.marched import MarchedStrobe
+from jaxnh.mechanics import Motion
+from jaxnh.solvers import SOLVERS, SPLITTINGS, Projected
+from jaxnh.strobe import derivatives, make_strobe, section_map
+
+PARTICLE = """import jax.numpy as jnp
+
+def system(a=0.5, b=5.5, c=1.0, d=0.0, omega=1.0):
+    def T(q, v, t):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2)
+
+    def Q(q, v, t):
+        (x, y), g = q, 1 + jnp.sin(omega * t)
+        return -a * g * x - g * x**3 - a * v[0] + b * y, -g * y - a * g * y**3 - a * v[1] + b * x
+
+    def f(q, v, t):
+        return (v[0] ** 2 + v[1] ** 2 - c - d * jnp.sin(t),)
+
+    return dict(T=T, Q=Q, f=f, coordinates=("x1", "y1"), period=2 * jnp.pi / omega)
+"""
+CONFIG = """system: {file: own.py}
+initial: {x1: 0.1, x1_dot: 0.1, y1: 0.1, y1_dot: 0.99498743710662}
+sweep: {b: {values: [5.3, 5.6]}}
+accuracy: {solver: dopri8, steps: 200}
+analyses:
+  diagram: {transient: 4, strobes: 2}
+"""
+
+
+def write(folder, text=PARTICLE, config=CONFIG):
+    (folder / "own.py").write_text(text)
+    (folder / "own.yaml").write_text(config)
+    return folder / "own.yaml"
+
+
+def scene(folder, values, steps=200):
+    experiment = load(write(folder))
+    system = experiment.system.build()
+    return Scene(system, experiment.initial.state(system), np.asarray(values), SOLVERS["dopri8"], steps, False, 0.0)
+
+
+# ---- the map
+
+
+def test_map_is_diffeqsolve_with_projected_steps(tmp_path):
+    """The loop of steps is the written-out solver, projected, under `diffrax.diffeqsolve`, to rounding."""
+    own = scene(tmp_path, [2.0], 100)
+    strobe = own.strobe()
+    assert isinstance(strobe, MarchedStrobe)
+    start = jax.tree.map(jnp.float64, own.start)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(own.system.vector_field), Projected(SOLVERS["dopri8"], own.system), 0.0, own.system.period,
+        own.system.period / 100, start, args=2.0, max_steps=128,
+    )  # fmt: skip
+    moved = Lanes()(section_map, (strobe, np.int32(1)), (own.system.section_point(own.start)[None], np.array([2.0])))[0]
+    exact = np.array([float(x[-1]) for x in (*solution.ys.q, *solution.ys.v)])
+    assert np.abs(moved - exact).max() < 1e-11
+
+
+def test_map_and_its_derivatives_are_those_of_the_splitting(tmp_path):
+    """Two methods that share no code: positions after a period, and their slopes in positions and in b.
+
+    Across the constraint the map has no slope: one multiplier more is zero.
+    """
+    own, planar = scene(tmp_path, [5.3, 5.6]), SYSTEMS["constant"]
+    fine = make_strobe(planar, SPLITTINGS["sofroniou_spaletta10"], 200)
+    x2, y2 = own.start.v
+    lanes, one, b = Lanes(), np.int32(1), np.array([5.3, 5.6])
+    u = np.tile([0.1, 0.1, np.arctan2(y2, x2)], (2, 1))
+    exact, monodromy, slope = lanes(derivatives, (fine, one), (u, b))
+    points = np.tile(own.system.section_point(own.start), (2, 1))
+    image, whole, general_slope = lanes(derivatives, (own.strobe(), one), (points, b))
+    assert np.abs(image[:, :2] - exact[:, :2]).max() < 1e-9
+    assert np.abs(general_slope[:, :2] - slope[:, :2]).max() < 1e-8
+    assert np.abs(whole[:, :2, :2] - monodromy[:, :2, :2]).max() < 1e-8
+    assert np.abs(np.linalg.eigvals(whole)).min(axis=1).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_first_doubling_of_table_1(tmp_path):
+    """The doubling 1 → 2 from T, Q and f is that of the isokinetic route (results/table1.h5) to 1e-8."""
+    b = np.linspace(5.53, 5.51, 8)
+    general = doubling.run(doubling.DoublingOptions(levels=1), scene(tmp_path, b), Lanes())
+    planar = Scene(SYSTEMS["constant"], ((0.1, 0.1), (0.1, 0.99**0.5)), b, SPLITTINGS["kahan_li8"], 240, False, 0.0)
+    isokinetic = doubling.run(doubling.DoublingOptions(levels=1), planar, Lanes())
+    assert general.variables["period"].data[0] == isokinetic.variables["period"].data[0]
+    assert abs(general.variables["b"].data[0] - isokinetic.variables["b"].data[0]) < 1e-8
+
+
+@pytest.mark.slow
+def test_lyapunov_spectrum_has_its_sum(tmp_path):
+    """Three exponents on the constraint, their sum the mean divergence of all four equations; none is transverse."""
+    options = lyapunov.LyapunovOptions(transient=16, periods=16)
+    found = lyapunov.run(options, scene(tmp_path, [5.6]), Lanes()).variables
+    assert found["exponents"].data.shape == (1, 3)
+    assert abs(found["sum_rule_residual"].data[0]) < 1e-6
+    assert "transverse" not in found
+
+
+# ---- the section
+
+
+ROLLING = """import jax.numpy as jnp
+def system(r=1.0):
+    T = lambda q, v, t: 0.5 * (v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    Q = lambda q, v, t: (jnp.sin(t) - q[0], 0.0, jnp.cos(q[2]))
+    f = lambda q, v, t: (v[1] - r * v[2],)
+    return dict(T=T, Q=Q, f=f, coordinates=("x", "y", "phi"), angles=("phi",), ignorable=("y",), period=6.0)
+"""
+
+
+def test_section_leaves_out_ignorable_coordinates_and_wraps_angles(tmp_path):
+    config = CONFIG.replace("initial: {x1: 0.1, x1_dot: 0.1, y1: 0.1, y1_dot: 0.99498743710662}\n", "")
+    experiment = load(write(tmp_path, ROLLING, config.replace("b: {", "r: {")))
+    system = experiment.system.build()
+    assert (system.dimension, system.exponents, system.constraints) == (5, 4, 1)
+    state = Motion((0.5, 7.0, 4.0), (1.0, 2.0, 3.0), (0.0, 0.0))
+    point = np.asarray(system.chart(jax.tree.map(jnp.float64, state)))
+    assert np.abs(point - [0.5, 4.0 - 2 * np.pi, 1.0, 2.0, 3.0]).max() < 1e-15
+    assert system.unchart(point).q[1] == 0
+    assert (
+        np.abs(system.wrap(np.array([[9.0, 4.0, 9.0, 0.0, 0.0]]))[0] - [9.0, 4.0 - 2 * np.pi, 9.0, 0.0, 0.0]).max()
+        < 1e-15
+    )
+
+
+# ---- the file and the config
+
+FAULTS = {
+    "no Python": (("return 0.5", "return 0.5 *)"), "own.py:5: no Python"),
+    "no function": (("def system(", "def machine("), "own.py:1: there is no function system"),
+    "a name in Q": (("b * y,", "beta * y,"), "own.py:9: NameError: name 'beta' is not defined"),
+    "math on what a lane decides": (("jnp.sin(omega * t)", "__import__('math').sin(omega * t)"), "own.py:8: "),
+    "too few forces": (("+ b * y, -g", "+ b * y - g"), "own.py:7: "),
+    "no period": ((", period=2 * jnp.pi / omega", ""), "own.py:3: system must also return period"),
+    "unknown key": (("f=f", "F=f"), "own.py:3: system returns 'F', which is unknown; known are T, Q"),
+    "no default": (("a=0.5", "a"), "own.py:3: parameter a of system needs a number as its default"),
+    "taken name": (('("x1", "y1")', '("x1", "t")'), "own.py:3: coordinates must differ, and not be one of"),
+    "a period that is swept": (("/ omega", "/ omega * (1 + b)"), "own.py:3: period depends on b, which is swept"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("edit", "message"), FAULTS.values(), ids=FAULTS)
+def test_fault_in_the_users_file(tmp_path, edit, message):
+    assert edit[0] in PARTICLE
+    with pytest.raises(ConfigError) as caught:
+        load(write(tmp_path, PARTICLE.replace(*edit)))
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(f"{tmp_path}/{message}")
+
+
+CONFIG_FAULTS = {
+    "off the constraint": (("x1_dot: 0.1,", "x1_dot: 0.2,"), ":2: initial.x1_dot: f[0] is 0.03 at the start with b = 5.3"),
+    "unknown coordinate": (("x1: 0.1", "z: 0.1"), ":2: initial.z: unknown key"),
+    "unknown parameter": (("own.py}", "own.py, e: 1}"), ":1: system.e: unknown key"),
+    "swept and given": (("own.py}", "own.py, b: 1}"), ":1: system.b: b is swept"),
+    "unknown sweep": (("{b:", "{bb:"), ":3: sweep.bb: unknown key"),
+    "two sweeps": (("sweep: {", "sweep: {a: {values: [1]}, "), ":3: sweep.a: name one parameter"),
+    "no such file": (("own.py", "other.py"), ":1: system.file: there is no file"),
+    "a splitting": (("dopri8", "kahan_li8"), ":4: accuracy.solver: kahan_li8 is for a particle"),
+    "too many exponents": (("analyses:", "analyses:\n  lyapunov: {exponents: 4}"), ":6: analyses.lyapunov.exponents: must be at most 3"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("edit", "message"), CONFIG_FAULTS.values(), ids=CONFIG_FAULTS)
+def test_fault_in_the_config(tmp_path, edit, message):
+    assert edit[0] in CONFIG
+    with pytest.raises(ConfigError) as caught:
+        load(write(tmp_path, config=CONFIG.replace(*edit)))
+    assert str(caught.value).startswith(f"{tmp_path}/own.yaml{message}")
+
+
+def test_another_file_is_another_experiment(tmp_path):
+    one = load(write(tmp_path)).sha256
+    assert load(write(tmp_path)).sha256 == one
+    assert load(write(tmp_path, PARTICLE + "\n# the same\n")).sha256 != one
