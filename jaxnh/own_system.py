@@ -163,6 +163,8 @@ class OwnSystem:
             def evaluate(b: Any, q: Any, v: Any, t: Any, name: str = name) -> Any:
                 function = self.define(**{**self.parameters, swept: b}).get(name)
                 found = () if function is None else function(q, v, t)
+                if name != "T" and not isinstance(found, tuple | list) and jnp.ndim(found) != 1:
+                    raise self._fault(self._line_of(name), f"{name} must return a tuple of numbers")
                 return found if name == "T" else tuple(jnp.asarray(x) for x in found)
 
             shape = self._guarded(lambda e=evaluate: jax.eval_shape(e, number, (number,) * k, (number,) * k, number))

@@ -146,7 +146,7 @@ FAULTS = {
     "no function": (("def system(", "def machine("), "own.py:1: there is no function system"),
     "a name in Q": (("b * y,", "beta * y,"), "own.py:9: NameError: name 'beta' is not defined"),
     "math on what a lane decides": (("jnp.sin(omega * t)", "__import__('math').sin(omega * t)"), "own.py:8: "),
-    "too few forces": (("+ b * y, -g", "+ b * y - g"), "own.py:7: "),
+    "too few forces": (("+ b * y, -g", "+ b * y - g"), "own.py:7: Q must return a tuple of numbers"),
     "no period": ((", period=2 * jnp.pi / omega", ""), "own.py:3: system must also return period"),
     "unknown key": (("f=f", "F=f"), "own.py:3: system returns 'F', which is unknown; known are T, Q"),
     "no default": (("a=0.5", "a"), "own.py:3: parameter a of system needs a number as its default"),
