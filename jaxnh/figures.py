@@ -325,9 +325,12 @@ def _axes(ax: Axes | None) -> Axes:
 
 
 def _first(data: xr.Dataset) -> tuple[str, str]:
-    """Names of the first position and its velocity: the first variables along trajectories."""
-    names = [str(name) for name, v in data.data_vars.items() if v.dims[-1:] in (("strobe",), ("time",)) and name != "t"]
-    return names[0], names[1]
+    """Names of the first position and its velocity, which is the one that says of what it is the rate."""
+    for name, variable in data.data_vars.items():
+        _, rate, position = str(variable.attrs.get("long_name", "")).partition(" = d")
+        if rate:
+            return str(data[position.removesuffix("/dt")].name), str(name)
+    raise KeyError("no position and velocity")
 
 
 def _symbol(name: str) -> str:
