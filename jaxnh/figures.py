@@ -23,6 +23,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from jaxnh import store
+from jaxnh.labels import axis_label, first_pair, named
 
 FEIGENBAUM = 4.669201609102990
 """Universal ratio of successive distances between period doublings (Feigenbaum 1978)."""
@@ -33,7 +34,6 @@ _COLUMNS, _ROWS = 1200, 500  # cells of a density, a little below the pixels it 
 _MARKERS = 20_000  # up to so many points are drawn one by one
 _DISTINCT = 256  # up to so many different strobe points get large markers
 _FEW = 48  # curves over fewer values of b show their points
-_SYMBOLS = {"x1": "$x_1$", "x2": "$x_2$", "y1": "$y_1$", "y2": "$y_2$", "b": "$b$"}
 _LINE, _POINT, _MARK = "#7f9cb8", "#b3261e", "#1c6e4a"
 _INK = ListedColormap(colormaps["magma_r"](np.linspace(0.22, 1.0, 24)))  # few steps: they print well, files stay small
 _KINDS = {
@@ -59,7 +59,7 @@ def portrait(data: xr.Dataset, index: int = 0, ax: Axes | None = None, *, strobe
     """
     ax = _axes(ax)
     chosen = data.isel(b=index)
-    ax.plot(*(chosen[name] for name in _first(data)), color=_LINE, linewidth=0.5, zorder=1)
+    ax.plot(*(chosen[name] for name in first_pair(data)), color=_LINE, linewidth=0.5, zorder=1)
     if strobes is not None:
         _points(strobes.isel(b=index), ax)
     return _plane(data, index, ax)
@@ -84,7 +84,7 @@ def diagram(
     """
     ax = _axes(ax)
     b = data["b"].to_numpy()
-    variable = variable or _first(data)[0]
+    variable = variable or first_pair(data)[0]
     values = data[variable].transpose("b", ...).to_numpy().reshape(len(b), -1)
     if values.size <= _MARKERS:
         ax.plot(np.repeat(b, values.shape[1]), values.ravel(), ".", color=_POINT, markersize=2, markeredgewidth=0)
@@ -93,7 +93,7 @@ def diagram(
         norm = LogNorm(share[share > 0].min(initial=0.5), 1.0)
         image = ax.pcolorfast(across, up, np.ma.masked_equal(share.T, 0.0), cmap=_INK, norm=norm)
         _key_to_colours(image, ax)
-    _over_b(data, ax, _label(data[variable]))
+    _over_b(data, ax, axis_label(data[variable]))
     if doublings is not None:
         _mark_doublings(doublings, ax)
     return ax
@@ -115,7 +115,7 @@ def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         level, [f"{n} → {2 * n}\n{b:.8f}" for n, b in zip(periods, found["b"].to_numpy(), strict=True)], fontsize=8
     )
     ax.set(
-        xlabel=f"doubling of the period, and its {_named(data['b'])[1]} (dimensionless)",
+        xlabel=f"doubling of the period, and its {named(data['b'])[1]} (dimensionless)",
         ylabel="ratio δ (dimensionless)",
     )
     ax.set_xlim(level.min(initial=1) - 0.5, level.max(initial=1) + 0.5)
@@ -324,58 +324,24 @@ def _axes(ax: Axes | None) -> Axes:
     return Figure(figsize=(0.7 * _WIDTH, 4.5), layout="constrained").subplots() if ax is None else ax
 
 
-def _first(data: xr.Dataset) -> tuple[str, str]:
-    """Names of the first position and its velocity, which is the one that says of what it is the rate."""
-    for name, variable in data.data_vars.items():
-        _, rate, position = str(variable.attrs.get("long_name", "")).partition(" = d")
-        if rate:
-            return str(data[position.removesuffix("/dt")].name), str(name)
-    raise KeyError("no position and velocity")
-
-
-def _symbol(name: str) -> str:
-    """A name as it is written in a figure."""
-    base = name.removesuffix("_dot")
-    letters = base if len(base) == 1 else rf"\mathrm{{{base}}}".replace("_", r"\_")
-    return _SYMBOLS.get(name) or (rf"$\dot{{{letters}}}$" if base != name else f"${letters}$")
-
-
-def _named(variable: xr.DataArray) -> tuple[str, str]:
-    """What a variable is in words, and its symbol."""
-    words, name = (
-        str(variable.attrs.get("long_name", f"parameter {variable.name}"))
-        .split(" = ")[0]
-        .split(" at the ")[0]
-        .rsplit(" ", 1)
-    )
-    return words, _symbol(name)
-
-
-def _label(variable: xr.DataArray) -> str:
-    """What a variable is in words, its symbol and its units."""
-    words, symbol = _named(variable)
-    units = variable.attrs["units"]
-    return f"{words} {symbol} ({'dimensionless' if units == '1' else units})"
-
-
 def _over_b(data: xr.Dataset, ax: Axes, ylabel: str) -> Axes:
     """Axes over b: all panels of a file end at the same values."""
     edges = _edges(np.unique(data["b"].to_numpy()))
-    ax.set(xlabel=_label(data["b"]), ylabel=ylabel, xlim=(edges[0], edges[-1]))
+    ax.set(xlabel=axis_label(data["b"]), ylabel=ylabel, xlim=(edges[0], edges[-1]))
     return ax
 
 
 def _plane(data: xr.Dataset, index: int, ax: Axes) -> Axes:
-    x, y = _first(data)
-    ax.set(xlabel=_label(data[x]), ylabel=_label(data[y]))
+    x, y = first_pair(data)
+    ax.set(xlabel=axis_label(data[x]), ylabel=axis_label(data[y]))
     letter = f"({chr(ord('a') + index)}) " if data.sizes["b"] <= 26 else ""
-    ax.set_title(f"{letter}{_named(data['b'])[1]} = {float(data['b'][index]):.10g}", fontsize=10)
+    ax.set_title(f"{letter}{named(data['b'])[1]} = {float(data['b'][index]):.10g}", fontsize=10)
     return ax
 
 
 def _points(strobes: xr.Dataset, ax: Axes) -> None:
     """Strobe points of one b, large where few differ."""
-    points = np.column_stack([strobes[name] for name in _first(strobes)])
+    points = np.column_stack([strobes[name] for name in first_pair(strobes)])
     few = len(np.unique(points.round(4), axis=0)) <= _DISTINCT
     size = 5.0 if few else 1.4
     ax.plot(*points.T, "o", color=_POINT, markersize=size, markeredgewidth=0, zorder=2)

@@ -80,3 +80,18 @@ def order_of(system, solver):
     used &= errors < 1e4 * errors[used].min()
     assert used.sum() >= 5
     return -np.polyfit(np.log(steps[used]), np.log(errors[used]), 1)[0]
+
+
+def turned(blocks, basis):
+    """One turn of a basis (3, 3) through blocks (n, 3, 3), by Gram–Schmidt in long double, and ln of its growth (3,)."""
+    logs = np.zeros(3, np.longdouble)
+    for block in blocks:
+        vectors = (block @ basis).T
+        for k in range(3):
+            for j in range(k):
+                vectors[k] -= (vectors[k] @ vectors[j]) * vectors[j]
+            length = np.sqrt(vectors[k] @ vectors[k])
+            vectors[k] /= length
+            logs[k] += np.log(length)
+        basis = vectors.T
+    return basis, logs

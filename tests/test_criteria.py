@@ -13,6 +13,7 @@ import scipy.integrate
 import taylor
 import xarray as xr
 from conftest import ROOT
+from measure import turned
 
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.record import Scene
@@ -165,16 +166,7 @@ def multiplier_logs(blocks):
     """ln|μ| of the product of blocks (n, 3, 3), by simultaneous iteration in long double: no product is formed."""
     basis, settled = np.eye(3, dtype=np.longdouble), []
     for _ in range(400):
-        logs = np.zeros(3, np.longdouble)
-        for block in blocks:
-            vectors = (block @ basis).T
-            for k in range(3):
-                for j in range(k):
-                    vectors[k] -= (vectors[k] @ vectors[j]) * vectors[j]
-                length = np.sqrt(vectors[k] @ vectors[k])
-                vectors[k] /= length
-                logs[k] += np.log(length)
-            basis = vectors.T
+        basis, logs = turned(blocks, basis)
         settled.append(logs)
     weights = lyapunov.window((np.arange(300) + 0.5) / 300, 1.0)[:, None]
     return np.sum(weights * np.array(settled[100:]), axis=0) / weights.sum()

@@ -9,6 +9,7 @@ import pytest
 import taylor
 from battery import worst
 from matplotlib.figure import Figure
+from measure import turned
 
 from jaxnh.analyses import chaos01, lyapunov, period, verdict
 from jaxnh.analyses.record import Scene
@@ -195,14 +196,5 @@ def iterated(blocks):
     """ln|μ| by Gram–Schmidt in long double over blocks (n, 3, 3), the last of ten turns; multipliers are far apart."""
     basis = np.eye(3, dtype=np.longdouble)
     for _ in range(10):
-        logs = np.zeros(3, np.longdouble)
-        for block in blocks:
-            vectors = (block @ basis).T
-            for k in range(3):
-                for j in range(k):
-                    vectors[k] -= (vectors[k] @ vectors[j]) * vectors[j]
-                length = np.sqrt(vectors[k] @ vectors[k])
-                vectors[k] /= length
-                logs[k] += np.log(length)
-            basis = vectors.T
+        basis, logs = turned(blocks, basis)
     return np.sort(logs.astype(float))[::-1]
