@@ -22,6 +22,8 @@ REAL = np.longdouble if np.finfo(np.longdouble).nmant == 63 else np.float64
 
 TWO_PI = 8 * np.arctan(REAL(1))  # np.pi only has 53 bits
 
+_SHORTER = (256, 1024, 4096, 16384)  # parts of a period that a step must not exceed
+
 
 @dataclass(frozen=True)
 class Parameters:
@@ -90,8 +92,11 @@ def turns(angle):
     return TWO_PI.astype(angle.dtype) * np.rint(angle / TWO_PI.astype(angle.dtype))
 
 
-def propagate(par, b, state, order=0, periods=1, tol=None, real=REAL):
-    """Yields lane by lane the integrator at the end of the last period: b () or (lanes,), state (lanes, 3)."""
+def propagate(par, b, state, order=0, periods=1, tol=None, real=REAL, longest=np.inf):
+    """Yields lane by lane the integrator at the end of the last period: b () or (lanes,), state (lanes, 3).
+
+    No step is longer than `longest`.
+    """
     state = np.atleast_2d(np.asarray(state, dtype=real))
     b = np.broadcast_to(np.asarray(b, dtype=real), state.shape[:1])
     ta, at_zero = integrator(order, real, float(np.finfo(real).eps if tol is None else tol))
@@ -104,19 +109,35 @@ def propagate(par, b, state, order=0, periods=1, tol=None, real=REAL):
             ta.time = real(0)  # the clock never leaves [0, period]
             if count:
                 ta.state[2] -= turns(ta.state[2])
-            outcome = ta.propagate_until(period)[0]
+            outcome = ta.propagate_until(period, max_delta_t=real(longest))[0]
             if outcome != hy.taylor_outcome.time_limit:
                 raise ArithmeticError(f"integration stopped at t = {ta.time}, b = {b_lane}: {outcome}")
         yield ta
 
 
-def strobe(par, b, state, periods=1, tol=None, real=REAL):
+def strobe(par, b, state, periods=1, tol=None, real=REAL, longest=np.inf):
     """The states (lanes, 3) `periods` strobe periods after the states (lanes, 3) at t = 0; b () or (lanes,).
 
     `real` is the arithmetic and the dtype of the result, `tol` the relative error of a step (default: the unit
-    roundoff of `real`).
+    roundoff of `real`), `longest` the longest step.
     """
-    return np.array([ta.state.copy() for ta in propagate(par, b, state, 0, periods, tol, real)])
+    return np.array([ta.state.copy() for ta in propagate(par, b, state, 0, periods, tol, real, longest)])
+
+
+def settled_strobe(par, b, state, known):
+    """The states one period later, with steps shortened until that changes no lane by more than `known`.
+
+    The length of a step is chosen by the largest component. One many orders below it that grows fast, as the distance
+    from an invariant line does, is then lost between two steps, and in every precision alike.
+    """
+    image = strobe(par, b, state)
+    for parts in _SHORTER:
+        before, image = image, strobe(par, b, state, longest=par.period / parts)
+        gap = image - before
+        gap[..., 2] -= turns(gap[..., 2])
+        if np.abs(gap).max() <= known:
+            return image
+    raise ArithmeticError(f"steps of 1/{parts} of a period still change the state by {np.abs(gap).max():.1e}")
 
 
 def strobe_jacobian(par, b, state, tol=None, real=REAL):

@@ -38,7 +38,8 @@ def hold(lanes, system, start, values, target, count=24):
         part = slice(k * count // 3, (k + 1) * count // 3)
         u[part] = lanes(section_map, (strobe, np.int32(n)), (u[part], b[part]))
     image = lanes(section_map, (strobe, np.int32(1)), (u, b))
-    return Held(plan, float(apart(image, taylor.strobe(twin(system), b, u)).max()), "")
+    exact = taylor.settled_strobe(twin(system), b, u, 0.1 * plan.error_estimate)
+    return Held(plan, float(apart(image, exact).max()), "")
 
 
 def start_at(system, x1=0.1, y1=0.1):

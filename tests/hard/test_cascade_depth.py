@@ -59,23 +59,20 @@ def first(lanes, segments):
 def climb(segments, first, levels):
     """Doublings of n = 1, 2, 4, … each from the one before: its orbit splits along its vector, and Newton follows."""
     points = [first]
-    gap = -0.0241
+    gap, size = -0.0241, 0.1
     for _ in range(1, levels):
-        last = points[-1]
+        last, n = points[-1], len(points[-1].orbit)
         b = last.b + 0.5 * gap
-        split = np.concatenate([last.orbit + 0.05 * last.vector, last.orbit - 0.05 * last.vector])
-        size = 0.05
-        for _ in range(8):  # the branches are √(b − b_k) apart, with a factor that one does not know beforehand
-            found = close_orbit(segments, split, b)
-            n = len(last.orbit)
+        for guess in size / 2.5 ** np.arange(8):  # the branches are √(b − b_k) apart, with an unknown factor
+            moved = 0.5 * guess * last.vector / np.abs(last.vector).max()
+            found = close_orbit(segments, np.concatenate([last.orbit + moved, last.orbit - moved]), b)
             apart = np.abs(wrap(found.points[:n] - found.points[n:])).max()
-            if found.residual < 1e-9 and apart > 1e-9 and apart > 1e-3 * size:
+            if found.residual < 1e-9 and 0.1 * guess < apart < 10 * guess:  # neither n's own orbit nor another's
                 break
-            size /= 2.5
-            split = np.concatenate([last.orbit + size * last.vector, last.orbit - size * last.vector])
         ahead = close_orbit(segments, found.points, last.b + 0.9 * gap)
         points.append(refine_doubling(segments, ahead.points, dominant(ahead.blocks), last.b + gap))
         gap = (points[-1].b - last.b) / (4.6 if len(points) < 4 else FEIGENBAUM)
+        size = apart / 2.5  # Feigenbaum's α
     return points
 
 
@@ -159,15 +156,16 @@ def test_deep_in_the_cascade(battery, lanes, segments, first):
         f"doublings 2 → 4 to {2 ** checked[-1]} → {2 ** (checked[-1] + 1)}, by Taylor", off, 1e-10, "error of b"
     )
     delta = (b[1:-1] - b[:-2]) / (b[2:] - b[1:-1])
-    # Corrections to scaling fall by about δ a level (measured: 0.28, 0.034, 0.0055); rounding of b, 1e-12 over the
-    # last distance of 0.024/δ^(k−1), takes over in the end.
-    expected = 0.9 * FEIGENBAUM ** -np.arange(len(delta)) + 10 * 1e-12 / np.abs(b[2:] - b[1:-1])
-    off = np.abs(delta - FEIGENBAUM)
+    # Each level's δ is nearer to the limit than to the one before, as corrections that at least halve with a level
+    # (theory: by δ, and by −8) make it; beside it what errors of b as large as by Taylor make of the distances.
+    gaps = np.abs(np.diff(b))
+    rounding = 2 * max(off, 1e-12) * delta * (1 / gaps[:-1] + 1 / gaps[1:])
+    left = np.abs(delta[1:] - FEIGENBAUM) / (np.abs(np.diff(delta)) + rounding[1:])
     battery.row(
         f"δ of {len(delta)} levels, the last {delta[-1]:.5f}: distance from Feigenbaum's",
-        worst(off / expected),
+        worst(left),
         1.0,
-        "share of 0.9/δᵏ and rounding",
+        "over the last step",
     )
     closing = []
     for k in (6, 8, 10) if battery.full else (6,):
