@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 
 import jax
 import numpy as np
@@ -11,16 +12,18 @@ import taylor
 from battery import worst
 from matplotlib.figure import Figure
 from measure import twin
+from test_batch import Job, content
 from test_cascade_depth import iterated
 from test_criteria import divergence
 
+from jaxnh.accuracy import Calibration, TargetError
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.record import Scene
 from jaxnh.experiment import ConfigError, load
 from jaxnh.lanes import Lanes
 from jaxnh.orbits import close_orbit, segment
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import iterate, record
+from jaxnh.strobe import iterate, make_strobe, record
 from jaxnh.systems import chart, constant_speed, disturbed_speed, unchart, wrap
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
@@ -99,37 +102,36 @@ def means(lanes, strobe, state, b, periods):
 @pytest.mark.case("Long chaos")
 def test_long_chaos(battery, lanes):
     """An attractor that is its own mirror image: odd means vanish within their error, over lanes that forgot their start."""
-    sizes = [(256, 100_000), (4096, 6_000)] if battery.full else [(256, 400)]
-    scene = scene_of(constant_speed(), [5.3])
-    strobe = scene.strobe()
-    for count, periods in sizes:
-        state = jax.tree.map(np.array, unchart(random_points(count).T))
-        b = np.full(count, 5.3)
-        state = lanes(iterate, (strobe, np.int32(200)), (state, b), periods=200)
-        end, averages = means(lanes, strobe, state, b, periods)
-        score = [abs(m.mean()) / (m.std(ddof=1) / math.sqrt(count)) for m in averages]
-        battery.row(
-            f"b = 5.3, {count:,} lanes, {periods:,} periods: means of x1, y1, n1, n2",
-            worst(score),
-            4.0,
-            "largest, in standard errors (of " + f"{max(m.std(ddof=1) / math.sqrt(count) for m in averages):.1e})",
-        )
-        off = np.abs(np.hypot(*end[1]) - 1)
-        battery.row("the same lanes at their end", worst(off), 1e-14, "largest \\|\\|n\\| − 1\\|")
-        few, shorter = slice(count // 2 - 37, count // 2 + 26), min(periods, 2000)
-        start = jax.tree.map(lambda leaf, few=few: leaf[few], state)
-        one = Lanes(devices=jax.devices()[:1])
-        alone = one(iterate, (strobe, np.int32(shorter)), (start, b[few]))
-        among = lanes(iterate, (strobe, np.int32(shorter)), (state, b))
-        differing = sum(
-            int(np.sum(x != y[few])) for x, y in zip(jax.tree.leaves(alone), jax.tree.leaves(among), strict=True)
-        )
-        battery.row(
-            f"63 of them for {shorter:,} periods, alone on one device and among all on {len(lanes.devices)}",
-            differing,
-            0,
-            "numbers that differ:",
-        )
+    count, periods = (4096, 100_000) if battery.full else (256, 400)
+    plan = Calibration(constant_speed(), START, np.array([5.3]), lanes).cheapest(1e-4)
+    strobe = make_strobe(constant_speed(), plan.solver, plan.steps, compensated=plan.compensated)
+    state = jax.tree.map(np.array, unchart(random_points(count).T))
+    b = np.full(count, 5.3)
+    state = lanes(iterate, (strobe, np.int32(200)), (state, b), periods=200)
+    end, averages = means(lanes, strobe, state, b, periods)
+    score = [abs(m.mean()) / (m.std(ddof=1) / math.sqrt(count)) for m in averages]
+    battery.row(
+        f"b = 5.3, {count:,} lanes, {periods:,} periods: means of x1, y1, n1, n2",
+        worst(score),
+        4.0,
+        "largest, in standard errors (of " + f"{max(m.std(ddof=1) / math.sqrt(count) for m in averages):.1e})",
+    )
+    off = np.abs(np.hypot(*end[1]) - 1)
+    battery.row("the same lanes at their end", worst(off), 1e-14, "largest \\|\\|n\\| − 1\\|")
+    few, shorter = slice(count // 2 - 37, count // 2 + 26), min(periods, 2000)
+    start = jax.tree.map(lambda leaf: leaf[few], state)
+    one = Lanes(devices=jax.devices()[:1])
+    alone = one(iterate, (strobe, np.int32(shorter)), (start, b[few]))
+    among = lanes(iterate, (strobe, np.int32(shorter)), (state, b))
+    differing = sum(
+        int(np.sum(x != y[few])) for x, y in zip(jax.tree.leaves(alone), jax.tree.leaves(among), strict=True)
+    )
+    battery.row(
+        f"63 of them for {shorter:,} periods, alone on one device and among all on {len(lanes.devices)}",
+        differing,
+        0,
+        "numbers that differ:",
+    )
     scene = scene_of(constant_speed(), np.linspace(5.2, 5.8, 300 if battery.full else 20), 110)
     on_one, on_two = everything(scene, Lanes(devices=jax.devices()[:1])), everything(scene, lanes)
     differing = sum(
@@ -155,11 +157,43 @@ def test_long_chaos(battery, lanes):
             1.0,
             "residual over error bars",
         )
+
+
+@pytest.mark.case("Long chaos")
+def test_long_chaos_in_tiles(battery, tmp_path):
+    """The command on chaotic lanes: undisturbed, and in tiles on disk, stopped by a scheduler's signal and resumed."""
+    count, transient = (4096, 20_000) if battery.full else (512, 200)
+    config = (
+        "system: {constraint: constant_speed}\n"
+        f"sweep: {{b: {{start: 5.25, stop: 5.35, count: {count}}}}}\n"
+        "accuracy: {solver: blanes_moan6, steps: 40}\n"
+        f"analyses: {{diagram: {{transient: {transient}, strobes: 8, start: random}}}}\n"
+    )
+    jobs = []
+    for name, tile in (("whole", None), ("stopped", 256)):
+        (tmp_path / name).mkdir()
+        jobs.append(Job(tmp_path / name, config, tile))
+    whole, stopped = jobs
+    assert whole.run()[0] == 0
+    process = stopped.start()
+    stopped.until(process, 1)
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=600)
+    kept = len(stopped.done())
+    assert process.returncode == 75
+    assert 0 < kept < count // 256
+    assert stopped.run()[0] == 0
+    left, right = (content(job.output) for job in jobs)
+    assert left.keys() == right.keys()
+    battery.row(
+        f"{count:,} lanes for {transient:,} periods, whole and in {count // 256} tiles stopped after {kept} and resumed",
+        sum(left[name] != right[name] for name in left),
+        0,
+        "variables that differ:",
+    )
     battery.note(
-        "The size of a tile is part of the program and fixed: other sizes give other vector code. Numbers do not depend on "
-        "how many lanes there are, where in a tile a lane stands, or how many devices share the tiles. 4096 lanes for 1e5 "
-        "periods would take two cores a quarter of an hour: length and number are shown one at a time. That an "
-        "interrupted run goes on with the same bits is tested with the batch jobs (`tests/test_batch.py`)."
+        "Lanes run in vectors of one fixed width, which is part of the program: other widths give other last bits. Numbers "
+        "do not depend on how many lanes there are, on how they are cut into tiles on disk, or on the devices."
     )
 
 
@@ -170,8 +204,8 @@ def test_long_chaos(battery, lanes):
 def test_coexisting_attractors(battery, lanes):
     """Random starts: every lane ends on an orbit that Newton finds and that is stable, or is chaotic; shares with errors."""
     count = 4096 if battery.full else 256
-    picture = Figure(figsize=(9, 4), layout="constrained")
-    chosen = (4.0, 5.51, 4.52) if battery.full else (4.0,)
+    picture = Figure(figsize=(12, 4.4), layout="constrained")
+    chosen = (4.0, 5.51, 4.52, 5.475) if battery.full else (4.0,)
     for axes, b in zip(np.atleast_1d(picture.subplots(1, len(chosen))), chosen, strict=True):
         scene = scene_of(constant_speed(), np.full(count, b), 240, "kahan_li8")
         starts = random_points(count)
@@ -181,13 +215,13 @@ def test_coexisting_attractors(battery, lanes):
             later = period.survey(scene, lanes, scene.values[again], found.u[again], 16, "hard", 4000)
             for leaf, new in zip(found[1:], later[1:], strict=True):
                 leaf[again] = new
-        battery.row(
-            f"b = {b}, {count:,} random starts", int(np.sum(found.period == 0)), 0, "lanes on no verified orbit:"
-        )
-        residual = worst(found.residual)
+        settled, chaotic = np.flatnonzero(found.period > 0), np.flatnonzero(found.period == 0)
+        unproven = int(np.sum(~proven_chaotic(lanes, scene, found.u[chaotic]))) if len(chaotic) else 0
+        battery.row(f"b = {b}, {count:,} random starts", unproven, 0, "lanes on no verified attractor:")
+        residual = worst(found.residual[settled])
         battery.row(f"b = {b}: orbits by Newton, all stable", residual, 1e-9, "largest residual")
-        assert np.all(found.multiplier < 1)
-        kinds = attractors(lanes, scene, found)
+        assert np.all(found.multiplier[settled] < 1)
+        kinds = attractors(lanes, scene, found, settled)
         shares = [(members, len(members) / count) for members in kinds]
         words = []
         for members, share in shares:
@@ -195,6 +229,11 @@ def test_coexisting_attractors(battery, lanes):
             n, at = int(found.period[members[0]]), found.u[members[0]]
             words.append(f"period {n} through ({at[0]:.4f}, {at[1]:.4f}): {100 * share:.1f} ± {100 * error:.1f} %")
             axes.plot(starts[members, 0], starts[members, 1], ".", ms=2, label=f"period {n}: {100 * share:.1f} %")
+        if len(chaotic):
+            share = len(chaotic) / count
+            error = math.sqrt(share * (1 - share) / count)
+            words.append(f"chaos: {100 * share:.1f} ± {100 * error:.1f} %")
+            axes.plot(starts[chaotic, 0], starts[chaotic, 1], ".", ms=2, label=f"chaos: {100 * share:.1f} %")
         axes.set(title=f"b = {b}", xlabel="x1 at the start", ylabel="y1 at the start")
         axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.2), markerscale=4)
         battery.note(f"b = {b}: {'; '.join(words)}.")
@@ -229,9 +268,16 @@ def same_orbit(lanes, scene, u, n, other):
     return bool(np.any(np.abs(wrap(orbit_of(lanes, scene, u, n) - other)).max(axis=1) < 1e-5))
 
 
-def attractors(lanes, scene, found):
-    """Lanes by the orbit they are on: a list of index arrays, largest first."""
-    left, kinds = np.arange(len(found.b)), []
+def proven_chaotic(lanes, scene, u):
+    """Which lanes, from section points (lanes, 3), have a largest exponent above twice its error bar."""
+    there = Scene(scene.system, unchart(u.T), scene.values[: len(u)], *list(vars(scene).values())[3:])
+    found = lyapunov.run(lyapunov.LyapunovOptions(transient=64, periods=2048, exponents=1), there, lanes).variables
+    return found["exponents"].data[:, 0] > 2 * found["exponents_error"].data[:, 0]
+
+
+def attractors(lanes, scene, found, left):
+    """Those lanes of `left` by the orbit they are on: a list of index arrays, largest first."""
+    kinds = []
     while len(left):
         first = left[0]
         points = orbit_of(lanes, scene, found.u[first], int(found.period[first]))
@@ -275,6 +321,10 @@ def test_poisoned_lane(battery, lanes, tmp_path):
         assert np.sum(groups["period"].variables["failed"].data) == 1
         assert verdict.KINDS[groups["verdict"].variables["kind"].data[place]] == "failed"
         assert math.isnan(groups["diagram"].variables["x1"].data[place, -1])
+    # A finite b that no steps can follow is no poison: it is refused by its value before anything runs.
+    with pytest.raises(TargetError, match="b = 1000000") as refusal:
+        Calibration(constant_speed(), START, np.append(values, 1e6), lanes).cheapest(1e-8)
+    battery.refused(f"b = 1e6 beside {count} others", str(refusal.value))
     path = tmp_path / "poisoned.yaml"
     for word in (".nan", ".inf"):
         path.write_text(
