@@ -167,7 +167,7 @@ def test_long_chaos_in_tiles(battery, tmp_path):
         "system: {constraint: constant_speed}\n"
         f"sweep: {{b: {{start: 5.25, stop: 5.35, count: {count}}}}}\n"
         "accuracy: {solver: blanes_moan6, steps: 40}\n"
-        f"analyses: {{diagram: {{transient: {transient}, strobes: 8, start: random}}}}\n"
+        f"analyses: {{diagram: {{transient: {transient}, strobes: 8, start: random, starts: 1}}}}\n"
     )
     jobs = []
     for name, tile in (("whole", None), ("stopped", 256)):

@@ -133,7 +133,7 @@ def test_which_die(battery, lanes):
     count = 64 if battery.full else 8
     b = np.linspace(5.3, 6.0, count)
     y = (0.1, 0.1, 0.1, math.sqrt(0.99))
-    picture = Figure(figsize=(8, 6), layout="constrained")
+    picture = Figure(figsize=(10.5, 6), layout="constrained")
     panels = picture.subplots(2, 1, sharex=True, sharey=True)
     for axes, (name, system) in zip(panels, SYSTEMS.items(), strict=True):
         equations = (
@@ -162,8 +162,8 @@ def test_which_die(battery, lanes):
         assert deaths or not battery.full  # or there would be nothing to be stable against
         kept = hold_speed(battery, lanes, name, system, b)
         axes.semilogy(b, np.maximum(kept, 1e-16), ".", color="k", label="jaxnh, ||n| − 1|")
-        axes.set(ylabel="largest speed error", title=name)
-        axes.legend(loc="center left", fontsize=8)
+        axes.set(ylabel="largest relative speed error\n(dead: at the top)", title=name)
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=8)
     panels[1].set_xlabel("b")
     battery.picture(picture, "off_constraint", "Speed errors of the four equations and of unit vectors")
 
