@@ -28,8 +28,9 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     """
     attrs = store.read_attrs(path)
     if "chosen" not in attrs:
-        raise store.StoreError(f"{path} does not say all that decided its numbers: it cannot be run again")
-    experiment = work.experiment_from(attrs["config"])
+        raise store.StoreError("it does not say all that decided its numbers")
+    configure()
+    experiment = work.experiment_from(attrs["config"], attrs.get("system_file"))
     split = tuple(analysis.name for analysis, options in experiment.requested() if analysis.splits(options))
     count = len(experiment.sweep.grid())
     job = Job(
@@ -48,7 +49,6 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     found: dict[str, tuple[int, int]] = dict.fromkeys(job.order, (0, 0))
     if not split:
         return found
-    configure()
     lanes = Lanes()
     for first in sorted({0, max(0, count // 2 - _LANES // 2), max(0, count - _LANES)}):
         piece = Piece(0, split, first, min(first + _LANES, count))

@@ -19,6 +19,7 @@ from jaxnh.analyses.record import Scene
 from jaxnh.exits import Refused
 from jaxnh.experiment import ConfigError, Experiment, load
 from jaxnh.lanes import Lanes, configure
+from jaxnh.own_system import OwnSystem
 from jaxnh.solvers import SOLVERS
 
 _VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
@@ -46,6 +47,12 @@ def experiment_of(config: Path | None, overrides: Sequence[str] | None) -> Exper
         return load(config, overrides or [])
     except ConfigError as error:
         raise Refused(str(error)) from None
+
+
+def other_than(experiment: Experiment, own_text: str | None) -> str:
+    """What something is of that is not of this config, made with a user's file of that text."""
+    own = experiment.own
+    return f"another text of {own.path}" if own and own_text not in (None, own.text) else "another config"
 
 
 def scene_of(experiment: Experiment, calibration: Calibration) -> Scene:
@@ -109,7 +116,17 @@ def provenance(experiment: Experiment, scene: Scene, spent: Account, module: str
         "lane_periods": spent.lane_periods,
         "device": spent.device,
         "strobe_period": np.float64(scene.system.period),
-        **({"swept": scene.system.sweeps, "system_file": experiment.own.text} if experiment.own else {}),
+        **(_of_own(experiment.own, scene) if experiment.own else {}),
+    }
+
+
+def _of_own(own: OwnSystem, scene: Scene) -> dict[str, str]:
+    """What of a user's system goes into the result: the file, as the config names it and in full, and what is swept."""
+    return {
+        "swept": scene.system.sweeps,
+        "system_file": own.text,
+        "system_file_path": str(own.path),
+        "system_file_sha256": own.sha256,
     }
 
 

@@ -29,7 +29,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.record import Analysis, Options
 from jaxnh.faults import Layout, close_match, first_fault, rule, shown
-from jaxnh.own_sections import own_sections
+from jaxnh.own_sections import own_sections, with_own_systems
 from jaxnh.own_system import OwnSystem, OwnSystemError
 from jaxnh.sections import Evenly, Grid, Named, Section
 from jaxnh.solvers import RUNGE_KUTTA, SOLVERS
@@ -358,12 +358,13 @@ def _of_own(own: OwnSystem) -> tuple[type[Experiment], Layout]:
     return model, layout
 
 
-def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
+def load(path: Path, overrides: Sequence[str] = (), own_text: str | None = None) -> Experiment:
     """Read, override and validate a config.
 
     Args:
         path: the YAML file.
         overrides: KEY=VALUE, KEY a dotted path into the YAML (a number for an item of a list), VALUE as in YAML.
+        own_text: what the user's file says that the config names, in place of reading it.
 
     Raises:
         ConfigError: one line, `FILE:LINE: KEY: what is wrong`, or `command line: KEY: ...` for an override; of a
@@ -374,9 +375,9 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
     try:
         named = source.data.get("system")
         if isinstance(named, dict) and isinstance(named.get("file"), str):
-            if not (path.parent / named["file"]).is_file():
+            if own_text is None and not (path.parent / named["file"]).is_file():
                 raise source.error(("system", "file"), f"there is no file {path.parent / named['file']}")
-            own = OwnSystem(path.parent / named["file"])
+            own = OwnSystem(path.parent / named["file"], own_text)
             model, layout = _of_own(own)
         experiment = model.model_validate(source.data)
     except ValidationError as error:
@@ -389,4 +390,4 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
 
 def schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a config, with a description for every key: for editors."""
-    return {"$schema": GenerateJsonSchema.schema_dialect, **Experiment.model_json_schema()}
+    return {"$schema": GenerateJsonSchema.schema_dialect, **with_own_systems(Experiment.model_json_schema())}

@@ -106,8 +106,12 @@ def _facts(path: Path, attrs: dict[str, Any], sweep: Any | None) -> Iterator[tup
     yield "by", ", ".join([f"jaxnh {attrs['jaxnh_version']}", *(f"{name} {v}" for name, v in libraries.items())])
     digest = attrs.get("config_sha256", attrs.get("cost_of", ""))
     yield "config", f"{len(str(attrs.get('config', '')).splitlines())} lines, SHA-256 {str(digest)[:16]}…"
+    if "system_file" in attrs:
+        lines = len(str(attrs["system_file"]).splitlines())
+        yield "system", f"{attrs['system_file_path']}, {lines} lines, SHA-256 {attrs['system_file_sha256'][:16]}…"
     if sweep is not None and len(sweep):
-        yield "sweep", f"{len(sweep):,} values of b, from {sweep[0]:.8g} to {sweep[-1]:.8g}"
+        swept = str(attrs.get("swept", "b")).removeprefix("parameter ")
+        yield "sweep", f"{len(sweep):,} values of {swept}, from {sweep[0]:.8g} to {sweep[-1]:.8g}"
     if "solver" in attrs:
         yield (
             "accuracy",
@@ -222,9 +226,17 @@ def _verify(path: Path) -> None:
     except store.StoreError as error:
         raise Refused(f"command line: FILE: {error}") from None
     print("all data, names and attributes fit their checksums")
+    attrs = store.read_attrs(path)
+    if "system_file" in attrs:
+        print(_state_of(Path(attrs["system_file_path"]), attrs["system_file"]))
     from jaxnh import again  # the only thing here that needs JAX
+    from jaxnh.experiment import ConfigError
 
-    for name, (lanes, differing) in again.sample(path).items():
+    try:
+        found = again.sample(path)
+    except (store.StoreError, ConfigError) as error:
+        raise Refused(f"command line: FILE: {path} cannot be run again: {_line(error)}") from None
+    for name, (lanes, differing) in found.items():
         if differing:
             raise Refused(
                 f"command line: FILE: {path}: {name}: run again, {differing} of {lanes} lanes differ; "
@@ -235,6 +247,17 @@ def _verify(path: Path) -> None:
             if lanes
             else f"{name}: runs as a whole, not lane by lane"
         )
+
+
+def _state_of(path: Path, text: str) -> str:
+    """A user's file beside what a result says it was."""
+    try:
+        if path.read_text(encoding="utf-8") == text:
+            return f"{path} is as it was"
+        now = "has changed since"
+    except (OSError, UnicodeDecodeError):
+        now = "is not there"
+    return f"{path} {now}; lanes are run again by its text in the result"
 
 
 def main() -> int:

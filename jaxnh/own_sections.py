@@ -126,3 +126,37 @@ def own_sections(own: OwnSystem) -> tuple[type[OwnParameters], type[OwnInitial],
         create_model("OwnInitial", __base__=OwnInitial, **state),
         sweep,
     )
+
+
+def with_own_systems(schema: dict[str, Any]) -> dict[str, Any]:
+    """The JSON Schema of a config, with a place for users' systems: what their parameters are called is not known.
+
+    Args:
+        schema: that of the built-in systems.
+    """
+    properties, kinds = schema["properties"], schema["$defs"]
+
+    def numbers(words: str, each: dict[str, Any], **more: Any) -> dict[str, Any]:
+        return {"description": words, "type": "object", "properties": {}, "additionalProperties": each, **more}
+
+    file = {"description": OwnParameters.model_fields["file"].description, "type": "string"}
+    parameter = {"description": "A parameter of the system", "type": "number"}
+    start = {"description": "A coordinate NAME, or a velocity NAME_dot", "type": "number"}
+    values = {"description": "Start, stop and count, or values", "oneOf": kinds["Sweep"]["properties"]["b"]["oneOf"]}
+    own = {
+        "OwnSystem": numbers("A user's file, and its parameters", parameter)
+        | {"properties": {"file": file}, "required": ["file"]},
+        "OwnInitial": numbers("Start state of a user's system; what is not given is zero", start),
+        "OwnSweep": numbers("The parameter that differs from lane to lane", values, minProperties=1, maxProperties=1),
+    }
+    properties["system"]["oneOf"].append({"$ref": "#/$defs/OwnSystem"})
+    places = ("initial", "sweep")
+    built_in = {place: {"$ref": properties[place].pop("$ref")} for place in places}
+    users = {place: {"$ref": f"#/$defs/Own{place.capitalize()}"} for place in places}
+    named = {"required": ["system"], "properties": {"system": {"required": ["file"]}}}
+    return schema | {
+        "$defs": kinds | own,
+        "if": named,
+        "then": {"properties": users},
+        "else": {"properties": built_in},
+    }

@@ -46,15 +46,19 @@ class OwnSystem:
         coordinates: names of the coordinates.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, text: str | None = None) -> None:
         """Read the file and try its function out.
+
+        Args:
+            path: the file.
+            text: what it says, where it has been read before; the file is then not looked at.
 
         Raises:
             OwnSystemError: anything that keeps it from being a system.
         """
         self.path = path
         try:
-            self.text = path.read_text(encoding="utf-8")
+            self.text = path.read_text(encoding="utf-8") if text is None else text
         except (OSError, UnicodeDecodeError) as error:
             raise OwnSystemError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
         self._define = self._function()

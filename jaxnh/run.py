@@ -15,7 +15,7 @@ from rich.console import Console
 import jaxnh
 from jaxnh import store, terminal, tiles, work, workers
 from jaxnh.analyses.record import Group, Variable
-from jaxnh.command import Account, account, provenance, versions
+from jaxnh.command import Account, account, other_than, provenance, versions
 from jaxnh.exits import GO_ON, Failed, Refused, Stop, Unfinished
 from jaxnh.experiment import Experiment
 from jaxnh.lanes import Lanes, Silent, configure
@@ -100,10 +100,12 @@ class Run:
         job = tiles.read_job(self._folder)
         if job is not None:
             now = {"jaxnh": jaxnh.__version__, **versions()}
-            other = "of another config" if job.config_sha256 != self._experiment.sha256 else ""
+            other = ""
+            if job.config_sha256 != self._experiment.sha256:
+                other = f"of {other_than(self._experiment, tiles.origin(self._folder).own_text)}"
             other = other or ("of other versions of the libraries" if dict(job.versions) != now else "")
             if not other:
-                self._earlier = tiles.job_config(self._folder)[1].seconds
+                self._earlier = tiles.origin(self._folder).spent.seconds
                 return job
             if not fresh or self._how.part:
                 raise Refused(f"command line: --output: {self._folder} holds tiles {other}; --fresh drops them")
@@ -114,7 +116,8 @@ class Run:
         job = work.decide(self._experiment, lanes, self._how.tile)
         self._stop.check()
         spent = account(lanes, time.perf_counter() - self._began)
-        return tiles.publish(self._folder, job, self._experiment.text, Spent(*spent))
+        own = self._experiment.own
+        return tiles.publish(self._folder, job, tiles.Origin(self._experiment.text, own and own.text, Spent(*spent)))
 
     def _make_lanes(self) -> Lanes:
         if self._lanes is None:
@@ -209,7 +212,7 @@ class Run:
 
     def _finish(self, job: Job) -> None:
         """Merge, then remove the tiles, then show what there is."""
-        decided = tiles.job_config(self._folder)[1]
+        decided = tiles.origin(self._folder).spent
         receipts = [self._receipts[piece.number] for piece in self._pieces]
         spent = [decided, *(receipt.spent for receipt in receipts)]
         total = Account(

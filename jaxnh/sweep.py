@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from jaxnh import store, tiles, workers
-from jaxnh.command import experiment_of
+from jaxnh.command import experiment_of, other_than
 from jaxnh.exits import Refused, Stop, check_output, run_app
 from jaxnh.experiment import Experiment, schema
 from jaxnh.run import How, Run
@@ -80,13 +80,15 @@ def _already_there(path: Path, experiment: Experiment, fresh: bool) -> bool:
     if fresh or not path.exists():
         return False
     try:
-        same = store.read_attrs(path)["config_sha256"] == experiment.sha256
+        attrs = store.read_attrs(path)
+        same = attrs["config_sha256"] == experiment.sha256
     except (store.StoreError, KeyError):
         raise Refused(
             f"command line: --output: {path} is there and is no result of jaxnh; --fresh replaces it"
         ) from None
     if not same:
-        raise Refused(f"command line: --output: {path} holds the result of another config; --fresh replaces it")
+        other = other_than(experiment, attrs.get("system_file"))
+        raise Refused(f"command line: --output: {path} holds the result of {other}; --fresh replaces it")
     return True
 
 

@@ -200,13 +200,21 @@ def read_job(folder: Path) -> Job | None:
         return None
 
 
-def publish(folder: Path, job: Job, config: str, spent: Spent) -> Job:
-    """Put a job and the text of its config in a folder, unless a sound one is there already; the one that counts.
+class Origin(NamedTuple):
+    """What a job was made for: the YAML, and the text of the user's file if it names one; and what making it has cost."""
+
+    config: str
+    own_text: str | None
+    spent: Spent
+
+
+def publish(folder: Path, job: Job, origin: Origin) -> Job:
+    """Put a job and its origin in a folder, unless a sound one is there already; the one that counts.
 
     Raises:
         store.StoreError: the folder or the disk refuses.
     """
-    content = {"id": job.id, "job": asdict(job), "config": config, "spent": spent}
+    content = {"id": job.id, "job": asdict(job), **origin._asdict()}
     try:
         with tempfile.NamedTemporaryFile("w", prefix=f".{_JOB}.", suffix=".part", dir=folder, delete=False) as file:
             json.dump(content, file, indent=1)
@@ -225,8 +233,8 @@ def publish(folder: Path, job: Job, config: str, spent: Spent) -> Job:
     return read_job(folder) or job
 
 
-def job_config(folder: Path) -> tuple[str, Spent]:
-    """The YAML that the job of a folder was made for, and what making it has cost.
+def origin(folder: Path) -> Origin:
+    """What the job of a folder was made for.
 
     Raises:
         store.StoreError: the folder is gone.
@@ -235,7 +243,7 @@ def job_config(folder: Path) -> tuple[str, Spent]:
         content = json.loads((folder / _JOB).read_text())
     except OSError as error:
         raise store.StoreError(f"{folder} is gone, or what was in it") from error
-    return content["config"], Spent(*content["spent"])
+    return Origin(content["config"], content["own_text"], Spent(*content["spent"]))
 
 
 # ---- pieces

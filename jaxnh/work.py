@@ -139,13 +139,13 @@ def _rows(group: Group, piece: Piece, first: int) -> Group:
     return replace(group, variables=variables)
 
 
-def experiment_from(text: str) -> Experiment:
-    """The experiment of a YAML text that has been valid before.
+def experiment_from(text: str, own_text: str | None = None) -> Experiment:
+    """The experiment of a YAML text, and of the text of the user's file that it names, that have been valid before.
 
     Raises:
-        jaxnh.experiment.ConfigError: it is so no more.
+        jaxnh.experiment.ConfigError: they are so no more.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "config.yaml"
         path.write_text(text, encoding="utf-8")
-        return load(path)
+        return load(path, own_text=own_text)

@@ -162,7 +162,8 @@ def _experiment(folder: Path, job_id: str) -> tuple[Experiment, Job]:
     job = tiles.read_job(folder)
     if job is None or job.id != job_id:
         raise RuntimeError(f"{folder}, as a worker sees it, is not the folder of this run")
-    return work.experiment_from(tiles.job_config(folder)[0]), job
+    origin = tiles.origin(folder)
+    return work.experiment_from(origin.config, origin.own_text), job
 
 
 def _piece(folder: str, job_id: str, index: int) -> Receipt:

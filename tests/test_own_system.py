@@ -7,16 +7,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import ROOT
 from measure import SYSTEMS
 
 from jaxnh.analyses import doubling, lyapunov
 from jaxnh.analyses.record import Scene
-from jaxnh.experiment import ConfigError, load
+from jaxnh.experiment import ConfigError, load, schema
 from jaxnh.lanes import Lanes
 from jaxnh.marched import MarchedStrobe
 from jaxnh.mechanics import Motion
 from jaxnh.solvers import SOLVERS, SPLITTINGS, Projected
 from jaxnh.strobe import derivatives, make_strobe, section_map
+from jaxnh.yaml_source import read
 
 PARTICLE = """import jax.numpy as jnp
 
@@ -189,3 +191,73 @@ def test_another_file_is_another_experiment(tmp_path):
     one = load(write(tmp_path)).sha256
     assert load(write(tmp_path)).sha256 == one
     assert load(write(tmp_path, PARTICLE + "\n# the same\n")).sha256 != one
+
+
+# ---- the schema for editors
+
+TYPES = {"object": dict, "array": (list, tuple), "string": str, "null": type(None)}
+
+
+def fits(content, schema, root):
+    """Whether a config is valid by a JSON Schema: the keywords that ours has, by the words of the specification."""
+    kind = schema.get("type")
+    number = isinstance(content, int | float) and not isinstance(content, bool)
+    if kind in ("number", "integer") and not (number and (kind == "number" or int(content) == content)):
+        return False
+    if kind in TYPES and not isinstance(content, TYPES[kind]):
+        return False
+    within = {
+        "$ref": lambda name: fits(content, root["$defs"][name.removeprefix("#/$defs/")], root),
+        "const": lambda one: content == one,
+        "enum": lambda some: content in some,
+        "minimum": lambda low: not number or content >= low,
+        "maximum": lambda high: not number or content <= high,
+        "exclusiveMinimum": lambda low: not number or content > low,
+        "minItems": lambda least: len(content) >= least,
+        "maxItems": lambda most: len(content) <= most,
+        "minProperties": lambda least: len(content) >= least,
+        "maxProperties": lambda most: len(content) <= most,
+        "required": lambda names: set(names) <= set(content),
+        "items": lambda each: all(fits(item, each, root) for item in content),
+        "oneOf": lambda several: sum(fits(content, one, root) for one in several) == 1,
+        "anyOf": lambda several: any(fits(content, one, root) for one in several),
+        "properties": lambda known: all(fits(content[key], known[key], root) for key in set(known) & set(content)),
+        "if": lambda case: fits(content, schema["then" if fits(content, case, root) else "else"], root),
+    }
+    others = set(content) - set(schema.get("properties", {})) if isinstance(content, dict) else set()
+    further = schema.get("additionalProperties", True)
+    if others and (
+        further is False or (further is not True and not all(fits(content[o], further, root) for o in others))
+    ):
+        return False
+    words = {"type", "title", "description", "default", "discriminator", "additionalProperties", "then", "else"}
+    assert set(schema) <= set(within) | words | {"$schema", "$defs"}, set(schema) - set(within)
+    return all(rule(schema[word]) for word, rule in within.items() if word in schema)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("*.yaml")), ids=lambda path: path.stem)
+def test_configs_are_valid_by_the_schema(path):
+    described = schema()
+    assert fits(read(path).data, described, described)
+
+
+SCHEMA_FAULTS = {
+    "a parameter that is text": ("system.a=much", "system.a='much'"),
+    "no such key of a system of ours": ("system.mass=1", None),
+    "two sweeps": (None, "sweep.a={values: [1.0]}"),
+    "a sweep of nothing": (None, "sweep={}"),
+    "a start of no coordinate of ours": ("initial.x=0.5", None),
+    "a start that is text": ("initial.x1=up", "initial.x1=up"),
+    "unknown section": ("accuracies={}", "accuracies={}"),
+    "a file and a constraint": ("system.file=own.py", "system.constraint=constant_speed"),
+}
+
+
+@pytest.mark.parametrize("edits", SCHEMA_FAULTS.values(), ids=SCHEMA_FAULTS)
+def test_schema_marks_faults(tmp_path, edits):
+    """Of a config of a built-in system, and of one of a user's: both valid without the fault."""
+    described = schema()
+    for path, edit in zip((ROOT / "configs" / "table1.yaml", write(tmp_path)), edits, strict=True):
+        assert fits(read(path).data, described, described)
+        if edit:
+            assert not fits(read(path, [edit]).data, described, described)

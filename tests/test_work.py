@@ -130,13 +130,14 @@ def test_parts_share_all_pieces(parts):
 
 def test_of_two_processes_the_first_decides(tmp_path):
     one, other = job(), job(tile=5)
-    assert tiles.publish(tmp_path, one, "text", SPENT) == one
-    assert tiles.publish(tmp_path, other, "text", SPENT) == one
+    origin = tiles.Origin("text", None, SPENT)
+    assert tiles.publish(tmp_path, one, origin) == one
+    assert tiles.publish(tmp_path, other, tiles.Origin("another", "a file", SPENT)) == one
     assert tiles.read_job(tmp_path) == one
-    assert tiles.job_config(tmp_path) == ("text", SPENT)
+    assert tiles.origin(tmp_path) == origin
     (tmp_path / "job.json").write_text("{")
     assert tiles.read_job(tmp_path) is None
-    assert tiles.publish(tmp_path, other, "text", SPENT) == other
+    assert tiles.publish(tmp_path, other, origin) == other
     assert [path.name for path in tmp_path.iterdir()] == ["job.json"]
 
 
