@@ -201,7 +201,7 @@ def read_job(folder: Path) -> Job | None:
 
 
 class Origin(NamedTuple):
-    """What a job was made for: the YAML, and the text of the user's file if it names one; and what making it has cost."""
+    """What a job was made for: the YAML, the text of the user's file if it names one, and what making it has cost."""
 
     config: str
     own_text: str | None
