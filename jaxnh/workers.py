@@ -20,10 +20,17 @@ from jaxnh.lanes import Lanes, configure
 from jaxnh.tiles import Damaged, Job, Piece, Receipt
 
 _RETRIES = 2
+_MOST_LOSSES = 10  # of workers that a piece may have been at: a lost worker is no fault of the piece
+_MOST_LOST = 3  # pieces that have lost so many, before the others are given up as well
 _POLL = 0.5  # seconds between two looks at what is done
 _CONNECT = 30.0  # seconds
 _AT_ONCE = threading.Lock()
 _LOCAL = re.compile(r"local(?::([1-9]\d*))?")
+_NUMBERED = re.compile(r"(?!.*://).*?(\d+)")  # names of workers, but for an address: a port says nothing of cores
+
+
+class Lost(Failed):
+    """A piece has lost all workers that it was at."""
 
 
 def check(where: str) -> None:
@@ -56,7 +63,7 @@ def run(
     Raises:
         Refused: there is no such cluster.
         Unfinished: the cluster is gone.
-        Failed: a piece failed on every try; its reason.
+        Failed: a piece failed on every try; its reason. One that loses its workers does not keep others from being done.
     """
     with _cluster(where) as client:
         futures = {
@@ -71,12 +78,18 @@ def run(
             ): piece
             for piece in pieces
         }
+        lost: list[Lost] = []
         try:
-            while futures:
+            while futures and len(lost) < _MOST_LOST:
                 heed()
                 for future in _ended(client, list(futures)):
                     piece = futures.pop(future)
-                    finished(_receipt(future, piece))
+                    try:
+                        finished(_receipt(future, piece))
+                    except Lost as error:
+                        lost.append(error)
+            if lost:
+                raise Failed("; ".join(map(str, lost))) from lost[0]
         finally:
             with contextlib.suppress(Exception):
                 client.cancel(list(futures), force=True)
@@ -93,7 +106,7 @@ def _receipt(future: Any, piece: Piece) -> Receipt:
         raise Unfinished("the Dask scheduler is gone") from None
     if error is not None:
         if type(error).__name__ == "KilledWorker":
-            raise Failed(f"tile {piece.number} has lost its worker again and again") from error
+            raise Lost(f"tile {piece.number} has lost its worker again and again") from error
         raise Failed(f"tile {piece.number} failed on a worker: {' '.join(str(error).split())[:500]}") from error
     raise Unfinished("the Dask scheduler has dropped the work")
 
@@ -117,8 +130,8 @@ def _cluster(where: str) -> Iterator[Any]:
 
     for name in ("distributed", "distributed.client", "tornado"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what matters of it we say ourselves
-    # A lost worker is no fault of the piece it was at, and a piece that is done is not computed again.
-    settings.set({"distributed.scheduler.allowed-failures": 10, "distributed.comm.timeouts.connect": f"{_CONNECT}s"})
+    settings.set({"distributed.scheduler.allowed-failures": _MOST_LOSSES})
+    settings.set({"distributed.comm.timeouts.connect": f"{_CONNECT}s"})
     options: dict[str, Any] = {}
     with contextlib.ExitStack() as stack:
         local = _LOCAL.fullmatch(where)
@@ -150,7 +163,7 @@ def _lanes() -> Lanes:
     from distributed import get_worker
 
     cores = sorted(os.sched_getaffinity(0))
-    number = re.search(r"(\d+)$", str(get_worker().name))
+    number = _NUMBERED.fullmatch(str(get_worker().name))
     if len(cores) > 1 and number:
         os.sched_setaffinity(0, {cores[int(number[1]) % len(cores)]})
     configure(1)

@@ -13,6 +13,7 @@ import itertools
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import ClassVar
 
 import heyoka as hy
 import numpy as np
@@ -25,6 +26,19 @@ TWO_PI = 8 * np.arctan(REAL(1))  # np.pi only has 53 bits
 _SHORTER = (256, 1024, 4096, 16384)  # parts of a period that a step must not exceed
 
 
+def flow():
+    """The variables x, y, th, the parameter b, and the equations; par[0..4] are b, a, c, d, omega."""
+    x, y, th = hy.make_vars("x", "y", "th")
+    b, a, c, d, omega = (hy.par[i] for i in range(5))
+    s = hy.sqrt(c + d * hy.sin(hy.time))
+    g = 1.0 + hy.sin(omega * hy.time)
+    # Products, not powers: the Taylor recurrence of a power divides by its base, which an orbit takes through 0.
+    f1 = b * y - g * x * (a + x * x)
+    f2 = b * x - g * y * (1.0 + a * (y * y))
+    cos, sin = hy.cos(th), hy.sin(th)
+    return (x, y, th), b, [(x, s * cos), (y, s * sin), (th, (cos * f2 - sin * f1) / s)]
+
+
 @dataclass(frozen=True)
 class Parameters:
     """Parameters of the system other than b: squared speed c + d sin t, forcing 1 + sin(omega t)."""
@@ -33,6 +47,7 @@ class Parameters:
     c: float = 1.0
     d: float = 0.0
     omega: float = 1.0
+    equations: ClassVar = staticmethod(flow)  # another function for another system of three variables
 
     @property
     def period(self):
@@ -56,23 +71,10 @@ class Parameters:
 # The map and its derivatives
 
 
-def flow():
-    """The variables x, y, th, the parameter b, and the equations; par[0..4] are b, a, c, d, omega."""
-    x, y, th = hy.make_vars("x", "y", "th")
-    b, a, c, d, omega = (hy.par[i] for i in range(5))
-    s = hy.sqrt(c + d * hy.sin(hy.time))
-    g = 1.0 + hy.sin(omega * hy.time)
-    # Products, not powers: the Taylor recurrence of a power divides by its base, which an orbit takes through 0.
-    f1 = b * y - g * x * (a + x * x)
-    f2 = b * x - g * y * (1.0 + a * (y * y))
-    cos, sin = hy.cos(th), hy.sin(th)
-    return (x, y, th), b, [(x, s * cos), (y, s * sin), (th, (cos * f2 - sin * f1) / s)]
-
-
 @functools.cache
-def integrator(order, real, tol):
+def integrator(system, order, real, tol):
     """The integrator with the variational equations up to `order` in (x, y, th, b), and its state at time 0."""
-    state, b, equations = flow()
+    state, b, equations = system()
     if order:
         equations = hy.var_ode_sys(equations, [*state, b], order=order)
     # Compact mode runs a little slower, but without it second order takes minutes to compile.
@@ -99,7 +101,7 @@ def propagate(par, b, state, order=0, periods=1, tol=None, real=REAL, longest=np
     """
     state = np.atleast_2d(np.asarray(state, dtype=real))
     b = np.broadcast_to(np.asarray(b, dtype=real), state.shape[:1])
-    ta, at_zero = integrator(order, real, float(np.finfo(real).eps if tol is None else tol))
+    ta, at_zero = integrator(par.equations, order, real, float(np.finfo(real).eps if tol is None else tol))
     period = real(par.period)
     for b_lane, z in zip(b, state, strict=True):
         ta.pars[:] = [b_lane, real(par.a), real(par.c), real(par.d), real(par.omega)]
@@ -171,7 +173,7 @@ def spectra(par, b, states, transient, periods, parts=8, tol=1e-11):
 
     Variational equations in float64, all lanes in one batch, orthonormalised by QR `parts` times a period.
     """
-    state, _, equations = flow()
+    state, _, equations = par.equations()
     lanes = len(states)
     system = hy.var_ode_sys(equations, [*state], order=1)
     ta = hy.taylor_adaptive_batch(system, np.zeros((3, lanes)), pars=np.zeros((5, lanes)), tol=tol, compact_mode=True)
@@ -335,8 +337,8 @@ def doubling_point(par, n, b_guess, state_guess, real=REAL):
     return b, points[0], info
 
 
-def cascade(par, b_guesses, start=None, real=REAL):
-    """The doublings of the periods 1, 2, 4, ... met on the way through the rough b_guesses: a list of (b, state, info).
+def cascade(par, b_guesses, start=None, real=REAL, first=1):
+    """The doublings of the periods 1, 2, 4, ... times `first` met on the way through the rough b_guesses: a list of (b, state, info).
 
     The guesses, two at least, are good if each is off by much less than its distance to the next one.
     A transient from `start` (3,), by default `par.start()`, before the first guess picks the attractor; midway
@@ -347,7 +349,7 @@ def cascade(par, b_guesses, start=None, real=REAL):
     before = 3 * b_guesses[0] - 2 * b_guesses[1]
     found = []
     for level, guess in enumerate(b_guesses):
-        n = 2**level
+        n = first * 2**level
         middle = before if level == 0 else (before + guess) / 2
         points = orbit(par, n, middle, attractor(par, middle, state, 300 + 60 * n)[0])
         for b in np.linspace(middle, guess, 5):

@@ -171,7 +171,30 @@ def test_dask_worker_killed(job, whole):
     assert out.splitlines()[-1] == "wrote job.h5"
 
 
-def test_dask_scheduler_killed(job, whole):
+DEADLY = """
+import jaxnh.work as k, jaxnh.workers as w, os
+w._MOST_LOSSES, compute = 1, k.compute
+def deadly(experiment, job, batch, lanes):
+    if batch[0].number == 5:
+        os.kill(os.getpid(), 9)
+    return compute(experiment, job, batch, lanes)
+k.compute = deadly
+"""
+
+
+@pytest.mark.slow
+def test_tile_that_kills_its_workers(job, whole):
+    """It is given up with a clear line; all other tiles are done and kept, and a run elsewhere needs that one alone."""
+    code, out, err = job.run("--dask", "local:2", head=DEADLY)
+    assert (code, out) == (1, []), err
+    assert err[-1] == f"failed: tile 5 has lost its worker again and again; 11 of 12 tiles are kept: {GO_ON}"
+    assert [int(path.stem) for path in job.done()] == [k for k in range(TILES) if k != 5]
+    _, err = finish(job, whole)
+    assert f"11 of {TILES} tiles are done; going on" in err
+
+
+@pytest.mark.parametrize("by", ["scheduler.json", "address"])
+def test_dask_scheduler_killed(job, whole, by):
     """A clear line and the code to go on; the tiles that were done are not computed again."""
     place = job.folder / "scheduler.json"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_LOGGING__DISTRIBUTED": "critical"}
@@ -185,7 +208,7 @@ def test_dask_scheduler_killed(job, whole):
     try:
         while not place.exists():
             time.sleep(0.05)
-        process = job.start("--dask", "scheduler.json")
+        process = job.start("--dask", json.loads(place.read_text())["address"] if by == "address" else by)
         job.until(process, 2)
         scheduler.kill()
         _, err = process.communicate(timeout=120)
@@ -506,6 +529,66 @@ def test_slurm_script(job, whole):
     out, _ = join.communicate(timeout=120)
     assert join.returncode == 0, out
     assert content(job.output) == whole
+
+
+SRUN = r"""#!/bin/bash
+echo "$@" >> {tools}/asked
+count=1
+while [[ $1 == --* ]]; do
+    [[ $1 == --ntasks=* ]] && count=${{1#--ntasks=}}
+    shift
+done
+for ((k = 0; k < count; k++)); do "$@" & done
+trap 'kill $(jobs -p)' TERM
+wait
+wait
+"""
+
+
+@pytest.mark.slow
+def test_slurm_script_with_dask(job, whole):
+    """Its Dask variant: a scheduler and as many workers as there are tasks but two, and none of them is left.
+
+    `srun` is one of our own that starts processes. First the job is preempted, then it runs to its end.
+    """
+    tools = job.folder.parent / f"{job.folder.name}-tools"
+    tools.mkdir()
+    (tools / "scontrol").write_text(f'#!/bin/sh\necho "$@" >> {tools}/asked\n')
+    (tools / "srun").write_text(SRUN.format(tools=tools))
+    (tools / "python").write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    for tool in tools.iterdir():
+        tool.chmod(0o755)
+    slurm = {"SLURM_JOB_ID": "17", "SLURM_NTASKS": "4", "TMPDIR": str(tools), "PYTHON": "python"}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": f"{tools}:{os.environ['PATH']}", **slurm}
+    script = ["bash", ROOT / "sweeps" / "slurm.sbatch", "job.yaml", "--output", "job.h5", "--tile", "256"]
+    for preempted in (True, False):
+        (tools / "asked").unlink(missing_ok=True)
+        with (tools / "log").open("w+") as log:
+            options = {"cwd": job.folder, "stdout": log, "stderr": subprocess.STDOUT, "start_new_session": True}
+            process = subprocess.Popen([*script, "--dask", "slurm"], env=environment, **options)
+            if preempted:
+                job.until(process, 2)
+                process.send_signal(signal.SIGTERM)
+            code = process.wait(timeout=240)
+            log.seek(0)
+            assert code == (75 if preempted else 0), log.read()
+        psutil.wait_procs(session(process.pid), timeout=30)
+        assert session(process.pid) == []
+        asked = (tools / "asked").read_text().splitlines()
+        assert [line.split()[1] for line in asked[:2]] == ["--ntasks=1", "--ntasks=2"]
+        assert asked[2:] == (["requeue 17"] if preempted else [])
+    assert content(job.output) == whole
+    assert job.left() == {"job.h5"}
+
+
+def session(number):
+    """Processes of a session that are alive."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(ProcessLookupError, psutil.NoSuchProcess):
+            if os.getsid(process.pid) == number and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+    return found
 
 
 # ---- large ones
