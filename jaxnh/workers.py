@@ -63,7 +63,7 @@ def run(
     Raises:
         Refused: there is no such cluster.
         Unfinished: the cluster is gone.
-        Failed: a piece failed on every try; its reason. One that loses its workers does not keep others from being done.
+        Failed: a piece failed on every try; its reason. One that loses its workers does not hold others up.
     """
     with _cluster(where) as client:
         futures = {

@@ -337,16 +337,16 @@ def doubling_point(par, n, b_guess, state_guess, real=REAL):
     return b, points[0], info
 
 
-def cascade(par, b_guesses, start=None, real=REAL, first=1):
+def cascade(par, b_guesses, start=None, real=REAL, first=1, before=None):
     """The doublings of the periods 1, 2, 4, ... times `first` met on the way through the rough b_guesses: a list of (b, state, info).
 
     The guesses, two at least, are good if each is off by much less than its distance to the next one.
-    A transient from `start` (3,), by default `par.start()`, before the first guess picks the attractor; midway
+    A transient from `start` (3,), by default `par.start()`, at `before`, well before the first guess, picks the attractor; midway
     between two doublings, where orbits attract fast, a transient finds the orbit of twice the period, and it is
     followed to the next guess.
     """
     state = par.start() if start is None else start
-    before = 3 * b_guesses[0] - 2 * b_guesses[1]
+    before = 3 * b_guesses[0] - 2 * b_guesses[1] if before is None else before
     found = []
     for level, guess in enumerate(b_guesses):
         n = first * 2**level

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
+
 import diffrax
+import heyoka as hy
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import taylor
 from conftest import ROOT
 from measure import SYSTEMS
 
-from jaxnh.analyses import doubling, lyapunov
+from jaxnh import figures, store
+from jaxnh.analyses import ANALYSES, doubling, lyapunov
 from jaxnh.analyses.record import Scene
 from jaxnh.experiment import ConfigError, load, schema
 from jaxnh.lanes import Lanes
@@ -93,15 +101,52 @@ def test_map_and_its_derivatives_are_those_of_the_splitting(tmp_path):
     assert np.abs(np.linalg.eigvals(whole)).min(axis=1).max() < 1e-9
 
 
+# Two values on each stable orbit of the cascade, of periods 1 to 32, and two beyond it: by the paper's table.
+CASCADE = (5.53, 5.525, 5.51, 5.50, 5.4935, 5.4905, 5.489, 5.4884, 5.48797, 5.48785, 5.48776, 5.48773, 5.4877, 5.48769)
+
+
 @pytest.mark.slow
-def test_first_doubling_of_table_1(tmp_path):
-    """The doubling 1 → 2 from T, Q and f is that of the isokinetic route (results/table1.h5) to 1e-8."""
-    b = np.linspace(5.53, 5.51, 8)
-    general = doubling.run(doubling.DoublingOptions(levels=1), scene(tmp_path, b), Lanes())
-    planar = Scene(SYSTEMS["constant"], ((0.1, 0.1), (0.1, 0.99**0.5)), b, SPLITTINGS["kahan_li8"], 240, False, 0.0)
-    isokinetic = doubling.run(doubling.DoublingOptions(levels=1), planar, Lanes())
-    assert general.variables["period"].data[0] == isokinetic.variables["period"].data[0]
-    assert abs(general.variables["b"].data[0] - isokinetic.variables["b"].data[0]) < 1e-8
+def test_doublings_of_table_1(tmp_path):
+    """All six doublings from T, Q and f are those of the isokinetic route in results/table1.h5, to 1e-8."""
+    general = doubling.run(doubling.DoublingOptions(levels=6), scene(tmp_path, CASCADE), Lanes()).variables
+    isokinetic = store.read_variables(ROOT / "results" / "table1.h5", "doubling")
+    np.testing.assert_array_equal(general["period"].data, isokinetic["period"])
+    print(general["b"].data - isokinetic["b"])
+    assert np.abs(general["b"].data - isokinetic["b"]).max() < 1e-8
+
+
+# ---- a cascade of the user's own
+
+
+def governor():
+    """configs/governor.py without its multiplier: u' = (Q1 + 2 r u Q2)/(1 + 4 r² u²); x stays within half a turn."""
+    u, y, x = hy.make_vars("u", "y", "x")
+    drive, rate, level, damping, omega = (hy.par[i] for i in range(5))
+    rise = rate * (u * u - level)
+    force = drive * hy.sin(omega * hy.time) + x - x * x * x - damping * u
+    lift = -y - damping * rise
+    return (u, y, x), drive, [(u, (force + 2 * rate * u * lift) / (1 + 4 * rate * rate * u * u)), (y, rise), (x, u)]
+
+
+class Governor(taylor.Parameters):
+    equations = staticmethod(governor)
+
+
+@pytest.mark.slow
+def test_doublings_of_the_governor():
+    """The first two against the Taylor reference, which has equations without multipliers, to the errors of both."""
+    values = np.linspace(0.87, 0.785, 24)
+    experiment = load(ROOT / "configs" / "governor.yaml")
+    system = experiment.system.build()
+    own = Scene(system, experiment.initial.state(system), values, SOLVERS["dopri8"], 136, False, 0.0)
+    found = doubling.run(doubling.DoublingOptions(levels=2), own, Lanes()).variables
+    assert found["period"].data.tolist() == [2, 4]
+    exact = taylor.cascade(
+        Governor(a=0.5, c=0.5, d=0.2), [0.8452, 0.7933], np.array([0.0, 0.0, 0.5]), first=2, before=0.87
+    )
+    for b, error, (reference, _, info) in zip(found["b"].data, found["b_error"].data, exact, strict=True):
+        print(b - float(reference), error, info.error)
+        assert abs(b - float(reference)) < 10 * error + info.error + 1e-12
 
 
 @pytest.mark.slow
@@ -191,6 +236,104 @@ def test_another_file_is_another_experiment(tmp_path):
     one = load(write(tmp_path)).sha256
     assert load(write(tmp_path)).sha256 == one
     assert load(write(tmp_path, PARTICLE + "\n# the same\n")).sha256 != one
+
+
+# ---- from the file to the result
+
+
+EVERYTHING = """\
+title: Every analysis of a governor
+system: {file: governor.py}
+initial: {x: 0.5, y_dot: -0.25}
+sweep: {drive: {values: [0.86, 0.845, 0.84, 0.83, 0.72, 0.7]}}
+accuracy: {solver: dopri5, steps: 80}
+analyses:
+  portrait: {transient: 200, periods: 8, samples: 64}
+  poincare: {transient: 200, strobes: 64}
+  diagram: {transient: 200, strobes: 32}
+  lyapunov: {transient: 64, periods: 200, exponents: 3}
+  period: {limit: 8, transient: 400}
+  chaos01: {transient: 100, periods: 400}
+  verdict: {}
+  doubling: {levels: 1}
+"""
+
+
+@pytest.mark.slow
+def test_every_analysis(result, tmp_path):
+    """Of a user's system, with a picture of all. The doubling is that of the Taylor reference, to the error of 80 steps."""
+    config = tmp_path / "everything.yaml"
+    config.write_text(EVERYTHING)
+    shutil.copy(ROOT / "configs" / "governor.py", tmp_path)
+    path, *_ = result("own_everything", config)
+    found = {name: store.read_variables(path, name) for name in ANALYSES}
+    assert found["period"]["period"].tolist() == [2, 4, 4, 4, 0, 0]
+    assert found["verdict"]["kind"].tolist() == [0, 0, 0, 0, 2, 2]
+    assert abs(found["doubling"]["b"][0] - 0.845218652286) < 1e-8
+    for name in ("portrait", "poincare", "diagram"):
+        x, y_dot = found[name]["x_dot"], found[name]["y_dot"]
+        assert np.abs(y_dot - 0.5 * (x**2 - 0.5)).max() < 1e-12  # every state is on f = 0
+    assert len(figures.figure(path).axes) == 6 + 6
+
+
+SMALL = """\
+system: {file: governor.py}
+initial: {x: 0.5, y_dot: -0.25}
+sweep: {drive: {start: 0.7, stop: 0.9, count: 64}}
+accuracy: {solver: dopri5, steps: 40}
+analyses:
+  diagram: {transient: 16, strobes: 4}
+"""
+
+
+def run(module, folder, *arguments):
+    """Exit code and lines of a command of ours in a folder."""
+    command = [sys.executable, "-m", f"jaxnh.{module}", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout.splitlines(), done.stderr.splitlines()
+
+
+@pytest.mark.slow
+def test_file_goes_with_plan_and_result(tmp_path):
+    """Parts, Dask workers and lanes run again know it from the text that is kept; one that has changed is not mixed in."""
+    (tmp_path / "job.yaml").write_text(SMALL)
+    file = tmp_path / "governor.py"
+    shutil.copy(ROOT / "configs" / "governor.py", file)
+    text = file.read_text()
+    tiles = ("--tile", 16, "--output", "job.h5")
+    assert run("sweep", tmp_path, "job.yaml", *tiles, "--part", "1/2")[0] == 0
+    file.write_text(text.replace("-q[1]", "-2 * q[1]"))
+    code, _, err = run("sweep", tmp_path, "job.yaml", *tiles)
+    assert (code, len(err)) == (2, 1)
+    assert err[0].endswith("job.h5.tiles holds tiles of another text of governor.py; --fresh drops them")
+    file.write_text(text)
+    code, _, err = run("sweep", tmp_path, "job.yaml", *tiles, "--dask", "local:1")
+    assert code == 0, err
+    assert "2 of 4 tiles are done; going on" in err
+    assert run("sweep", tmp_path, "job.yaml", "--output", "whole.h5")[0] == 0
+    for name in ("x", "x_dot", "y", "y_dot", "drift"):
+        one, other = (store.read_variables(tmp_path / f"{which}.h5", "diagram")[name] for which in ("job", "whole"))
+        assert one.tobytes() == other.tobytes()
+    assert store.read_attrs(tmp_path / "job.h5")["system_file"] == text
+    equal = "diagram: 48 lanes run again are equal bit for bit"
+    again = "lanes are run again by its text in the result"
+    for change, said in (
+        (None, "is as it was"),
+        ("# another", f"has changed since; {again}"),
+        ("", f"is not there; {again}"),
+    ):
+        if change is not None:
+            file.write_text(change) if change else file.unlink()
+        code, out, err = run("inspect", tmp_path, "job.h5", "--verify")
+        assert code == 0, err
+        assert out[-2:] == [f"governor.py {said}", equal]
+    file.write_text(text + "# another\n")
+    code, _, err = run("sweep", tmp_path, "job.yaml", "--output", "job.h5")
+    assert code == 2
+    assert err == [
+        "command line: --output: job.h5 holds the result of another text of governor.py; --fresh replaces it"
+    ]
 
 
 # ---- the schema for editors
