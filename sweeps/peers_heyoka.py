@@ -81,12 +81,59 @@ def true_scene(a: float, c: float, d: float) -> Scene:
     return Scene(a, c, d, b, states, unit(ends))
 
 
+class Batches:
+    """heyoka's batch integrators of a scene's lanes, made once for each form of the equations and each option.
+
+    Args:
+        equations: those of a form.
+    """
+
+    def __init__(self, equations: Callable[..., list[tuple[Any, Any]]]) -> None:
+        self._equations = equations
+        self._integrators: dict[tuple[object, ...], Any] = {}
+
+    def __call__(
+        self,
+        start: np.ndarray,
+        b: np.ndarray,
+        times: tuple[float, float],
+        form: tuple[str, ...],
+        batch: int,
+        options: tuple[str, ...],
+        order: int,
+    ) -> np.ndarray:
+        """States (lanes, variables) of lanes b (lanes,) from one time to another, by one run through all of them."""
+        ta = self._integrator(form, batch, options, order)
+        ends = np.empty_like(start)
+        for at in range(0, len(start), batch):
+            part = slice(at, at + batch)
+            ta.set_time(times[0])
+            ta.pars[0] = b[part]
+            ta.state[:] = start[part].T
+            ta.propagate_until(times[1])
+            ends[part] = ta.state.T
+        return ends
+
+    def _integrator(self, form: tuple[str, ...], batch: int, options: tuple[str, ...], order: int) -> Any:
+        key = (form, batch, options, order)
+        if key not in self._integrators:
+            motion = self._equations(*form)
+            self._integrators[key] = hy.taylor_adaptive_batch(
+                motion,
+                np.zeros((len(motion), batch)),
+                pars=np.zeros((1, batch)),
+                tol=math.exp(2 - 2 * order),
+                **dict.fromkeys(options, True),
+            )
+        return self._integrators[key]
+
+
 class Contestant:
     """The batch integrator in all its forms: angle or unit vector, clock, batch size, fast_math, compact mode."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._integrators: dict[tuple[object, ...], Any] = {}
+        self._batches = Batches(lambda *form: equations(scene.a, scene.c, scene.d, *form))
         self._errors: dict[tuple[object, ...], Errors] = {}
 
     def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
@@ -138,31 +185,8 @@ class Contestant:
 
     def _propagate(self, lanes: np.ndarray, periods: int, key: tuple[Any, ...]) -> np.ndarray:
         """States (lanes, variables) some periods later, by one run through all of them: no stop at the strobes."""
-        form, clock, batch, options, order = key
-        ta = self._integrator(form, clock, batch, options, order)
+        form, clock = key[:2]
         start = (self.scene.states if form == "angle" else self.scene.unit_states)[lanes]
         if clock == "clock equations":
             start = np.column_stack([start, np.zeros(len(lanes)), np.ones(len(lanes))])
-        b = self.scene.b[lanes]
-        ends = np.empty_like(start)
-        for at in range(0, len(lanes), batch):
-            part = slice(at, at + batch)
-            ta.set_time(0.0)
-            ta.pars[0] = b[part]
-            ta.state[:] = start[part].T
-            ta.propagate_until(periods * self.scene.period)
-            ends[part] = ta.state.T
-        return ends
-
-    def _integrator(self, form: str, clock: str, batch: int, options: tuple[str, ...], order: int) -> Any:
-        key = (form, clock, batch, options, order)
-        if key not in self._integrators:
-            motion = equations(self.scene.a, self.scene.c, self.scene.d, form, clock)
-            self._integrators[key] = hy.taylor_adaptive_batch(
-                motion,
-                np.zeros((len(motion), batch)),
-                pars=np.zeros((1, batch)),
-                tol=math.exp(2 - 2 * order),
-                **dict.fromkeys(options, True),
-            )
-        return self._integrators[key]
+        return self._batches(start, self.scene.b[lanes], (0.0, periods * self.scene.period), (form, clock), *key[2:])

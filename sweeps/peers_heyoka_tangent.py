@@ -14,7 +14,7 @@ from typing import Any
 import heyoka as hy
 import numpy as np
 
-from sweeps.peers_heyoka import MOST_ORDER, REAL, TOLERANCE, equations
+from sweeps.peers_heyoka import MOST_ORDER, REAL, TOLERANCE, Batches, equations
 from sweeps.peers_scene import Errors, Scene, Setting, TangentScene
 
 _PERIODS = 4
@@ -64,7 +64,7 @@ class Contestant:
 
     def __init__(self, scene: TangentScene) -> None:
         self.scene = scene
-        self._integrators: dict[tuple[Any, ...], Any] = {}
+        self._batches = Batches(lambda clock: tangent_equations(scene, clock))
 
     def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
         simd = hy.recommended_simd_size()
@@ -116,35 +116,13 @@ class Contestant:
         self, state: np.ndarray, tangents: np.ndarray, begin: float, end: float, key: tuple[Any, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
         """States (lanes, 3) and tangents (lanes, tangent, 3) of the timed lanes from one time to another."""
-        clock, batch, options, order = key
-        ta = self._integrator(clock, batch, options, order)
+        clock = key[0]
         columns = [state, tangents.reshape(len(state), 9)]
         if clock == "clock equations":
             columns.append(np.tile([math.sin(begin), math.cos(begin)], (len(state), 1)))
-        start = np.column_stack(columns)
         b = self.scene.b[self.scene.timed()]
-        ends = np.empty_like(start)
-        for at in range(0, len(start), batch):
-            part = slice(at, at + batch)
-            ta.set_time(begin)
-            ta.pars[0] = b[part]
-            ta.state[:] = start[part].T
-            ta.propagate_until(end)
-            ends[part] = ta.state.T
+        ends = self._batches(np.column_stack(columns), b, (begin, end), (clock,), *key[1:])
         return ends[:, :3], ends[:, 3:12].reshape(-1, 3, 3)
-
-    def _integrator(self, clock: str, batch: int, options: tuple[str, ...], order: int) -> Any:
-        key = (clock, batch, options, order)
-        if key not in self._integrators:
-            motion = tangent_equations(self.scene, clock)
-            self._integrators[key] = hy.taylor_adaptive_batch(
-                motion,
-                np.zeros((len(motion), batch)),
-                pars=np.zeros((1, batch)),
-                tol=math.exp(2 - 2 * order),
-                **dict.fromkeys(options, True),
-            )
-        return self._integrators[key]
 
 
 def _identity(lanes: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -18,26 +19,29 @@ _MOST_KICKS = 20000
 _HOPELESS = 3.0  # times the fewest kicks so far: not followed any further
 
 
-class Contestant:
-    """All splittings on constant steps, over all devices."""
+SceneT = TypeVar("SceneT", bound=Scene)
 
-    def __init__(self, scene: Scene) -> None:
+
+class Splittings(Generic[SceneT]):
+    """All splittings on constant steps, over all devices, each tuned by the errors of its map."""
+
+    def __init__(self, scene: SceneT) -> None:
         configure()
         self.scene = scene
         self.system = IsokineticParticle(a=scene.a, c=scene.c, d=scene.d, omega=1.0)
         self.lanes = Lanes()
-        self._one_device = Lanes(devices=self.lanes.devices[:1])
+
+    def errors(self, strobe: Strobe) -> Errors:
+        """Errors of a map, of the kind that it is tuned by."""
+        raise NotImplementedError
 
     def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
-        everybody = np.arange(len(self.scene.b))
         settings: list[Setting] = []
         fewest = float(_MOST_KICKS)
         for name, solver in sorted(SPLITTINGS.items(), key=lambda item: -item[1].convergence_order):
 
             def measure(steps: float, name: str = name) -> Errors:
-                strobe = make_strobe(self.system, SPLITTINGS[name], int(steps))
-                (x, y), (n1, n2) = self._iterate(self.lanes, strobe, everybody, 1)
-                return self.scene.errors(np.stack([x, y, n1, n2], axis=-1))
+                return self.errors(make_strobe(self.system, SPLITTINGS[name], int(steps)))
 
             guess = max(2.0, min(_FIRST_GUESS, fewest) / solver.stages)
             most = max(2.0, min(_MOST_KICKS, _HOPELESS * fewest) / solver.stages)
@@ -50,6 +54,18 @@ class Contestant:
             label = f"{steps:.0f} steps, {kicks} kicks a period"
             settings.append(Setting("jaxnh", name, steps, label, errors, (name,), kicks))
         return settings
+
+
+class Contestant(Splittings[Scene]):
+    """Tuned by the ends of a period."""
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._one_device = Lanes(devices=self.lanes.devices[:1])
+
+    def errors(self, strobe: Strobe) -> Errors:
+        (x, y), (n1, n2) = self._iterate(self.lanes, strobe, np.arange(len(self.scene.b)), 1)
+        return self.scene.errors(np.stack([x, y, n1, n2], axis=-1))
 
     def program(
         self, setting: Setting, count: int | None = None, periods: int = _PERIODS, one_device: bool = False

@@ -13,51 +13,27 @@ import numpy as np
 
 from jaxnh.analyses import lyapunov
 from jaxnh.analyses.record import Scene as AnalysisScene
-from jaxnh.lanes import Lanes, configure
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import derivatives, iterate, make_strobe
-from jaxnh.systems import IsokineticParticle
-from sweeps.peers_scene import VALUES, Errors, Setting, TangentScene, best, least_effort, unit
+from jaxnh.strobe import Strobe, derivatives, iterate, make_strobe
+from sweeps.peers_jaxnh import Splittings
+from sweeps.peers_scene import VALUES, Errors, Setting, TangentScene, best, unit
 
 SPECTRUM, ONE, MAP = "jaxnh", "jaxnh, one exponent", "jaxnh, no exponent"
 _EXPONENTS = {SPECTRUM: 3, ONE: 1, MAP: 0}
 _PERIODS = 256  # the engine's measurement of how often to orthonormalise is in every run: one part in fifty
-_FIRST_GUESS = 2000  # kicks a period
-_MOST_KICKS = 20000
-_HOPELESS = 3.0
 
 
-class Contestant:
-    """All splittings on constant steps."""
-
-    def __init__(self, scene: TangentScene) -> None:
-        configure()
-        self.scene = scene
-        self.system = IsokineticParticle(a=scene.a, c=scene.c, d=scene.d, omega=1.0)
-        self.lanes = Lanes()
+class Contestant(Splittings[TangentScene]):
+    """Tuned by the derivatives of a period."""
 
     def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
-        settings: list[Setting] = []
-        fewest = float(_MOST_KICKS)
-        for name, solver in sorted(SPLITTINGS.items(), key=lambda item: -item[1].convergence_order):
-
-            def measure(steps: float, name: str = name) -> Errors:
-                lanes = self.scene.timed()
-                strobe = make_strobe(self.system, SPLITTINGS[name], int(steps))
-                start = self.scene.states[lanes], self.scene.b[lanes]
-                return self.scene.derivative_errors(self.lanes(derivatives, (strobe, np.int32(1)), start)[1])
-
-            guess = max(2.0, min(_FIRST_GUESS, fewest) / solver.stages)
-            most = max(2.0, min(_MOST_KICKS, _HOPELESS * fewest) / solver.stages)
-            found = least_effort(measure, target, guess, factor=1.5, most=most, whole=True)
-            if found is None:
-                continue
-            steps, errors = found
-            kicks = int(steps) * solver.stages
-            fewest = min(fewest, kicks)
-            label = f"{steps:.0f} steps, {kicks} kicks a period"
-            settings.append(Setting(SPECTRUM, name, steps, label, errors, (name,), kicks))
+        settings = super().tune(target, hints)
         return [replace(best(settings), peer=peer) for peer in _EXPONENTS] if settings else []
+
+    def errors(self, strobe: Strobe) -> Errors:
+        lanes = self.scene.timed()
+        start = self.scene.states[lanes], self.scene.b[lanes]
+        return self.scene.derivative_errors(self.lanes(derivatives, (strobe, np.int32(1)), start)[1])
 
     def program(self, setting: Setting) -> Callable[[], int]:
         """The analysis over all values from the paper's start, or for no exponent as many periods of the map."""

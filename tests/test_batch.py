@@ -199,7 +199,7 @@ def test_tile_that_kills_its_workers(job, whole):
     assert f"11 of {TILES} tiles are done; going on" in err
 
 
-@pytest.mark.parametrize("by", ["scheduler.json", "address"])
+@pytest.mark.parametrize("by", ["scheduler.json", pytest.param("address", marks=pytest.mark.slow)])
 def test_dask_scheduler_killed(job, whole, by):
     """A clear line and the code to go on; the tiles that were done are not computed again."""
     place = job.folder / "scheduler.json"
