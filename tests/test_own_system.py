@@ -134,7 +134,7 @@ class Governor(taylor.Parameters):
 
 @pytest.mark.slow
 def test_doublings_of_the_governor():
-    """The first two against the Taylor reference, which has equations without multipliers, to the errors of both."""
+    """The first two against the Taylor reference, whose equations have no multipliers: within the errors of both."""
     values = np.linspace(0.87, 0.785, 24)
     experiment = load(ROOT / "configs" / "governor.yaml")
     system = experiment.system.build()
@@ -145,8 +145,7 @@ def test_doublings_of_the_governor():
         Governor(a=0.5, c=0.5, d=0.2), [0.8452, 0.7933], np.array([0.0, 0.0, 0.5]), first=2, before=0.87
     )
     for b, error, (reference, _, info) in zip(found["b"].data, found["b_error"].data, exact, strict=True):
-        print(b - float(reference), error, info.error)
-        assert abs(b - float(reference)) < 10 * error + info.error + 1e-12
+        assert abs(b - float(reference)) < error + info.error
 
 
 @pytest.mark.slow
