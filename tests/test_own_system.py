@@ -101,8 +101,23 @@ def test_map_and_its_derivatives_are_those_of_the_splitting(tmp_path):
     assert np.abs(np.linalg.eigvals(whole)).min(axis=1).max() < 1e-9
 
 
-# Two values on each stable orbit of the cascade, of periods 1 to 32, and two beyond it: by the paper's table.
-CASCADE = (5.53, 5.525, 5.51, 5.50, 5.4935, 5.4905, 5.489, 5.4884, 5.48797, 5.48785, 5.48776, 5.48773, 5.4877, 5.48769)
+# Two values on each stable orbit of the cascade, of periods 1 to 64: by the paper's table.
+CASCADE = (
+    5.53,
+    5.525,
+    5.51,
+    5.50,
+    5.4935,
+    5.4905,
+    5.489,
+    5.4884,
+    5.48797,
+    5.48785,
+    5.48776,
+    5.48773,
+    5.487708,
+    5.487704,
+)
 
 
 @pytest.mark.slow
@@ -111,8 +126,9 @@ def test_doublings_of_table_1(tmp_path):
     general = doubling.run(doubling.DoublingOptions(levels=6), scene(tmp_path, CASCADE), Lanes()).variables
     isokinetic = store.read_variables(ROOT / "results" / "table1.h5", "doubling")
     np.testing.assert_array_equal(general["period"].data, isokinetic["period"])
-    print(general["b"].data - isokinetic["b"])
-    assert np.abs(general["b"].data - isokinetic["b"]).max() < 1e-8
+    apart = np.abs(general["b"].data - isokinetic["b"])
+    print(apart)
+    assert apart.max() < 1e-8
 
 
 # ---- a cascade of the user's own
