@@ -124,6 +124,11 @@ class Sweep(Section):
 
     b: Grid = Field(description="Coupling b: start, stop and count, or values")
 
+    @property
+    def swept(self) -> str:
+        """Name of the parameter."""
+        return "b"
+
     def grid(self) -> np.ndarray:
         """Values of b in the order of the config, float64 of shape (lanes,)."""
         return self.b.grid()

@@ -174,7 +174,11 @@ def _failed(group: Any) -> Iterator[str]:
     if "b" not in group or store.dimensions(group["b"]) != ("b",):
         return
     flags = []
-    if "failed" in group:
+    if "failure" in group:
+        codes, about = store.read(group["failure"]), group["failure"].attrs
+        codes = codes.reshape(len(codes), -1).max(axis=1)
+        flags = [(why, codes == k) for k, why in enumerate(str(about["flag_meanings"]).split()) if k]
+    elif "failed" in group:
         flags.append(("left the numbers", store.read(group["failed"]) != 0))
     else:
         for name in _STATES:

@@ -235,7 +235,7 @@ class Run:
             published = (self._experiment.compare or {}).get(name)
             columns, source = (published.columns(), published.source) if published else ({}, "")
             if group is not None and not self._how.quiet:
-                self._console.print(terminal.TABLES[name](group, columns, source))
+                self._console.print(terminal.TABLES[name](group, columns, source, self._experiment.sweep.swept))
             for warning in filter(None, store.read_attrs(self._path, name).get("warnings", "").split("\n")):
                 print(f"warning: {warning}", file=sys.stderr)
         self._say(

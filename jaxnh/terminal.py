@@ -88,13 +88,14 @@ def progress(console: Console) -> Bar | Log:
     return Bar(console) if console.is_terminal else Log()
 
 
-def doubling_table(group: Group, published: Mapping[str, np.ndarray], source: str) -> Table:
+def doubling_table(group: Group, published: Mapping[str, np.ndarray], source: str, swept: str = "b") -> Table:
     """Levels of a cascade beside published values: b with its error, their difference, and δ of both.
 
     Args:
         group: result of the analysis `doubling`.
         published: published `b` and `delta`, a value a level, NaN where there is none; may be empty.
         source: where they are from.
+        swept: what b is called.
     """
     ours = {name: variable.data for name, variable in group.variables.items()}
     levels = len(ours["b"])
@@ -107,8 +108,8 @@ def doubling_table(group: Group, published: Mapping[str, np.ndarray], source: st
     compared = bool(published)
     table.add_column("period", justify="right")
     if compared:
-        table.add_column(f"b, {source}", justify="right")
-    for head in ("b", "± error"):
+        table.add_column(f"{swept}, {source}", justify="right")
+    for head in (swept, "± error"):
         table.add_column(head, justify="right")
     if compared:
         table.add_column("difference", justify="right")

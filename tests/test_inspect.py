@@ -110,12 +110,17 @@ def test_failed_lanes_have_a_reason(tmp_path):
     path = tmp_path / "failed.h5"
     b, x, failed = np.linspace(1, 2, 11), np.zeros((11, 2)), np.zeros(11, np.int8)
     x[3, 1], failed[[2, 5]] = np.nan, 1
+    why, codes = {"flag_values": np.arange(3), "flag_meanings": "none singular not_finite"}, np.zeros(11, np.int8)
+    codes[[4, 6, 7]] = 1, 2, 1
     groups = {
+        "poincare": Group({"b": Variable(("b",), b, "b"), "failure": Variable(("b",), codes, "why", attrs=why)}),
         "diagram": Group({"b": Variable(("b",), b, "b"), "x1": Variable(("b", "strobe"), x, "x1")}),
         "period": Group({"b": Variable(("b",), b, "b"), "failed": Variable(("b",), failed, "failed")}),
     }
     store.write(path, {"jaxnh_version": "0"}, groups)
     lines = inspect(path).stdout.splitlines()
+    assert "poincare: 2 of 11 lanes failed: singular, at b = 1.4, 1.7" in [line.strip() for line in lines]
+    assert "poincare: 1 of 11 lanes failed: not_finite, at b = 1.6" in [line.strip() for line in lines]
     assert "diagram: 1 of 11 lanes failed: left the numbers (x1), at b = 1.3" in [line.strip() for line in lines]
     assert "period: 2 of 11 lanes failed: left the numbers, at b = 1.2, 1.5" in [line.strip() for line in lines]
 
