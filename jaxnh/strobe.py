@@ -46,7 +46,8 @@ class KickStrobe(Strobe):
 
     Attributes:
         system: the flow.
-        table: (capacity, 3), a row a kick: drift before it, its length over the speed, and that times the forcing.
+        table: (capacity, 3), a row a kick: drift before it, its length over the speed, and that times the forcing; two
+            numbers a row without forcing.
         kicks: number of rows that are in use.
         rest: drift after the last kick.
         compensated: whether q and n are summed with compensation (Kahan, Comm. ACM 8 (1965) 40), which lowers the
@@ -83,7 +84,7 @@ class KickStrobe(Strobe):
 
         def advance(entry: Array, carry: tuple[_Carry, tuple[Vector, ...], Array]) -> Any:
             after, slopes = _one_loop(partial(kick, entry), carry[0])
-            return after, *_one_loop(partial(move, entry[3]), after.n, slopes, *carry[1:])
+            return after, *_one_loop(partial(move, entry[table.shape[1]]), after.n, slopes, *carry[1:])
 
         table = jnp.asarray(self.table)
         drift_after = jnp.roll(table[:, 0], -1).at[self.kicks - 1].set(self.rest)
@@ -103,13 +104,13 @@ class KickStrobe(Strobe):
         if self.compensated:
             return self._kick_compensated(entry, carry, b)
         q = _along(carry.q, carry.n, entry[0])
-        return _Carry(q, kick(carry.n, self.system.force(q, entry[2], entry[1], b), half_turn), None)
+        return _Carry(q, kick(carry.n, self.system.force(q, self._forcing(entry), entry[1], b), half_turn), None)
 
     def _kick_compensated(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
         # In the plane n' − n = 2 N (n × f) J m / (m·m) with J the quarter turn: small, and free of cancellation.
         assert carry.lost is not None
         q, q_lost = _add_compensated(carry.q, carry.lost[0], tuple(ni * entry[0] for ni in carry.n))
-        n, f = carry.n, self.system.force(q, entry[2], entry[1], b)
+        n, f = carry.n, self.system.force(q, self._forcing(entry), entry[1], b)
         top, bottom = half_turn(f[0] * f[0] + f[1] * f[1])
         m = tuple(ni * bottom + fi * top for ni, fi in zip(n, f, strict=True))
         turn = 2.0 * top * _cross(n, f) / (m[0] * m[0] + m[1] * m[1])
@@ -122,7 +123,7 @@ class KickStrobe(Strobe):
         With the bisector m = D n + N f, θ' = 2 arg m − θ. So ∂θ'/∂θ = 2 D (m·n)/(m·m) − 1, and of the force
         ∂θ'/∂f = (2 N J m + 4 (N' D − N D') (n × f) f)/(m·m), J the quarter turn and ' the derivative in z = f·f.
         """
-        f = self.system.force(q, entry[2], entry[1], b)
+        f = self.system.force(q, self._forcing(entry), entry[1], b)
         z = f[0] * f[0] + f[1] * f[1]
         (top, bottom), (top_rate, bottom_rate) = jax.jvp(half_turn, (z,), (jnp.ones_like(z),))
         m = tuple(ni * bottom + fi * top for ni, fi in zip(n, f, strict=True))
@@ -133,8 +134,11 @@ class KickStrobe(Strobe):
         across = twice * top
         along = (twice + twice) * _cross(n, f) * (top_rate * bottom - top * bottom_rate)
         by_force = along * f[0] - across * m[1], along * f[1] + across * m[0]
-        rows = self.system.force_pullback(q, entry[2], entry[1], b, by_force)
+        rows = self.system.force_pullback(q, self._forcing(entry), entry[1], b, by_force)
         return (half + half - length) * scale, *(rows if in_b else rows[:2])
+
+    def _forcing(self, entry: Array) -> Array:
+        return entry[2] if self.system.forced else entry[1]
 
     def _begin(self, state: State) -> _Carry:
         return _Carry(*state, jax.tree.map(jnp.zeros_like, state) if self.compensated else None)
