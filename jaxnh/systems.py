@@ -76,8 +76,6 @@ class IsokineticParticle(eqx.Module):
 
     dimension: ClassVar[int] = 3
     """Coordinates of the section: (x1, y1, θ)."""
-    signal: ClassVar[int] = 0
-    """Number of the position that stands for a motion where one is enough."""
     exponents: ClassVar[int] = 3
     """Lyapunov exponents of motions that keep the constraint."""
 
@@ -222,6 +220,10 @@ class IsokineticParticle(eqx.Module):
         """δ(x1, y1, θ) of a tangent δ(q, n) at a state."""
         n, dn = state[1], tangent[1]
         return *tangent[0], n[0] * dn[1] - n[1] * dn[0]
+
+    def signal(self, state: State) -> Any:
+        """The position that stands for a motion where one is enough."""
+        return state[0][0]
 
     def random_states(self, draws: np.ndarray, box: float, b: np.ndarray) -> State:
         """Start states of even draws (lanes, 3) from [−1, 1]: x1 and y1 in [−box, box] and any direction."""

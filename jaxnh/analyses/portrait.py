@@ -36,6 +36,7 @@ def numbers(options: PortraitOptions) -> int:
 
 def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Trajectories of `periods` periods after the transient, from the start state, dimensions (b, time)."""
+    scene = scene.in_time()
     count = len(scene.values)
     total = periods(options, count)
     parts = in_precision(
