@@ -23,15 +23,15 @@ class FreeParticle(NonholonomicSystem):
     """A particle in the plane under the paper's forces, equation (1); made by `free_particle`.
 
     Attributes:
-        forced: whether there is a forcing; without one there is no clock.
+        without: effects that are left out, of `systems.EFFECTS`; without forcing there is no clock.
     """
 
-    forced: bool = eqx.field(static=True, default=True)
+    without: frozenset[str] = eqx.field(static=True, default=frozenset())
 
     @property
     def autonomous(self) -> bool:
         """Whether there is no clock."""
-        return not self.forced
+        return "forcing" in self.without
 
     @property
     def sweeps(self) -> str:
@@ -75,7 +75,7 @@ def definition(without: frozenset[str], constrained: bool = False) -> Callable[.
             return pulls[0] - springs[0] - drags[0], pulls[1] - springs[1] - drags[1]
 
         def speed(q: Any, v: Any, t: Any) -> tuple[Any]:
-            return (v[0] ** 2 + v[1] ** 2 - (c + d * jnp.sin(t) if d else c),)
+            return (v[0] ** 2 + v[1] ** 2 - c - d * jnp.sin(t),)
 
         found = {"T": kinetic, "Q": forces, "coordinates": ("x1", "y1"), "period": 2 * math.pi / omega}
         return {**found, "f": speed} if constrained else found
@@ -90,4 +90,4 @@ def free_particle(
     parameters = {"a": a, "b": 0.0 if b is None else b, "c": 0.0, "d": 0.0, "omega": omega}
     made = nonholonomic_system(definition(without), parameters, swept)
     fields = (made.define, made.parameters, made.swept, made.names, made.constraints)
-    return FreeParticle(*fields, made.period, made.angles, made.ignorable, "forcing" not in without)
+    return FreeParticle(*fields, made.period, made.angles, made.ignorable, without)

@@ -82,14 +82,14 @@ def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> Group:
     scene = scene.in_time()
     count, k, lead = len(scene.values), _tangents(options, scene), int(scene.flow.autonomous)
     parts = (scene.chosen.get("lyapunov") or choose(options, scene, lanes))["parts"]
-    strobes = _parts(scene, parts)
+    strobes = parts_of(scene, parts)
     aligning = options.transient // _ALIGNING
     settling = options.transient - aligning
     block = options.periods // _BLOCKS
     with lanes.stage(f"lyapunov: transient of {count} values", count * options.transient):
         state = jax.tree.map(lambda leaf: np.full(count, leaf, float), scene.start)
         state = lanes(iterate, (scene.strobe(), np.int32(settling)), (state, scene.values), periods=settling)
-        flow = lanes(_begin, (scene.system,), (state,), static=(k,))
+        flow = lanes(begin, (scene.system,), (state,), static=(k,))
         flow = _average(lanes, strobes, flow, scene.values, aligning)[0]
     sums = lead + k + 1
     rates = np.full((count, _BLOCKS, sums), np.nan)
@@ -125,7 +125,8 @@ def _tangents(options: LyapunovOptions, scene: Scene) -> int:
     return min(options.exponents, scene.flow.exponents - int(scene.flow.autonomous))
 
 
-def _parts(scene: Scene, parts: int) -> Strobe:
+def parts_of(scene: Scene, parts: int) -> Strobe:
+    """The maps between orthonormalisations, so many a period, stacked."""
     strobe = cut_strobe(scene.flow, scene.solver, scene.steps, parts, compensated=scene.compensated)
     return in_precision(strobe, scene.precision)
 
@@ -142,8 +143,8 @@ def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> int:
     state = jax.tree.map(lambda leaf: np.full(len(picked), leaf, float), scene.start)
     parts = _PILOT_PARTS
     while True:
-        flow = lanes(_begin, (scene.system,), (state,), static=(k,))
-        flow, _ = _average(lanes, _parts(scene, parts), flow, picked, _PILOT_PERIODS)
+        flow = lanes(begin, (scene.system,), (state,), static=(k,))
+        flow, _ = _average(lanes, parts_of(scene, parts), flow, picked, _PILOT_PERIODS)
         loss = float(np.max(flow.loss, initial=0.0, where=np.isfinite(flow.loss)))
         if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
             break
@@ -160,11 +161,11 @@ def _average(
     """
     if not count:
         return flow, np.full((len(b), len(flow.logs) + 1), np.nan)
-    flow = lanes(_advance, (strobes, np.int32(count), np.float64(begun)), (flow, b), periods=count)
+    flow = lanes(advance, (strobes, np.int32(count), np.float64(begun)), (flow, b), periods=count)
     return flow, np.stack([*flow.logs, flow.volume], axis=-1) / count
 
 
-def _begin(system: FlowSystem, state: State, k: int) -> Flow:
+def begin(system: FlowSystem, state: State, k: int) -> Flow:
     """A lane at a state with k tangents."""
     zero = jnp.zeros_like(state[0][0])
     tangents = jax.tree.map(lambda component: zero + component, system.directions(k))
@@ -172,7 +173,7 @@ def _begin(system: FlowSystem, state: State, k: int) -> Flow:
     return Flow(state, tangents, (zero,) * sums, zero, ((zero,) * (sums + 1),) * 2, zero)
 
 
-def _advance(strobes: Strobe, count: Any, begun: Any, flow: Flow, b: Any) -> Flow:
+def advance(strobes: Strobe, count: Any, begun: Any, flow: Flow, b: Any) -> Flow:
     """One lane `count` periods on, its sums begun anew."""
     flow = Flow(flow.state, flow.tangents, *jax.tree.map(jnp.zeros_like, flow[2:]))
     # Of T, Q and f the divergence is a derivative more, and serves the sum rule alone.
