@@ -52,8 +52,8 @@ def cost(
     experiment = experiment_of(config, overrides)
     if not of_effects and (experiment.own or experiment.autonomous or isinstance(experiment.system, Free)):
         raise Refused(
-            f"{experiment.source}: system: solvers are priced on the strobe map at a prescribed speed, which this scene "
-            "does not have; --effects prices what it has"
+            f"{experiment.source}: system: solvers are priced on the strobe map at a prescribed speed, and this scene "
+            "has none; --effects prices what it has"
         )
     path = output or Path("results") / f"{experiment.source.stem}_{'effects' if of_effects else 'cost'}.h5"
     _check_replaceable(path)
@@ -241,7 +241,8 @@ def _effects_table(group: Group) -> Table:
         cells = (columns["operations"][i], columns["operations_without"][i], columns["time_ratio"][i])
         stored = f"{columns['stored'][i]:,.0f}" if kind == "analysis" else ""
         words = [
-            "–" if math.isnan(x) else form.format(x) for x, form in zip(cells, ("{:,.0f}", "{:,.0f}", "{:.2f}"), strict=True)
+            "–" if math.isnan(x) else form.format(x)
+            for x, form in zip(cells, ("{:,.0f}", "{:,.0f}", "{:.2f}"), strict=True)
         ]
         table.add_row(str(what), *words, stored, str(columns["note"][i]))
     return table

@@ -1,4 +1,4 @@
-"""Maps of a flow without a clock: over a stretch of time in equal steps, and from one crossing of a section to the next.
+"""Maps of a flow without a clock: over a time in equal steps, and from one crossing of a section to the next.
 
 All steps are one step's coefficients, whatever its length. A crossing is met by going on until the section lies between
 the ends of a step, and stepping from its beginning onto the section: the same method by a shorter step (after Hénon,
@@ -136,7 +136,15 @@ class EventStrobe(Strobe):
             lost = ~_finite(state_of(ahead))
             found &= ~lost
             carried = jax.tree.map(lambda old, new: jnp.where(found, old, new), search.carried, ahead)
-            return _Search(carried, jnp.where(found, search.side, side), jnp.where(found, search.steps, search.steps + 1), low, high, found, lost)
+            return _Search(
+                carried,
+                jnp.where(found, search.side, side),
+                jnp.where(found, search.steps, search.steps + 1),
+                low,
+                high,
+                found,
+                lost,
+            )
 
         def unfinished(search: _Search) -> Array:
             return ~search.found & ~search.lost & (search.steps < self.most_steps)

@@ -112,7 +112,7 @@ def _facts(path: Path, attrs: dict[str, Any], sweep: Any | None) -> Iterator[tup
         yield (
             "accuracy",
             f"{attrs['solver']}, {attrs['steps_per_period']} steps a period, {attrs.get('summation', 'plain')} sums, "
-            f"error of one period {attrs['error_estimate']:.1e}",
+            f"error of one {'return' if 'section' in attrs else 'period'} {attrs['error_estimate']:.1e}",
         )
     wall, work = float(attrs.get("wall_seconds", math.nan)), float(attrs.get("lane_periods", math.nan))
     compiled = float(attrs.get("compile_seconds", math.nan))

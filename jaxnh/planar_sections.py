@@ -44,7 +44,9 @@ class PlanarSystem(Section):
         """Effects in one order, each once; none is nothing."""
         for name in without or ():
             if name not in EFFECTS:
-                message = f"there are the effects {', '.join(EFFECTS)}, and no {shown(name)}{close_match(name, EFFECTS)}"
+                message = (
+                    f"there are the effects {', '.join(EFFECTS)}, and no {shown(name)}{close_match(name, EFFECTS)}"
+                )
                 if name in ("disturbance", "constraint"):
                     other = "d: 0 leaves the disturbance" if name == "disturbance" else "constraint: free leaves it"
                     message = f"of {name} another key decides: {other} out"
@@ -62,7 +64,7 @@ class PlanarSystem(Section):
         if swept == "b" and uncoupled:
             raise rule("the coupling is left out, and there is no b to sweep; sweep a", "sweep.b", "system.without")
         if swept in self.model_fields_set and getattr(self, swept) is not None:
-            raise rule(f"{swept} is swept; leave it out here", f"system.{swept}", f"sweep.{swept}")
+            raise rule(f"{swept} is swept; leave it out of system", f"system.{swept}", f"sweep.{swept}")
         if uncoupled and self.b is not None:
             raise rule("the coupling is left out; leave b out as well", "system.b", "system.without")
         if swept == "a" and not uncoupled and self.b is None:

@@ -1,8 +1,8 @@
 """A flow without a clock seen on a section: the states at which one of its positions passes a value.
 
 The section takes the part of the strobe: `event.EventStrobe` is its map. Without forcing and disturbance the flow at
-constant speed keeps a volume: its divergence −n·F/s is a time derivative, d(V/c)/dt with F = −grad V. Exponents then come
-in pairs ±λ about zero (Dettmann and Morriss, Phys. Rev. E 53 (1996) R5545), and no orbit is attracting.
+constant speed keeps a volume: its divergence −n·F/s is a time derivative, d(V/c)/dt with F = −grad V. Exponents then
+come in pairs ±λ about zero (Dettmann and Morriss, Phys. Rev. E 53 (1996) R5545), and no orbit is attracting.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class SectionedFlow(eqx.Module):
     direction: str = eqx.field(static=True)
 
     def height(self, state: Any) -> Any:
-        """How far a state of the flow is from the section: above zero after a passage up, or down where that is wanted."""
+        """How far a state of the flow is from the section: above zero after a passage up, or down if that is wanted."""
         above = state[0][self.number] - self.value
         return -above if self.direction == "down" else above
 
@@ -104,9 +104,7 @@ class SectionedFlow(eqx.Module):
         """The point with these coordinates, at t = 0."""
         zero = jnp.zeros_like(u[0])
         value = jnp.full_like(u[:1], self.value)
-        return Crossing(
-            self.flow.unchart(jnp.concatenate([u[: self.number], value, u[self.number :]])), zero, zero
-        )
+        return Crossing(self.flow.unchart(jnp.concatenate([u[: self.number], value, u[self.number :]])), zero, zero)
 
     def wrap(self, difference: Any) -> Any:
         """A difference of section coordinates (..., dimension), its angles in [−π, π)."""

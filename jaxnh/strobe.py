@@ -19,8 +19,8 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.grids import GRID_POINTS, share_of_steps, step_grid
 from jaxnh.event import EventStrobe, SteppedStrobe
+from jaxnh.grids import GRID_POINTS, share_of_steps, step_grid
 from jaxnh.maps import Pushed, Strobe, System, Tangent
 from jaxnh.marched import MarchedStrobe, marched
 from jaxnh.mechanics import NonholonomicSystem

@@ -276,14 +276,14 @@ def strobe_period(omega: float, *, disturbed: bool) -> float:
 
 
 def constant_speed(a: float = 0.5, c: float = 1.0, omega: float = 1.0, **others: Any) -> IsokineticParticle:
-    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1); others are fields of the particle."""
+    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1); others are its fields."""
     return IsokineticParticle(a=a, c=c, d=0.0, omega=omega, **others)
 
 
 def disturbed_speed(
     a: float = 0.5, c: float = 1.0, d: float = 0.1, omega: float = 1.0, **others: Any
 ) -> IsokineticParticle:
-    """x2² + y2² = c + d sin t: equation (22) of the paper (figures 6–10, table 2); others are fields of the particle."""
+    """x2² + y2² = c + d sin t: equation (22) of the paper (figures 6–10, table 2); others are its fields."""
     return IsokineticParticle(a=a, c=c, d=d, omega=omega, **others)
 
 

@@ -260,9 +260,7 @@ def _statistics(rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return mean, 2.0 * scatter + drift
 
 
-def _group(
-    scene: Scene, mean: np.ndarray, error: np.ndarray, averaged: np.ndarray, parts: int, wanted: int
-) -> Group:
+def _group(scene: Scene, mean: np.ndarray, error: np.ndarray, averaged: np.ndarray, parts: int, wanted: int) -> Group:
     """Sums of the last column are those of volume, of the first without a clock those along the flow."""
     k = mean.shape[1] - 1
     found, spread = mean[:, :k].copy(), error[:, :k].copy()

@@ -1,7 +1,7 @@
 """What every effect of a scene costs, and every analysis: operations of the compiled programs with and without it.
 
-An effect is left out of the scene's own system and nothing else is changed: the same solver, the same steps. Times are of
-one program after the other on the same lanes, with the effect and without it in turns.
+An effect is left out of the scene's own system and nothing else is changed: the same solver, the same steps. Times are
+of one program after the other on the same lanes, with the effect and without it in turns.
 """
 
 from __future__ import annotations
@@ -71,7 +71,9 @@ class Row(NamedTuple):
 
 def price(scene: Scene, requested: list[tuple[Analysis, Options]], lanes: Lanes, repeats: int) -> Group:
     """A row for every effect of the paper's particle, then one for every number of tangents and every analysis."""
-    scene = replace(scene, values=scene.values[np.linspace(0, len(scene.values) - 1, _bench(lanes)).round().astype(int)])
+    scene = replace(
+        scene, values=scene.values[np.linspace(0, len(scene.values) - 1, _bench(lanes)).round().astype(int)]
+    )
     with lanes.stage("cost: programs of all effects", 0):
         rows = [*_effects(scene), *_tangents(scene), *_analyses(scene, requested, lanes)]
         operations = np.array([[_operations(p, lanes) for p in (row.with_it, row.without_it)] for row in rows])
@@ -222,9 +224,7 @@ def _portrait(scene: Scene, options: Any) -> Program:
     return Program(portrait.trajectory, shared, lanes, turns, (_PATH_PERIODS,), _PATH_PERIODS, TILE)
 
 
-def _stored(
-    scene: Scene, requested: list[tuple[Analysis, Options]], lanes: LaneRunner
-) -> dict[str, float]:
+def _stored(scene: Scene, requested: list[tuple[Analysis, Options]], lanes: LaneRunner) -> dict[str, float]:
     """Bytes a lane of each analysis, by running it on two lanes for as short as it can be."""
     two = replace(scene, values=scene.values[:2], chosen={"lyapunov": {"parts": 1}})
     groups: dict[str, Group] = {}

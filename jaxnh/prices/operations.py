@@ -13,10 +13,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 _COUNTED = frozenset(
-    "add subtract multiply divide negate abs maximum minimum sqrt rsqrt cbrt exponential exponential-minus-one log "
-    "log-plus-one power sine cosine tan tanh atan2 sign floor ceil round-nearest-even remainder compare select".split()
+    (
+        *("add", "subtract", "multiply", "divide", "negate", "abs", "maximum", "minimum", "remainder", "sign"),
+        *("sqrt", "rsqrt", "cbrt", "exponential", "exponential-minus-one", "log", "log-plus-one", "power"),
+        *("sine", "cosine", "tan", "tanh", "atan2", "floor", "ceil", "round-nearest-even", "compare", "select"),
+    )
 )
-_SAME = frozenset("reduce-precision copy bitcast broadcast convert reshape".split())
+_SAME = frozenset(("reduce-precision", "copy", "bitcast", "broadcast", "convert", "reshape"))
 _COMMUTE = frozenset(("add", "multiply", "maximum", "minimum"))
 _HEAD = re.compile(r"^(?P<entry>ENTRY )?%(?P<name>[\w.\-]+) .*\{$")
 _LINE = re.compile(
@@ -82,9 +85,7 @@ class _Counter:
             root = value if line["root"] else root
         return root
 
-    def _value(
-        self, line: re.Match[str], operands: list[Any], arguments: list[Any], loop: Loop, seen: set[int]
-    ) -> Any:
+    def _value(self, line: re.Match[str], operands: list[Any], arguments: list[Any], loop: Loop, seen: set[int]) -> Any:
         op, rest = line["op"], line["rest"]
         if op == "parameter":
             return arguments[int(line["args"])]
