@@ -340,7 +340,8 @@ def _plane(data: xr.Dataset, index: int, ax: Axes) -> Axes:
     x, y = first_pair(data)
     ax.set(xlabel=axis_label(data[x]), ylabel=axis_label(data[y]))
     letter = f"({chr(ord('a') + index)}) " if data.sizes["b"] <= 26 else ""
-    ax.set_title(f"{letter}{named(data['b'])[1]} = {float(data['b'][index]):.10g}", fontsize=10)
+    section = f", on {data.attrs['section']}" if "section" in data.attrs else ""
+    ax.set_title(f"{letter}{named(data['b'])[1]} = {float(data['b'][index]):.10g}{section}", fontsize=10)
     return ax
 
 

@@ -12,7 +12,7 @@ from jaxnh.solvers import IsokineticSplitting
 from jaxnh.systems import IsokineticParticle
 
 Table = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Rows (..., capacity, 3, without forcing 2) as `KickStrobe` has them, how many are in use, and the last drift (...,)."""
+"""Rows (..., capacity, 3, without forcing 2) for `KickStrobe`, how many are in use, and the last drift (...,)."""
 
 
 def kick_table(
