@@ -19,6 +19,7 @@ from jaxnh.analyses.record import Scene
 from jaxnh.exits import Refused
 from jaxnh.experiment import ConfigError, Experiment, load
 from jaxnh.lanes import Lanes, configure
+from jaxnh.sectioned import SectionedFlow
 from jaxnh.solvers import SOLVERS
 
 _VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
@@ -107,7 +108,7 @@ def provenance(experiment: Experiment, scene: Scene, spent: Account, module: str
         "lane_periods": spent.lane_periods,
         "device": spent.device,
         "strobe_period": np.float64(scene.system.period),
-        **({"section": scene.system.words} if scene.flow is not scene.system else {}),
+        **({"section": scene.system.words} if isinstance(scene.system, SectionedFlow) else {}),
         **({"swept": scene.system.sweeps, "system_file": experiment.own.text} if experiment.own else {}),
     }
 

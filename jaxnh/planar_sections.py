@@ -93,7 +93,7 @@ class PrescribedSpeed(PlanarSystem):
 class ConstantSpeed(PrescribedSpeed):
     """x2² + y2² = c, equation (12) of the paper."""
 
-    constraint: Literal["constant_speed"] = Field(description="The squared speed is held at c")
+    constraint: Literal["constant_speed"] = Field(description="The squared speed is held at c")  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def build(self) -> IsokineticParticle:
         """The system with these parameters."""
@@ -103,7 +103,7 @@ class ConstantSpeed(PrescribedSpeed):
 class DisturbedSpeed(PrescribedSpeed):
     """x2² + y2² = c + d sin t, equation (22) of the paper."""
 
-    constraint: Literal["disturbed_speed"] = Field(description="The squared speed is held at c + d sin(t)")
+    constraint: Literal["disturbed_speed"] = Field(description="The squared speed is held at c + d sin(t)")  # pyright: ignore[reportIncompatibleVariableOverride]
     d: float = Field(
         default=0.1, description="Amplitude of the disturbance of the squared speed, |d| < c; 0 leaves it out"
     )
@@ -126,7 +126,7 @@ class DisturbedSpeed(PrescribedSpeed):
 class Free(PlanarSystem):
     """No constraint, equation (1) of the paper: the one system in which the damping counts."""
 
-    constraint: Literal["free"] = Field(description="The speed is free")
+    constraint: Literal["free"] = Field(description="The speed is free")  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def build(self) -> FreeParticle:
         """The system with these parameters."""

@@ -339,27 +339,26 @@ def test_one_exponent_is_one_tangent(lanes, spectrum):
 
 
 def test_motion_that_comes_to_rest(lanes):
-    """A free particle with damping and no forcing ends at rest: all exponents are those of the linear equations there.
+    """A free particle with damping and no forcing ends at rest: no exponent is zero, that along the flow neither.
 
-    Without coupling they are the roots of μ² + aμ + k = 0, with k = a and k = 1: both pairs have the real part −a/2.
+    Without coupling they are those of μ² + aμ + k = 0 with k = a and k = 1: both pairs have the real part −a/2.
     """
     flow = free_particle(0.5, None, 1.0, "b", frozenset({"forcing", "coupling"}))
     system = SectionedFlow(flow, "x1", 0, 0.0, "up")
     start = Crossing(Motion((0.1, 0.1), (0.1, 0.2), (0.0, 0.0)), 0.0, 0.0)
     scene = Scene(system, start, np.array([0.0, 0.0]), tsit5, 60, False, 1e-8)
-    group = lyapunov.run(lyapunov.LyapunovOptions(transient=8, periods=64, exponents=4), scene, lanes)
+    group = lyapunov.run(lyapunov.LyapunovOptions(transient=8, periods=64, exponents=1), scene, lanes)
     np.testing.assert_allclose(group.variables["exponents"].data, -0.25, atol=0.01)  # beats of rotating pairs over T
-    np.testing.assert_allclose(group.variables["exponents"].data.sum(axis=1), -1.0, atol=1e-6)
 
 
 def test_other_analyses_on_a_section(lanes, spectrum):
     """The 0–1 test parts order from chaos on crossings; nothing is attracting, so that no period is found."""
     scene, group = spectrum
     largest = group.variables["exponents"].data[:, 0]
-    k = chaos01.run(chaos01.Chaos01Options(transient=16, periods=1000), scene, lanes).variables["k"].data
+    k = chaos01.run(chaos01.Chaos01Options(transient=16, periods=600), scene, lanes).variables["k"].data
     assert k[np.argmax(largest)] > 0.8
     assert k[np.argmin(largest)] < 0.2
-    found = period.run(period.PeriodOptions(limit=4, transient=16), scene, lanes)
+    found = period.run(period.PeriodOptions(limit=2, transient=16), scene, lanes)
     np.testing.assert_array_equal(found.variables["period"].data, 0)
     assert found.variables["period"].units == "crossings"
 

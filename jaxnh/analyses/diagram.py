@@ -89,7 +89,7 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> Group:
     return Group(variables, {"start": options.start, "phase": options.phase, **section_attrs(scene)})
 
 
-def random_starts(options: DiagramOptions, scene: Scene, b: np.ndarray) -> State:
+def random_starts(options: DiagramOptions, scene: Scene, b: np.ndarray) -> Any:
     """Random states at t = 0, components (lanes,), for lanes with these b, so many starts at each value of the scene.
 
     A value of b has its states by its place in the sweep, however many values are asked for at once.

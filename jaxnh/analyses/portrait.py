@@ -40,7 +40,7 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> Group:
     count = len(scene.values)
     total = periods(options, count)
     parts = in_precision(
-        make_parts(scene.system, scene.solver, scene.steps, options.samples, compensated=scene.compensated),
+        make_parts(scene.flow, scene.solver, scene.steps, options.samples, compensated=scene.compensated),
         scene.precision,
     )
     with lanes.stage(f"portrait: {options.periods} periods at {count:,} values of b", total):

@@ -75,7 +75,7 @@ def price(scene: Scene, requested: list[tuple[Analysis, Options]], lanes: Lanes,
         scene, values=scene.values[np.linspace(0, len(scene.values) - 1, _bench(lanes)).round().astype(int)]
     )
     with lanes.stage("cost: programs of all effects", 0):
-        rows = [*_effects(scene), *_tangents(scene), *_analyses(scene, requested, lanes)]
+        rows = [*_effects(scene), *_tangents(scene, _wanted(scene, requested)), *_analyses(scene, requested, lanes)]
         operations = np.array([[_operations(p, lanes) for p in (row.with_it, row.without_it)] for row in rows])
     with lanes.stage("cost: times of all effects", 0):
         ratios = np.array([_ratio(row, lanes, repeats) for row in rows])
@@ -131,9 +131,9 @@ def _effects(scene: Scene) -> Iterator[Row]:
         yield Row("constraint", "effect", None, base, note="is left out")
         return
     yield Row("damping", "effect", base, base, note=_FREE_OF_COST["damping"])
-    both = [_general(scene, flow, constrained) for constrained in (True, False)]
+    with_it, without_it = (_general(scene, flow, constrained) for constrained in (True, False))
     note = f"by the general route, {dopri8.name} in {_GENERAL_STEPS} steps"
-    yield Row("constraint", "effect", *both, note=note)
+    yield Row("constraint", "effect", with_it, without_it, note=note)
 
 
 def _effect(what: str, flow: Any, base: Program, without: Callable[[], Program]) -> Row:
@@ -171,13 +171,22 @@ def _general(scene: Scene, flow: IsokineticParticle, constrained: bool) -> Progr
     return _iterates(strobe, Motion(start[0], tuple(velocity), (0.0, 0.0)), scene.values)
 
 
-def _tangents(scene: Scene) -> Iterator[Row]:
+def _wanted(scene: Scene, requested: list[tuple[Analysis, Options]]) -> int:
+    """Tangents to price: all of a particle at a prescribed speed, else those of the exponents that are asked for."""
+    most = scene.flow.exponents - int(scene.flow.autonomous)
+    if isinstance(scene.flow, IsokineticParticle):
+        return most
+    asked = [getattr(options, "exponents", 1) for analysis, options in requested if analysis.name == "lyapunov"]
+    return min(most, *(asked or [1]))
+
+
+def _tangents(scene: Scene, most: int) -> Iterator[Row]:
     """A row a tangent: the program with so many against that with one fewer."""
     scene = scene.in_time()
     before = _iterates(scene.strobe(), scene.start, scene.values)
     state = jax.tree.map(jnp.asarray, before.lanes[0])
     parts = lyapunov.parts_of(scene, _PARTS)
-    for k in range(1, scene.flow.exponents + 1 - int(scene.flow.autonomous)):
+    for k in range(1, most + 1):
         begun = jax.vmap(lambda z, k=k: lyapunov.begin(scene.flow, z, k))(state)
         lanes = jax.tree.map(np.asarray, begun), scene.values
         shared = (parts, np.int32(1), np.float64(0.0))
@@ -196,7 +205,7 @@ def _analyses(scene: Scene, requested: list[tuple[Analysis, Options]], lanes: La
         u = np.broadcast_to(scene.system.section_point(scene.start), (len(scene.values), scene.system.dimension))
         if analysis.name == "lyapunov":
             k = min(getattr(options, "exponents", 1), scene.flow.exponents - int(scene.flow.autonomous))
-            program, without, note = list(_tangents(scene))[k - 1].with_it, in_time, f"{k} tangents"
+            program, without, note = list(_tangents(scene, k))[k - 1].with_it, in_time, f"{k} tangents"
         elif analysis.name == "period":
             shared = (scene.strobe(), np.int32(1))
             program = Program(derivatives, shared, (u, scene.values), (1.0, *_turns(shared[0])))
@@ -216,7 +225,7 @@ def _analyses(scene: Scene, requested: list[tuple[Analysis, Options]], lanes: La
 def _portrait(scene: Scene, options: Any) -> Program:
     """A period of the trajectory that a portrait keeps."""
     scene = scene.in_time()
-    parts = make_parts(scene.system, scene.solver, scene.steps, options.samples, compensated=scene.compensated)
+    parts = make_parts(scene.flow, scene.solver, scene.steps, options.samples, compensated=scene.compensated)
     state = jax.tree.map(lambda leaf: np.full(len(scene.values), leaf, float), scene.start)
     turns = (1.0, float(options.samples), *_turns(parts))
     shared = (scene.strobe(), parts, np.int32(0))
@@ -253,7 +262,7 @@ def _turns(strobe: Strobe) -> tuple[float, ...]:
         case SteppedStrobe():
             return (float(np.mean(strobe.steps)), *_turns(strobe.one))
         case EventStrobe():
-            return (strobe.system.period / float(strobe.step), *_turns(strobe.unit))
+            return (strobe.system.period / float(np.mean(strobe.step)), *_turns(strobe.unit))
         case MarchedStrobe():
             return (float(np.mean(strobe.steps)), float(strobe.solver.stages))
         case SingleStrobe():
@@ -275,11 +284,11 @@ def _operations(program: Program | None, lanes: Lanes) -> float:
 
 def _ratio(row: Row, lanes: Lanes, repeats: int) -> float:
     """Time with over time without, the median of pairs, after one run of each to warm up."""
-    pair = row.with_it, row.without_it
-    if pair[0] is None or pair[1] is None:
+    if row.with_it is None or row.without_it is None:
         return float("nan")
-    if pair[0] is pair[1]:
+    if row.with_it is row.without_it:
         return 1.0
+    pair = row.with_it, row.without_it
     periods = []
     for program in pair:
         _seconds(program, lanes, 1)
@@ -291,7 +300,7 @@ def _ratio(row: Row, lanes: Lanes, repeats: int) -> float:
 def _seconds(program: Program, lanes: Lanes, periods: int) -> float:
     """Wall time a period, of so many in one call where the program takes a number of them, else in as many calls."""
     shared, calls = program.shared, max(1, periods // program.periods)
-    if len(shared) > 1 and isinstance(shared[1], np.int32):
+    if len(shared) > 1 and isinstance(shared[1], np.integer):
         shared, calls = (shared[0], np.int32(periods), *shared[2:]), 1
     began = time.perf_counter()
     for _ in range(calls):
