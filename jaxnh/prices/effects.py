@@ -205,7 +205,7 @@ def _analyses(scene: Scene, requested: list[tuple[Analysis, Options]], lanes: La
         u = np.broadcast_to(scene.system.section_point(scene.start), (len(scene.values), scene.system.dimension))
         if analysis.name == "lyapunov":
             k = min(getattr(options, "exponents", 1), scene.flow.exponents - int(scene.flow.autonomous))
-            program, without, note = list(_tangents(scene, k))[k - 1].with_it, in_time, f"{k} tangents"
+            program, without, note = list(_tangents(scene, k))[k - 1].with_it, in_time, f"{k} tangent{'s' if k > 1 else ''}"
         elif analysis.name == "period":
             shared = (scene.strobe(), np.int32(1))
             program = Program(derivatives, shared, (u, scene.values), (1.0, *_turns(shared[0])))
