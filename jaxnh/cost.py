@@ -228,7 +228,7 @@ def _effects_table(group: Group) -> Table:
     columns = {name: variable.data for name, variable in group.variables.items()}
     table = _table(
         "What each effect and analysis costs",
-        f"floating-point operations a lane-period by {group.attrs['solver']}; time: with it over without it",
+        f"operations a lane-period by {group.attrs['solver']}; time: of processors, with it over without it",
         ("",),
         ("with it", "without", "time", "bytes a lane"),
     )

@@ -29,9 +29,10 @@ what they leave in `results/NAME_effects.h5`. {machine}
 Operations are floating-point operations of the compiled program, a lane and a period: counted in its optimised HLO,
 loop by loop, equal ones once, times the kicks (or steps and stages) of a period. An effect is left out by
 `system.without`, by `d: 0` or by `constraint: free`, with nothing else changed; a processed solver is replaced by
-another with as many kicks, since a scene without a clock has no use for it. The time is that of the program with the
-effect over that without it, the median of {repeats} pairs on the same lanes, one after the other; on a machine that
-does other things as well, ratios near one scatter by a tenth and more. Bytes are what a lane leaves in the result.
+another with as many kicks, since a scene without a clock has no use for it. The time, of all processors, is that of
+the program with the effect over that without it, the median of {repeats} pairs on the same lanes, one after the other;
+on a machine that does other things as well, ratios near one scatter by a tenth and more. Bytes are what a lane leaves
+in the result.
 
 Where leaving something out saves nothing, the table says why. The constraint is compared by the general route for both;
 with it in closed form, as everywhere else here, a period costs what the other rows say.

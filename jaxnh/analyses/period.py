@@ -22,7 +22,7 @@ CONVERGED = 1e-7
 """Residual of an orbit that Newton has found."""
 
 _CLOSE = 0.03  # strobe points nearer than this may be the same point of a slowly converging orbit
-_ORBIT_TILE = 64
+ORBIT_TILE = 64
 
 
 class PeriodOptions(Options):
@@ -161,7 +161,7 @@ def survey(
 
 def orbits(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
     """`find_orbit` of period n over lanes (lanes, d), (lanes,)."""
-    return lanes(find_orbit, (strobe, np.int32(n)), (u, b), tile=_ORBIT_TILE)
+    return lanes(find_orbit, (strobe, np.int32(n)), (u, b), tile=ORBIT_TILE)
 
 
 def least_period(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> np.ndarray:
@@ -174,7 +174,7 @@ def least_period(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray
         open_ = np.flatnonzero(period == n)
         if not len(open_):
             break
-        image = lanes(section_map, (strobe, np.int32(d)), (u[open_], b[open_]), periods=d, tile=_ORBIT_TILE)
+        image = lanes(section_map, (strobe, np.int32(d)), (u[open_], b[open_]), periods=d, tile=ORBIT_TILE)
         period[open_[np.max(np.abs(strobe.system.wrap(image - u[open_])), axis=1) < CONVERGED]] = d
     return period
 

@@ -1,7 +1,8 @@
 """What every effect of a scene costs, and every analysis: operations of the compiled programs with and without it.
 
-An effect is left out of the scene's own system and nothing else is changed: the same solver, the same steps. Times are
-of one program after the other on the same lanes, with the effect and without it in turns.
+An effect is left out of the scene's own system and nothing else is changed: the same solver, the same steps. Times
+are of all processors, which other programs on the machine disturb less than that of the clock: of one program after the
+other on the same lanes, with the effect and without it in turns.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnh.analyses import lyapunov, portrait
+from jaxnh.analyses.doubling import SEGMENT_TILE
+from jaxnh.analyses.period import ORBIT_TILE
 from jaxnh.analyses.poincare import TILE
 from jaxnh.analyses.record import Analysis, Group, LaneRunner, Options, Scene, Variable
 from jaxnh.event import EventStrobe, SteppedStrobe
@@ -37,9 +40,10 @@ _STAND_IN = "blanes_moan6"  # for a processed solver, which a flow without a clo
 _GENERAL_STEPS = 64
 _PARTS = 4  # orthonormalisations a period
 _PATH_PERIODS = 2
-_TIMED_SECONDS = 0.02
+_TIMED_SECONDS = 0.05
 _MOST_PERIODS = 64
-_LEAST = {"transient": 1, "periods": 16, "limit": 1}  # options that change no shape of what is stored
+_LEAST = {"transient": 1, "limit": 1}  # options that change no shape of what is stored
+_LEAST_AVERAGED = 16
 _FREE_OF_COST = {
     "damping": "free: the multiplier absorbs it, and it is in no equation",
     "disturbance": "free: it is in the table of kicks, which all lanes share",
@@ -89,7 +93,7 @@ def price(scene: Scene, requested: list[tuple[Analysis, Options]], lanes: Lanes,
         "kind": column([row.kind for row in rows], "effect, tangents or analysis"),
         "operations": column(operations[:, 0], "floating-point operations a lane-period with it"),
         "operations_without": column(operations[:, 1], "floating-point operations a lane-period without it"),
-        "time_ratio": column(ratios, "time with it over time without it, median of pairs"),
+        "time_ratio": column(ratios, "processor time with it over that without it, median of pairs"),
         "stored": column([row.stored for row in rows], "bytes that a lane leaves in the result", "byte"),
         "note": column(notes, "what there is to say"),
     }
@@ -205,14 +209,21 @@ def _analyses(scene: Scene, requested: list[tuple[Analysis, Options]], lanes: La
         u = np.broadcast_to(scene.system.section_point(scene.start), (len(scene.values), scene.system.dimension))
         if analysis.name == "lyapunov":
             k = min(getattr(options, "exponents", 1), scene.flow.exponents - int(scene.flow.autonomous))
-            program, without, note = list(_tangents(scene, k))[k - 1].with_it, in_time, f"{k} tangent{'s' if k > 1 else ''}"
+            program, without, note = (
+                list(_tangents(scene, k))[k - 1].with_it,
+                in_time,
+                f"{k} tangent{'s' if k > 1 else ''}",
+            )
         elif analysis.name == "period":
             shared = (scene.strobe(), np.int32(1))
-            program = Program(derivatives, shared, (u, scene.values), (1.0, *_turns(shared[0])))
+            program = Program(derivatives, shared, (u, scene.values), (1.0, *_turns(shared[0])), tile=ORBIT_TILE)
+            without = alone._replace(tile=ORBIT_TILE)
             note = f"{scene.system.dimension + 1} tangents in every period of Newton, the map alone before it"
         elif analysis.name == "doubling":
             map_ = scene.strobe()
-            program = Program(segment, (map_,), (u, np.ones_like(u), scene.values), _turns(map_))
+            lanes_of = (u, np.ones_like(u), scene.values)
+            program = Program(segment, (map_,), lanes_of, _turns(map_), tile=SEGMENT_TILE)
+            without = alone._replace(tile=SEGMENT_TILE)
             note = "second derivatives in every period of Newton at a doubling, the map alone before it"
         elif analysis.name == "portrait":
             program, without = _portrait(scene, options), in_time._replace(tile=TILE)
@@ -239,11 +250,8 @@ def _stored(scene: Scene, requested: list[tuple[Analysis, Options]], lanes: Lane
     groups: dict[str, Group] = {}
     found: dict[str, float] = {}
     for analysis, options in requested:
-        least = {
-            name: value
-            for name, value in _LEAST.items()
-            if name in type(options).model_fields and (analysis.name, name) != ("portrait", "periods")
-        }
+        least = {name: value for name, value in _LEAST.items() if name in type(options).model_fields}
+        least |= {"periods": _LEAST_AVERAGED} if analysis.name == "lyapunov" else {}
         if not analysis.splits(options):
             found[analysis.name] = 0.0  # of the sweep, not of a lane
             continue
@@ -298,14 +306,14 @@ def _ratio(row: Row, lanes: Lanes, repeats: int) -> float:
 
 
 def _seconds(program: Program, lanes: Lanes, periods: int) -> float:
-    """Wall time a period, of so many in one call where the program takes a number of them, else in as many calls."""
+    """Processor time a period, of so many in one call where the program takes a number, else in as many calls."""
     shared, calls = program.shared, max(1, periods // program.periods)
     if len(shared) > 1 and isinstance(shared[1], np.integer):
         shared, calls = (shared[0], np.int32(periods), *shared[2:]), 1
-    began = time.perf_counter()
+    began = time.process_time()
     for _ in range(calls):
         lanes(program.function, shared, program.lanes, static=program.static, tile=program.tile)
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     return seconds / (calls * program.periods if calls > 1 or shared is program.shared else periods)
 
 
