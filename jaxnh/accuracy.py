@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxnh.lanes import TILE, Lanes
-from jaxnh.maps import Strobe, System
+from jaxnh.maps import Strobe, System, swept_name
 from jaxnh.precision import in_precision
 from jaxnh.sectioned import Crossing, SectionedFlow
 from jaxnh.solvers import SPLITTINGS, Solver, dopri8, tsit5
@@ -105,9 +105,10 @@ class Calibration:
 
     def _refusal(self, target: float, errors: np.ndarray) -> TargetError:
         """What to say when the least errors there are exceed the target."""
+        swept = swept_name(self._system)
         return TargetError(
             f"no solver has an error of one period of {target:g} over this sweep; with up to {_MOST_KICKS:,} kicks, "
-            f"that at b = {self._values[np.argmax(errors)]:.9g} comes down to {np.max(errors):.2g}"
+            f"that at {swept} = {self._values[np.argmax(errors)]:.9g} comes down to {np.max(errors):.2g}"
         )
 
     def _search(self, solver: Solver, target: float, most: int, compensated: bool) -> Iterator[Plan]:

@@ -263,7 +263,8 @@ def _left_out(tree: xr.DataTree) -> str:
     counts = [tree[name].sizes["b"] for name in ("portrait", "poincare") if name in tree.children]
     if max(counts, default=0) <= _MOST_PORTRAITS:
         return ""
-    return f"; {_MOST_PORTRAITS} of the {max(counts):,} values of b are drawn"
+    swept = next(str(node["b"].attrs.get("long_name", "b")) for node in tree.children.values() if "b" in node)
+    return f"; {_MOST_PORTRAITS} of the {max(counts):,} values of {swept.rsplit(' ', 1)[-1]} are drawn"
 
 
 def _laid_out(panels: list[Panel], attrs: Mapping[str, object], note: str) -> Figure:

@@ -96,6 +96,11 @@ def _sweep(file: Any) -> Any | None:
     return found[0] if found else None
 
 
+def _name(sweep: Any) -> str:
+    """Name of the parameter that is swept: the last of the words for it."""
+    return str(sweep.attrs.get("long_name", "b")).rsplit(" ", 1)[-1]
+
+
 def _facts(path: Path, attrs: dict[str, Any], sweep: Any | None) -> Iterator[tuple[str, str]]:
     """Heads and words of what stands above the table."""
     size = path.stat().st_size
@@ -107,7 +112,7 @@ def _facts(path: Path, attrs: dict[str, Any], sweep: Any | None) -> Iterator[tup
     digest = attrs.get("config_sha256", attrs.get("cost_of", ""))
     yield "config", f"{len(str(attrs.get('config', '')).splitlines())} lines, SHA-256 {str(digest)[:16]}…"
     if sweep is not None and len(sweep):
-        yield "sweep", f"{len(sweep):,} values of b, from {sweep[0]:.8g} to {sweep[-1]:.8g}"
+        yield "sweep", f"{len(sweep):,} values of {_name(sweep)}, from {sweep[0]:.8g} to {sweep[-1]:.8g}"
     if "solver" in attrs:
         yield (
             "accuracy",
@@ -182,7 +187,7 @@ def _failed(group: Any) -> Iterator[str]:
         if lanes.any():
             values = group["b"][np.flatnonzero(lanes)[:_NAMED]]
             named = ", ".join(f"{b:.6g}" for b in values) + (", …" if lanes.sum() > _NAMED else "")
-            yield f"{lanes.sum():,} of {len(lanes):,} lanes failed: {why}, at b = {named}"
+            yield f"{lanes.sum():,} of {len(lanes):,} lanes failed: {why}, at {_name(group['b'])} = {named}"
 
 
 # ---- as a table

@@ -17,6 +17,11 @@ System = IsokineticParticle | NonholonomicSystem | SectionedFlow
 """Systems have the same section: `dimension`, `exponents`, `chart`, `unchart`, `wrap` and so on."""
 
 
+def swept_name(system: System) -> str:
+    """Name of the parameter that differs from lane to lane."""
+    return system.sweeps.rsplit(" ", 1)[-1]
+
+
 class Tangent(NamedTuple):
     """A direction in phase and parameter space: δ(q, n) as a state, and δb, each component of shape ().
 

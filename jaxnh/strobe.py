@@ -30,6 +30,7 @@ from jaxnh.systems import IsokineticParticle, State, Vector
 from jaxnh.tables import cut_table, kick_table, processed_table
 
 _SMALLEST_TABLE = 1024
+_SMALLEST_STEP = 64  # kicks of a step: as many as any splitting has, so that all run through one program
 _LONGEST_RETURN = 1000.0  # time without a crossing after which a lane has failed
 
 
@@ -294,7 +295,7 @@ def _unit_step(flow: Flow, solver: Solver) -> Strobe:
     """One step as long as the unit of time, of a system without a clock."""
     grid = np.array([0.0, 1.0])
     if isinstance(solver, IsokineticSplitting) and isinstance(flow, IsokineticParticle):
-        return KickStrobe(flow, *kick_table(flow, solver, grid))
+        return KickStrobe(flow, *kick_table(flow, solver, grid, smallest=_SMALLEST_STEP))
     if isinstance(flow, NonholonomicSystem) and isinstance(solver, WrittenOutRungeKutta):
         return MarchedStrobe(flow, solver, grid, np.int32(1))
     raise TypeError(f"{solver.name} has no steps of its own for a system without a clock")

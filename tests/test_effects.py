@@ -102,7 +102,7 @@ def test_tables_have_no_forcing_that_is_left_out():
     assert still.period == 2 * math.pi
     assert make_strobe(still, SPLITTING, 40).table.shape[-1] == 2
     free_running = make_strobe(without("forcing"), SPLITTING, 40)
-    assert free_running.one.table.shape == (32, 2)  # the coefficients of a step of seventeen kicks, and no more
+    assert free_running.one.table.shape == (64, 2)  # the coefficients of one step, and no more
     assert (free_running.steps, int(free_running.one.kicks)) == (40, 17)
 
 

@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 from jaxnh.analyses.poincare import coupling, section_attrs, spread, state_variables, strobe_states
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene
 from jaxnh.faults import rule
+from jaxnh.maps import swept_name
 from jaxnh.precision import in_precision
 from jaxnh.strobe import Strobe, iterate, make_strobe
 from jaxnh.systems import State
@@ -72,7 +73,9 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> Group:
     With `start: up` or `down` the last state at a value of b is the start state at the next.
     """
     count = len(scene.values)
-    label = f"diagram: {options.strobes} strobes at {count:,} values of b, start {options.start}"
+    label = (
+        f"diagram: {options.strobes} strobes at {count:,} values of {swept_name(scene.system)}, start {options.start}"
+    )
     dims = ("b", "strobe")
     with lanes.stage(label, periods(options, count)):
         if options.start == "random":

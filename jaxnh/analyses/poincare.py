@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.maps import Strobe, System
+from jaxnh.maps import Strobe, System, swept_name
 from jaxnh.sectioned import SectionedFlow
 from jaxnh.strobe import iterate, record
 from jaxnh.systems import State
@@ -45,7 +45,7 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> Group:
     count = len(scene.values)
     start = spread(scene.start, count)
     total = periods(options, count)
-    with lanes.stage(f"poincare: {options.strobes} strobes at {count:,} values of b", total):
+    with lanes.stage(f"poincare: {options.strobes} strobes at {count:,} values of {swept_name(scene.system)}", total):
         states = lanes(
             strobe_states,
             (scene.strobe(), np.int32(options.transient)),
