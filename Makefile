@@ -32,7 +32,7 @@ paper: $(INSTALLED)
 
 # What each effect and analysis costs; writes results/effects.md.
 effects: $(INSTALLED)
-	for scene in $(EFFECTS); do $(RUN)/python -m jaxnh.cost configs/$$scene.yaml --effects || exit; done
+	for scene in $(EFFECTS); do $(RUN)/python -m jaxnh.cost configs/$$scene.yaml --effects --repeats 11 || exit; done
 	$(RUN)/python -m sweeps.effects
 
 test: $(INSTALLED)

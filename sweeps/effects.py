@@ -55,7 +55,8 @@ def page(folder: Path) -> str:
         parts += [
             f"## {attrs['title']}",
             "",
-            f"`configs/{name}.yaml`, {group['solver']} in {group['steps_per_period']} steps a period",
+            f"`configs/{name}.yaml`: effects by {group['solver']} in {group['steps_per_period']} steps a period, "
+            f"tangents and analyses by {attrs['solver']} in {attrs['steps_per_period']}",
             "",
             "| | with it | without | time | bytes a lane | |",
             "| :-- | --: | --: | --: | --: | :-- |",
