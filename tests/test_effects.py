@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ import taylor
 import xarray as xr
 from conftest import ROOT
 
+from jaxnh import cost
 from jaxnh.accuracy import Calibration
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, poincare
 from jaxnh.analyses.record import Scene
@@ -26,6 +28,7 @@ from jaxnh.sectioned import Crossing, SectionedFlow
 from jaxnh.solvers import SPLITTINGS, dopri8, tsit5
 from jaxnh.strobe import derivatives, iterate, make_strobe, record
 from jaxnh.systems import constant_speed, disturbed_speed, unchart
+from sweeps import effects as page_of_effects
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 ANGLE = np.array([0.1, 0.1, math.atan2(math.sqrt(0.99), 0.1)])
@@ -503,21 +506,28 @@ def test_run_of_a_scene_without_a_clock(result, config):
     assert "error of one return" in out
 
 
-def test_price_of_every_effect(lanes):
+def test_price_of_every_effect(tmp_path, capsys):
     """Of each effect: fewer operations without it, or why it is free; tangents add up, and what is stored is counted."""
-    experiment = load(ROOT / "configs" / "fig06.yaml")
-    system, start = experiment.system_and_start()
-    scene = Scene(system, start, experiment.sweep.grid(), SPLITTINGS["blanes_moan6"], 40, False, 1e-4)
-    requested = experiment.requested()
-    group = effects.price(scene, requested, lanes, 1)
-    columns = {key: variable.data for key, variable in group.variables.items()}
-    rows = {what: i for i, what in enumerate(columns["what"])}
+    overrides = ["accuracy={solver: blanes_moan6, steps: 40}", "analyses.portrait={periods: 2, samples: 16}"]
+    experiment = load(ROOT / "configs" / "fig06.yaml", overrides)
+    path = tmp_path / "effects.h5"
+    cost._run_effects(experiment, path, 1, time.perf_counter())
+    group = xr.open_datatree(path, engine="h5netcdf").load()["effects"].to_dataset()
+    columns = {name: variable.to_numpy() for name, variable in group.variables.items()}
+    rows = {str(what): i for i, what in enumerate(columns["what"])}
     for what in ("forcing", "disturbance", "coupling", "cubic_stiffness", "damping", "constraint"):
         with_it, without_it = columns["operations"][rows[what]], columns["operations_without"][rows[what]]
-        assert without_it < with_it or columns["note"][rows[what]].startswith(("free: ", "is left out"))
+        assert without_it < with_it or str(columns["note"][rows[what]]).startswith("free: ")
+    assert [str(columns["note"][rows[what]])[:5] for what in ("disturbance", "damping")] == ["free:", "free:"]
     tangents = [columns["operations"][rows[f"tangent {k}"]] for k in (1, 2, 3)]
-    assert tangents == sorted(tangents)
-    assert columns["operations_without"][rows["tangent 1"]] < tangents[0]
-    for analysis, options in requested:
-        size = {"portrait": lambda o: o.periods * o.samples, "poincare": lambda o: o.strobes}[analysis.name](options)
-        assert columns["stored"][rows[analysis.name]] == 4 * 8 * size
+    assert columns["operations_without"][rows["tangent 1"]] < tangents[0] < tangents[1] < tangents[2]
+    assert columns["stored"][rows["portrait"]] == 4 * 8 * 2 * 16  # four numbers of eight bytes a sample
+    assert columns["stored"][rows["poincare"]] == 4 * 8 * 2048
+    out = capsys.readouterr().out
+    assert all(any(line.startswith(what) for line in out.splitlines()) for what in rows)
+
+
+def test_page_is_of_the_scenes_that_are_priced():
+    """The page reads what `make effects` prices, scene by scene."""
+    [line] = [line for line in (ROOT / "Makefile").read_text().splitlines() if line.startswith("EFFECTS :=")]
+    assert tuple(line.split()[2:]) == page_of_effects.SCENES
