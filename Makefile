@@ -6,8 +6,9 @@ INSTALLED := $(VENV)/.installed
 TABLES := table1 table2
 FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
 RANGES := range_constant range_disturbed
+EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) paper test slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced paper effects test slow hard clean
 
 install: $(INSTALLED)
 
@@ -20,7 +21,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 $(TABLES): $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml
 
-$(FIGURES) $(RANGES): $(INSTALLED)
+$(FIGURES) $(RANGES) unforced: $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
 	$(RUN)/python -m jaxnh.plot results/$@.h5
 
@@ -28,6 +29,11 @@ $(FIGURES) $(RANGES): $(INSTALLED)
 paper: $(INSTALLED)
 	for table in $(TABLES); do $(RUN)/python -m jaxnh.sweep configs/$$table.yaml --fresh || exit; done
 	$(MAKE) --jobs=1 $(FIGURES)
+
+# What each effect and analysis costs; writes results/effects.md.
+effects: $(INSTALLED)
+	for scene in $(EFFECTS); do $(RUN)/python -m jaxnh.cost configs/$$scene.yaml --effects --repeats 11 || exit; done
+	$(RUN)/python -m sweeps.effects
 
 test: $(INSTALLED)
 	$(RUN)/ruff check .

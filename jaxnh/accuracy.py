@@ -10,8 +10,9 @@ import jax
 import numpy as np
 
 from jaxnh.lanes import TILE, Lanes
-from jaxnh.maps import Strobe, System
+from jaxnh.maps import Strobe, System, swept_name
 from jaxnh.precision import in_precision
+from jaxnh.sectioned import Crossing, SectionedFlow
 from jaxnh.solvers import SPLITTINGS, Solver, dopri8, tsit5
 from jaxnh.strobe import iterate, make_strobe
 from jaxnh.systems import IsokineticParticle, State
@@ -62,10 +63,13 @@ class Calibration:
         self, system: System, start: State, values: np.ndarray, lanes: Lanes, precision: str = "float64"
     ) -> None:
         self._system, self._lanes, self._precision = system, lanes, precision
-        planar = isinstance(system, IsokineticParticle)
+        section = isinstance(system, SectionedFlow)
+        self._planar = planar = isinstance(system.flow if section else system, IsokineticParticle)
         self._finest: Solver = SPLITTINGS[_REFERENCE] if planar else dopri8
-        self._candidates: tuple[Solver, ...] = tuple(SPLITTINGS.values()) if planar else _GENERAL
-        self._summations = (False, True) if planar else (False,)  # plain, compensated
+        # From crossing to crossing every step starts and ends by itself: no processor around many, no sums over them.
+        splittings = tuple(s for s in SPLITTINGS.values() if not (section and s.processor[1]))
+        self._candidates: tuple[Solver, ...] = splittings if planar else _GENERAL
+        self._summations = (False, True) if planar and not section else (False,)  # plain, compensated
         self._states, self._values = self._samples(start, values)
         self._drop_lost()
         self._reference, self._known, self._enough = self._refine()
@@ -101,9 +105,10 @@ class Calibration:
 
     def _refusal(self, target: float, errors: np.ndarray) -> TargetError:
         """What to say when the least errors there are exceed the target."""
+        swept = swept_name(self._system)
         return TargetError(
             f"no solver has an error of one period of {target:g} over this sweep; with up to {_MOST_KICKS:,} kicks, "
-            f"that at b = {self._values[np.argmax(errors)]:.9g} comes down to {np.max(errors):.2g}"
+            f"that at {swept} = {self._values[np.argmax(errors)]:.9g} comes down to {np.max(errors):.2g}"
         )
 
     def _search(self, solver: Solver, target: float, most: int, compensated: bool) -> Iterator[Plan]:
@@ -166,7 +171,7 @@ class Calibration:
     def _seed_steps(self, state: State, values: np.ndarray) -> int:
         """Steps with which the first period is roughly right."""
         solver = self._finest
-        steps = _SEED_STEPS if isinstance(self._system, IsokineticParticle) else 4 * _SEED_STEPS
+        steps = _SEED_STEPS if self._planar else 4 * _SEED_STEPS
         image = self._one_period(solver, steps, False, state, values)
         while 2 * steps * solver.stages <= _MOST_SEED_KICKS:
             coarser, image = image, self._one_period(solver, 2 * steps, False, state, values)
@@ -215,7 +220,8 @@ class Calibration:
 
     def _image(self, strobe: Strobe, state: State, values: np.ndarray) -> list[np.ndarray]:
         image = self._lanes(iterate, (strobe, np.int32(1)), (state, values), periods=1)
-        return [np.array(leaf) for leaf in jax.tree.leaves(image[:2])]
+        parts = (*image.state[:2], image.t) if isinstance(image, Crossing) else image[:2]
+        return [np.array(leaf) for leaf in jax.tree.leaves(parts)]
 
 
 def _gaps(one: list[np.ndarray], other: list[np.ndarray]) -> np.ndarray:

@@ -20,6 +20,7 @@ from jaxnh.exits import Refused
 from jaxnh.experiment import ConfigError, Experiment, load
 from jaxnh.lanes import Lanes, configure
 from jaxnh.own_system import OwnSystem
+from jaxnh.sectioned import SectionedFlow
 from jaxnh.solvers import SOLVERS
 
 _VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
@@ -70,9 +71,8 @@ def scene_of(experiment: Experiment, calibration: Calibration) -> Scene:
             plan = calibration.cheapest(accuracy.target)
         except TargetError as error:
             raise Refused(f"{experiment.source}: accuracy.target: {error}") from None
-    system = experiment.system.build()
-    start, values = experiment.initial.state(system), experiment.sweep.grid()
-    return Scene(system, start, values, *plan, precision=experiment.precision)
+    system, start = experiment.system_and_start()
+    return Scene(system, start, experiment.sweep.grid(), *plan, precision=experiment.precision)
 
 
 def calibrate(experiment: Experiment, lanes: Lanes) -> Calibration:
@@ -81,10 +81,9 @@ def calibrate(experiment: Experiment, lanes: Lanes) -> Calibration:
     Raises:
         Refused: no lane has a period that can be computed.
     """
-    system = experiment.system.build()
-    start, values = experiment.initial.state(system), experiment.sweep.grid()
+    system, start = experiment.system_and_start()
     try:
-        return Calibration(system, start, values, lanes, experiment.precision)
+        return Calibration(system, start, experiment.sweep.grid(), lanes, experiment.precision)
     except TargetError as error:
         raise Refused(f"{experiment.source}: sweep: {error}") from None
 
@@ -116,6 +115,7 @@ def provenance(experiment: Experiment, scene: Scene, spent: Account, module: str
         "lane_periods": spent.lane_periods,
         "device": spent.device,
         "strobe_period": np.float64(scene.system.period),
+        **({"section": scene.system.words} if isinstance(scene.system, SectionedFlow) else {}),
         **(_of_own(experiment.own, scene) if experiment.own else {}),
     }
 

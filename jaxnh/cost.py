@@ -1,4 +1,7 @@
-"""The command `python -m jaxnh.cost CONFIG [KEY=VALUE ...] [--output FILE] [--repeats R]`: the price of accuracy."""
+"""The command `python -m jaxnh.cost CONFIG [KEY=VALUE ...] [--effects] [--output FILE] [--repeats R]`: prices.
+
+Of accuracy in time; with --effects of every effect and analysis of the scene, in operations, time and bytes.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +24,11 @@ from jaxnh.command import account, calibrate, experiment_of, provenance, scene_o
 from jaxnh.exits import Refused, check_output, run_app
 from jaxnh.experiment import Experiment
 from jaxnh.lanes import Lanes, configure
-from jaxnh.prices import doubling, exponent, solvers
+from jaxnh.planar_sections import Free
+from jaxnh.prices import doubling, effects, exponent, solvers
 
 _DPI = 130
+_LOG_WIDTH = 130  # columns where the output goes to a file
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -38,16 +43,22 @@ def cost(
         Path | None, typer.Option(help="Result file; by default results/NAME_cost.h5, with figures beside it")
     ] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Times that each setting is timed")] = 5,
+    of_effects: Annotated[
+        bool, typer.Option("--effects", help="Instead, what each effect and analysis costs; results/NAME_effects.h5")
+    ] = False,
 ) -> None:
     """Body of the command; the words above are what --help shows."""
     began = time.perf_counter()
     experiment = experiment_of(config, overrides)
-    if experiment.own:
-        raise Refused(f"{experiment.source}: system.file: prices are of the built-in systems; name a constraint")
-    path = output or Path("results") / f"{experiment.source.stem}_cost.h5"
+    if not of_effects and (experiment.own or experiment.autonomous or isinstance(experiment.system, Free)):
+        raise Refused(
+            f"{experiment.source}: system: solvers are priced on the strobe map at a prescribed speed, and this scene "
+            "has none; --effects prices what it has"
+        )
+    path = output or Path("results") / f"{experiment.source.stem}_{'effects' if of_effects else 'cost'}.h5"
     _check_replaceable(path)
     check_output(path)
-    _run(experiment, path, repeats, began)
+    (_run_effects if of_effects else _run)(experiment, path, repeats, began)
 
 
 def _check_replaceable(path: Path) -> None:
@@ -89,6 +100,23 @@ def _run(experiment: Experiment, path: Path, repeats: int, began: float) -> None
     parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in spent.items())
     print(f"{time.perf_counter() - began:.1f} s: {parts}; of these, compile {lanes.compile_seconds:.1f} s")
     print("wrote " + ", ".join(map(str, (path, *pictures))))
+
+
+def _run_effects(experiment: Experiment, path: Path, repeats: int, began: float) -> None:
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_LOG_WIDTH)
+    configure()
+    lanes = Lanes(terminal.progress(Console(stderr=True)))
+    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
+        scene = scene_of(experiment, calibrate(experiment, lanes))
+    group = effects.price(scene, experiment.requested(), lanes, repeats)
+    attrs = provenance(experiment, scene, account(lanes, time.perf_counter() - began), "jaxnh.cost")
+    attrs["cost_of"] = attrs.pop("config_sha256")
+    store.write(path, attrs, {"effects": group})
+    console.print(_effects_table(group))
+    print(f"{time.perf_counter() - began:.1f} s; of these, compile {lanes.compile_seconds:.1f} s")
+    print(f"wrote {path}")
 
 
 @contextmanager
@@ -193,6 +221,30 @@ def _exponent_table(group: Group) -> Table:
     for i, periods in enumerate(columns["averaged"]):
         error, bar = columns["error"][i, 1], columns["error_bar"][i, 1]
         table.add_row(f"{periods:,}", f"{error:.1e}", f"{bar:.1e}", f"{columns['cpu_seconds'][i]:.4f}")
+    return table
+
+
+def _effects_table(group: Group) -> Table:
+    columns = {name: variable.data for name, variable in group.variables.items()}
+    table = _table(
+        "What each effect and analysis costs",
+        f"operations a lane-period by {group.attrs['solver']}; time: of processors, with it over without it",
+        ("",),
+        ("with it", "without", "time", "bytes a lane"),
+    )
+    table.add_column("")
+    kind = ""
+    for i, what in enumerate(columns["what"]):
+        if kind and kind != columns["kind"][i]:
+            table.add_section()
+        kind = columns["kind"][i]
+        cells = (columns["operations"][i], columns["operations_without"][i], columns["time_ratio"][i])
+        stored = f"{columns['stored'][i]:,.0f}" if kind == "analysis" else ""
+        words = [
+            "–" if math.isnan(x) else form.format(x)
+            for x, form in zip(cells, ("{:,.0f}", "{:,.0f}", "{:.2f}"), strict=True)
+        ]
+        table.add_row(str(what), *words, stored, str(columns["note"][i]))
     return table
 
 

@@ -31,107 +31,26 @@ from jaxnh.analyses.record import Analysis, Options
 from jaxnh.faults import Layout, close_match, first_fault, rule, shown
 from jaxnh.own_sections import own_sections, with_own_systems
 from jaxnh.own_system import OwnSystem, OwnSystemError
-from jaxnh.sections import Evenly, Grid, Named, Section
-from jaxnh.solvers import RUNGE_KUTTA, SOLVERS
-from jaxnh.systems import IsokineticParticle, constant_speed, disturbed_speed, strobe_period
+from jaxnh.planar_sections import (
+    ConstantSpeed,
+    DisturbedSpeed,
+    EventSection,
+    Free,
+    Initial,
+    PlanarSystem,
+    PrescribedSpeed,
+    Sweep,
+)
+from jaxnh.sectioned import Crossing
+from jaxnh.sections import Evenly, Named, Section
+from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, SPLITTINGS
 from jaxnh.yaml_source import ConfigError, KeyPath, read
 
 __all__ = ["ConfigError", "Experiment", "load", "schema"]
 
 _SOLVERS = tuple(SOLVERS)
 _BY_NEWTON = ("doubling", "period")
-
-
-# ---- system and start
-
-
-class PlanarSystem(Section):
-    """A particle in the plane at a prescribed speed."""
-
-    def exponents(self, sweep: Any) -> int:
-        """How many Lyapunov exponents there are."""
-        return IsokineticParticle.exponents
-
-
-class ConstantSpeed(PlanarSystem):
-    """x2² + y2² = c, equation (12) of the paper."""
-
-    constraint: Literal["constant_speed"] = Field(description="The squared speed is held at c")
-    a: float = Field(default=0.5, description="Linear stiffness of x1 and cubic stiffness of y1")
-    c: float = Field(default=1.0, gt=0, description="Squared speed")
-    omega: float = Field(default=1.0, gt=0, description="Angular frequency of the forcing 1 + sin(omega t)")
-
-    def build(self) -> IsokineticParticle:
-        """The system with these parameters."""
-        return constant_speed(self.a, self.c, self.omega)
-
-
-class DisturbedSpeed(PlanarSystem):
-    """x2² + y2² = c + d sin t, equation (22) of the paper."""
-
-    constraint: Literal["disturbed_speed"] = Field(description="The squared speed is held at c + d sin(t)")
-    a: float = Field(default=0.5, description="Linear stiffness of x1 and cubic stiffness of y1")
-    c: float = Field(default=1.0, gt=0, description="Mean squared speed")
-    d: float = Field(default=0.1, description="Amplitude of the disturbance of the squared speed, |d| < c")
-    omega: float = Field(
-        default=1.0, gt=0, description="Angular frequency of the forcing 1 + sin(omega t); a ratio of whole numbers"
-    )
-
-    @model_validator(mode="after")
-    def _check(self) -> DisturbedSpeed:
-        if abs(self.d) >= self.c:
-            raise rule(f"the speed vanishes: |d| must be below c, and d is {self.d:g}, c is {self.c:g}", "d", "c")
-        try:
-            strobe_period(self.omega, disturbed=self.d != 0)
-        except ValueError as error:
-            raise rule(str(error), "omega", "d", "constraint") from None
-        return self
-
-    def build(self) -> IsokineticParticle:
-        """The system with these parameters."""
-        return disturbed_speed(self.a, self.c, self.d, self.omega)
-
-
-class Initial(Section):
-    """The start state at t = 0; y2 follows from the constraint, as the positive root."""
-
-    x1: float = Field(default=0.1, description="Position x1")
-    x2: float = Field(default=0.1, description="Velocity of x1; its square is at most the squared speed at t = 0")
-    y1: float = Field(default=0.1, description="Position y1; its velocity y2 is the positive root of the constraint")
-
-    def state(self, system: IsokineticParticle) -> tuple[tuple[float, float], tuple[float, float]]:
-        """(q, n) at t = 0: position (x1, y1), and unit vector (n1, n2) of the velocity.
-
-        Raises:
-            ValueError: |x2| is above the speed.
-        """
-        speed = math.sqrt(system.c)  # c + d sin t at t = 0
-        return (self.x1, self.y1), (self.x2 / speed, math.sqrt(system.c - self.x2 * self.x2) / speed)
-
-    def check(self, system: ConstantSpeed | DisturbedSpeed, sweep: Any) -> None:
-        """See that the speed at t = 0 is enough for x2."""
-        if self.x2 * self.x2 > system.c:
-            speed = math.sqrt(system.c)
-            message = f"the speed at t = 0 is {speed:g}, and |x2| cannot be above it; x2 is {self.x2:g}"
-            raise rule(message, "initial.x2", "system.c")
-
-
-# ---- sweep
-
-
-class Sweep(Section):
-    """The parameter that differs from lane to lane."""
-
-    b: Grid = Field(description="Coupling b: start, stop and count, or values")
-
-    @property
-    def swept(self) -> str:
-        """Name of the parameter."""
-        return "b"
-
-    def grid(self) -> np.ndarray:
-        """Values of b in the order of the config, float64 of shape (lanes,)."""
-        return self.b.grid()
+_ON_SECTIONS = ("lyapunov", "period", "portrait", "poincare", "diagram", "chaos01")
 
 
 # ---- accuracy, analyses, published values
@@ -244,11 +163,14 @@ class Experiment(Section):
     """A validated config. Made by `load`, which also sets `source` and `text`."""
 
     title: str = Field(default="", description="What this run is, in words")
-    system: ConstantSpeed | DisturbedSpeed = Field(
-        discriminator="constraint", description="The constraint on the speed, and the parameters"
+    system: ConstantSpeed | DisturbedSpeed | Free = Field(
+        discriminator="constraint", description="The constraint on the speed, the parameters, and what is left out"
     )
     initial: Initial = Field(default=Initial(), description="Start state at t = 0, the same for all lanes")
     sweep: Sweep = Field(description="The parameter that differs from lane to lane, and its values")
+    section: EventSection | None = Field(
+        default=None, description="Without forcing and disturbance, the section whose crossings take the strobe's place"
+    )
     accuracy: Accuracy = Field(default=Accuracy(), description="Error allowed, or solver and steps")
     analyses: Analyses = Field(description="What to compute: name of the analysis to its options")
     compare: dict[str, Published] | None = Field(
@@ -271,20 +193,62 @@ class Experiment(Section):
     def _check(self) -> Experiment:
         self.initial.check(self.system, self.sweep)
         solver = self.accuracy.solver
-        if solver and solver not in RUNGE_KUTTA and not isinstance(self.system, PlanarSystem):
+        if solver and solver not in RUNGE_KUTTA and not isinstance(self.system, PrescribedSpeed):
             general = ", ".join(RUNGE_KUTTA)
             raise rule(f"{solver} is for a particle at a prescribed speed; others are {general}", "accuracy.solver")
         options = getattr(self.analyses, "lyapunov", None)
         most = self.system.exponents(self.sweep)
         if options is not None and "exponents" in options.model_fields_set and options.exponents > most:
             raise rule(f"must be at most {most}, not {options.exponents}", "analyses.lyapunov.exponents")
-        if self.accuracy.precision == "float32" and not isinstance(self.system, PlanarSystem):
+        if self.accuracy.precision == "float32" and not isinstance(self.system, PrescribedSpeed):
             raise rule("float32 is for a particle at a prescribed speed", "accuracy.precision")
         for analysis, _ in self.requested():
             if self.accuracy.precision == "float32" and analysis.name in _BY_NEWTON:
                 message = f"float32 is too coarse for Newton on orbits, which {analysis.name} rests on"
                 raise rule(message, "accuracy.precision")
+        self._check_section()
         return self
+
+    def _check_section(self) -> None:
+        """See that a section is asked for where there is no clock alone, and what cannot be done there is not."""
+        if not self.autonomous:
+            if self.section:
+                raise rule("this scene has a clock, and is seen at its strobes; leave section out", "section")
+            return
+        if self.accuracy.precision == "float32":
+            raise rule("float32 goes with a strobe, and this scene has no clock", "accuracy.precision")
+        fitting = [name for name, s in SPLITTINGS.items() if not s.processed]
+        solver = self.accuracy.solver
+        if solver and isinstance(self.system, PrescribedSpeed) and solver not in fitting:
+            raise rule(
+                f"steps end one by one at crossings, which {solver} is not made for; others are {', '.join(fitting)}",
+                "accuracy.solver",
+            )
+        for analysis, options in self.requested():
+            if analysis.name not in _ON_SECTIONS:
+                message = (
+                    f"{analysis.name} is for a scene with a clock, and this one has neither forcing nor disturbance; "
+                    f"without them there are {', '.join(_ON_SECTIONS)}"
+                )
+                raise rule(message, f"analyses.{analysis.name}", "system.without")
+            if analysis.name in ("poincare", "diagram") and not getattr(options, "transient", 1):
+                message = "must be at least 1: the start state is not on the section"
+                raise rule(message, f"analyses.{analysis.name}.transient")
+            if getattr(options, "phase", 0.0):
+                raise rule("there is no period to have a phase in; leave it out", f"analyses.{analysis.name}.phase")
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether the scene has no clock: neither forcing nor disturbance."""
+        return isinstance(self.system, PlanarSystem) and self.system.build().autonomous
+
+    def system_and_start(self) -> tuple[Any, Any]:
+        """The system, without a clock on its section, and its start state."""
+        flow = self.system.build()
+        start = self.initial.state(flow)
+        if not self.autonomous:
+            return flow, start
+        return (self.section or EventSection()).of(flow), Crossing(start, 0.0, 0.0)
 
     @property
     def source(self) -> Path:
@@ -304,6 +268,8 @@ class Experiment(Section):
         defaults written out do not change it. Nor do `title` and `compare`, which change no number.
         """
         content = self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
+        if self.autonomous:
+            content["section"] = (self.section or EventSection()).model_dump(mode="json")
         if self._own:
             content["system"]["file"] = self._own.sha256
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -329,16 +295,18 @@ _LAYOUT = Layout(
         (): Experiment,
         ("initial",): Initial,
         ("sweep",): Sweep,
+        ("section",): EventSection,
         ("accuracy",): Accuracy,
         ("analyses",): Analyses,
         **{("analyses", name): analysis.options for name, analysis in ANALYSES.items()},
         **{("compare", name): Published for name in ANALYSES},
     },
     variants={
-        ("system",): {"constant_speed": ConstantSpeed, "disturbed_speed": DisturbedSpeed},
+        ("system",): {"constant_speed": ConstantSpeed, "disturbed_speed": DisturbedSpeed, "free": Free},
         ("sweep", "b"): {"start, stop, count": Evenly, "values": Named},
+        ("sweep", "a"): {"start, stop, count": Evenly, "values": Named},
     },
-    selectors={("system",): "constraint", ("sweep", "b"): "values"},
+    selectors={("system",): "constraint", ("sweep", "b"): "values", ("sweep", "a"): "values"},
 )
 
 

@@ -198,16 +198,21 @@ class Panel(NamedTuple):
 
 def _portraits(tree: xr.DataTree) -> list[Panel]:
     data, strobes = tree["portrait"].to_dataset(), _group(tree, "poincare")
-    if strobes is not None and not np.array_equal(strobes["b"], data["b"]):
+    if strobes is not None and not _over_portraits(strobes, data):
         strobes = None
     return [Panel(partial(portrait, data, i, strobes=strobes), 3.4, False) for i in _drawn(data)]
 
 
 def _maps(tree: xr.DataTree) -> list[Panel]:
     data, portraits = tree["poincare"].to_dataset(), _group(tree, "portrait")
-    if portraits is not None and np.array_equal(portraits["b"], data["b"]):
-        return []  # over the portraits
+    if portraits is not None and _over_portraits(data, portraits):
+        return []
     return [Panel(partial(poincare, data, i), 3.4, False) for i in _drawn(data)]
+
+
+def _over_portraits(strobes: xr.Dataset, portraits: xr.Dataset) -> bool:
+    """Whether strobe points are drawn over portraits: of the same lanes, and in the same plane."""
+    return "section" not in strobes.attrs and np.array_equal(strobes["b"], portraits["b"])
 
 
 def _diagram(tree: xr.DataTree) -> list[Panel]:
@@ -258,7 +263,8 @@ def _left_out(tree: xr.DataTree) -> str:
     counts = [tree[name].sizes["b"] for name in ("portrait", "poincare") if name in tree.children]
     if max(counts, default=0) <= _MOST_PORTRAITS:
         return ""
-    return f"; {_MOST_PORTRAITS} of the {max(counts):,} values of b are drawn"
+    swept = next(str(node["b"].attrs.get("long_name", "b")) for node in tree.children.values() if "b" in node)
+    return f"; {_MOST_PORTRAITS} of the {max(counts):,} values of {swept.rsplit(' ', 1)[-1]} are drawn"
 
 
 def _laid_out(panels: list[Panel], attrs: Mapping[str, object], note: str) -> Figure:
@@ -277,7 +283,7 @@ def _laid_out(panels: list[Panel], attrs: Mapping[str, object], note: str) -> Fi
     drawing.suptitle(str(attrs.get("title", "")))
     drawing.supxlabel(
         f"jaxnh {attrs['jaxnh_version']}, {attrs['solver']}, {attrs['steps_per_period']} steps a period, "
-        f"error of one period {attrs['error_estimate']:.1g}{note}",
+        f"error of one {'return' if 'section' in attrs else 'period'} {attrs['error_estimate']:.1g}{note}",
         fontsize=7,
         color="gray",
     )
@@ -335,7 +341,8 @@ def _plane(data: xr.Dataset, index: int, ax: Axes) -> Axes:
     x, y = first_pair(data)
     ax.set(xlabel=axis_label(data[x]), ylabel=axis_label(data[y]))
     letter = f"({chr(ord('a') + index)}) " if data.sizes["b"] <= 26 else ""
-    ax.set_title(f"{letter}{named(data['b'])[1]} = {float(data['b'][index]):.10g}", fontsize=10)
+    section = f", on {data.attrs['section']}" if "section" in data.attrs else ""
+    ax.set_title(f"{letter}{named(data['b'])[1]} = {float(data['b'][index]):.10g}{section}", fontsize=10)
     return ax
 
 

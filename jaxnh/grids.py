@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxnh.maps import System
 from jaxnh.mechanics import NonholonomicSystem
+from jaxnh.sectioned import Flow
 
 GRID_POINTS = 1 << 16
 _CELLS = 1 << 12
@@ -13,7 +13,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _NEWTON_STEPS = 4
 
 
-def density(system: System, t: np.ndarray) -> np.ndarray:
+def density(system: Flow, t: np.ndarray) -> np.ndarray:
     """Steps a unit of time, up to a factor; t of any shape.
 
     The density (g + 1/10)^0.3 / s follows the forcing weakly and the inverse speed fully: at constant speed it lowers
@@ -25,7 +25,7 @@ def density(system: System, t: np.ndarray) -> np.ndarray:
     return (system.forcing(t) + 0.1) ** 0.3 / system.speed(t)
 
 
-def step_grid(system: System, steps: int, span: tuple[float, float]) -> np.ndarray:
+def step_grid(system: Flow, steps: int, span: tuple[float, float]) -> np.ndarray:
     """Ends of the steps over a span, (steps + 1,)."""
     t = np.linspace(*span, GRID_POINTS + 1)
     rate = density(system, t)
@@ -42,7 +42,7 @@ class SmoothGrid:
     method needs: one conjugation then serves all of them.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: Flow) -> None:
         self._system = system
         self._width = system.period / _CELLS
         cells = self._integral(np.arange(_CELLS) * self._width, np.full(_CELLS, self._width))
@@ -72,7 +72,7 @@ class SmoothGrid:
         return 0.5 * length * (density(self._system, nodes) * _WEIGHTS).sum(axis=-1)
 
 
-def share_of_steps(system: System, span: tuple[float, float]) -> float:
+def share_of_steps(system: Flow, span: tuple[float, float]) -> float:
     """What a span has of the steps of a period."""
     first, last, whole = SmoothGrid(system).share(np.array([*span, system.period]))
     return float((last - first) / whole)

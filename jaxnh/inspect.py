@@ -96,6 +96,11 @@ def _sweep(file: Any) -> Any | None:
     return found[0] if found else None
 
 
+def _name(sweep: Any) -> str:
+    """Name of the parameter that is swept: the last of the words for it."""
+    return str(sweep.attrs.get("long_name", "b")).rsplit(" ", 1)[-1]
+
+
 def _facts(path: Path, attrs: dict[str, Any], sweep: Any | None) -> Iterator[tuple[str, str]]:
     """Heads and words of what stands above the table."""
     size = path.stat().st_size
@@ -110,13 +115,12 @@ def _facts(path: Path, attrs: dict[str, Any], sweep: Any | None) -> Iterator[tup
         lines = len(str(attrs["system_file"]).splitlines())
         yield "system", f"{attrs['system_file_path']}, {lines} lines, SHA-256 {attrs['system_file_sha256'][:16]}…"
     if sweep is not None and len(sweep):
-        swept = str(attrs.get("swept", "b")).removeprefix("parameter ")
-        yield "sweep", f"{len(sweep):,} values of {swept}, from {sweep[0]:.8g} to {sweep[-1]:.8g}"
+        yield "sweep", f"{len(sweep):,} values of {_name(sweep)}, from {sweep[0]:.8g} to {sweep[-1]:.8g}"
     if "solver" in attrs:
         yield (
             "accuracy",
             f"{attrs['solver']}, {attrs['steps_per_period']} steps a period, {attrs.get('summation', 'plain')} sums, "
-            f"error of one period {attrs['error_estimate']:.1e}",
+            f"error of one {'return' if 'section' in attrs else 'period'} {attrs['error_estimate']:.1e}",
         )
     wall, work = float(attrs.get("wall_seconds", math.nan)), float(attrs.get("lane_periods", math.nan))
     compiled = float(attrs.get("compile_seconds", math.nan))
@@ -190,7 +194,7 @@ def _failed(group: Any) -> Iterator[str]:
         if lanes.any():
             values = group["b"][np.flatnonzero(lanes)[:_NAMED]]
             named = ", ".join(f"{b:.6g}" for b in values) + (", …" if lanes.sum() > _NAMED else "")
-            yield f"{lanes.sum():,} of {len(lanes):,} lanes failed: {why}, at b = {named}"
+            yield f"{lanes.sum():,} of {len(lanes):,} lanes failed: {why}, at {_name(group['b'])} = {named}"
 
 
 # ---- as a table

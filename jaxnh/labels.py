@@ -8,11 +8,15 @@ _SYMBOLS = {"x1": "$x_1$", "x2": "$x_2$", "y1": "$y_1$", "y2": "$y_2$", "b": "$b
 
 
 def first_pair(data: xr.Dataset) -> tuple[str, str]:
-    """Names of the first position and its velocity, which is the one that says of what it is the rate."""
+    """Names of the first position and its velocity, which is the one that says of what it is the rate.
+
+    The position that a section is of says nothing, as it is the same in all points.
+    """
     for name, variable in data.data_vars.items():
         _, rate, position = str(variable.attrs.get("long_name", "")).partition(" = d")
-        if rate:
-            return str(data[position.removesuffix("/dt")].name), str(name)
+        position = position.removesuffix("/dt")
+        if rate and position != data.attrs.get("section_coordinate"):
+            return str(data[position].name), str(name)
     raise KeyError("no position and velocity")
 
 

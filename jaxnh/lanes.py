@@ -110,9 +110,7 @@ class Lanes:
         Returns:
             The function's results as NumPy arrays with the lanes as first axis.
         """
-        most = [part.most_lanes for part in shared if isinstance(part, Strobe) and part.most_lanes]
-        tile = min(tile or self.tile, *most) if most else tile or self.tile
-        chunk = tile * len(self.devices)
+        chunk = self._tile(shared, tile) * len(self.devices)
         lanes = jax.tree.map(np.asarray, lanes)
         count = len(jax.tree.leaves(lanes)[0])
         results = []
@@ -126,6 +124,25 @@ class Lanes:
             self.lane_periods += done
             self._progress.advance(done)
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *results)
+
+    def program(
+        self,
+        function: Callable[..., Any],
+        shared: tuple[Any, ...],
+        lanes: Any,
+        static: tuple[Any, ...] = (),
+        tile: int | None = None,
+    ) -> tuple[str, int]:
+        """The compiled program that such a call runs, as text, and the lanes of a tile in it."""
+        tile = self._tile(shared, tile)
+        chunk = tile * len(self.devices)
+        part = jax.tree.map(lambda leaf: _padded(np.asarray(leaf)[:chunk], chunk), lanes)
+        return self._program(function, static, shared, part).as_text(), tile
+
+    def _tile(self, shared: tuple[Any, ...], tile: int | None) -> int:
+        """Lanes a tile: as many as asked for, and no more than the maps in it are good for."""
+        most = [part.most_lanes for part in shared if isinstance(part, Strobe) and part.most_lanes]
+        return min(tile or self.tile, *most) if most else tile or self.tile
 
     def _program(self, function: Callable[..., Any], static: tuple[Any, ...], shared: Any, lanes: Any) -> Any:
         shapes = jax.tree.map(lambda leaf: (np.shape(leaf), np.result_type(leaf)), (shared, lanes))

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import abc
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.mechanics import NonholonomicSystem
+from jaxnh.sectioned import SectionedFlow
 from jaxnh.systems import IsokineticParticle
 
-System = IsokineticParticle | NonholonomicSystem
+System = IsokineticParticle | NonholonomicSystem | SectionedFlow
 """Systems have the same section: `dimension`, `exponents`, `chart`, `unchart`, `wrap` and so on."""
+
+
+def swept_name(system: System) -> str:
+    """Name of the parameter that differs from lane to lane."""
+    return system.sweeps.rsplit(" ", 1)[-1]
 
 
 class Tangent(NamedTuple):
@@ -32,7 +38,7 @@ class Pushed(NamedTuple):
     Attributes:
         state: the state later.
         tangents: the tangents later, in the order given.
-        volume: determinant of the derivative of the section coordinates (x1, y1, θ): exp(−∫ n·F/s dt).
+        volume: determinant of the derivative of the section coordinates, of (x1, y1, θ) exp(−∫ n·F/s dt).
     """
 
     state: Any
@@ -45,8 +51,10 @@ class Strobe(eqx.Module):
 
     system: eqx.AbstractVar[Any]
 
-    most_lanes: ClassVar[int | None] = None
-    """Lanes a tile at most, where more would be slower."""
+    @property
+    def most_lanes(self) -> int | None:
+        """Lanes a tile at most, where more would be slower."""
+        return None
 
     @abc.abstractmethod
     def __call__(self, state: Any, b: ArrayLike) -> Any:
@@ -55,3 +63,7 @@ class Strobe(eqx.Module):
     @abc.abstractmethod
     def push(self, state: Any, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
         """The state and any number of tangents one strobe period later, exact derivatives of `__call__`."""
+
+    def stretched(self, factor: ArrayLike) -> Strobe:
+        """The map over so many times the time, of a system without a clock; of maps of one step alone."""
+        raise NotImplementedError

@@ -7,7 +7,7 @@ constraints as well: in the 2k coordinates and velocities the map has m multipli
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -39,7 +39,14 @@ class MarchedStrobe(Strobe):
     grid: ArrayLike
     steps: ArrayLike
 
-    most_lanes: ClassVar[int | None] = 32  # a step carries all its stages: more lanes do not fit a core's first cache
+    @property
+    def most_lanes(self) -> int | None:
+        """A step carries all its stages: more lanes do not fit a core's first cache."""
+        return 32
+
+    def stretched(self, factor: ArrayLike) -> MarchedStrobe:
+        """The map over so many times the time, of a system without a clock."""
+        return MarchedStrobe(self.system, self.solver, self.grid * factor, self.steps)
 
     def __call__(self, state: Motion, b: ArrayLike) -> Motion:
         solver, terms = Projected(self.solver, self.system), diffrax.ODETerm(self.system.vector_field)

@@ -267,9 +267,13 @@ class NonholonomicSystem(eqx.Module):
         return tuple(i for i, left_out in enumerate(self.ignorable) if not left_out)
 
     @property
-    def signal(self) -> int:
-        """Number of the coordinate that stands for a motion where one is enough: the first of the section."""
-        return self.kept[0]
+    def autonomous(self) -> bool:
+        """Whether there is no clock: of T, Q and f it is not known, and one is taken to be there."""
+        return False
+
+    def signal(self, state: Motion) -> Any:
+        """The coordinate that stands for a motion where one is enough: the first of the section."""
+        return state.q[self.kept[0]]
 
     @property
     def dimension(self) -> int:

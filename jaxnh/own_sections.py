@@ -142,7 +142,10 @@ def with_own_systems(schema: dict[str, Any]) -> dict[str, Any]:
     file = {"description": OwnParameters.model_fields["file"].description, "type": "string"}
     parameter = {"description": "A parameter of the system", "type": "number"}
     start = {"description": "A coordinate NAME, or a velocity NAME_dot", "type": "number"}
-    values = {"description": "Start, stop and count, or values", "oneOf": kinds["Sweep"]["properties"]["b"]["oneOf"]}
+    values = {
+        "description": "Start, stop and count, or values",
+        "oneOf": [{"$ref": f"#/$defs/{kind}"} for kind in ("Evenly", "Named")],
+    }
     own = {
         "OwnSystem": numbers("A user's file, and its parameters", parameter)
         | {"properties": {"file": file}, "required": ["file"]},

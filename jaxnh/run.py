@@ -240,7 +240,7 @@ class Run:
                 print(f"warning: {warning}", file=sys.stderr)
         self._say(
             f"{job.solver} in {self._experiment.precision}, {job.steps} steps a period, "
-            f"error of one period {job.error_estimate:.1e}; "
+            f"error of one {'return' if self._experiment.autonomous else 'period'} {job.error_estimate:.1e}; "
             f"{total.lane_periods:,.0f} lane-periods"
         )
         now = time.perf_counter() - self._began

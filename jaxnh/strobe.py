@@ -19,15 +19,19 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from jaxnh.event import EventStrobe, SteppedStrobe
 from jaxnh.grids import GRID_POINTS, share_of_steps, step_grid
 from jaxnh.maps import Pushed, Strobe, System, Tangent
-from jaxnh.marched import marched
+from jaxnh.marched import MarchedStrobe, marched
 from jaxnh.mechanics import NonholonomicSystem
-from jaxnh.solvers import IsokineticSplitting, Solver, half_turn, kick
+from jaxnh.sectioned import Flow, SectionedFlow
+from jaxnh.solvers import IsokineticSplitting, Solver, WrittenOutRungeKutta, half_turn, kick
 from jaxnh.systems import IsokineticParticle, State, Vector
 from jaxnh.tables import cut_table, kick_table, processed_table
 
 _SMALLEST_TABLE = 1024
+_SMALLEST_STEP = 64  # kicks of a step: as many as any splitting has, so that all run through one program
+_LONGEST_RETURN = 1000.0  # time without a crossing after which a lane has failed
 
 
 class _Carry(NamedTuple):
@@ -46,7 +50,8 @@ class KickStrobe(Strobe):
 
     Attributes:
         system: the flow.
-        table: (capacity, 3), a row a kick: drift before it, its length over the speed, and that times the forcing.
+        table: (capacity, 3), a row a kick: drift before it, its length over the speed, and that times the forcing; two
+            numbers a row without forcing.
         kicks: number of rows that are in use.
         rest: drift after the last kick.
         compensated: whether q and n are summed with compensation (Kahan, Comm. ACM 8 (1965) 40), which lowers the
@@ -83,7 +88,7 @@ class KickStrobe(Strobe):
 
         def advance(entry: Array, carry: tuple[_Carry, tuple[Vector, ...], Array]) -> Any:
             after, slopes = _one_loop(partial(kick, entry), carry[0])
-            return after, *_one_loop(partial(move, entry[3]), after.n, slopes, *carry[1:])
+            return after, *_one_loop(partial(move, entry[table.shape[1]]), after.n, slopes, *carry[1:])
 
         table = jnp.asarray(self.table)
         drift_after = jnp.roll(table[:, 0], -1).at[self.kicks - 1].set(self.rest)
@@ -103,13 +108,13 @@ class KickStrobe(Strobe):
         if self.compensated:
             return self._kick_compensated(entry, carry, b)
         q = _along(carry.q, carry.n, entry[0])
-        return _Carry(q, kick(carry.n, self.system.force(q, entry[2], entry[1], b), half_turn), None)
+        return _Carry(q, kick(carry.n, self.system.force(q, self._forcing(entry), entry[1], b), half_turn), None)
 
     def _kick_compensated(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
         # In the plane n' − n = 2 N (n × f) J m / (m·m) with J the quarter turn: small, and free of cancellation.
         assert carry.lost is not None
         q, q_lost = _add_compensated(carry.q, carry.lost[0], tuple(ni * entry[0] for ni in carry.n))
-        n, f = carry.n, self.system.force(q, entry[2], entry[1], b)
+        n, f = carry.n, self.system.force(q, self._forcing(entry), entry[1], b)
         top, bottom = half_turn(f[0] * f[0] + f[1] * f[1])
         m = tuple(ni * bottom + fi * top for ni, fi in zip(n, f, strict=True))
         turn = 2.0 * top * _cross(n, f) / (m[0] * m[0] + m[1] * m[1])
@@ -122,7 +127,7 @@ class KickStrobe(Strobe):
         With the bisector m = D n + N f, θ' = 2 arg m − θ. So ∂θ'/∂θ = 2 D (m·n)/(m·m) − 1, and of the force
         ∂θ'/∂f = (2 N J m + 4 (N' D − N D') (n × f) f)/(m·m), J the quarter turn and ' the derivative in z = f·f.
         """
-        f = self.system.force(q, entry[2], entry[1], b)
+        f = self.system.force(q, self._forcing(entry), entry[1], b)
         z = f[0] * f[0] + f[1] * f[1]
         (top, bottom), (top_rate, bottom_rate) = jax.jvp(half_turn, (z,), (jnp.ones_like(z),))
         m = tuple(ni * bottom + fi * top for ni, fi in zip(n, f, strict=True))
@@ -133,8 +138,11 @@ class KickStrobe(Strobe):
         across = twice * top
         along = (twice + twice) * _cross(n, f) * (top_rate * bottom - top * bottom_rate)
         by_force = along * f[0] - across * m[1], along * f[1] + across * m[0]
-        rows = self.system.force_pullback(q, entry[2], entry[1], b, by_force)
+        rows = self.system.force_pullback(q, self._forcing(entry), entry[1], b, by_force)
         return (half + half - length) * scale, *(rows if in_b else rows[:2])
+
+    def _forcing(self, entry: Array) -> Array:
+        return entry[2] if self.system.forced else entry[1]
 
     def _begin(self, state: State) -> _Carry:
         return _Carry(*state, jax.tree.map(jnp.zeros_like, state) if self.compensated else None)
@@ -145,6 +153,10 @@ class KickStrobe(Strobe):
         # A kick mirrors n and so keeps whatever rounding has made of |n|: one step of Newton for 1/|n| a period.
         scale = 1.5 - 0.5 * sum(ni * ni for ni in n)
         return q, tuple(scale * ni for ni in n)
+
+    def stretched(self, factor: ArrayLike) -> KickStrobe:
+        """The map over so many times the time, of a system without a clock."""
+        return KickStrobe(self.system, self.table * factor, self.kicks, self.rest * factor, self.compensated)
 
     def _run(self, advance: Callable[[Array, Any], Any], table: Array, carry: Any) -> Any:
         return lax.fori_loop(0, self.kicks, lambda i, carry: advance(table[i], carry), carry)
@@ -248,14 +260,20 @@ def make_strobe(
     compensated: bool = False,
     span: tuple[float, float] | None = None,
 ) -> Strobe:
-    """The strobe map of a system under a solver with so many steps a period.
+    """The strobe map of a system under a solver with so many steps a period; of a flow on a section, its return map.
 
     Args:
-        compensated: lower the rounding floor of a splitting; Runge–Kutta methods ignore it.
+        compensated: lower the rounding floor of a splitting; Runge–Kutta methods and maps without a clock ignore it.
         span: times (t0, t1) of another stretch than the period from 0, for a map over part of a period or a strobe at
             another phase; it gets its share of the steps, at least one.
     """
+    if isinstance(system, SectionedFlow):
+        most = math.ceil(_LONGEST_RETURN * steps / system.period)
+        return EventStrobe(system, _unit_step(system.flow, solver), system.period / steps, np.int32(most))
     t0, t1 = span or (0.0, system.period)
+    if system.autonomous:
+        steps = max(1, math.ceil(steps * (t1 - t0) / system.period - 1e-6))
+        return _equal_steps(system, solver, steps, t1 - t0)
     steps = max(1, math.ceil(steps * share_of_steps(system, (t0, t1)) - 1e-6))
     if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle) and solver.processor[1]:
         table = processed_table(system, solver, steps, (t0, t1), smallest=_SMALLEST_TABLE)
@@ -266,18 +284,38 @@ def make_strobe(
     return _solved(system, solver, grid)
 
 
-def _solved(system: System, solver: Solver, grid: np.ndarray) -> Strobe:
+def _solved(system: Flow, solver: Solver, grid: np.ndarray) -> Strobe:
     """The map, or stacked maps, of a Runge–Kutta method over a grid (..., steps + 1)."""
     if isinstance(system, NonholonomicSystem):
         return marched(system, solver, grid)
     return SolveStrobe(system, solver, grid)
 
 
-def make_parts(system: System, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> Strobe:
+def _unit_step(flow: Flow, solver: Solver) -> Strobe:
+    """One step as long as the unit of time, of a system without a clock."""
+    grid = np.array([0.0, 1.0])
+    if isinstance(solver, IsokineticSplitting) and isinstance(flow, IsokineticParticle):
+        return KickStrobe(flow, *kick_table(flow, solver, grid, smallest=_SMALLEST_STEP))
+    if isinstance(flow, NonholonomicSystem) and isinstance(solver, WrittenOutRungeKutta):
+        return MarchedStrobe(flow, solver, grid, np.int32(1))
+    raise TypeError(f"{solver.name} has no steps of its own for a system without a clock")
+
+
+def _equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: int = 0) -> SteppedStrobe:
+    """So many equal steps over a length of time, or the same in every one of so many parts."""
+    strobe = SteppedStrobe(flow, _unit_step(flow, solver).stretched(length / steps), np.int32(steps))
+    if not parts:
+        return strobe
+    return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], parts, axis=0), strobe)
+
+
+def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> Strobe:
     """The maps over so many equal parts of a period, one after the other, as one pytree for `lax.scan`.
 
     Every leaf has the parts as first axis. No step is longer than those of the whole period's map with `steps` steps.
     """
+    if system.autonomous:
+        return _equal_steps(system, solver, max(1, math.ceil(steps / parts - 1e-6)), system.period / parts, parts)
     fine = step_grid(system, GRID_POINTS, (0.0, system.period))
     share = np.linspace(0.0, 1.0, GRID_POINTS + 1)
     ends = np.linspace(0.0, system.period, parts + 1)
@@ -293,13 +331,15 @@ def make_parts(system: System, solver: Solver, steps: int, parts: int, *, compen
     return _solved(many, solver, grid)
 
 
-def cut_strobe(system: System, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> Strobe:
+def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> Strobe:
     """The strobe map cut into so many maps of equally many steps, stacked as by `make_parts`.
 
     The parts differ in length, and together have the least multiple of `parts` from `steps` on as steps. A processed
     solver's processor stands at the ends of the first and of the last alone.
     """
     each = -(-steps // parts)
+    if system.autonomous:
+        return _equal_steps(system, solver, each, system.period / parts, parts)
     many = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
     if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle) and solver.processor[1]:
         table = processed_table(system, solver, each * parts, (0.0, system.period))

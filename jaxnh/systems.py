@@ -10,6 +10,7 @@ damping −a dx/dt, which therefore appears nowhere.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, ClassVar
 
@@ -52,37 +53,58 @@ def wrap(difference: Any) -> Any:
 class IsokineticParticle(eqx.Module):
     """Forced coupled oscillator (1) whose squared speed is held at c + d sin t: equations (12) and (22).
 
-    Phase space is (x1, y1, n) and time: three dimensions and a clock. Lanes differ in b; a, c, d and ω are shared.
+    Phase space is (x1, y1, n) and time: three dimensions and a clock, or none without forcing and disturbance. Lanes
+    differ in b or in a; all else is shared. An effect that is left out is no part of any program.
 
     Attributes (all real, no units: the paper's equations are dimensionless):
         a: linear stiffness of x1 and cubic stiffness of y1 (and damping, which the constraint absorbs).
         c: mean squared speed, c > |d|.
         d: amplitude of the disturbance of the squared speed; 0 gives (12).
         omega: angular frequency of the forcing g(t) = 1 + sin ωt, ω > 0.
+        b: coupling where all lanes have the same, else None.
+        swept: the parameter that differs from lane to lane, "b" or "a".
+        without: effects that are left out, of `EFFECTS`.
     """
 
     a: ArrayLike
     c: float = eqx.field(static=True)
     d: float = eqx.field(static=True)
     omega: float = eqx.field(static=True)
+    b: ArrayLike | None = None
+    swept: str = eqx.field(static=True, default="b")
+    without: frozenset[str] = eqx.field(static=True, default=frozenset())
 
     dimension: ClassVar[int] = 3
     """Coordinates of the section: (x1, y1, θ)."""
-    signal: ClassVar[int] = 0
-    """Number of the position that stands for a motion where one is enough."""
     exponents: ClassVar[int] = 3
     """Lyapunov exponents of motions that keep the constraint."""
-    sweeps: ClassVar[str] = "coupling b"
-    """What differs from lane to lane, in words and with its symbol."""
+
+    @property
+    def sweeps(self) -> str:
+        """What differs from lane to lane, in words and with its symbol."""
+        return SWEEPS[self.swept]
+
+    @property
+    def forced(self) -> bool:
+        """Whether there is a forcing."""
+        return "forcing" not in self.without
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether there is no clock: neither forcing nor disturbance."""
+        return not self.forced and not self.d
 
     @property
     def period(self) -> float:
-        """Strobe period T: that of the forcing, or its least common period with the disturbance sin t."""
-        return strobe_period(self.omega, disturbed=self.d != 0)
+        """Strobe period T: of the forcing, of the disturbance sin t, or the least common one of both.
+
+        Without a clock it is the unit that lengths of time are counted in, 2π/ω.
+        """
+        return strobe_period(self.omega if self.forced or not self.d else 1.0, disturbed=self.d != 0)
 
     def forcing(self, t: Any) -> Any:
-        """g(t) = 1 + sin ωt, any shape."""
-        return 1.0 + _namespace(t).sin(self.omega * t)
+        """g(t) = 1 + sin ωt, any shape; 1 without forcing."""
+        return 1.0 + _namespace(t).sin(self.omega * t) if self.forced else _namespace(t).ones_like(t)
 
     def speed(self, t: Any) -> Any:
         """s(t) = √(c + d sin t), any shape."""
@@ -97,23 +119,50 @@ class IsokineticParticle(eqx.Module):
         nodes = 0.5 * (t0 + t1)[..., None] + half[..., None] * _GAUSS_NODES
         return half * (self.speed(nodes) * _GAUSS_WEIGHTS).sum(axis=-1)
 
-    def force(self, q: Vector, g: ArrayLike, weight: ArrayLike, b: ArrayLike) -> Vector:
+    def force(self, q: Vector, g: ArrayLike, weight: ArrayLike, lane: ArrayLike) -> Vector:
         """Applied force without damping, times a weight: −weight (g a x + g x³ − b y, g y + g a y³ − b x).
 
-        `g` is the forcing times the weight and `weight` the weight alone, as both come ready-made from tables.
+        `g` is the forcing times the weight and `weight` the weight alone, as both come ready-made from tables; without
+        forcing `g` is not looked at. `lane` is the lane's own parameter.
         """
-        x, y = q
-        return weight * (b * y) - g * x * (self.a + x * x), weight * (b * x) - g * y * (1.0 + self.a * (y * y))
+        a, b = self._stiffness_and_coupling(lane)
 
-    def force_pullback(self, q: Vector, g: ArrayLike, weight: ArrayLike, b: ArrayLike, p: Vector) -> Vector:
-        """Derivatives of p·F, with F as in `force` and p held, in (x1, y1, b): the row p ∂F/∂(x1, y1, b)."""
+        def along(z: Any, other: Any, stiffness: Callable[[], Any]) -> Any:
+            pull = None if b is None else weight * (b * other) if self.forced else b * other
+            spring = g * z if self.forced else z
+            if (k := stiffness()) is not None:
+                spring = spring * k
+            total = -spring if pull is None else pull - spring
+            return total if self.forced else weight * total
+
         x, y = q
-        xx, ayy = x * x, self.a * (y * y)
-        return (
-            weight * (b * p[1]) - p[0] * (g * (self.a + xx + (xx + xx))),
-            weight * (b * p[0]) - p[1] * (g * (1.0 + ayy + (ayy + ayy))),
-            weight * (p[0] * y + p[1] * x),
-        )
+        if "cubic_stiffness" in self.without:
+            return along(x, y, lambda: a), along(y, x, lambda: None)
+        return along(x, y, lambda: a + x * x), along(y, x, lambda: 1.0 + a * (y * y))
+
+    def force_pullback(self, q: Vector, g: ArrayLike, weight: ArrayLike, lane: ArrayLike, p: Vector) -> Vector:
+        """Derivatives of p·F, with F as in `force` and p held, in (x1, y1) and the lane's parameter: a row of three."""
+        x, y = q
+        a, b = self._stiffness_and_coupling(lane)
+        scale, cubic = g if self.forced else weight, "cubic_stiffness" not in self.without
+        xx, ayy = (x * x, a * (y * y)) if cubic else (0.0, 0.0)
+
+        def along(i: int, k: Any, square: Any) -> Any:
+            pull = None if b is None else weight * (b * p[1 - i])
+            slope = k + square + (square + square) if cubic else k
+            spring = p[i] * (scale if slope is None else scale * slope)
+            return -spring if pull is None else pull - spring
+
+        by_x, by_y = along(0, a, xx), along(1, 1.0 if cubic else None, ayy)
+        if self.swept == "b":
+            return by_x, by_y, weight * (p[0] * y + p[1] * x)
+        by_a = p[0] * x + p[1] * (y * (y * y)) if cubic else p[0] * x
+        return by_x, by_y, -(scale * by_a)
+
+    def _stiffness_and_coupling(self, lane: ArrayLike) -> tuple[Any, Any]:
+        """a and b of a lane; b is None without coupling."""
+        a, b = (self.a, lane) if self.swept == "b" else (lane, self.b)
+        return a, None if "coupling" in self.without else b
 
     def vector_field(self, t: ArrayLike, state: State, b: ArrayLike) -> State:
         """Time derivative (q', n'); shapes (...,) in and out."""
@@ -172,6 +221,10 @@ class IsokineticParticle(eqx.Module):
         n, dn = state[1], tangent[1]
         return *tangent[0], n[0] * dn[1] - n[1] * dn[0]
 
+    def signal(self, state: State) -> Any:
+        """The position that stands for a motion where one is enough."""
+        return state[0][0]
+
     def random_states(self, draws: np.ndarray, box: float, b: np.ndarray) -> State:
         """Start states of even draws (lanes, 3) from [−1, 1]: x1 and y1 in [−box, box] and any direction."""
         angle = np.pi * draws[:, 2]
@@ -198,6 +251,12 @@ def _namespace(t: Any) -> Any:
     return np if isinstance(t, np.ndarray) else jnp
 
 
+EFFECTS = ("forcing", "coupling", "cubic_stiffness", "damping")
+"""What can be left out of a system; the disturbance is left out by d = 0, the constraint by another system."""
+SWEEPS = {"b": "coupling b", "a": "stiffness a"}
+"""What can differ from lane to lane, in words and with its symbol."""
+
+
 def strobe_period(omega: float, *, disturbed: bool) -> float:
     """2π/ω, or with the disturbance sin t the least T that is a multiple of both 2π/ω and 2π.
 
@@ -216,14 +275,16 @@ def strobe_period(omega: float, *, disturbed: bool) -> float:
     return 2 * math.pi * ratio.denominator
 
 
-def constant_speed(a: float = 0.5, c: float = 1.0, omega: float = 1.0) -> IsokineticParticle:
-    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1)."""
-    return IsokineticParticle(a=a, c=c, d=0.0, omega=omega)
+def constant_speed(a: float = 0.5, c: float = 1.0, omega: float = 1.0, **others: Any) -> IsokineticParticle:
+    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1); others are its fields."""
+    return IsokineticParticle(a=a, c=c, d=0.0, omega=omega, **others)
 
 
-def disturbed_speed(a: float = 0.5, c: float = 1.0, d: float = 0.1, omega: float = 1.0) -> IsokineticParticle:
-    """x2² + y2² = c + d sin t: equation (22) of the paper (figures 6–10, table 2)."""
-    return IsokineticParticle(a=a, c=c, d=d, omega=omega)
+def disturbed_speed(
+    a: float = 0.5, c: float = 1.0, d: float = 0.1, omega: float = 1.0, **others: Any
+) -> IsokineticParticle:
+    """x2² + y2² = c + d sin t: equation (22) of the paper (figures 6–10, table 2); others are its fields."""
+    return IsokineticParticle(a=a, c=c, d=d, omega=omega, **others)
 
 
 def constrained_field(system: IsokineticParticle, t: ArrayLike, y: Vector, b: ArrayLike) -> Vector:

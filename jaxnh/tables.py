@@ -12,7 +12,7 @@ from jaxnh.solvers import IsokineticSplitting
 from jaxnh.systems import IsokineticParticle
 
 Table = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Rows (..., capacity, 3) as `KickStrobe.table` has them, how many are in use (...,), and the last drift (...,)."""
+"""Rows (..., capacity, 3, without forcing 2) for `KickStrobe`, how many are in use, and the last drift (...,)."""
 
 
 def kick_table(
@@ -22,8 +22,8 @@ def kick_table(
     rows = solver.schedule(system, grid[..., :-1], grid[..., 1:])
     before = np.array(rows.drift[..., :-1])
     before[..., 1:, 0] += rows.drift[..., :-1, -1]
-    kicks = np.stack([before, rows.weight, rows.forcing], axis=-1)
-    kicks = kicks.reshape(*grid.shape[:-1], -1, 3)
+    kicks = np.stack([before, rows.weight, *([rows.forcing] if system.forced else [])], axis=-1)
+    kicks = kicks.reshape(*grid.shape[:-1], -1, kicks.shape[-1])
     return _table(kicks, np.asarray(rows.drift[..., -1, -1]), max(smallest, kicks.shape[-2]))
 
 
@@ -48,7 +48,7 @@ def processed_table(
     weight = step[..., None] * length * grid.rate(t) / system.speed(t)
     nodes = np.concatenate([t0[..., None], t, t1[..., None]], axis=-1)
     drift = np.asarray(system.path_length(nodes[..., :-1], nodes[..., 1:]))
-    kicks = np.stack([drift[..., :-1], weight, system.forcing(t) * weight], axis=-1)
+    kicks = np.stack([drift[..., :-1], weight, *([system.forcing(t) * weight] if system.forced else [])], axis=-1)
     return _table(kicks, drift[..., -1], max(smallest, kicks.shape[-2]))
 
 
@@ -61,15 +61,15 @@ def cut_table(whole: Table, parts: int, kicks: int) -> Table:
     cuts = (int(count) - parts * kicks) // 2 + kicks * np.arange(parts + 1)
     cuts[0], cuts[-1] = 0, count
     counts = np.diff(cuts)
-    table = np.zeros((parts, 1 << (int(counts.max()) - 1).bit_length(), 3))
+    table = np.zeros((parts, 1 << (int(counts.max()) - 1).bit_length(), rows.shape[-1]))
     for i, (first, after) in enumerate(itertools.pairwise(cuts)):
         table[i, : after - first] = rows[first:after]
     return table, counts.astype(np.int32), np.append(np.zeros(parts - 1), rest)
 
 
 def _table(kicks: np.ndarray, rest: np.ndarray, capacity: int) -> Table:
-    """Kicks (..., count, 3) in a table whose capacity is a power of two."""
-    count = kicks.shape[-2]
-    table = np.zeros((*kicks.shape[:-2], 1 << (capacity - 1).bit_length(), 3))
+    """Kicks (..., count, columns) in a table whose capacity is a power of two."""
+    count, columns = kicks.shape[-2:]
+    table = np.zeros((*kicks.shape[:-2], 1 << (capacity - 1).bit_length(), columns))
     table[..., :count, :] = kicks
     return table, np.full(rest.shape, count, np.int32), rest

@@ -72,10 +72,8 @@ def numbers_of(analyses: Sequence[tuple[Any, Options]]) -> int:
 
 def scene_of_job(experiment: Experiment, job: Job) -> Scene:
     """The scene that a job has decided on, with all values of b."""
-    system = experiment.system.build()
     return Scene(
-        system,
-        experiment.initial.state(system),
+        *experiment.system_and_start(),
         experiment.sweep.grid(),
         SOLVERS[job.solver],
         job.steps,

@@ -196,6 +196,80 @@ def spectra(par, b, states, transient, periods, parts=8, tol=1e-11):
     return logs / (periods * float(par.period))
 
 
+# Without a clock
+
+
+def still_flow(constrained, cubic, coupled, damped):
+    """The variables and equations without forcing, par[0..2] are b, a, c: (x, y, th) at speed √c, or (x, y, u, v) free."""
+    x, y, th, u, v = hy.make_vars("x", "y", "th", "u", "v")
+    b, a, c = (hy.par[i] for i in range(3))
+    f1 = -x * (a + x * x) if cubic else -a * x
+    f2 = -y * (1.0 + a * (y * y)) if cubic else -y
+    if coupled:
+        f1, f2 = f1 + b * y, f2 + b * x
+    if constrained:
+        s, cos, sin = hy.sqrt(c), hy.cos(th), hy.sin(th)
+        return [(x, s * cos), (y, s * sin), (th, (cos * f2 - sin * f1) / s)]
+    if damped:
+        f1, f2 = f1 - a * u, f2 - a * v
+    return [(x, u), (y, v), (u, f1), (v, f2)]
+
+
+def crossings(
+    state, b, number, count, *, a=0.5, c=1.0, direction=1, constrained=True, cubic=True, coupled=True, damped=True
+):
+    """Where a motion from a state (d,) first passes zero in a position upwards (1), downwards (−1) or both (0).
+
+    The `count` first states with their times, (count, d + 1). Without a constraint c and a state of three are not used.
+    """
+    equations = still_flow(constrained, cubic, coupled, damped)
+    way = {1: hy.event_direction.positive, -1: hy.event_direction.negative, 0: hy.event_direction.any}[direction]
+    found = []
+    event = hy.nt_event(equations[number][0], lambda ta, t, d: found.append(t), direction=way, fp_type=REAL)
+    start = np.asarray(state, dtype=REAL)
+    used = np.array([b, a, c], dtype=REAL)[: 3 if constrained else 2]
+    ta = hy.taylor_adaptive(equations, start, pars=used, fp_type=REAL, nt_events=[event])
+    while len(found) < count:
+        if ta.step()[0] != hy.taylor_outcome.success or ta.time > 1000:
+            raise ArithmeticError(f"{len(found)} crossings up to t = {ta.time}")
+    ta = hy.taylor_adaptive(equations, start, pars=used, fp_type=REAL)
+    points = []
+    for t in found[:count]:
+        ta.propagate_until(t)
+        points.append([*ta.state, t])
+    return np.array(points, dtype=REAL)
+
+
+def still_exponents(states, b, duration, transient=200.0, a=0.5, c=1.0, tol=1e-11):
+    """The largest exponent (lanes,) at constant speed without forcing, from states (lanes, 3), averaged over a time.
+
+    Variational equations in float64; the tangent is kept across the flow, along which the exponent is zero.
+    """
+    equations = still_flow(True, True, True, True)
+    lanes = len(states)
+    system = hy.var_ode_sys(equations, [variable for variable, _ in equations], order=1)
+    ta = hy.taylor_adaptive_batch(system, np.zeros((3, lanes)), pars=np.zeros((3, lanes)), tol=tol, compact_mode=True)
+    ta.pars[:] = np.broadcast_to(np.array([b, a, c], float)[:, None], (3, lanes))
+    ta.state[:3] = np.asarray(states, float).T
+    tangent, logs = np.tile([1.0, 0.3, -0.2], (lanes, 1)), np.zeros(lanes)
+    for i in range(math.ceil(transient + duration)):
+        ta.set_time(0.0)
+        ta.state[3:] = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, lanes)).reshape(9, lanes)
+        ta.propagate_until(1.0)
+        tangent = np.einsum("ijl,lj->li", ta.state[3:].reshape(3, 3, lanes), tangent)
+        x, y, th = ta.state[:3]
+        s, cos, sin = math.sqrt(c), np.cos(th), np.sin(th)
+        f1, f2 = b * y - x * (a + x * x), b * x - y * (1.0 + a * y * y)
+        along = np.stack([s * cos, s * sin, (cos * f2 - sin * f1) / s], axis=-1)
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        tangent -= (tangent * along).sum(axis=1, keepdims=True) * along
+        size = np.linalg.norm(tangent, axis=1)
+        tangent /= size[:, None]
+        if i >= transient:
+            logs += np.log(size)
+    return logs / duration
+
+
 # Periodic orbits
 
 

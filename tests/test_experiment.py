@@ -228,10 +228,10 @@ FAULTS = {
     "unknown key, nested": (("  a: 0.5", "  omga: 0.5"), "FILE:5: system.omga: unknown key (did you mean omega?)"),
     "known keys": (
         ("  a: 0.5", "  mass: 0.5"),
-        "FILE:5: system.mass: unknown key; known keys are constraint, a, c, d, omega",
+        "FILE:5: system.mass: unknown key; known keys are constraint, a, b, omega, without, c, d",
     ),
     "unknown key of the sweep": (("    count: 64", "    counts: 64"), "FILE:15: sweep.b.counts: unknown key (did you"),
-    "unknown parameter": (("\n  b:\n", "\n  beta:\n"), "FILE:12: sweep.beta: unknown key; the only known key is b"),
+    "unknown parameter": (("\n  b:\n", "\n  beta:\n"), "FILE:12: sweep.beta: unknown key; known keys are b, a"),
     "unknown analysis": (
         ("  doubling:", "  doublings:"),
         "FILE:19: analyses.doublings: unknown key (did you mean doubl",
@@ -239,7 +239,7 @@ FAULTS = {
     "unknown option": (("levels: 3", "level: 3"), "FILE:20: analyses.doubling.level: unknown key (did you mean levels"),
     "unknown constraint": (
         ("disturbed_speed", "disturbd_speed"),
-        "FILE:4: system.constraint: must be one of constant_speed, disturbed_speed, not the text 'disturbd_speed'",
+        "FILE:4: system.constraint: must be one of constant_speed, disturbed_speed, free, not the text 'disturbd_speed'",
     ),
     "misspelt constraint": (
         ("constraint:", "constrain:"),
@@ -277,7 +277,7 @@ FAULTS = {
     "c below the default d": (("c: 1.0\n  d: 0.1", "c: 0.05"), "FILE:6: system.c: the speed vanishes"),
     "d at constant speed": (
         ("disturbed_speed", "constant_speed"),
-        "FILE:7: system.d: d does not go with constant_speed; known keys are constraint, a, c, omega",
+        "FILE:7: system.d: d does not go with constant_speed; known keys are constraint, a, b, omega, without, c",
     ),
     "no common period": (
         ("omega: 1.0", "omega: 1.4142135623730951"),
@@ -442,7 +442,7 @@ OVERRIDE_FAULTS = [
     ("system.omega=1.234567891", "system.omega: sin(1.23457 t) and the disturbance sin t have no common period"),
     ("initial.x2=3", "initial.x2: the speed at t = 0 is 1"),
     ("sytem.d=0.05", "sytem: unknown key (did you mean system?)"),
-    ("system.e=0.05", "system.e: unknown key; known keys are constraint, a, c, d, omega"),
+    ("system.e=0.05", "system.e: unknown key; known keys are constraint, a, b, omega, without, c, d"),
     ("analyses.lyapunow={}", "analyses.lyapunow: unknown key"),
     ("system={constraint: constant_speed, d: 0.1}", "system.d: d does not go with constant_speed"),
     ("system.constraint=constant_speed", "system.constraint: d does not go with constant_speed; known keys are"),

@@ -66,7 +66,7 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> Group:
 
 def _growth(strobe: Strobe, transient: Any, angles: Array, state: State, b: Any, count: int) -> Array:
     """K of one lane for every angle, (angles,)."""
-    signal = record(strobe, iterate(strobe, transient, state, b), b, count)[1][0][strobe.system.signal]
+    signal = strobe.system.signal(record(strobe, iterate(strobe, transient, state, b), b, count)[1])
     return growth_rates(without_period(signal), angles, jnp.mean(signal**2))
 
 

@@ -15,9 +15,10 @@ import numpy as np
 from jax import lax
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.poincare import coupling, spread, state_variables, strobe_states
+from jaxnh.analyses.poincare import coupling, section_attrs, spread, state_variables, strobe_states
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene
 from jaxnh.faults import rule
+from jaxnh.maps import swept_name
 from jaxnh.precision import in_precision
 from jaxnh.strobe import Strobe, iterate, make_strobe
 from jaxnh.systems import State
@@ -72,7 +73,9 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> Group:
     With `start: up` or `down` the last state at a value of b is the start state at the next.
     """
     count = len(scene.values)
-    label = f"diagram: {options.strobes} strobes at {count:,} values of b, start {options.start}"
+    label = (
+        f"diagram: {options.strobes} strobes at {count:,} values of {swept_name(scene.system)}, start {options.start}"
+    )
     dims = ("b", "strobe")
     with lanes.stage(label, periods(options, count)):
         if options.start == "random":
@@ -86,16 +89,16 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> Group:
             states = _in_turn(options, scene, lanes)
     t = np.array([options.phase * scene.system.period])
     variables = {"b": coupling(scene), **state_variables(scene.system, states, t, dims)}
-    return Group(variables, {"start": options.start, "phase": options.phase})
+    return Group(variables, {"start": options.start, "phase": options.phase, **section_attrs(scene)})
 
 
-def random_starts(options: DiagramOptions, scene: Scene, b: np.ndarray) -> State:
+def random_starts(options: DiagramOptions, scene: Scene, b: np.ndarray) -> Any:
     """Random states at t = 0, components (lanes,), for lanes with these b, so many starts at each value of the scene.
 
     A value of b has its states by its place in the sweep, however many values are asked for at once.
     """
     bits = np.random.PCG64(options.seed)
-    d = scene.system.dimension
+    d = scene.flow.dimension
     bits.advance(scene.first * options.starts * d)  # a draw of 64 bits a number
     draws = np.random.Generator(bits).uniform(-1.0, 1.0, (len(b), d))
     return scene.system.random_states(draws, options.box, b)

@@ -24,7 +24,7 @@ _SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: 
 _CANDIDATES = 64  # lanes of a multisection
 _CLOSER = 64  # lanes of a closer survey
 _CLOSER_TRIES = 4
-_SEGMENT_TILE = 32
+SEGMENT_TILE = 32
 _REFINEMENTS = (1, 2, 4)
 
 
@@ -160,13 +160,13 @@ def _walk(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: float, n: int) ->
     points = [u]
     for _ in range(n - 1):
         points.append(
-            lanes(section_map, (strobe, np.int32(1)), (points[-1][None], np.array([b])), tile=_SEGMENT_TILE)[0]
+            lanes(section_map, (strobe, np.int32(1)), (points[-1][None], np.array([b])), tile=SEGMENT_TILE)[0]
         )
     return np.array(points)
 
 
 def _segments(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, w: np.ndarray, b: np.ndarray) -> Any:
-    return lanes(segment, (strobe,), (u, w, b), tile=_SEGMENT_TILE)
+    return lanes(segment, (strobe,), (u, w, b), tile=SEGMENT_TILE)
 
 
 def _next_run(

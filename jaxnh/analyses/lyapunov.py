@@ -2,6 +2,9 @@
 
 The tangent flow is the exact derivative of the solver's own step. Tangents are orthonormalised by a written-out
 Gram–Schmidt several times a period (Benettin and co-workers 1980), as often as the contraction needs.
+
+Without a clock the flow carries its own direction along, whose exponent is zero unless the motion comes to rest: the
+tangents are those across it, one fewer, and no section is needed.
 """
 
 from __future__ import annotations
@@ -17,8 +20,9 @@ from jaxtyping import Array
 from pydantic import Field
 
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.maps import Strobe, System, Tangent
+from jaxnh.maps import Strobe, Tangent
 from jaxnh.precision import in_precision
+from jaxnh.sectioned import Flow as FlowSystem
 from jaxnh.strobe import cut_strobe, iterate
 from jaxnh.systems import IsokineticParticle, State, Vector
 
@@ -29,6 +33,7 @@ _MOST_PARTS = 1024
 _PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
 _WINDOWS = (1.0, 2.0)  # powers of the two windows of `window`; their difference is the error of the smooth average
+_AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
 _ROUNDING = 1e-10  # of a smooth average a period
 
 
@@ -47,9 +52,9 @@ class Flow(NamedTuple):
     Attributes:
         state: (q, n).
         tangents: k of d components each.
-        logs: k sums of the logarithms of the tangents' growth.
+        logs: k sums of the logarithms of the tangents' growth; without a clock, that along the flow before them.
         volume: sum of the logarithms of the growth of volume.
-        smooth: the same k + 1 sums over periods under two smooth windows, (2, k + 1) as tuples.
+        smooth: the same sums, of volume the last, over periods under two smooth windows, as tuples.
         loss: largest logarithm by which the last tangent shrank against the first in one part of a period.
     """
 
@@ -68,24 +73,27 @@ def periods(options: LyapunovOptions, lanes: int) -> float:
 
 def choose(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> dict[str, int]:
     """How many times a period tangents are orthonormalised, the same for all lanes of a sweep."""
-    return {"parts": _parts_needed(scene, lanes, min(options.exponents, scene.system.exponents))}
+    scene = scene.in_time()
+    return {"parts": _parts_needed(scene, lanes, _tangents(options, scene))}
 
 
 def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """The `exponents` largest exponents of every lane, their errors, and the sum rule where there are three."""
-    count, k = len(scene.values), min(options.exponents, scene.system.exponents)
+    scene = scene.in_time()
+    count, k, lead = len(scene.values), _tangents(options, scene), int(scene.flow.autonomous)
     parts = (scene.chosen.get("lyapunov") or choose(options, scene, lanes))["parts"]
-    strobes = _parts(scene, parts)
+    strobes = parts_of(scene, parts)
     aligning = options.transient // _ALIGNING
     settling = options.transient - aligning
     block = options.periods // _BLOCKS
     with lanes.stage(f"lyapunov: transient of {count} values", count * options.transient):
         state = jax.tree.map(lambda leaf: np.full(count, leaf, float), scene.start)
         state = lanes(iterate, (scene.strobe(), np.int32(settling)), (state, scene.values), periods=settling)
-        flow = lanes(_begin, (scene.system,), (state,), static=(k,))
+        flow = lanes(begin, (scene.system,), (state,), static=(k,))
         flow = _average(lanes, strobes, flow, scene.values, aligning)[0]
-    rates = np.full((count, _BLOCKS, k + 1), np.nan)
-    smooth = np.zeros((count, 2, k + 1))
+    sums = lead + k + 1
+    rates = np.full((count, _BLOCKS, sums), np.nan)
+    smooth = np.zeros((count, 2, sums))
     done = np.zeros(count, int)
     running = np.arange(count)
     with lanes.stage(f"lyapunov: averages of {count} values", count * options.periods):
@@ -98,22 +106,28 @@ def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> Group:
             done[running] += 1
             if options.error and i + 1 >= _BLOCKS // 4:
                 _, error = _statistics(rates[running, : i + 1])
-                running = running[~(np.max(error[:, :k], axis=1) < options.error)]
+                running = running[~(np.max(error[:, lead:-1], axis=1) < options.error)]
             if not len(running):
                 break
     period = scene.system.period
-    mean, error = np.empty((count, k + 1)), np.empty((count, k + 1))
+    mean, error = np.empty((count, sums)), np.empty((count, sums))
     for blocks in np.unique(done):
         chosen = done == blocks
         mean[chosen], error[chosen] = _statistics(rates[chosen, :blocks])
-    regular = (mean[:, 0] - error[:, 0] <= 0.0) & (done == _BLOCKS)
+    regular = (mean[:, lead] - error[:, lead] <= 0.0) & (done == _BLOCKS)
     mean[regular] = smooth[regular, 0]
     error[regular] = np.abs(smooth[regular, 0] - smooth[regular, 1]) + _ROUNDING
-    return _group(scene, mean / period, error / period, done * block, parts)
+    return _group(scene, mean / period, error / period, done * block, parts, min(options.exponents, lead + k))
 
 
-def _parts(scene: Scene, parts: int) -> Strobe:
-    strobe = cut_strobe(scene.system, scene.solver, scene.steps, parts, compensated=scene.compensated)
+def _tangents(options: LyapunovOptions, scene: Scene) -> int:
+    """How many tangents are carried: one for each exponent that is wanted and not known."""
+    return min(options.exponents, scene.flow.exponents - int(scene.flow.autonomous))
+
+
+def parts_of(scene: Scene, parts: int) -> Strobe:
+    """The maps between orthonormalisations, so many a period, stacked."""
+    strobe = cut_strobe(scene.flow, scene.solver, scene.steps, parts, compensated=scene.compensated)
     return in_precision(strobe, scene.precision)
 
 
@@ -129,8 +143,8 @@ def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> int:
     state = jax.tree.map(lambda leaf: np.full(len(picked), leaf, float), scene.start)
     parts = _PILOT_PARTS
     while True:
-        flow = lanes(_begin, (scene.system,), (state,), static=(k,))
-        flow, _ = _average(lanes, _parts(scene, parts), flow, picked, _PILOT_PERIODS)
+        flow = lanes(begin, (scene.system,), (state,), static=(k,))
+        flow, _ = _average(lanes, parts_of(scene, parts), flow, picked, _PILOT_PERIODS)
         loss = float(np.max(flow.loss, initial=0.0, where=np.isfinite(flow.loss)))
         if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
             break
@@ -147,30 +161,35 @@ def _average(
     """
     if not count:
         return flow, np.full((len(b), len(flow.logs) + 1), np.nan)
-    flow = lanes(_advance, (strobes, np.int32(count), np.float64(begun)), (flow, b), periods=count)
+    flow = lanes(advance, (strobes, np.int32(count), np.float64(begun)), (flow, b), periods=count)
     return flow, np.stack([*flow.logs, flow.volume], axis=-1) / count
 
 
-def _begin(system: System, state: State, k: int) -> Flow:
+def begin(system: FlowSystem, state: State, k: int) -> Flow:
     """A lane at a state with k tangents."""
     zero = jnp.zeros_like(state[0][0])
     tangents = jax.tree.map(lambda component: zero + component, system.directions(k))
-    return Flow(state, tangents, (zero,) * k, zero, ((zero,) * (k + 1),) * 2, zero)
+    sums = k + int(system.autonomous)
+    return Flow(state, tangents, (zero,) * sums, zero, ((zero,) * (sums + 1),) * 2, zero)
 
 
-def _advance(strobes: Strobe, count: Any, begun: Any, flow: Flow, b: Any) -> Flow:
+def advance(strobes: Strobe, count: Any, begun: Any, flow: Flow, b: Any) -> Flow:
     """One lane `count` periods on, its sums begun anew."""
     flow = Flow(flow.state, flow.tangents, *jax.tree.map(jnp.zeros_like, flow[2:]))
     # Of T, Q and f the divergence is a derivative more, and serves the sum rule alone.
-    wanted = isinstance(strobes.system, IsokineticParticle) or len(flow.tangents) == strobes.system.exponents
+    wanted = isinstance(strobes.system, IsokineticParticle) or len(flow.logs) == strobes.system.exponents
 
     def part(flow: Flow, strobe: Strobe) -> tuple[Flow, None]:
         system = strobe.system
         pushed = strobe.push(flow.state, b, tuple(Tangent(system.lift(flow.state, v)) for v in flow.tangents))
         moved = [system.lower(pushed.state, t.state) for t in pushed.tangents]
-        tangents, grown = gram_schmidt(moved)
+        if system.autonomous:
+            tangents, grown = _across(system, flow.state, pushed.state, moved, b)
+        else:
+            tangents, grown = gram_schmidt(moved)
         logs = tuple(sum_ + g for sum_, g in zip(flow.logs, grown, strict=True))
-        loss = jnp.maximum(flow.loss, grown[0] - grown[-1])
+        largest = jnp.maximum(grown[0], grown[1]) if system.autonomous else grown[0]
+        loss = jnp.maximum(flow.loss, largest - grown[-1])
         volume = flow.volume + jnp.log(pushed.volume) if wanted else flow.volume
         return Flow(pushed.state, tangents, logs, volume, flow.smooth, loss), None
 
@@ -185,6 +204,18 @@ def _advance(strobes: Strobe, count: Any, begun: Any, flow: Flow, b: Any) -> Flo
         return after._replace(smooth=smooth)
 
     return lax.fori_loop(0, count, period, flow)
+
+
+def _across(
+    system: FlowSystem, before: Any, after: Any, moved: list[Vector], b: Any
+) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
+    """Orthonormal tangents across the flow, and the growth of the flow's own direction, then of each of them."""
+
+    def direction(state: Any) -> Vector:
+        return system.lower(state, system.vector_field(jnp.zeros_like(state[0][0]), state, b))  # pyright: ignore[reportArgumentType]
+
+    (_, *tangents), (along, *grown) = gram_schmidt([direction(after), *moved])
+    return tuple(tangents), (along - gram_schmidt([direction(before)])[1][0], *grown)
 
 
 def window(at: Any, power: float) -> Any:
@@ -229,33 +260,40 @@ def _statistics(rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return mean, 2.0 * scatter + drift
 
 
-def _group(scene: Scene, mean: np.ndarray, error: np.ndarray, averaged: np.ndarray, parts: int) -> Group:
-    """Sums of the last column are those of volume."""
+def _group(scene: Scene, mean: np.ndarray, error: np.ndarray, averaged: np.ndarray, parts: int, wanted: int) -> Group:
+    """Sums of the last column are those of volume, of the first without a clock those along the flow."""
     k = mean.shape[1] - 1
-    order = np.argsort(-mean[:, :k], axis=1)
-    exponents = np.take_along_axis(mean[:, :k], order, axis=1)
-    errors = np.take_along_axis(error[:, :k], order, axis=1)
+    found, spread = mean[:, :k].copy(), error[:, :k].copy()
+    attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
+    if scene.flow.autonomous:
+        rests = mean[:, 0] * averaged * scene.flow.period < _AT_REST
+        found[:, 0], spread[:, 0] = np.where(rests, found[:, 0], 0.0), np.where(rests, spread[:, 0], 0.0)
+        lost = ~np.isfinite(mean[:, 0])
+        found[lost, 0] = np.nan
+        attrs["along_flow"] = "the exponent along the flow is known to be zero"
+    order = np.argsort(-found, axis=1)[:, :wanted]
+    exponents, errors = np.take_along_axis(found, order, axis=1), np.take_along_axis(spread, order, axis=1)
     unit = "1/time"
     variables = {
         "b": Variable(("b",), scene.values, scene.system.sweeps),
-        "exponent": Variable(("exponent",), np.arange(1, k + 1), "number of the exponent, largest first"),
+        "exponent": Variable(("exponent",), np.arange(1, wanted + 1), "number of the exponent, largest first"),
         "exponents": Variable(("b", "exponent"), exponents, "Lyapunov exponents, natural logarithm", unit),
         "exponents_error": Variable(("b", "exponent"), errors, "error of the exponents: two standard errors", unit),
     }
     divergence = ""
-    if isinstance(scene.system, IsokineticParticle):  # a field of T, Q and f keeps f off the constraint as well
+    if isinstance(scene.flow, IsokineticParticle):  # a field of T, Q and f keeps f off the constraint as well
         divergence = " −⟨n·F⟩/s"
         variables["transverse"] = Variable(("b",), 2.0 * mean[:, k], "exponent off the constraint, −2⟨n·F⟩/s", unit)
     variables["averaged"] = Variable(("b",), averaged, "periods averaged over", "forcing periods")
-    if k == scene.system.exponents:
-        residual = exponents.sum(axis=1) - mean[:, k]
+    if wanted == scene.flow.exponents:
+        residual = np.take_along_axis(mean[:, :k], order, axis=1).sum(axis=1) - mean[:, k]
         variables["sum_rule_residual"] = Variable(
             ("b",), residual, f"sum of the exponents minus the mean divergence{divergence}", unit
         )
         variables["kaplan_yorke"] = Variable(
             ("b",), kaplan_yorke(exponents), "Kaplan–Yorke dimension of the Poincaré section"
         )
-    return Group(variables, {"orthonormalisations_per_period": parts})
+    return Group(variables, attrs)
 
 
 def kaplan_yorke(exponents: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ CONVERGED = 1e-7
 """Residual of an orbit that Newton has found."""
 
 _CLOSE = 0.03  # strobe points nearer than this may be the same point of a slowly converging orbit
-_ORBIT_TILE = 64
+ORBIT_TILE = 64
 
 
 class PeriodOptions(Options):
@@ -82,11 +82,12 @@ def numbers(options: PeriodOptions) -> int:
 
 def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Least period of every lane with its residual and largest multiplier."""
-    start = section_points(scene)
+    start = section_points(scene) if scene.flow is scene.system else _first_crossings(scene, lanes)
     found = survey(scene, lanes, scene.values, start, options.limit, "period", options.transient)
+    unit = "forcing periods" if scene.flow is scene.system else "crossings"
     variables = {
         "b": Variable(("b",), found.b, scene.system.sweeps),
-        "period": Variable(("b",), found.period, "least period, 0: none up to the limit", "forcing periods"),
+        "period": Variable(("b",), found.period, "least period, 0: none up to the limit", unit),
         "residual": Variable(("b",), found.residual, "largest component of Pⁿ(u) − u of the orbit"),
         "multiplier": Variable(("b",), found.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
         "failed": Variable(("b",), found.failed.astype(np.int8), "1 where the lane has left the numbers"),
@@ -97,6 +98,16 @@ def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> Group:
 def section_points(scene: Scene) -> np.ndarray:
     """(lanes, d) section coordinates of the start state, in every lane."""
     return np.broadcast_to(scene.system.section_point(scene.start), (len(scene.values), scene.system.dimension))
+
+
+def _first_crossings(scene: Scene, lanes: LaneRunner) -> np.ndarray:
+    """(lanes, d) coordinates of the first point on a section, of every lane."""
+    start = jax.tree.map(lambda leaf: np.full(len(scene.values), leaf, float), scene.start)
+    return lanes(_first_crossing, (scene.strobe(),), (start, scene.values), periods=1)
+
+
+def _first_crossing(strobe: Strobe, state: Any, b: Any) -> Array:
+    return strobe.system.chart(strobe(state, b))
 
 
 def survey(
@@ -150,7 +161,7 @@ def survey(
 
 def orbits(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
     """`find_orbit` of period n over lanes (lanes, d), (lanes,)."""
-    return lanes(find_orbit, (strobe, np.int32(n)), (u, b), tile=_ORBIT_TILE)
+    return lanes(find_orbit, (strobe, np.int32(n)), (u, b), tile=ORBIT_TILE)
 
 
 def least_period(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> np.ndarray:
@@ -163,7 +174,7 @@ def least_period(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray
         open_ = np.flatnonzero(period == n)
         if not len(open_):
             break
-        image = lanes(section_map, (strobe, np.int32(d)), (u[open_], b[open_]), periods=d, tile=_ORBIT_TILE)
+        image = lanes(section_map, (strobe, np.int32(d)), (u[open_], b[open_]), periods=d, tile=ORBIT_TILE)
         period[open_[np.max(np.abs(strobe.system.wrap(image - u[open_])), axis=1) < CONVERGED]] = d
     return period
 

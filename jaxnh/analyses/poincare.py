@@ -1,4 +1,7 @@
-"""Poincaré map: the states at successive strobes after a transient, for every b."""
+"""Poincaré map: the states at successive strobes after a transient, for every b.
+
+Without a clock these are successive crossings of the section, and transients are counted in crossings as well.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,8 @@ import numpy as np
 from pydantic import Field
 
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.maps import Strobe, System
+from jaxnh.maps import Strobe, System, swept_name
+from jaxnh.sectioned import SectionedFlow
 from jaxnh.strobe import iterate, record
 from jaxnh.systems import State
 
@@ -41,7 +45,7 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> Group:
     count = len(scene.values)
     start = spread(scene.start, count)
     total = periods(options, count)
-    with lanes.stage(f"poincare: {options.strobes} strobes at {count:,} values of b", total):
+    with lanes.stage(f"poincare: {options.strobes} strobes at {count:,} values of {swept_name(scene.system)}", total):
         states = lanes(
             strobe_states,
             (scene.strobe(), np.int32(options.transient)),
@@ -50,13 +54,12 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> Group:
             tile=TILE,
             static=(options.strobes,),
         )
-    time = scene.system.period * (options.transient + np.arange(options.strobes))
-    variables = {
-        "b": coupling(scene),
-        "t": Variable(("strobe",), time, "time since the start"),
-        **state_variables(scene.system, states, np.zeros(1), ("b", "strobe"), {"coordinates": "t"}),
-    }
-    return Group(variables)
+    variables = {"b": coupling(scene)}
+    if not isinstance(scene.system, SectionedFlow):  # else every crossing has its own
+        time = scene.system.period * (options.transient + np.arange(options.strobes))
+        variables["t"] = Variable(("strobe",), time, "time since the start")
+    variables |= state_variables(scene.system, states, np.zeros(1), ("b", "strobe"), {"coordinates": "t"})
+    return Group(variables, section_attrs(scene))
 
 
 def strobe_states(strobe: Strobe, transient: Any, state: State, b: Any, count: int) -> State:
@@ -76,6 +79,14 @@ def coupling(scene: Scene) -> Variable:
     return Variable(("b",), scene.values, scene.system.sweeps)
 
 
+def section_attrs(scene: Scene) -> dict[str, str]:
+    """Attributes of a group of crossings: what they are crossings of."""
+    system = scene.system
+    if not isinstance(system, SectionedFlow):
+        return {}
+    return {"section": system.words, "section_coordinate": system.coordinate}
+
+
 def state_variables(
     system: System, states: Any, t: np.ndarray, dims: tuple[str, ...], attrs: dict[str, Any] | None = None
 ) -> dict[str, Variable]:
@@ -88,7 +99,7 @@ def state_variables(
         attrs: attributes of each variable.
     """
     named = {
-        name: Variable(dims, data, words, attrs=attrs or {})
+        name: Variable(dims, data, words, attrs=attrs if attrs and name != "t" else {})
         for name, (data, words) in system.outputs(states, t).items()
     }
     reports = {

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from jaxnh.analyses.poincare import TILE, coupling, spread, state_variables
 from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.maps import swept_name
 from jaxnh.precision import in_precision
 from jaxnh.strobe import Strobe, iterate, make_parts
 from jaxnh.systems import State
@@ -36,13 +37,14 @@ def numbers(options: PortraitOptions) -> int:
 
 def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> Group:
     """Trajectories of `periods` periods after the transient, from the start state, dimensions (b, time)."""
+    scene = scene.in_time()
     count = len(scene.values)
     total = periods(options, count)
     parts = in_precision(
-        make_parts(scene.system, scene.solver, scene.steps, options.samples, compensated=scene.compensated),
+        make_parts(scene.flow, scene.solver, scene.steps, options.samples, compensated=scene.compensated),
         scene.precision,
     )
-    with lanes.stage(f"portrait: {options.periods} periods at {count:,} values of b", total):
+    with lanes.stage(f"portrait: {options.periods} periods at {count:,} values of {swept_name(scene.system)}", total):
         states = lanes(
             trajectory,
             (scene.strobe(), parts, np.int32(options.transient)),

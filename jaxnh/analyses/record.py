@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from jaxnh.maps import System
 from jaxnh.precision import in_precision
+from jaxnh.sectioned import Flow, SectionedFlow
 from jaxnh.solvers import Solver
 from jaxnh.strobe import Strobe, make_strobe
-from jaxnh.systems import IsokineticParticle, State
 
 
 class Options(BaseModel):
@@ -61,8 +62,8 @@ class Scene:
     """One system, its start state and sweep, and the solver that meets the accuracy asked for.
 
     Attributes:
-        system: the flow.
-        start: start state (q, n) of every lane, floats.
+        system: the flow, or without a clock the flow on its section.
+        start: start state of every lane, floats: (q, n) of a particle at a prescribed speed.
         values: swept values of b in the order of the sweep, (lanes,).
         solver, steps, compensated: what P is computed with.
         error_estimate: estimated largest error of one period's map.
@@ -71,8 +72,8 @@ class Scene:
         precision: "float64" or, where asked for, "float32", of the arithmetic within a period.
     """
 
-    system: IsokineticParticle
-    start: State
+    system: System
+    start: Any
     values: np.ndarray
     solver: Solver
     steps: int
@@ -81,6 +82,15 @@ class Scene:
     first: int = 0
     chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     precision: str = "float64"
+
+    @property
+    def flow(self) -> Flow:
+        """The system in continuous time."""
+        return self.system.flow if isinstance(self.system, SectionedFlow) else self.system
+
+    def in_time(self) -> Scene:
+        """The same scene with no section, for what is an average or a path over time."""
+        return replace(self, system=self.flow, start=self.start.state) if self.flow is not self.system else self
 
     def strobe(self, refinement: float = 1) -> Strobe:
         """P with `refinement` times the steps that the accuracy asks for."""

@@ -135,6 +135,11 @@ class IsokineticSplitting(diffrax.AbstractSolver):
     def order(self, terms: Any) -> int:
         return 2 if self.processor[1] else self.convergence_order
 
+    @property
+    def processed(self) -> bool:
+        """Whether a processor stands at the ends of a map."""
+        return bool(self.processor[1])
+
     def most_steps(self, kicks: int) -> int:
         """Steps of a map with so many kicks at most, those of the processor at both ends included."""
         return (kicks - 2 * len(self.processor[1])) // self.stages

@@ -1,0 +1,124 @@
+"""Floating-point operations of a compiled program, a lane: counted in its optimised HLO, loop by loop.
+
+Equal operations within a loop's body count once, as LLVM merges them: the copies that `strobe` makes, so that all
+components share one loop over the lanes, are seen through. What is done once for all lanes counts nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+_COUNTED = frozenset(
+    (
+        *("add", "subtract", "multiply", "divide", "negate", "abs", "maximum", "minimum", "remainder", "sign"),
+        *("sqrt", "rsqrt", "cbrt", "exponential", "exponential-minus-one", "log", "log-plus-one", "power"),
+        *("sine", "cosine", "tan", "tanh", "atan2", "floor", "ceil", "round-nearest-even", "compare", "select"),
+    )
+)
+_SAME = frozenset(("reduce-precision", "copy", "bitcast", "broadcast", "convert", "reshape"))
+_COMMUTE = frozenset(("add", "multiply", "maximum", "minimum"))
+_HEAD = re.compile(r"^(?P<entry>ENTRY )?%(?P<name>[\w.\-]+) .*\{$")
+_LINE = re.compile(
+    r"^\s+(?P<root>ROOT )?%(?P<name>[\w.\-]+) = (?P<type>\(.*?\)|\S+) (?P<op>[\w\-]+)\((?P<args>[^)]*)\)(?P<rest>.*)$"
+)
+_TOLD = re.compile(r", metadata=\{[^}]*\}|, backend_config=.*$|, frontend_attributes=\{[^}]*\}")
+
+
+@dataclass
+class Loop:
+    """Operations of one turn of a loop, those of the loops within it left out; or of a whole program.
+
+    Attributes:
+        operations: floating-point operations a lane.
+        inner: the loops within it.
+    """
+
+    operations: float = 0.0
+    inner: list[Loop] = field(default_factory=list)
+
+    def total(self, turns: Sequence[float]) -> float:
+        """Operations of one turn, with so many turns of the loop in it that has most, and so on inwards."""
+        if not turns or not self.inner:
+            return self.operations
+        return self.operations + turns[0] * max(loop.total(turns[1:]) for loop in self.inner)
+
+
+def count(program: str, lanes: int) -> Loop:
+    """The loops of a program, from its HLO as text, with so many lanes a tile."""
+    computations: dict[str, list[re.Match[str]]] = {}
+    entry, lines = "", []
+    for line in program.splitlines():
+        if head := _HEAD.match(line):
+            lines = computations.setdefault(head["name"], [])
+            entry = head["name"] if head["entry"] else entry
+        elif found := _LINE.match(line):
+            lines.append(found)
+    return _Counter(computations, lanes).body(entry)
+
+
+class _Counter:
+    """Numbers for values: equal ones have the same."""
+
+    def __init__(self, computations: dict[str, list[re.Match[str]]], lanes: int) -> None:
+        self._computations, self._lanes = computations, lanes
+        self._numbers: dict[Any, int] = {}
+
+    def body(self, name: str) -> Loop:
+        """A computation by itself: its parameters are known to be nothing else."""
+        loop, seen = Loop(), set()
+        arguments = [self._number(("parameter", name, i)) for i in range(len(self._computations[name]))]
+        self._values(name, arguments, loop, seen)
+        return loop
+
+    def _values(self, name: str, arguments: list[Any], loop: Loop, seen: set[int]) -> Any:
+        """What a computation comes to; its operations go to a loop, where they have not been seen."""
+        values: dict[str, Any] = {}
+        root = None
+        for line in self._computations[name]:
+            operands = [values[a] for a in re.findall(r"%([\w.\-]+)", line["args"])]
+            value = self._value(line, operands, arguments, loop, seen)
+            values[line["name"]] = value
+            root = value if line["root"] else root
+        return root
+
+    def _value(self, line: re.Match[str], operands: list[Any], arguments: list[Any], loop: Loop, seen: set[int]) -> Any:
+        op, rest = line["op"], line["rest"]
+        if op == "parameter":
+            return arguments[int(line["args"])]
+        if op in _SAME:
+            return operands[0]
+        if op == "tuple":
+            return tuple(operands)
+        if op == "get-tuple-element" and isinstance(operands[0], tuple):
+            return operands[0][int(re.findall(r"index=(\d+)", rest)[0])]
+        if op in ("fusion", "call"):
+            return self._values(_named("calls" if op == "fusion" else "to_apply", rest), operands, loop, seen)
+        if op == "while":
+            loop.inner.append(self.body(_named("body", rest)))
+            return self._number(("while", line["name"], *operands))
+        if op in _COMMUTE:
+            operands = sorted(operands, key=str)
+        literal = line["args"] if op == "constant" else ""
+        number = self._number((op, literal, line["type"], _TOLD.sub("", rest), *operands))
+        if op in _COUNTED and number not in seen:
+            seen.add(number)
+            loop.operations += self._lanewise(line["type"], op)
+        return number
+
+    def _number(self, key: Any) -> int:
+        return self._numbers.setdefault(key, len(self._numbers))
+
+    def _lanewise(self, shape: str, op: str) -> int:
+        """Numbers a lane of a shape; none where it is not one of floats, or all lanes share it."""
+        kind, sizes = re.findall(r"(\w+)\[([\d,]*)\]", shape)[0]
+        if not (kind.startswith(("f", "bf")) or (op == "compare" and kind == "pred")):
+            return 0
+        return math.prod(int(size) for size in sizes.split(",") if size) // self._lanes
+
+
+def _named(what: str, rest: str) -> str:
+    return re.findall(rf"{what}=%([\w.\-]+)", rest)[0]
