@@ -323,10 +323,13 @@ def test_file_goes_with_plan_and_result(tmp_path):
     assert (code, len(err)) == (2, 1)
     assert err[0].endswith("job.h5.tiles holds tiles of another text of governor.py; --fresh drops them")
     file.write_text(text)
-    code, _, err = run("sweep", tmp_path, "job.yaml", *tiles, "--dask", "local:1")
-    assert code == 0, err
+    shutil.copytree(tmp_path / "job.h5.tiles", tmp_path / "whole.h5.tiles")
+    code, out, err = run("sweep", tmp_path, "job.yaml", *tiles, "--part", "2/2", "--dask", "local:1")
+    assert (code, out) == (0, ["part 2/2: 2 of 4 tiles"]), err
+    assert run("sweep", tmp_path, "job.yaml", *tiles, "--merge")[0] == 0
+    code, _, err = run("sweep", tmp_path, "job.yaml", "--output", "whole.h5")
+    assert code == 0
     assert "2 of 4 tiles are done; going on" in err
-    assert run("sweep", tmp_path, "job.yaml", "--output", "whole.h5")[0] == 0
     for name in ("x", "x_dot", "y", "y_dot", "drift"):
         one, other = (store.read_variables(tmp_path / f"{which}.h5", "diagram")[name] for which in ("job", "whole"))
         assert one.tobytes() == other.tobytes()
