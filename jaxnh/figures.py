@@ -23,7 +23,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from jaxnh import store
-from jaxnh.labels import axis_label, first_pair, named
+from jaxnh.labels import axis_label, first_pair, lane_title, named, same_plane
 
 FEIGENBAUM = 4.669201609102990
 """Universal ratio of successive distances between period doublings (Feigenbaum 1978)."""
@@ -198,21 +198,15 @@ class Panel(NamedTuple):
 
 def _portraits(tree: xr.DataTree) -> list[Panel]:
     data, strobes = tree["portrait"].to_dataset(), _group(tree, "poincare")
-    if strobes is not None and not _over_portraits(strobes, data):
-        strobes = None
+    strobes = strobes if strobes is not None and same_plane(strobes, data) else None
     return [Panel(partial(portrait, data, i, strobes=strobes), 3.4, False) for i in _drawn(data)]
 
 
 def _maps(tree: xr.DataTree) -> list[Panel]:
     data, portraits = tree["poincare"].to_dataset(), _group(tree, "portrait")
-    if portraits is not None and _over_portraits(data, portraits):
-        return []
+    if portraits is not None and same_plane(data, portraits):
+        return []  # over the portraits
     return [Panel(partial(poincare, data, i), 3.4, False) for i in _drawn(data)]
-
-
-def _over_portraits(strobes: xr.Dataset, portraits: xr.Dataset) -> bool:
-    """Whether strobe points are drawn over portraits: of the same lanes, and in the same plane."""
-    return "section" not in strobes.attrs and np.array_equal(strobes["b"], portraits["b"])
 
 
 def _diagram(tree: xr.DataTree) -> list[Panel]:
@@ -340,9 +334,7 @@ def _over_b(data: xr.Dataset, ax: Axes, ylabel: str) -> Axes:
 def _plane(data: xr.Dataset, index: int, ax: Axes) -> Axes:
     x, y = first_pair(data)
     ax.set(xlabel=axis_label(data[x]), ylabel=axis_label(data[y]))
-    letter = f"({chr(ord('a') + index)}) " if data.sizes["b"] <= 26 else ""
-    section = f", on {data.attrs['section']}" if "section" in data.attrs else ""
-    ax.set_title(f"{letter}{named(data['b'])[1]} = {float(data['b'][index]):.10g}{section}", fontsize=10)
+    ax.set_title(lane_title(data, index), fontsize=10)
     return ax
 
 

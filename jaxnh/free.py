@@ -29,7 +29,7 @@ class FreeParticle(NonholonomicSystem):
     without: frozenset[str] = eqx.field(static=True, default=frozenset())
 
     @property
-    def autonomous(self) -> bool:
+    def autonomous(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Whether there is no clock."""
         return "forcing" in self.without
 

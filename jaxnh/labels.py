@@ -43,3 +43,15 @@ def axis_label(variable: xr.DataArray) -> str:
     words, symbol = named(variable)
     units = variable.attrs["units"]
     return f"{words} {symbol} ({'dimensionless' if units == '1' else units})"
+
+
+def lane_title(data: xr.Dataset, index: int) -> str:
+    """What stands above a drawing of one lane: its letter, the value of what is swept, and its section."""
+    letter = f"({chr(ord('a') + index)}) " if data.sizes["b"] <= 26 else ""
+    section = f", on {data.attrs['section']}" if "section" in data.attrs else ""
+    return f"{letter}{named(data['b'])[1]} = {float(data['b'][index]):.10g}{section}"
+
+
+def same_plane(strobes: xr.Dataset, portraits: xr.Dataset) -> bool:
+    """Whether strobe points are to be drawn over portraits: of the same lanes, and in the same plane."""
+    return "section" not in strobes.attrs and strobes["b"].equals(portraits["b"])

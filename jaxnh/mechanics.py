@@ -17,7 +17,7 @@ matrices is ever formed, and no library is called to solve them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -198,6 +198,10 @@ class NonholonomicSystem(eqx.Module):
     angles: tuple[bool, ...] = eqx.field(static=True)
     ignorable: tuple[bool, ...] = eqx.field(static=True)
 
+    autonomous: ClassVar[bool] = (
+        False  # of T, Q and f it is not known whether they have a clock: one is taken to be there
+    )
+
     def equations(self, b: ArrayLike) -> Equations:
         """T, Q and f of a lane, whose swept parameter is b."""
         definition = self.define(**{**self.parameters, self.swept: b})
@@ -265,11 +269,6 @@ class NonholonomicSystem(eqx.Module):
     def kept(self) -> tuple[int, ...]:
         """Numbers of the coordinates that the section has."""
         return tuple(i for i, left_out in enumerate(self.ignorable) if not left_out)
-
-    @property
-    def autonomous(self) -> bool:
-        """Whether there is no clock: of T, Q and f it is not known, and one is taken to be there."""
-        return False
 
     def signal(self, state: Motion) -> Any:
         """The coordinate that stands for a motion where one is enough: the first of the section."""

@@ -124,20 +124,19 @@ def test_map_without_forcing_is_diffeqsolve(lanes):
 @pytest.mark.parametrize("names", [(), ("forcing", "cubic_stiffness")])
 def test_sweep_over_a(lanes, names):
     """Lanes that differ in a are the lanes of their own a and one b, and so is ∂P/∂a by differences."""
-    values, b = np.array([0.3, 0.5, 0.8]), np.full(3, 0.7)
-    swept = without(*names, swept="a", b=0.7)
+    values = np.array([0.3, 0.5, 0.8])
+    swept = make_strobe(without(*names, swept="a", b=0.7), SPLITTING, 60)
     u = np.tile(ANGLE, (3, 1))
-    state, monodromy, slope = lanes(derivatives, (make_strobe(swept, SPLITTING, 60), np.int32(1)), (u, values))
+    _, monodromy, slope = lanes(derivatives, (swept, np.int32(1)), (u, values))
+    (x, y), (n1, n2) = lanes(iterate, (swept, np.int32(1)), (spread(START, 3), values))
     for i, a in enumerate(values):
-        own = without(*names, a=a)
-        one = lanes(derivatives, (make_strobe(own, SPLITTING, 60), np.int32(1)), (u, b))
-        np.testing.assert_allclose(state[i], one[0][i], atol=1e-12)
-        np.testing.assert_allclose(monodromy[i], one[1][i], atol=1e-10)
+        own = make_strobe(without(*names, a=a), SPLITTING, 60)
+        one = lanes(iterate, (own, np.int32(1)), (spread(START, 1), np.array([0.7])))
+        np.testing.assert_allclose([x[i], y[i], n1[i], n2[i]], np.array([*one[0], *one[1]])[:, 0], atol=1e-12)
     h = 1e-5
-    near = [
-        lanes(derivatives, (make_strobe(swept, SPLITTING, 60), np.int32(1)), (u, values + s * h))[0] for s in (1, -1)
-    ]
-    np.testing.assert_allclose(slope, (near[0] - near[1]) / (2 * h), atol=1e-6)  # h², and rounding over h
+    for found, step_u, step_a in ((slope, 0.0, h), (monodromy[..., 0], h * np.eye(3)[0], 0.0)):
+        ends = [lanes(derivatives, (swept, np.int32(1)), (u + s * step_u, values + s * step_a))[0] for s in (1, -1)]
+        np.testing.assert_allclose(found, (ends[0] - ends[1]) / (2 * h), atol=1e-6)  # h², and rounding over h
 
 
 # ---- crossings
