@@ -375,8 +375,9 @@ def _mark_doublings(doublings: xr.Dataset, ax: Axes) -> None:
     back = 1 if len(b) > 1 and b[-1] < b[0] else -1  # where the cascade comes from
     labels = [(b[k], back, f"{n[k]} → {2 * n[k]}") for k in range(alone)]
     if alone < len(b):
-        first = f"{n[alone]} → {2 * n[alone]}, … " if alone + 1 < len(b) else ""
-        labels.append((b[-1], -back, f"{first}{n[-1]} → {2 * n[-1]}"))
+        labels.append((b[-1], -back, f"… {n[-1]} → {2 * n[-1]}"))
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(bottom - 0.05 * (top - bottom), top)  # a strip for the labels
     for x in b:
         ax.axvline(x, color=_MARK, linewidth=0.8, linestyle=(0, (4, 3)))
     for x, side, label in labels:

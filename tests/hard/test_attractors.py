@@ -162,7 +162,7 @@ def test_long_chaos(battery, lanes):
 @pytest.mark.case("Long chaos")
 def test_long_chaos_in_tiles(battery, tmp_path):
     """The command on chaotic lanes: undisturbed, and in tiles on disk, stopped by a scheduler's signal and resumed."""
-    count, transient = (4096, 20_000) if battery.full else (512, 200)
+    count, transient = (4096, 20_000) if battery.full else (2048, 500)
     config = (
         "system: {constraint: constant_speed}\n"
         f"sweep: {{b: {{start: 5.25, stop: 5.35, count: {count}}}}}\n"
