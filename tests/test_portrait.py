@@ -32,7 +32,7 @@ def scene(system, solver="blanes_moan6", steps=60):
 def taylor_path(system, b, times):
     """x1, x2, y1, y2 (times, 4) of the reference from the start state, `times` rising from 0."""
     par = twin(system)
-    ta, at_zero = taylor.integrator(0, taylor.REAL, float(np.finfo(taylor.REAL).eps))
+    ta, at_zero = taylor.integrator(par.equations, 0, taylor.REAL, float(np.finfo(taylor.REAL).eps))
     ta.pars[:] = [taylor.REAL(v) for v in (b, par.a, par.c, par.d, par.omega)]
     ta.state[:] = at_zero
     ta.state[:3] = par.start()
