@@ -8,7 +8,7 @@ FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
 RANGES := range_constant range_disturbed
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced paper effects test slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor paper effects test slow hard clean
 
 install: $(INSTALLED)
 
@@ -21,7 +21,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 $(TABLES): $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml
 
-$(FIGURES) $(RANGES) unforced: $(INSTALLED)
+$(FIGURES) $(RANGES) unforced governor: $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
 	$(RUN)/python -m jaxnh.plot results/$@.h5
 
