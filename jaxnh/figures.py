@@ -375,7 +375,8 @@ def _mark_doublings(doublings: xr.Dataset, ax: Axes) -> None:
     back = 1 if len(b) > 1 and b[-1] < b[0] else -1  # where the cascade comes from
     labels = [(b[k], back, f"{n[k]} → {2 * n[k]}") for k in range(alone)]
     if alone < len(b):
-        labels.append((b[-1], -back, f"… {n[-1]} → {2 * n[-1]}"))
+        more = "… " if alone + 1 < len(b) else ""
+        labels.append((b[-1], -back, f"{more}{n[-1]} → {2 * n[-1]}"))
     bottom, top = ax.get_ylim()
     ax.set_ylim(bottom - 0.05 * (top - bottom), top)  # a strip for the labels
     for x in b:
