@@ -19,7 +19,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	touch $@
 
 $(TABLES): $(INSTALLED)
-	$(RUN)/python -m jaxnh.sweep configs/$@.yaml
+	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
 
 $(FIGURES) $(RANGES) unforced governor: $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
