@@ -23,6 +23,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from jaxnh import store
+from jaxnh.density import cell_edges, density
 from jaxnh.labels import axis_label, first_pair, lane_title, named, same_plane
 
 FEIGENBAUM = 4.669201609102990
@@ -30,7 +31,6 @@ FEIGENBAUM = 4.669201609102990
 
 _WIDTH = 10.0  # inches
 _MOST_PORTRAITS = 12
-_COLUMNS, _ROWS = 1200, 500  # cells of a density, a little below the pixels it gets
 _MARKERS = 20_000  # up to so many points are drawn one by one
 _DISTINCT = 256  # up to so many different strobe points get large markers
 _FEW = 48  # curves over fewer values of b show their points
@@ -174,7 +174,7 @@ def verdict(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     place = np.searchsorted(flags, kind)
     distinct, first = np.unique(b, return_index=True)
     norm = Normalize(-0.5, len(flags) - 0.5)
-    ax.pcolorfast(_edges(distinct), [0.0, 1.0], place[None, first], cmap=colours, norm=norm)
+    ax.pcolorfast(cell_edges(distinct), [0.0, 1.0], place[None, first], cmap=colours, norm=norm)
     handles = [
         Patch(color=colours(i), label=f"{name}: {np.sum(kind == flag):,}")
         for i, (name, flag) in enumerate(zip(meanings, flags, strict=True))
@@ -287,46 +287,13 @@ def _laid_out(panels: list[Panel], attrs: Mapping[str, object], note: str) -> Fi
 # ---- parts of drawings
 
 
-def density(b: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Histogram over b and a variable, each column for the same number of neighbouring values of b.
-
-    Args:
-        b: (lanes,), in any order.
-        values: (lanes, points); what is not finite is left out.
-
-    Returns:
-        Edges (columns + 1,) and (rows + 1,), and the share (columns, rows) of a column's points in each cell.
-    """
-    distinct, place = np.unique(b, return_inverse=True)
-    each = math.ceil(len(distinct) / _COLUMNS)
-    edges = _edges(distinct)
-    across = np.append(edges[:-1:each], edges[-1])
-    finite = np.isfinite(values)
-    low, high = (values[finite].min(), values[finite].max()) if finite.any() else (0.0, 1.0)
-    margin = 0.02 * (high - low) or 0.5
-    up = np.linspace(low - margin, high + margin, _ROWS + 1)
-    row = np.searchsorted(up, values[finite], side="right") - 1
-    column = np.broadcast_to((place // each)[:, None], values.shape)[finite]
-    columns = len(across) - 1
-    counts = np.bincount(column * _ROWS + row, minlength=columns * _ROWS).reshape(columns, _ROWS)
-    return across, up, counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-
-
-def _edges(centres: np.ndarray) -> np.ndarray:
-    """Edges (n + 1,) halfway between rising centres (n,), and as far beyond the first and the last."""
-    if len(centres) == 1:
-        return np.array([centres[0] - 0.5, centres[0] + 0.5])
-    inner = 0.5 * (centres[1:] + centres[:-1])
-    return np.concatenate([[2 * centres[0] - inner[0]], inner, [2 * centres[-1] - inner[-1]]])
-
-
 def _axes(ax: Axes | None) -> Axes:
     return Figure(figsize=(0.7 * _WIDTH, 4.5), layout="constrained").subplots() if ax is None else ax
 
 
 def _over_b(data: xr.Dataset, ax: Axes, ylabel: str) -> Axes:
     """Axes over b: all panels of a file end at the same values."""
-    edges = _edges(np.unique(data["b"].to_numpy()))
+    edges = cell_edges(np.unique(data["b"].to_numpy()))
     ax.set(xlabel=axis_label(data["b"]), ylabel=ylabel, xlim=(edges[0], edges[-1]))
     return ax
 

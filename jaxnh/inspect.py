@@ -20,6 +20,7 @@ from rich.table import Table
 
 from jaxnh import store
 from jaxnh.exits import Refused, run_app
+from jaxnh.yaml_source import ConfigError
 
 _WIDTH = 110  # columns where the output goes to a file
 _NAMED = 4  # lanes that are named where some have failed
@@ -238,7 +239,6 @@ def _verify(path: Path) -> None:
     if "system_file" in attrs:
         print(_state_of(Path(attrs["system_file_path"]), attrs["system_file"]))
     from jaxnh import again  # the only thing here that needs JAX
-    from jaxnh.experiment import ConfigError
 
     try:
         found = again.sample(path)
