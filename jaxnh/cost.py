@@ -18,14 +18,17 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from jaxnh import figures_cost, store, terminal
-from jaxnh.analyses.record import Group, Scene
-from jaxnh.command import account, calibrate, experiment_of, provenance, scene_of
-from jaxnh.exits import Refused, check_output, run_app
-from jaxnh.experiment import Experiment
-from jaxnh.lanes import Lanes, configure
-from jaxnh.planar_sections import Free
-from jaxnh.prices import doubling, effects, exponent, solvers
+from jaxnh.analyses.base import Group, Scene
+from jaxnh.cli import terminal
+from jaxnh.cli.command import account, calibrate, experiment_of, provenance, scene_of
+from jaxnh.cli.exit_codes import Refused, check_output, run_app
+from jaxnh.config.experiment import Experiment
+from jaxnh.config.particle import Free
+from jaxnh.costs import doubling, effects, exponent, solvers
+from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.xla_options import configure
+from jaxnh.plotting import costs as figures_cost
+from jaxnh.storage import hdf5 as store
 
 _DPI = 130
 _LOG_WIDTH = 130  # columns where the output goes to a file

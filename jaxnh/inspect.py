@@ -18,9 +18,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from jaxnh import store
-from jaxnh.exits import Refused, run_app
-from jaxnh.yaml_source import ConfigError
+from jaxnh.cli.exit_codes import Refused, run_app
+from jaxnh.config.yaml_source import ConfigError
+from jaxnh.storage import hdf5 as store
 
 _WIDTH = 110  # columns where the output goes to a file
 _NAMED = 4  # lanes that are named where some have failed
@@ -238,7 +238,7 @@ def _verify(path: Path) -> None:
     attrs = store.read_attrs(path)
     if "system_file" in attrs:
         print(_state_of(Path(attrs["system_file_path"]), attrs["system_file"]))
-    from jaxnh import again  # the only thing here that needs JAX
+    from jaxnh.engine import verification as again  # the only thing here that needs JAX
 
     try:
         found = again.sample(path)

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from jaxnh.exits import Refused, check_output, run_app
-from jaxnh.figures import FigureError, figure
+from jaxnh.cli.exit_codes import Refused, check_output, run_app
+from jaxnh.plotting.results import FigureError, figure
 
 _DPI = 140
 _FORMATS = (".png", ".pdf", ".svg")

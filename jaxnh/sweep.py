@@ -11,11 +11,13 @@ from typing import Annotated
 
 import typer
 
-from jaxnh import store, tiles, workers
-from jaxnh.command import experiment_of, other_than
-from jaxnh.exits import Refused, Stop, check_output, run_app
-from jaxnh.experiment import Experiment, schema
-from jaxnh.run import How, Run
+from jaxnh.cli.command import experiment_of, other_than
+from jaxnh.cli.exit_codes import Refused, Stop, check_output, run_app
+from jaxnh.config.experiment import Experiment, schema
+from jaxnh.engine import dask_workers as workers
+from jaxnh.engine.run import How, Run
+from jaxnh.storage import hdf5 as store
+from jaxnh.storage import tiles
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -25,10 +25,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnh.lanes import Lanes, configure
+from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.xla_options import configure
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting
-from jaxnh.strobe import iterate, make_strobe
-from jaxnh.systems import IsokineticParticle
+from jaxnh.systems.particle import IsokineticParticle
 from sweeps.peers_heyoka import true_scene
 from sweeps.peers_scene import Scene
 

@@ -20,11 +20,13 @@ from rich.console import Console
 from rich.markdown import Markdown
 from ruamel.yaml import YAML
 
-from jaxnh import store, terminal
-from jaxnh.experiment import Experiment
-from jaxnh.lanes import Lanes, configure
+from jaxnh.cli import terminal
+from jaxnh.config.experiment import Experiment
+from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.xla_options import configure
+from jaxnh.maps.build import make_strobe
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import make_strobe
+from jaxnh.storage import hdf5 as store
 from sweeps.critical_slowing_page import figure, page
 from sweeps.critical_slowing_study import SOLVER, STEPS, TABLES, Cascade, study_cascade
 

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Array
 
-from jaxnh.lanes import Lanes
-from jaxnh.orbits import Orbit, find_orbit
-from jaxnh.strobe import Strobe, iterate, record
-from jaxnh.systems import State, chart, unchart
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.iterate import iterate, record
+from jaxnh.maps.protocol import Strobe
+from jaxnh.orbits.newton import Orbit, find_orbit
+from jaxnh.systems.particle import State, chart, unchart
 
 TABLES = ("table1", "table2")
 THRESHOLDS = (1e-4, 1e-5, 1e-6)

@@ -16,7 +16,7 @@ from typing import Annotated
 
 import typer
 
-from jaxnh import store
+from jaxnh.storage import hdf5 as store
 
 SCENES = ("table1", "fig01", "range_constant", "table2", "fig06", "range_disturbed", "unforced", "sleigh")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from jaxnh.lanes import configure
+from jaxnh.engine.xla_options import configure
 from sweeps import peers_diffrax
 from sweeps.peers_scene import Scene
 

@@ -7,10 +7,13 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from jaxnh.lanes import Lanes, configure
+from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.xla_options import configure
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import iterate
+from jaxnh.maps.protocol import Strobe
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import Strobe, iterate, make_strobe
-from jaxnh.systems import IsokineticParticle, State
+from jaxnh.systems.particle import IsokineticParticle, State
 from sweeps.peers_scene import VALUES, Errors, Scene, Setting, least_effort
 
 _PERIODS = 64

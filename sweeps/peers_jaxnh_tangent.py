@@ -12,9 +12,11 @@ import jax
 import numpy as np
 
 from jaxnh.analyses import lyapunov
-from jaxnh.analyses.record import Scene as AnalysisScene
+from jaxnh.analyses.base import Scene as AnalysisScene
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import derivatives, iterate
+from jaxnh.maps.protocol import Strobe
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import Strobe, derivatives, iterate, make_strobe
 from sweeps.peers_jaxnh import Splittings
 from sweeps.peers_scene import VALUES, Errors, Setting, TangentScene, best, unit
 

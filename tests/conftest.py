@@ -18,9 +18,9 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cache"))
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.pop("JAX_NUM_CPU_DEVICES", None)  # tests of lanes need two
 
-from jaxnh import lanes  # noqa: E402
+from jaxnh.engine import xla_options  # noqa: E402
 
-lanes.configure(2)
+xla_options.configure(2)
 
 import jax  # noqa: E402
 

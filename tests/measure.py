@@ -9,9 +9,10 @@ import jax
 import numpy as np
 import taylor
 
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import section_map
 from jaxnh.solvers import IsokineticSplitting, isokinetic_terms
-from jaxnh.strobe import make_strobe, section_map
-from jaxnh.systems import chart, constant_speed, disturbed_speed, unchart
+from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart
 
 UNIT = np.finfo(float).eps / 2  # roundoff of one operation
 SYSTEMS = {

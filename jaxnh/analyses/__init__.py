@@ -1,7 +1,7 @@
 """One file an analysis, one analysis a quantity. The table below is the only place that lists them."""
 
 from jaxnh.analyses import chaos01, diagram, doubling, lyapunov, period, poincare, portrait, verdict
-from jaxnh.analyses.record import Analysis
+from jaxnh.analyses.base import Analysis
 
 ANALYSES: dict[str, Analysis] = {
     analysis.name: analysis

@@ -21,9 +21,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 from pydantic import Field
 
-from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.strobe import Strobe, iterate, record
-from jaxnh.systems import State
+from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.maps.iterate import iterate, record
+from jaxnh.maps.protocol import Strobe
+from jaxnh.systems.particle import State
 
 _ANGLES = 64
 _TILE = 32

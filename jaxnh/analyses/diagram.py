@@ -15,13 +15,14 @@ import numpy as np
 from jax import lax
 from pydantic import Field, model_validator
 
+from jaxnh.analyses.base import Group, LaneRunner, Options, Scene
 from jaxnh.analyses.poincare import coupling, section_attrs, spread, state_variables, strobe_states
-from jaxnh.analyses.record import Group, LaneRunner, Options, Scene
-from jaxnh.faults import rule
-from jaxnh.maps import swept_name
-from jaxnh.precision import in_precision
-from jaxnh.strobe import Strobe, iterate, make_strobe
-from jaxnh.systems import State
+from jaxnh.config.messages import rule
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import iterate
+from jaxnh.maps.protocol import Strobe, swept_name
+from jaxnh.maps.single_precision import in_precision
+from jaxnh.systems.particle import State
 
 _CARRIED_AT_ONCE = 32  # values of b that a call carries a state along: the steps of the progress shown
 _FOR_RANDOM = ("starts", "seed", "box")

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
 from jaxnh.analyses.period import CONVERGED, Survey, orbits, section_points, survey
-from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.orbits import DoublingPoint, refine_doubling, segment
-from jaxnh.strobe import Strobe, section_map
+from jaxnh.maps.iterate import section_map
+from jaxnh.maps.protocol import Strobe
+from jaxnh.orbits.shooting import DoublingPoint, refine_doubling, segment
 
 _TRANSIENT = 512  # periods before the strobe points are looked at
 _SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: the cascade may begin at 2 or 3

@@ -19,12 +19,13 @@ from jax import lax
 from jaxtyping import Array
 from pydantic import Field
 
-from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.maps import Strobe, Tangent
-from jaxnh.precision import in_precision
-from jaxnh.sectioned import Flow as FlowSystem
-from jaxnh.strobe import cut_strobe, iterate
-from jaxnh.systems import IsokineticParticle, State, Vector
+from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.maps.build import cut_strobe
+from jaxnh.maps.iterate import iterate
+from jaxnh.maps.protocol import Strobe, Tangent
+from jaxnh.maps.section import Flow as FlowSystem
+from jaxnh.maps.single_precision import in_precision
+from jaxnh.systems.particle import IsokineticParticle, State, Vector
 
 _BLOCKS = 16
 _LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left

@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Array
 from pydantic import Field
 
-from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.orbits import Orbit, find_orbit
-from jaxnh.strobe import Strobe, iterate, record, section_map
+from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.maps.iterate import iterate, record, section_map
+from jaxnh.maps.protocol import Strobe
+from jaxnh.orbits.newton import Orbit, find_orbit
 
 CONVERGED = 1e-7
 """Residual of an orbit that Newton has found."""

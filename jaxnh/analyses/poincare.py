@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import Field
 
-from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.maps import Strobe, System, swept_name
-from jaxnh.sectioned import SectionedFlow
-from jaxnh.strobe import iterate, record
-from jaxnh.systems import State
+from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.maps.iterate import iterate, record
+from jaxnh.maps.protocol import Strobe, System, swept_name
+from jaxnh.maps.section import SectionedFlow
+from jaxnh.systems.particle import State
 
 TILE = 16
 """Lanes a tile: few values of b are looked at for long, and small tiles take a period sooner."""

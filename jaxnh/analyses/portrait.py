@@ -9,12 +9,13 @@ import numpy as np
 from jax import lax
 from pydantic import Field
 
+from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
 from jaxnh.analyses.poincare import TILE, coupling, spread, state_variables
-from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.maps import swept_name
-from jaxnh.precision import in_precision
-from jaxnh.strobe import Strobe, iterate, make_parts
-from jaxnh.systems import State
+from jaxnh.maps.build import make_parts
+from jaxnh.maps.iterate import iterate
+from jaxnh.maps.protocol import Strobe, swept_name
+from jaxnh.maps.single_precision import in_precision
+from jaxnh.systems.particle import State
 
 
 class PortraitOptions(Options):

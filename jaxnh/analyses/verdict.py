@@ -18,7 +18,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxnh.analyses.record import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
 
 KINDS = ("periodic", "quasiperiodic", "chaotic", "undecided", "failed")
 """Meanings of the flags 0, 1, 2, 3, 4."""

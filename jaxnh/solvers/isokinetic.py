@@ -18,7 +18,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.systems import IsokineticParticle, State, Vector
+from jaxnh.systems.particle import IsokineticParticle, State, Vector
 
 
 class DriftTerm(diffrax.AbstractTerm):

@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 import diffrax
 import equinox as eqx
 
-from jaxnh.mechanics import Motion, NonholonomicSystem
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
+from jaxnh.systems.lagrangian import Motion, NonholonomicSystem
 
 
 class Projected(diffrax.AbstractSolver):

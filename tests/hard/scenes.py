@@ -8,9 +8,10 @@ import numpy as np
 import taylor
 from measure import apart, twin
 
-from jaxnh.accuracy import Calibration, Plan, TargetError
-from jaxnh.experiment import Initial
-from jaxnh.strobe import make_strobe, section_map
+from jaxnh.config.experiment import Initial
+from jaxnh.engine.calibration import Calibration, Plan, TargetError
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import section_map
 
 PAPER_B = np.linspace(0.1, 6.0, 48)
 SPREAD = 3.0

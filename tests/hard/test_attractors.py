@@ -16,15 +16,17 @@ from test_batch import Job, content
 from test_cascade_depth import iterated
 from test_criteria import divergence
 
-from jaxnh.accuracy import Calibration, TargetError
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
-from jaxnh.analyses.record import Scene
-from jaxnh.experiment import ConfigError, load
-from jaxnh.lanes import Lanes
-from jaxnh.orbits import close_orbit, segment
+from jaxnh.analyses.base import Scene
+from jaxnh.config.experiment import load
+from jaxnh.config.yaml_source import ConfigError
+from jaxnh.engine.calibration import Calibration, TargetError
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import iterate, record
+from jaxnh.orbits.shooting import close_orbit, segment
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import iterate, make_strobe, record
-from jaxnh.systems import chart, constant_speed, disturbed_speed, unchart, wrap
+from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart, wrap
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 

@@ -12,11 +12,12 @@ from matplotlib.figure import Figure
 from measure import turned
 
 from jaxnh.analyses import chaos01, lyapunov, period, verdict
-from jaxnh.analyses.record import Scene
-from jaxnh.lanes import Lanes
-from jaxnh.orbits import close_orbit, find_orbit, log_volume, multiplier_logs, refine_doubling, segment
+from jaxnh.analyses.base import Scene
+from jaxnh.engine.lanes import Lanes
+from jaxnh.orbits.newton import find_orbit
+from jaxnh.orbits.shooting import close_orbit, log_volume, multiplier_logs, refine_doubling, segment
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.systems import constant_speed, wrap
+from jaxnh.systems.particle import constant_speed, wrap
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SCENE = Scene(constant_speed(), START, np.array([5.54]), SPLITTINGS["kahan_li8"], 320, True, 1e-11)

@@ -15,13 +15,15 @@ from measure import apart, twin
 from scenes import PAPER_B, SPREAD, hold, show, start_at
 
 from jaxnh.analyses import lyapunov
+from jaxnh.analyses.base import Scene
 from jaxnh.analyses.poincare import spread
-from jaxnh.analyses.record import Scene
-from jaxnh.experiment import ConfigError, load
-from jaxnh.lanes import Lanes
+from jaxnh.config.experiment import load
+from jaxnh.config.yaml_source import ConfigError
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import iterate, make_strobe
-from jaxnh.systems import constant_speed, disturbed_speed
+from jaxnh.systems.particle import constant_speed, disturbed_speed
 
 CONFIG = "system: {constraint: disturbed_speed, c: 1.0, d: 0.1}\nsweep: {b: {values: [5.5]}}\nanalyses: {period: {}}\n"
 

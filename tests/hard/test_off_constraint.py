@@ -13,10 +13,11 @@ from battery import worst
 from jax import lax
 from matplotlib.figure import Figure
 
-from jaxnh.lanes import Lanes
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.strobe import iterate, make_strobe
-from jaxnh.systems import constant_speed, constrained_field, disturbed_speed
+from jaxnh.systems.particle import constant_speed, constrained_field, disturbed_speed
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SYSTEMS = {"d = 0": constant_speed(), "d = 0.1": disturbed_speed()}

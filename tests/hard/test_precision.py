@@ -13,12 +13,14 @@ import taylor
 from measure import apart, twin
 from scenes import SPREAD, start_at
 
-from jaxnh.accuracy import Calibration, TargetError
-from jaxnh.experiment import ConfigError, load
-from jaxnh.lanes import Lanes
-from jaxnh.precision import in_precision
-from jaxnh.strobe import iterate, make_strobe, section_map
-from jaxnh.systems import constant_speed, disturbed_speed
+from jaxnh.config.experiment import load
+from jaxnh.config.yaml_source import ConfigError
+from jaxnh.engine.calibration import Calibration, TargetError
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import iterate, section_map
+from jaxnh.maps.single_precision import in_precision
+from jaxnh.systems.particle import constant_speed, disturbed_speed
 
 pytestmark = pytest.mark.case("float32 on request")
 TARGET = 1e-2

@@ -1,0 +1,1 @@
+"""What the commands share: exit codes, signals, progress and tables on a terminal."""

@@ -1,0 +1,1 @@
+"""Lanes on devices, calibration, plan, runs and sessions."""

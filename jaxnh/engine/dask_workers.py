@@ -1,0 +1,193 @@
+"""Pieces of a sweep to Dask workers: each computes on one core, writes its own file, and returns a receipt."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib.util
+import logging
+import os
+import re
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxnh.cli.exit_codes import Failed, Refused, Unfinished
+from jaxnh.config.experiment import Experiment
+from jaxnh.engine import plan as work
+from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.xla_options import configure
+from jaxnh.storage import tiles
+from jaxnh.storage.tiles import Damaged, Job, Piece, Receipt
+
+_RETRIES = 2
+_MOST_LOSSES = 10  # of workers that a piece may have been at: a lost worker is no fault of the piece
+_MOST_LOST = 3  # pieces that have lost so many, before the others are given up as well
+_POLL = 0.5  # seconds between two looks at what is done
+_CONNECT = 30.0  # seconds
+_AT_ONCE = threading.Lock()
+_LOCAL = re.compile(r"local(?::([1-9]\d*))?")
+_NUMBERED = re.compile(r"(?!.*://).*?(\d+)")  # names of workers, but for an address: a port says nothing of cores
+
+
+class Lost(Failed):
+    """A piece has lost all workers that it was at."""
+
+
+def check(where: str) -> None:
+    """See that a cluster is named as it can be.
+
+    Raises:
+        Refused: it is not, or Dask is not installed.
+    """
+    if not (_LOCAL.fullmatch(where) or "://" in where or Path(where).is_file()):
+        raise Refused(f"command line: --dask: {where} is neither local[:N] nor tcp://HOST:PORT nor a scheduler file")
+    if not importlib.util.find_spec("distributed"):
+        raise Refused("command line: --dask: this needs the extra dask: pip install 'jaxnh[dask]'")
+
+
+def run(
+    where: str,
+    folder: Path,
+    job: Job,
+    pieces: Sequence[Piece],
+    heed: Callable[[], None],
+    finished: Callable[[Receipt], None],
+) -> None:
+    """Have pieces computed by the workers of a cluster.
+
+    Args:
+        where: `local`, `local:N`, the address of a scheduler or its file.
+        heed: called often; may raise to end the run.
+        finished: called with each receipt.
+
+    Raises:
+        Refused: there is no such cluster.
+        Unfinished: the cluster is gone.
+        Failed: a piece failed on every try; its reason. One that loses its workers does not hold others up.
+    """
+    with _cluster(where) as client:
+        futures = {
+            client.submit(
+                _piece,
+                str(folder.resolve()),
+                job.id,
+                piece.number,
+                key=f"{job.id[:8]}-{piece.number}",
+                retries=_RETRIES,
+                pure=False,
+            ): piece
+            for piece in pieces
+        }
+        lost: list[Lost] = []
+        try:
+            while futures and len(lost) < _MOST_LOST:
+                heed()
+                for future in _ended(client, list(futures)):
+                    piece = futures.pop(future)
+                    try:
+                        finished(_receipt(future, piece))
+                    except Lost as error:
+                        lost.append(error)
+            if lost:
+                raise Failed("; ".join(map(str, lost))) from lost[0]
+        finally:
+            with contextlib.suppress(Exception):
+                client.cancel(list(futures), force=True)
+
+
+def _receipt(future: Any, piece: Piece) -> Receipt:
+    from distributed import CancelledError
+
+    try:
+        if future.status == "finished":
+            return future.result(timeout=_CONNECT)
+        error = future.exception(timeout=_CONNECT)
+    except (OSError, TimeoutError, CancelledError):
+        raise Unfinished("the Dask scheduler is gone") from None
+    if error is not None:
+        if type(error).__name__ == "KilledWorker":
+            raise Lost(f"tile {piece.number} has lost its worker again and again") from error
+        raise Failed(f"tile {piece.number} failed on a worker: {' '.join(str(error).split())[:500]}") from error
+    raise Unfinished("the Dask scheduler has dropped the work")
+
+
+def _ended(client: Any, futures: list[Any]) -> list[Any]:
+    """The futures that have come to an end, after a short wait."""
+    from distributed import CancelledError, wait
+
+    with contextlib.suppress(TimeoutError, CancelledError):
+        wait(futures, timeout=_POLL, return_when="FIRST_COMPLETED")
+    if client.status != "running":
+        raise Unfinished("the Dask scheduler is gone")
+    return [future for future in futures if future.done()]
+
+
+@contextlib.contextmanager
+def _cluster(where: str) -> Iterator[Any]:
+    """A client of the cluster; one of our own ends with it."""
+    import dask.config as settings
+    from distributed import Client, LocalCluster
+
+    for name in ("distributed", "distributed.client", "tornado"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what matters of it we say ourselves
+    settings.set({"distributed.scheduler.allowed-failures": _MOST_LOSSES})
+    settings.set({"distributed.comm.timeouts.connect": f"{_CONNECT}s"})
+    options: dict[str, Any] = {}
+    with contextlib.ExitStack() as stack:
+        local = _LOCAL.fullmatch(where)
+        if local:
+            count = int(local[1] or len(os.sched_getaffinity(0)))
+            environment = {"JAX_NUM_CPU_DEVICES": "1", "OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
+            settings.set({"distributed.nanny.pre-spawn-environ": environment})
+            settings.set({"distributed.worker.multiprocessing-method": "spawn"})
+            layout: dict[str, Any] = {"n_workers": count, "threads_per_worker": 1, "processes": True}
+            layout |= {"dashboard_address": None, "memory_limit": 0}
+            options["address"] = stack.enter_context(LocalCluster(**layout))
+        elif "://" in where:
+            options["address"] = where
+        else:
+            options["scheduler_file"] = where
+        try:
+            client = stack.enter_context(Client(**options, timeout=_CONNECT))
+        except (OSError, ValueError, TimeoutError) as error:
+            raise Refused(f"command line: --dask: no scheduler answers at {where}") from error
+        yield client
+
+
+# ---- in a worker
+
+
+@functools.cache
+def _lanes() -> Lanes:
+    """One device, on one core where there are several to choose from."""
+    from distributed import get_worker
+
+    cores = sorted(os.sched_getaffinity(0))
+    number = _NUMBERED.fullmatch(str(get_worker().name))
+    if len(cores) > 1 and number:
+        os.sched_setaffinity(0, {cores[int(number[1]) % len(cores)]})
+    configure(1)
+    return Lanes()
+
+
+@functools.lru_cache(maxsize=1)
+def _experiment(folder: Path, job_id: str) -> tuple[Experiment, Job]:
+    job = tiles.read_job(folder)
+    if job is None or job.id != job_id:
+        raise RuntimeError(f"{folder}, as a worker sees it, is not the folder of this run")
+    origin = tiles.origin(folder)
+    return work.experiment_from(origin.config, origin.own_text), job
+
+
+def _piece(folder: str, job_id: str, index: int) -> Receipt:
+    """Compute a piece and write it, unless it is there; runs in a worker, one at a time."""
+    with _AT_ONCE:
+        lanes = _lanes()
+        experiment, job = _experiment(Path(folder), job_id)
+        piece = job.pieces()[index]
+        with contextlib.suppress(FileNotFoundError, Damaged):
+            return tiles.check(Path(folder), job, piece)
+        [done] = work.compute(experiment, job, [piece], lanes)
+        return tiles.write_piece(Path(folder), job, *done)

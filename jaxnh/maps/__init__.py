@@ -1,0 +1,1 @@
+"""From period to period, or from crossing to crossing: maps of one lane."""

@@ -1,0 +1,44 @@
+"""Single precision, where it is asked for: a strobe map whose arithmetic within a period is in float32."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxnh.maps.protocol import Pushed, Strobe, Tangent
+from jaxnh.systems.particle import IsokineticParticle, State
+
+
+class SingleStrobe(Strobe):
+    """Another strobe map in single precision: float32 within a period, float64 at both its ends.
+
+    Attributes:
+        system: the flow.
+        inner: the map, its arrays in float32.
+    """
+
+    system: IsokineticParticle
+    inner: Strobe
+
+    def __call__(self, state: State, b: ArrayLike) -> State:
+        return _cast(self.inner(*_cast((state, b), jnp.float32)), jnp.float64)
+
+    def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
+        return _cast(self.inner.push(*_cast((state, b, tangents), jnp.float32)), jnp.float64)
+
+
+def in_precision(strobe: Strobe, precision: str) -> Strobe:
+    """A strobe map, or several stacked, in "float64", as it is, or with its arithmetic in "float32"."""
+    if precision == "float64":
+        return strobe
+    inner = jax.tree.map(lambda v: np.asarray(v, np.float32) if np.result_type(v).kind == "f" else v, strobe)
+    return SingleStrobe(strobe.system, inner)
+
+
+def _cast(tree: Any, real: Any) -> Any:
+    """A pytree with its real numbers in another precision."""
+    return jax.tree.map(lambda v: jnp.asarray(v, real) if jnp.issubdtype(jnp.result_type(v), jnp.floating) else v, tree)

@@ -1,0 +1,78 @@
+"""Where the steps of a period end, shared by all lanes: denser where they all turn faster. No solver here."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxnh.maps.section import Flow
+from jaxnh.systems.lagrangian import NonholonomicSystem
+
+GRID_POINTS = 1 << 16
+_CELLS = 1 << 12
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+_NEWTON_STEPS = 4
+
+
+def density(system: Flow, t: np.ndarray) -> np.ndarray:
+    """Steps a unit of time, up to a factor; t of any shape.
+
+    The density (g + 1/10)^0.3 / s follows the forcing weakly and the inverse speed fully: at constant speed it lowers
+    the largest error of a period about 1.5 times at equal cost (stronger grading raises it again), and where the speed
+    nearly vanishes it refines geometrically towards that moment.
+    """
+    if isinstance(system, NonholonomicSystem):  # of which nothing is known
+        return np.ones_like(t)
+    return (system.forcing(t) + 0.1) ** 0.3 / system.speed(t)
+
+
+def step_grid(system: Flow, steps: int, span: tuple[float, float]) -> np.ndarray:
+    """Ends of the steps over a span, (steps + 1,)."""
+    t = np.linspace(*span, GRID_POINTS + 1)
+    rate = density(system, t)
+    share = np.concatenate([[0.0], np.cumsum(rate[1:] + rate[:-1])])
+    grid = np.interp(np.linspace(0.0, share[-1], steps + 1), share, t)
+    grid[-1] = span[1]
+    return grid
+
+
+class SmoothGrid:
+    """The same grid as a smooth map from fictitious time τ to t, dt/dτ = 1/density, over all times.
+
+    Steps of equal length in τ are steps of one constant length of an autonomous system, which is what a processed
+    method needs: one conjugation then serves all of them.
+    """
+
+    def __init__(self, system: Flow) -> None:
+        self._system = system
+        self._width = system.period / _CELLS
+        cells = self._integral(np.arange(_CELLS) * self._width, np.full(_CELLS, self._width))
+        self._shares = np.concatenate([[0.0], np.cumsum(cells)])
+
+    def share(self, t: np.ndarray) -> np.ndarray:
+        """τ at t, any shape: zero at t = 0."""
+        turns, rest = np.divmod(t, self._system.period)
+        cell = np.minimum((rest / self._width).astype(int), _CELLS - 1)
+        within = self._integral(cell * self._width, rest - cell * self._width)
+        return turns * self._shares[-1] + self._shares[cell] + within
+
+    def time(self, share: np.ndarray) -> np.ndarray:
+        """t at τ, any shape."""
+        turns, rest = np.divmod(share, self._shares[-1])
+        t = np.interp(rest, self._shares, np.arange(_CELLS + 1) * self._width) + turns * self._system.period
+        for _ in range(_NEWTON_STEPS):
+            t = t - (self.share(t) - share) / density(self._system, t)
+        return t
+
+    def rate(self, t: np.ndarray) -> np.ndarray:
+        """dt/dτ at t, any shape."""
+        return 1.0 / density(self._system, t)
+
+    def _integral(self, t: np.ndarray, length: np.ndarray) -> np.ndarray:
+        nodes = t[..., None] + 0.5 * length[..., None] * (1.0 + _NODES)
+        return 0.5 * length * (density(self._system, nodes) * _WEIGHTS).sum(axis=-1)
+
+
+def share_of_steps(system: Flow, span: tuple[float, float]) -> float:
+    """What a span has of the steps of a period."""
+    first, last, whole = SmoothGrid(system).share(np.array([*span, system.period]))
+    return float((last - first) / whole)

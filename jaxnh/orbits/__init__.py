@@ -1,0 +1,1 @@
+"""Periodic orbits: Newton, multiple shooting, multipliers."""

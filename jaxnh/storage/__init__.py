@@ -1,0 +1,1 @@
+"""Result files and tiles on disk. No JAX, and nothing else of the package."""

@@ -1,0 +1,1 @@
+"""What moves: equations, parameters and sources."""

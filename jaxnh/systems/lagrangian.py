@@ -1,0 +1,400 @@
+"""Equations of motion of any mechanical system from T, Q and f, by Jourdain's principle and automatic differentiation.
+
+A system has k coordinates q, kinetic energy T(q, q̇, t), generalised forces Q(q, q̇, t) and m constraints
+f(q, q̇, t) = 0, linear or nonlinear in q̇. With A = ∂f/∂q̇ (m, k) and M = ∂²T/∂q̇² (k, k), equations (3) to (6) of the
+paper and df/dt = 0 are one bordered system for the accelerations and the multipliers:
+
+    M q̈ − Aᵀ λ = Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t
+    A q̈        = −(∂f/∂q) q̇ − ∂f/∂t
+
+Its exact flow keeps f, on the constraint and off it. A computed step leaves f = 0 by the error of the method, and
+`NonholonomicSystem.project` goes back along M⁻¹ Aᵀ, which is orthogonal in the metric of the mass.
+
+Everything here is a function of one lane, with a component an array of its own: under `jax.vmap` no batch of small
+matrices is ever formed, and no library is called to solve them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jax.typing import ArrayLike
+
+from jaxnh.systems.elimination import definite, eliminate, known, largest_of, minus
+from jaxnh.systems.particle import Vector
+
+Energy = Callable[[Vector, Vector, Any], Any]
+"""(q, q̇, t) to a number."""
+Components = Callable[[Vector, Vector, Any], Any]
+"""(q, q̇, t) to a sequence of numbers."""
+
+FAULTS = ("none", "singular", "off_constraint", "not_finite")
+"""Meanings of the codes in `Motion.watch`: why a lane has failed, 0 where it has not."""
+
+_SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
+_SMALLEST_PIVOT = 64 * np.finfo(float).eps  # of the largest entry of the matrix: below it, the pivot is rounding
+_PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
+_APPROACHES = 12  # projections from a random state to one on f = 0
+_LARGEST_DRIFT = 1e-9  # of f after projection, in units of |A q̇| + 1
+
+
+class Equations(NamedTuple):
+    """What a system is: kinetic energy, generalised forces, and constraints (none where it is free).
+
+    Attributes:
+        T: kinetic energy, (q, q̇, t) to a number.
+        Q: generalised forces, (q, q̇, t) to k numbers.
+        f: constraint functions, (q, q̇, t) to m numbers that are to be zero.
+    """
+
+    T: Energy
+    Q: Components
+    f: Components | None = None
+
+
+class Motion(NamedTuple):
+    """State of a lane.
+
+    Attributes:
+        q: k coordinates.
+        v: k velocities q̇.
+        watch: largest |f| before a projection so far, and the reason of its failure, a number of `FAULTS`.
+    """
+
+    q: Vector
+    v: Vector
+    watch: Vector
+
+
+class Accelerations(NamedTuple):
+    """Solution of the bordered system of one state.
+
+    Attributes:
+        a: k accelerations q̈.
+        multipliers: m multipliers λ.
+        singular: whether the matrix has no inverse in double precision.
+    """
+
+    a: Vector
+    multipliers: Vector
+    singular: Any
+
+
+def slope(function: Callable[..., Any], at: Vector, i: int) -> Any:
+    """∂function/∂at[i] at components `at`, the others being constants of the program."""
+    one = jnp.ones_like(at[i])
+    return jax.jvp(lambda x: function(*at[:i], x, *at[i + 1 :]), (at[i],), (one,))[1]
+
+
+def _flat(function: Callable[[Vector, Vector, Any], Any], k: int) -> Callable[..., Any]:
+    """The same function of its 2k + 1 components."""
+    return lambda *at: function(at[:k], at[k : 2 * k], at[2 * k])
+
+
+def _along_motion(function: Callable[..., Any], at: Vector, k: int) -> Any:
+    """(∂/∂q) q̇ + ∂/∂t of a function at components `at` = (q, q̇, t)."""
+    v = at[k : 2 * k]
+
+    def moved(*q_and_t: Any) -> Any:
+        return function(*q_and_t[:k], *v, q_and_t[k])
+
+    return jax.jvp(moved, (*at[:k], at[2 * k]), (*v, jnp.ones_like(at[2 * k])))[1]
+
+
+def _constraints(equations: Equations, k: int) -> Callable[..., Vector]:
+    """f of its 2k + 1 components, as a tuple; empty where the system is free."""
+    f = equations.f
+    return (lambda *at: ()) if f is None else (lambda *at: tuple(f(at[:k], at[k : 2 * k], at[2 * k])))
+
+
+def mass_matrix(equations: Equations, at: Vector, k: int) -> list[list[Any]]:
+    """M = ∂²T/∂q̇², k rows of k, at components (q, q̇, t)."""
+    energy = _flat(equations.T, k)
+
+    def momentum(j: int) -> Callable[..., Any]:
+        return lambda *at: slope(energy, at, k + j)
+
+    upper = {(i, j): slope(momentum(j), at, k + i) for j in range(k) for i in range(j + 1)}
+    return [[upper[min(i, j), max(i, j)] for j in range(k)] for i in range(k)]
+
+
+def constraint_slopes(equations: Equations, at: Vector, k: int) -> list[Vector]:
+    """A = ∂f/∂q̇, m rows of k, at components (q, q̇, t)."""
+    f = _constraints(equations, k)
+    columns = [slope(f, at, k + j) for j in range(k)]
+    return [tuple(column[i] for column in columns) for i in range(len(columns[0]))]
+
+
+def accelerations(equations: Equations, q: Vector, v: Vector, t: Any) -> Accelerations:
+    """q̈ and λ at a state by one bordered solve; components of any one shape.
+
+    The multipliers are those of (6): the reaction on coordinate i is Σ_j λ_j ∂f_j/∂q̇_i.
+    """
+    k = len(q)
+    at = (*q, *v, t)
+    energy, f = _flat(equations.T, k), _constraints(equations, k)
+    forces = [known(force) for force in equations.Q(q, v, t)]
+    with jax.ensure_compile_time_eval():  # what does not depend on the state is a number, not a part of the program
+        momenta = [lambda *at, i=i: slope(energy, at, k + i) for i in range(k)]
+        inertia = [_read(_along_motion(momentum, at, k), at) for momentum in momenta]
+        pull = [_read(slope(energy, at, i), at) for i in range(k)]
+    mass, slopes = _matrices(equations, at, k)
+    right = [minus(force, minus(i, p)) for force, i, p in zip(forces, inertia, pull, strict=True)]
+    right += [-rate for rate in (_along_motion(f, at, k) if slopes else ())]
+    (solution,), smallest = eliminate(_bordered(mass, slopes), [right], k * definite(mass))
+    solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
+    return Accelerations(tuple(solution[:k]), tuple(solution[k:]), smallest <= _SMALLEST_PIVOT)
+
+
+def _matrices(equations: Equations, at: Vector, k: int) -> tuple[list[list[Any]], list[list[Any]]]:
+    """M and A at components (q, q̇, t), floats where they are known while the program is traced."""
+    with jax.ensure_compile_time_eval():
+        mass, slopes = mass_matrix(equations, at, k), constraint_slopes(equations, at, k)
+        return [[_read(x, at) for x in row] for row in mass], [[_read(x, at) for x in row] for row in slopes]
+
+
+def _read(x: Any, at: Vector) -> Any:
+    """`known` while a program is traced; outside of one everything is known, and nothing is to be kept of it."""
+    return known(x) if isinstance(at[0], Tracer) else x
+
+
+def _bordered(mass: list[list[Any]], slopes: list[list[Any]]) -> list[list[Any]]:
+    """[M, −Aᵀ; A, 0]."""
+    m = len(slopes)
+    top = [[*row, *(minus(0.0, a[i]) for a in slopes)] for i, row in enumerate(mass)]
+    return top + [[*a, *[0.0] * m] for a in slopes]
+
+
+# ---- a system of lanes
+
+
+class NonholonomicSystem(eqx.Module):
+    """Any system of T, Q and f whose lanes differ in one parameter; made by `nonholonomic_system`.
+
+    Attributes:
+        define: parameters by name to the system's definition, whose `T`, `Q` and `f` are read; called in every lane.
+        parameters: all parameters by name; that of the sweep is replaced by the lane's own.
+        swept: name of the parameter that differs from lane to lane.
+        names: names of the k coordinates.
+        constraints: number m of constraints.
+        period: strobe period.
+        angles: for each coordinate, whether it is an angle, which returns after 2π.
+        ignorable: for each, whether nothing depends on it: such coordinates are left out of the section.
+    """
+
+    define: Callable[..., Mapping[str, Any]] = eqx.field(static=True)
+    parameters: dict[str, ArrayLike]
+    swept: str = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    constraints: int = eqx.field(static=True)
+    period: float = eqx.field(static=True)
+    angles: tuple[bool, ...] = eqx.field(static=True)
+    ignorable: tuple[bool, ...] = eqx.field(static=True)
+
+    autonomous: ClassVar[bool] = (
+        False  # of T, Q and f it is not known whether they have a clock: one is taken to be there
+    )
+
+    def equations(self, b: ArrayLike) -> Equations:
+        """T, Q and f of a lane, whose swept parameter is b."""
+        definition = self.define(**{**self.parameters, self.swept: b})
+        return Equations(definition["T"], definition["Q"], definition.get("f"))
+
+    def vector_field(self, t: ArrayLike, state: Motion, b: ArrayLike) -> Motion:
+        """Time derivative of a state; a singular matrix makes the rate of the reason not a number."""
+        solved = accelerations(self.equations(b), state.q, state.v, t)
+        zero = jnp.zeros_like(state.q[0])
+        return Motion(state.v, solved.a, (zero, jnp.where(solved.singular, jnp.nan, zero)))
+
+    def divergence(self, t: ArrayLike, state: Motion, b: ArrayLike) -> Any:
+        """Σ ∂q̈_i/∂q̇_i; its mean is the sum of the 2k − m Lyapunov exponents, as those across f = 0 are zero."""
+        equations, k = self.equations(b), len(state.q)
+
+        def acceleration(i: int) -> Callable[..., Any]:
+            return lambda *v: accelerations(equations, state.q, v, t).a[i]
+
+        return sum(slope(acceleration(i), tuple(state.v), i) for i in range(k))
+
+    def multipliers(self, t: ArrayLike, state: Motion, b: ArrayLike) -> Vector:
+        """The m multipliers λ of (6)."""
+        return accelerations(self.equations(b), state.q, state.v, t).multipliers
+
+    def residuals(self, t: ArrayLike, state: Motion, b: ArrayLike) -> Vector:
+        """The m values of f, zero on the constraints."""
+        return _constraints(self.equations(b), len(state.q))(*state.q, *state.v, t)
+
+    def project(self, t: ArrayLike, state: Motion, b: ArrayLike, *, trust: bool = True) -> Motion:
+        """The state brought back to f = 0 along M⁻¹ Aᵀ, or marked as failed: not a number from there on.
+
+        Newton on the multipliers with the matrix of the state itself. The largest |f| found here is kept in `watch`.
+        Without trust a state that is still off f = 0 is no failure.
+        """
+        equations, k = self.equations(b), len(state.q)
+        q, v, (drift, reason) = state
+        f = _constraints(equations, k)
+        finite = jnp.isfinite(sum(x * x for x in (*q, *v)))
+        singular = jnp.isnan(reason)
+        off = ~finite
+        residuals = f(*q, *v, t)
+        if residuals:
+            at = (*q, *v, t)
+            mass, slopes = _matrices(equations, at, k)
+            ends = [[float(i == k + j) for i in range(k + len(slopes))] for j in range(len(slopes))]
+            ways, smallest = eliminate(_bordered(mass, slopes), ends, k * definite(mass))
+            singular |= smallest <= _SMALLEST_PIVOT
+            found = largest_of(list(residuals))
+            drift = jnp.where(found > drift, found, drift)
+            for _ in range(_PROJECTIONS):
+                v = tuple(v[i] - sum(r * way[i] for r, way in zip(residuals, ways, strict=True)) for i in range(k))
+                residuals = f(*q, *v, t)
+            sizes = [1.0 + sum(jnp.abs(a * vi) for a, vi in zip(row, v, strict=True)) for row in slopes]
+            if trust:
+                off = ~(largest_of([r / size for r, size in zip(residuals, sizes, strict=True)]) < _LARGEST_DRIFT)
+        code = jnp.where(off, jnp.where(finite, _OFF, _NOT_FINITE), jnp.zeros_like(drift))
+        code = jnp.where(singular, _SINGULAR, code)
+        reason = jnp.where(reason > 0.0, reason, code)
+        q, v = (tuple(jnp.where(reason > 0.0, jnp.nan, x) for x in side) for side in (q, v))
+        return Motion(q, v, lax.stop_gradient((drift, reason)))
+
+    # ---- the section: coordinates and velocities, those that are ignorable left out
+
+    @property
+    def kept(self) -> tuple[int, ...]:
+        """Numbers of the coordinates that the section has."""
+        return tuple(i for i, left_out in enumerate(self.ignorable) if not left_out)
+
+    def signal(self, state: Motion) -> Any:
+        """The coordinate that stands for a motion where one is enough: the first of the section."""
+        return state.q[self.kept[0]]
+
+    @property
+    def dimension(self) -> int:
+        """Coordinates of the section: positions, then all velocities."""
+        return len(self.kept) + len(self.names)
+
+    @property
+    def exponents(self) -> int:
+        """Lyapunov exponents of motions that keep the constraints."""
+        return self.dimension - self.constraints
+
+    @property
+    def sweeps(self) -> str:
+        """What differs from lane to lane, in words and with its symbol."""
+        return f"parameter {self.swept}"
+
+    def chart(self, state: Motion) -> jax.Array:
+        """Section coordinates of a state, (dimension,); angles in [−π, π)."""
+        q = [_turned(state.q[i]) if self.angles[i] else state.q[i] for i in self.kept]
+        return jnp.stack([*q, *state.v])
+
+    def unchart(self, u: Any) -> Motion:
+        """The state with section coordinates (dimension,), ignorable coordinates zero."""
+        zero = jnp.zeros_like(u[0])
+        q = [zero] * len(self.names)
+        for j, i in enumerate(self.kept):
+            q[i] = u[j]
+        return Motion(tuple(q), tuple(u[len(self.kept) + i] for i in range(len(q))), (zero, zero))
+
+    def wrap(self, difference: Any) -> Any:
+        """A difference of section coordinates (..., dimension), its angles in [−π, π)."""
+        xp = np if isinstance(difference, np.ndarray) else jnp
+        turns = [j for j, i in enumerate(self.kept) if self.angles[i]]
+        columns = [_turned(difference[..., j]) if j in turns else difference[..., j] for j in range(self.dimension)]
+        return xp.stack(columns, axis=-1)
+
+    def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Largest difference of positions between section points (..., dimension): (...,)."""
+        return np.max(np.abs(self.wrap(one - other)[..., : len(self.kept)]), axis=-1)
+
+    def section_point(self, start: Motion) -> np.ndarray:
+        """(dimension,) section coordinates of a start state of floats."""
+        return np.array([*(start.q[i] for i in self.kept), *start.v])
+
+    def directions(self, k: int) -> tuple[Vector, ...]:
+        """k tangents to begin with, in no special direction: none is lost on the constraints."""
+        draws = np.linalg.qr(np.random.default_rng(0).normal(size=(self.dimension, self.dimension)))[0]
+        return tuple(tuple(row.tolist()) for row in draws[:k])
+
+    def lift(self, state: Motion, tangent: Vector) -> Motion:
+        """δ(q, q̇) of a tangent in section coordinates."""
+        zero = jnp.zeros_like(tangent[0])
+        q = [zero] * len(self.names)
+        for j, i in enumerate(self.kept):
+            q[i] = tangent[j]
+        return Motion(tuple(q), tuple(tangent[len(self.kept) :]), (zero, zero))
+
+    def lower(self, state: Motion, tangent: Motion) -> Vector:
+        """Section coordinates of a tangent δ(q, q̇)."""
+        return (*(tangent.q[i] for i in self.kept), *tangent.v)
+
+    def random_states(self, draws: np.ndarray, box: float, b: np.ndarray) -> Motion:
+        """Start states of even draws (lanes, dimension) from [−1, 1], times the box (angles: times π), on f = 0."""
+        scale = [np.pi if self.angles[i] else box for i in self.kept] + [box] * len(self.names)
+        return jax.tree.map(np.asarray, jax.vmap(self.approach)(jnp.asarray(draws * scale), jnp.asarray(b)))
+
+    def approach(self, u: Any, b: Any) -> Motion:
+        """The state near section coordinates u that is on the constraints at t = 0, by many projections."""
+        zero = jnp.zeros_like(u[0])
+
+        def again(_: Any, state: Motion) -> Motion:
+            q, v, (drift, _) = state
+            moved = self.project(zero, Motion(q, v, (drift, zero)), b, trust=False)
+            return Motion(q, moved.v, (drift, zero))
+
+        return self.project(zero, lax.fori_loop(0, _APPROACHES, again, self.unchart(u)), b)
+
+    def outputs(self, states: Motion, t: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
+        """Coordinates and velocities of states by name, each with words for it: x, x_dot, y, y_dot, …"""
+        found: dict[str, tuple[np.ndarray, str]] = {}
+        for name, q, v, is_angle in zip(self.names, states.q, states.v, self.angles, strict=True):
+            found[name] = (_turned(q), f"angle {name}") if is_angle else (q, f"coordinate {name}")
+            found[f"{name}_dot"] = v, f"velocity {name}_dot = d{name}/dt"
+        return found
+
+    def reports(self, states: Motion) -> dict[str, tuple[np.ndarray, str, dict[str, Any]]]:
+        """Of each trajectory, by the last of its states (..., points): largest |f| before a projection, and its end."""
+        drift, reason = (component[..., -1] for component in states.watch)
+        flags = {"flag_values": np.arange(len(FAULTS), dtype=np.int8), "flag_meanings": " ".join(FAULTS)}
+        return {
+            "drift": (drift, "largest |f| that a step left before its projection", {}),
+            "failure": (reason.astype(np.int8), "why the trajectory has failed", flags),
+        }
+
+
+def _turned(angle: Any) -> Any:
+    """An angle in [−π, π)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def nonholonomic_system(
+    define: Callable[..., Mapping[str, Any]], parameters: Mapping[str, float], swept: str
+) -> NonholonomicSystem:
+    """The system that a function of its parameters defines.
+
+    Args:
+        define: parameters by name to a mapping with `T`, `Q` and, unless the system is free, `f`: functions of
+            (q, q̇, t), with q and q̇ tuples of k numbers; `coordinates`, their k names; `period`, that of the strobe; and
+            where there are some, names of coordinates that are `angles` or `ignorable`.
+        parameters: values of all parameters, that of the sweep included.
+        swept: name of the parameter that differs from lane to lane.
+    """
+    definition = define(**parameters)
+    names = tuple(definition["coordinates"])
+    angles, ignorable = (tuple(name in definition.get(kind, ()) for name in names) for kind in ("angles", "ignorable"))
+    zeros = (jnp.zeros(()),) * len(names)
+    equations = Equations(definition["T"], definition["Q"], definition.get("f"))
+    m = len(jax.eval_shape(lambda q, t: _constraints(equations, len(q))(*q, *q, t), zeros, zeros[0]))
+    period = float(definition["period"])
+    return NonholonomicSystem(define, dict(parameters), swept, names, m, period, angles, ignorable)
+
+
+def at_rest(k: int) -> Motion:
+    """All zero: k coordinates and velocities of floats, and nothing to report."""
+    return Motion((0.0,) * k, (0.0,) * k, (0.0, 0.0))

@@ -1,0 +1,294 @@
+"""Lyapunov spectra, least periods, the 0–1 test and the verdict, against Taylor integration and exact identities."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+import taylor
+import xarray as xr
+from conftest import ROOT
+from measure import turned
+
+from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
+from jaxnh.analyses.base import Scene
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import section_map
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.systems.particle import constant_speed, disturbed_speed
+
+GROWTH_RATES, WITHOUT_PERIOD = jax.jit(chaos01.growth_rates), jax.jit(chaos01.without_period)
+START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
+# (system, its twin in the reference, b of the paper's figures 1 and 6 with their periods, 0: chaotic)
+CASES = {
+    "constant": (constant_speed(), taylor.Parameters(), {5.8: 1, 2.5: 2, 4.1: 4, 5.3: 0}),
+    "disturbed": (disturbed_speed(), taylor.Parameters(d=0.1), {5.9: 1, 2.5: 2, 4.2: 4, 5.6: 0}),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request):
+    """A system at the paper's four values: scene, twin, periods, and the groups `period` and `lyapunov`."""
+    system, twin, periods = CASES[request.param]
+    # The map of one period is right to about 1e-10 with these steps, and so are exponents of periodic orbits.
+    scene = Scene(system, START, np.array(list(periods)), SPLITTINGS["kahan_li8"], 240, False, 1e-10)
+    lanes = Lanes()
+    found = period.run(period.PeriodOptions(limit=16), scene, lanes)
+    options = lyapunov.LyapunovOptions(transient=256, periods=512)
+    return scene, twin, np.array(list(periods.values())), found, lyapunov.run(options, scene, lanes)
+
+
+def test_periods_of_the_paper(case):
+    """Periods 1, 2, 4 and chaos where the paper's figures 1 and 6 show them."""
+    _, _, periods, found, _ = case
+    np.testing.assert_array_equal(found.variables["period"].data, periods)
+    assert np.all(found.variables["residual"].data[:3] < 1e-7)
+
+
+def test_multiple_of_the_period():
+    """A point of the orbits of period 1 at b = 5.8 and 2 at 2.5, met by Newton at a period of 8, is of theirs."""
+    strobe = make_strobe(constant_speed(), SPLITTINGS["kahan_li8"], 120)
+    lanes, b = Lanes(), np.array([5.8, 2.5])
+    start = np.tile(constant_speed().section_point(START), (2, 1))
+    u = lanes(section_map, (strobe, np.int32(400)), (start, b))
+    np.testing.assert_array_equal(period.least_period(lanes, strobe, u, b, 8), [1, 2])
+
+
+def test_lanes_of_no_part_in_a_cascade():
+    """Lone lanes of no period, and of another than their equal neighbours, go; doublings and windows stay."""
+    found = np.array([1, 1, 1, 0, 2, 2, 2, 32, 2, 2, 4, 8, 8, 8, 0, 0, 0, 6, 6, 6])
+    other = [np.arange(len(found))] * 5
+    kept = period.Survey(other[0], found, *other[1:]).without_holes()
+    np.testing.assert_array_equal(kept.period, [1, 1, 1, 2, 2, 2, 2, 2, 4, 8, 8, 8, 0, 0, 0, 6, 6, 6])
+
+
+def test_exponents_of_periodic_orbits(case):
+    """All three exponents are ln|μ|/(nT) of multipliers by an independent Taylor integration, to 1e-6.
+
+    The third multiplier of a period is down to e^−48, below what long double keeps of a monodromy matrix: the third
+    exponent is what the mean divergence, by quadrature along the orbit, leaves over the other two.
+    """
+    scene, twin, periods, _, group = case
+    for i in np.flatnonzero(periods):
+        b, n = float(scene.values[i]), int(periods[i])
+        points = taylor.orbit(twin, n, b, taylor.attractor(twin, b, twin.start(), 400)[0])
+        _, blocks, _ = taylor.strobe_jacobian(twin, np.full(n, b), points)
+        sums = multiplier_logs(np.asarray(blocks, np.longdouble))
+        first, second = np.sort(sums)[::-1][:2].astype(float) / (n * twin.period)
+        third = divergence(twin, b, points) / (n * twin.period) - first - second
+        np.testing.assert_allclose(group.variables["exponents"].data[i], [first, second, third], atol=1e-6)
+
+
+def check_chaotic_spectrum(scene, twin, i, group, lanes, periods):
+    """Two finite averages of all three exponents, by Taylor variational equations and by us, agree within their bars.
+
+    The mean of lanes that chaos has parted has as its bar 2.5 standard errors: those of a few lanes are rough.
+    """
+    starts = twin.start() + 1e-3 * np.arange(lanes)[:, None]
+    found = taylor.spectra(twin, np.full(lanes, scene.values[i]), starts, 30, periods)
+    bar = 2.5 * found.std(axis=0, ddof=1) / math.sqrt(lanes)
+    ours, error = (group.variables[name].data[i] for name in ("exponents", "exponents_error"))
+    assert np.all(bar[0] < 0.5 * ours[0])  # else the comparison says little
+    assert np.all(np.abs(found.mean(axis=0) - ours) < bar + error)
+
+
+def test_exponents_of_chaos(case):
+    """The same at the chaotic values, whose averages are finite."""
+    scene, twin, periods, _, group = case
+    for i in np.flatnonzero(periods == 0):
+        check_chaotic_spectrum(scene, twin, i, group, 16, 60)
+
+
+@pytest.mark.slow
+def test_exponents_of_chaos_over_many_periods(case):
+    """Error bars three to five times smaller."""
+    scene, twin, periods, _, _ = case
+    chaotic = dataclasses.replace(scene, values=scene.values[periods == 0])
+    group = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=8192), chaotic, Lanes())
+    check_chaotic_spectrum(chaotic, twin, 0, group, 32, 1000)
+
+
+def test_tangents_cost_operations_only_where_asked_for():
+    """Operations that XLA counts in a program: none of tangents in a diagram, fewer for one exponent than for three."""
+    scene = Scene(constant_speed(), START, np.array([2.0, 3.0]), SPLITTINGS["strang2"], 40, False, 0.0)
+
+    def most_operations(analyse):
+        lanes = Lanes()
+        analyse(lanes)
+        return max(program.cost_analysis().get("flops", 0.0) for program in lanes._programs.values())
+
+    def spectrum(k):
+        options = lyapunov.LyapunovOptions(transient=16, periods=16, exponents=k)
+        return most_operations(lambda lanes: lyapunov.run(options, scene, lanes))
+
+    map_alone = most_operations(
+        lambda lanes: lanes(map_and_rest, (scene.strobe(),), (np.full((2, 4), 0.5), scene.values))
+    )
+    of_diagram = most_operations(
+        lambda lanes: diagram.run(diagram.DiagramOptions(transient=4, strobes=4), scene, lanes)
+    )
+    one, three = spectrum(1), spectrum(3)
+    assert of_diagram < 2.1 * map_alone  # a kick stands twice in it: on the way to the strobes, and between them
+    assert of_diagram < 0.7 * one
+    assert one < 0.8 * three
+
+
+def map_and_rest(strobe, z, b):
+    """One period, and the velocity of the state that it leads to."""
+    state = strobe(((z[0], z[1]), (z[2], z[3])), b)
+    return state, strobe.system.velocity(0.0, state)
+
+
+def divergence(par, b, points):
+    """∫ −n·F/s dt over the orbit through the points (n, 3), by DOP853."""
+
+    def field(t, u):
+        x, y, theta, _ = u
+        g, s = 1 + math.sin(par.omega * t), math.sqrt(par.c + par.d * math.sin(t))
+        n1, n2 = math.cos(theta), math.sin(theta)
+        f1, f2 = b * y - g * (par.a * x + x**3), b * x - g * (y + par.a * y**3)
+        return [s * n1, s * n2, (n1 * f2 - n2 * f1) / s, -(n1 * f1 + n2 * f2) / s]
+
+    spans = [(0.0, float(par.period))] * len(points)
+    runs = [
+        scipy.integrate.solve_ivp(field, span, [*map(float, u), 0.0], method="DOP853", rtol=1e-11, atol=1e-12)
+        for span, u in zip(spans, points, strict=True)
+    ]
+    return sum(run.y[3, -1] for run in runs)
+
+
+def multiplier_logs(blocks):
+    """ln|μ| of the product of blocks (n, 3, 3), by simultaneous iteration in long double: no product is formed."""
+    basis, settled = np.eye(3, dtype=np.longdouble), []
+    for _ in range(400):
+        basis, logs = turned(blocks, basis)
+        settled.append(logs)
+    weights = lyapunov.window((np.arange(300) + 0.5) / 300, 1.0)[:, None]
+    return np.sum(weights * np.array(settled[100:]), axis=0) / weights.sum()
+
+
+def test_sum_rule(case):
+    """The exponents add up to the mean divergence; to 1e-8 relative on periodic orbits."""
+    _, _, periods, _, group = case
+    total = group.variables["exponents"].data.sum(axis=1)
+    residual = np.abs(group.variables["sum_rule_residual"].data)
+    assert np.all(residual[periods > 0] < 1e-8 * np.abs(total[periods > 0]))
+    assert np.all(residual < group.variables["exponents_error"].data.sum(axis=1) + 1e-8)
+    np.testing.assert_allclose(group.variables["transverse"].data, 2 * total, atol=1e-6)
+
+
+def test_chaos_is_positive_beyond_its_error(case):
+    """Where there is no period the largest exponent is positive by more than its error bar; elsewhere negative."""
+    _, _, periods, _, group = case
+    largest = group.variables["exponents"].data[:, 0]
+    error = group.variables["exponents_error"].data[:, 0]
+    assert np.all((largest - error > 0) == (periods == 0))
+
+
+def test_one_exponent_is_the_largest_of_three(case):
+    """Asked for alone, the largest exponent is the same where it converges to rounding."""
+    scene, _, periods, _, group = case
+    alone = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=512, exponents=1), scene, Lanes())
+    one = alone.variables["exponents"].data[:, 0]
+    real = periods > 0
+    np.testing.assert_allclose(one[real], group.variables["exponents"].data[real, 0], atol=1e-6)
+    assert alone.variables["exponents"].data.shape == (4, 1)
+
+
+def test_gram_schmidt_is_qr():
+    """Written-out Gram–Schmidt gives numpy's Q up to signs, and the logarithms of |diag R|."""
+    matrix = np.random.default_rng(5).normal(size=(3, 3))
+    vectors, logs = lyapunov.gram_schmidt([tuple(jnp.asarray(row)) for row in matrix])
+    q, r = np.linalg.qr(matrix.T)
+    np.testing.assert_allclose(np.array(logs), np.log(np.abs(np.diag(r))), atol=1e-13)
+    np.testing.assert_allclose(np.abs(np.array(vectors)), np.abs(q.T), atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("exponents", "dimension"),
+    [((0.5, -1.0, -2.0), 1.5), ((-0.1, -1.0, -2.0), 0.0), ((0.5, 0.1, -1.2), 2.5), ((0.5, 0.1, -0.2), 3.0)],
+)
+def test_kaplan_yorke(exponents, dimension):
+    """The definition, worked by hand."""
+    assert lyapunov.kaplan_yorke(np.array([exponents]))[0] == pytest.approx(dimension)
+
+
+def logistic(r, count=1000):
+    """Points of the logistic map after as many, of which the first are left out."""
+    x = [0.3]
+    for _ in range(2 * count):
+        x.append(r * x[-1] * (1 - x[-1]))
+    return jnp.array(x[count + 1 :])
+
+
+def growth(signal, scale):
+    """Median of K over angles."""
+    return np.median(GROWTH_RATES(signal, jnp.linspace(np.pi / 5, 4 * np.pi / 5, 40), scale))
+
+
+def test_growth_of_the_logistic_map():
+    """The 0–1 test on the map of its authors' examples: K near 1 at 3.97, near 0 at 3.55 (period 8)."""
+    for r, k in ((3.97, 1.0), (3.55, 0.0)):
+        signal = logistic(r)
+        scale = jnp.mean(signal**2)
+        assert growth(signal, scale) == pytest.approx(k, abs=0.1)
+        assert growth(WITHOUT_PERIOD(signal), scale) == pytest.approx(k, abs=0.1)
+
+
+def test_growth_of_chaos_in_bands():
+    """At r = 3.575 the logistic map is chaotic in eight narrow bands: seen once the motion of period 8 is off."""
+    signal = logistic(3.575)
+    scale = jnp.mean(signal**2)
+    assert growth(signal, scale) < 0.2
+    assert growth(WITHOUT_PERIOD(signal), scale) > 0.9
+
+
+def test_verdict_rule():
+    """One row a clause of the rule, and disagreement is undecided."""
+    nan, t = np.nan, 2 * np.pi
+    mu = 0.5
+    expected = math.log(mu) / (2 * t)
+    rows = [  # period, multiplier, failed, λ1, error, K -> kind
+        (2, mu, False, expected, 1e-6, 0.0, "periodic"),
+        (2, mu, False, expected + 0.1, 1e-6, 0.0, "undecided"),
+        (2, mu, False, expected, 1e-6, 0.9, "undecided"),
+        (0, nan, False, 0.1, 0.01, 0.99, "chaotic"),
+        (0, nan, False, 0.1, 0.2, 0.99, "undecided"),
+        (0, nan, False, 0.1, 0.01, 0.1, "undecided"),
+        (0, nan, False, 1e-5, 1e-4, 0.0, "quasiperiodic"),
+        (0, nan, False, 1e-3, 1e-1, 0.0, "undecided"),
+        (1, mu, True, expected, 1e-6, 0.0, "failed"),
+        (0, nan, False, nan, nan, 0.0, "failed"),
+    ]
+    columns = [np.array(column) for column in list(zip(*rows, strict=True))[:6]]
+    kinds = verdict.judge(*columns, t, np.full(len(rows), 1000))
+    assert [verdict.KINDS[kind] for kind in kinds] == [row[6] for row in rows]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["range_constant", "range_disturbed"])
+def test_whole_range(result, name):
+    """All criteria at 4096 values of b over the paper's range: at most 2% undecided, none failed.
+
+    At every decided b the sign of λ1, beyond its error, is that of the period analysis, and on periodic orbits all
+    exponents add up to the divergence.
+    """
+    path, _, _ = result(name, ROOT / "configs" / f"{name}.yaml")
+    tree = xr.open_datatree(path, engine="h5netcdf").load()
+    kind = tree["verdict/kind"].to_numpy()
+    assert len(kind) == 4096
+    counts = dict(zip(verdict.KINDS, np.bincount(kind, minlength=len(verdict.KINDS)), strict=True))
+    assert counts["failed"] == 0
+    assert counts["undecided"] <= 0.02 * len(kind)
+    largest = tree["lyapunov/exponents"].to_numpy()[:, 0]
+    error = tree["lyapunov/exponents_error"].to_numpy()[:, 0]
+    periodic = tree["period/period"].to_numpy() > 0
+    decided = (kind == verdict.KINDS.index("periodic")) | (kind == verdict.KINDS.index("chaotic"))
+    assert np.all((largest - error > 0)[decided] == ~periodic[decided])
+    assert np.all(largest[decided & periodic] < error[decided & periodic])

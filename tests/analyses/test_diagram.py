@@ -1,0 +1,181 @@
+"""Bifurcation diagrams: strobes against the Taylor reference, carried states against a plain loop, random starts."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import taylor
+from measure import SYSTEMS, apart, twin
+
+from jaxnh.analyses import diagram, portrait
+from jaxnh.analyses.base import Scene
+from jaxnh.analyses.diagram import DiagramOptions, random_starts, run
+from jaxnh.config.experiment import load
+from jaxnh.config.yaml_source import ConfigError
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.kicks import KickStrobe
+from jaxnh.solvers import SPLITTINGS
+
+B = np.array([2.5, 0.4, 3.1, 1.2, 3.1])
+# One period of order ten with 4900 forces has an error of 6e-12 (DESIGN, section 3). At these b all orbits attract; an
+# error grows no more than a hundredfold on the way to them, and some ten periods add up:
+TOLERANCE = 1e-8
+NAMES = ("x1", "x2", "y1", "y2")
+
+
+def scene(system, values=B, solver="sofroniou_spaletta10", steps=140):
+    x, y, angle = twin(system).start().astype(float)
+    return Scene(system, ((x, y), (np.cos(angle), np.sin(angle))), values, SPLITTINGS[solver], steps, False, 0.0)
+
+
+def coarse(values=B):
+    return scene(SYSTEMS["disturbed"], values, "strang2", 40)
+
+
+def sections(group):
+    """(…, 3) section coordinates of a group at phase 0, where the speed is √c."""
+    x1, x2, y1, y2 = (group.variables[name].data for name in NAMES)
+    return np.stack([x1, y1, np.arctan2(y2, x2)], axis=-1)
+
+
+@pytest.mark.parametrize("name", ["constant", "disturbed"])
+@pytest.mark.parametrize("transient", [0, 3])
+def test_strobes_from_a_fixed_start_are_those_of_the_reference(name, transient):
+    """With no transient the first strobe is the start state, the second the state one period on."""
+    system, par = SYSTEMS[name], twin(SYSTEMS[name])
+    ours = sections(run(DiagramOptions(transient=transient, strobes=3), scene(system), Lanes()))
+    start = np.broadcast_to(par.start(), (len(B), 3))
+    for k in range(3):
+        periods = transient + k
+        exact = taylor.strobe(par, B, start, periods) if periods else start
+        assert apart(ours[:, k], exact).max() < (TOLERANCE if periods else 1e-15)
+
+
+@pytest.mark.parametrize("phase", [0.25, 0.5])
+@pytest.mark.parametrize("start", ["fixed", "up"])
+def test_phase_of_the_strobes(phase, start):
+    """The strobes at a phase are those samples of the trajectory, which has its own test."""
+    system = SYSTEMS["disturbed"]
+    values = B if start == "fixed" else B[:1]
+    options = DiagramOptions(transient=0, strobes=3, phase=phase, start=start)
+    ours = run(options, scene(system, values), Lanes()).variables
+    path = portrait.run(
+        portrait.PortraitOptions(transient=0, periods=3, samples=4), scene(system, values), Lanes()
+    ).variables
+    for name in NAMES:
+        np.testing.assert_allclose(ours[name].data, path[name].data[:, round(4 * phase) :: 4], atol=TOLERANCE)
+
+
+@pytest.mark.parametrize(("start", "order"), [("up", [1, 3, 0, 2, 4]), ("down", [4, 2, 0, 3, 1])])
+def test_a_carried_state_is_a_plain_loop_over_b(start, order):
+    """Up and down in b whatever the order of the sweep; the last strobe at one b is the start at the next."""
+    system, par = SYSTEMS["constant"], twin(SYSTEMS["constant"])
+    ours = sections(run(DiagramOptions(transient=2, strobes=3, start=start), scene(system), Lanes()))
+    state = par.start()
+    for i in order:
+        state = taylor.strobe(par, B[i], state, 2)[0]
+        for k in range(3):
+            state = taylor.strobe(par, B[i], state)[0] if k else state
+            assert apart(ours[i, k], state) < TOLERANCE
+
+
+def test_a_carried_state_does_not_feel_where_a_call_ends(monkeypatch):
+    values = np.linspace(4.0, 5.5, 11)
+    options = DiagramOptions(transient=3, strobes=4, start="up")
+    whole = sections(run(options, coarse(values), Lanes()))
+    monkeypatch.setattr(diagram, "_CARRIED_AT_ONCE", 4)
+    parts = sections(run(options, coarse(values), Lanes()))
+    np.testing.assert_allclose(parts, whole, atol=1e-9)  # another program, so rounding differs, and chaos enlarges it
+
+
+def test_up_and_down_part_where_two_attractors_live():
+    """Near b = 4 an orbit of period 2 coming from below lives beside one of period 4 coming from above."""
+    values = np.linspace(3.5, 4.4, 37)
+    points = {}
+    for start in ("up", "down"):
+        options = DiagramOptions(transient=200, strobes=4, start=start)
+        points[start] = (
+            run(options, scene(SYSTEMS["constant"], values, "blanes_moan6", 80), Lanes()).variables["x1"].data
+        )
+    distinct = {start: [len(np.unique(row.round(3))) for row in x] for start, x in points.items()}
+    at = int(np.argmin(np.abs(values - 4.0)))
+    assert distinct["up"][at] == 2
+    assert distinct["down"][at] == 4
+
+
+def test_random_starts_fill_the_box_evenly_and_never_change():
+    options = DiagramOptions(start="random", starts=64, box=2.5, seed=3)
+    scene = coarse()
+    (x, y), (n1, n2) = random_starts(options, scene, np.zeros(64 * 100))
+    count = 64 * 100
+    assert np.abs(n1**2 + n2**2 - 1).max() < 1e-15
+    for values, half in ((x, 2.5), (y, 2.5), (np.arctan2(n2, n1), np.pi)):
+        shares = np.histogram(values, 8, (-half, half))[0] / count
+        assert shares.sum() == 1.0
+        assert np.abs(shares - 1 / 8).max() < 5 * np.sqrt(1 / 8 * 7 / 8 / count)  # five standard deviations
+    again = random_starts(options, scene, np.zeros(64 * 40))
+    assert np.array_equal(again[0][0], x[: 40 * 64])
+    assert not np.array_equal(random_starts(options.model_copy(update={"seed": 4}), scene, np.zeros(64))[0][0], x[:64])
+
+
+def test_random_starts_are_the_same_in_any_tiles():
+    options = DiagramOptions(transient=0, strobes=2, start="random", starts=6)
+    one, other = (run(options, coarse(), Lanes(tile=tile)).variables for tile in (8, 32))
+    assert one["x1"].dims == ("b", "start", "strobe")
+    assert one["x1"].data.shape == (5, 6, 2)
+    for name in NAMES:
+        assert np.array_equal(one[name].data[..., 0], other[name].data[..., 0])
+        np.testing.assert_allclose(one[name].data[..., 1], other[name].data[..., 1], atol=1e-9)
+
+
+def test_each_b_has_starts_of_its_own():
+    x1 = run(DiagramOptions(transient=0, strobes=1, start="random", starts=6), coarse(), Lanes()).variables["x1"].data
+    assert len(np.unique(x1)) == 5 * 6
+
+
+@pytest.mark.parametrize("start", ["fixed", "up", "down", "random"])
+def test_expected_work_is_the_work_done(start):
+    options = DiagramOptions(transient=5, strobes=4, start=start, phase=0.5)
+    lanes = Lanes()
+    run(options, coarse(), lanes)
+    carried = 0.5 if start in ("up", "down") else 0.5 * len(B)  # a carried state flies to the phase once
+    expected = diagram.periods(options, len(B)) - 0.5 * len(B) * (16 if start == "random" else 1)
+    assert lanes.lane_periods == expected + carried * (16 if start == "random" else 1)
+
+
+def test_nothing_is_differentiated(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("a tangent was asked for")
+
+    monkeypatch.setattr(KickStrobe, "push", refuse)
+    run(DiagramOptions(transient=1, strobes=2), coarse(), Lanes())
+
+
+def test_options_of_random_starts_go_with_them_alone(tmp_path):
+    config = tmp_path / "config.yaml"
+    config.write_text(
+        "system: {constraint: constant_speed}\nsweep: {b: {values: [1]}}\n"
+        "analyses:\n  diagram: {start: up, starts: 3}\n"
+    )
+    with pytest.raises(ConfigError, match=r":4: analyses\.diagram\.starts: starts goes with start: random"):
+        load(config)
+
+
+@pytest.mark.slow
+def test_memory_of_a_large_diagram(tmp_path):
+    """100,000 lanes and 64 strobes kept stay below 2 GB at their peak."""
+    config = tmp_path / "large.yaml"
+    config.write_text(
+        "system: {constraint: constant_speed}\nsweep: {b: {start: 0.1, stop: 6, count: 100000}}\n"
+        "accuracy: {solver: strang2, steps: 32}\nanalyses:\n  diagram: {transient: 8, strobes: 64}\n"
+    )
+    code = (
+        "import resource, sys, jaxnh.sweep; rc = jaxnh.sweep.main(); "
+        "print('peak', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss); sys.exit(rc)"
+    )
+    command = [sys.executable, "-c", code, str(config), "--output", str(tmp_path / "large.h5")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
+    assert int(done.stdout.split("peak")[1]) < 2e9 / 1024

@@ -1,0 +1,84 @@
+"""Strobe points against the Taylor reference, and the contract of counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import taylor
+from measure import SYSTEMS, twin
+
+from jaxnh.analyses import poincare
+from jaxnh.analyses.base import Scene, Variable
+from jaxnh.analyses.poincare import PoincareOptions, run
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.kicks import KickStrobe
+from jaxnh.solvers import SPLITTINGS
+
+B = np.array([5.8, 2.5, 4.1])
+ONE_PERIOD = 6e-11  # error of one period of order ten with 4900 forces: 6e-12 (DESIGN, section 3), ten times to spare
+
+systems = pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
+
+
+def scene(system, solver="sofroniou_spaletta10", steps=140):
+    x, y, angle = twin(system).start().astype(float)
+    steps = round(steps * system.period / (2 * np.pi) * np.sqrt(system.c))  # as many for the same length of path
+    return Scene(system, ((x, y), (np.cos(angle), np.sin(angle))), B, SPLITTINGS[solver], steps, False, 0.0)
+
+
+def reference(system, b, count):
+    """States (count, 3) of one lane at the strobes 0, 1, …, and what an error of a period at each has grown to."""
+    par = twin(system)
+    points, errors = [par.start()], [0.0]
+    for _ in range(count - 1):
+        image, monodromy, _ = taylor.strobe_jacobian(par, b, points[-1])
+        errors.append(errors[-1] * float(np.linalg.norm(monodromy[0].astype(float), np.inf)) + ONE_PERIOD)
+        points.append(image[0])
+    return np.array(points), np.array(errors)
+
+
+@systems
+@pytest.mark.parametrize("transient", [0, 2])
+def test_strobes_are_those_of_the_reference(system, transient):
+    """With no transient the first strobe is the start state, the second the state one period on."""
+    group = run(PoincareOptions(transient=transient, strobes=3), scene(system), Lanes())
+    for i, b in enumerate(B):
+        points, errors = reference(system, b, transient + 3)
+        points, errors = points[transient:], errors[transient:]
+        speed = np.sqrt(system.c)  # at whole periods sin t = 0
+        exact = [points[:, 0], speed * np.cos(points[:, 2]), points[:, 1], speed * np.sin(points[:, 2])]
+        for name, values in zip(("x1", "x2", "y1", "y2"), exact, strict=True):
+            assert np.all(np.abs(group.variables[name].data[i] - values) <= errors + 1e-15), (name, b)
+
+
+def test_time_counts_from_the_start():
+    system = SYSTEMS["other"]
+    group = run(PoincareOptions(transient=7, strobes=4), scene(system, "blanes_moan6", 20), Lanes())
+    np.testing.assert_allclose(group.variables["t"].data, system.period * np.array([7, 8, 9, 10]), rtol=1e-15)
+    assert group.variables["x1"].dims == ("b", "strobe")
+    assert np.array_equal(group.variables["b"].data, B)
+
+
+def test_the_constraint_holds_after_thousands_of_periods():
+    group = run(PoincareOptions(transient=3000, strobes=2), scene(SYSTEMS["constant"], "blanes_moan6", 20), Lanes())
+    assert np.abs(group.variables["x2"].data ** 2 + group.variables["y2"].data ** 2 - 1.0).max() < 2e-15
+
+
+def test_nothing_is_differentiated(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("a tangent was asked for")
+
+    monkeypatch.setattr(KickStrobe, "push", refuse)
+    run(PoincareOptions(transient=1, strobes=2), scene(SYSTEMS["constant"], "strang2", 30), Lanes())
+
+
+def test_trajectories_that_leave_the_numbers_are_counted():
+    for data, lost in ((np.array([[0.0, 1.0], [0.0, np.nan], [np.inf, np.nan]]), 2), (np.zeros((3, 2)), 0)):
+        variables = {name: Variable(("b", "strobe"), data, name) for name in ("x1", "x2", "y1", "y2")}
+        assert poincare.count(variables) == {"trajectories": 3, "not_finite": lost}
+
+
+def test_expected_work_is_the_work_done():
+    options, lanes = PoincareOptions(transient=5, strobes=4), Lanes()
+    run(options, scene(SYSTEMS["constant"], "strang2", 30), lanes)
+    assert lanes.lane_periods == poincare.periods(options, len(B)) == 3 * 8

@@ -1,0 +1,153 @@
+"""What is said of a result file: from the file alone, every number as it stands there."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from jaxnh.analyses.base import Group, Variable
+from jaxnh.storage import hdf5 as store
+
+CONFIG = """\
+title: To be looked at
+system: {constraint: constant_speed}
+sweep: {b: {start: 5.2, stop: 5.45, count: 50}}
+accuracy: {solver: blanes_moan6, steps: 40}
+analyses:
+  diagram: {transient: 30, strobes: 3, start: random, starts: 2}
+  lyapunov: {transient: 16, periods: 16, exponents: 2}
+  doubling: {levels: 1}
+"""
+
+
+@pytest.fixture(scope="module")
+def made(result, tmp_path_factory):
+    source = tmp_path_factory.mktemp("source") / "looked.yaml"
+    source.write_text(CONFIG)
+    return result("looked", source)[0]
+
+
+def inspect(*arguments):
+    command = [sys.executable, "-m", "jaxnh.inspect", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_screen(made):
+    """Provenance, groups with their sizes, units and ranges, on one screen."""
+    run = inspect(made)
+    assert (run.returncode, run.stderr) == (0, "")
+    lines = run.stdout.splitlines()
+    assert len(lines) < 45
+    assert max(map(len, lines)) <= 110
+    with h5py.File(made) as file:
+        exponents = file["lyapunov/exponents"][()]
+        steps = file.attrs["lane_periods"]
+    text = " ".join(run.stdout.split())
+    assert "To be looked at" in text
+    assert "50 values of b, from 5.2 to 5.45" in text
+    assert "blanes_moan6, 40 steps a period, plain sums" in text
+    assert f"{steps:,.0f} lane-periods" in text
+    assert f"exponents b 50 × exponent 2 1/time {exponents.min():.5g} … {exponents.max():.5g}" in text
+    assert "x1 b 50 × start 2 × strobe 3" in text
+    assert "diagram: start random, phase 0, trajectories 100, not_finite 0" in text
+    assert "doubling: 0 of 1 levels found; no period doubling in this range" in text
+
+
+def test_it_needs_no_jax(made):
+    code = f"import sys; sys.argv = ['inspect', {str(made)!r}]; from jaxnh import inspect; inspect.main(); sys.exit('jax' in sys.modules)"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    assert (
+        subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=False).returncode == 0
+    )
+
+
+def test_verify_runs_lanes_again(made, tmp_path):
+    """All lanes of a sweep so small are in the sample; one whose last bit differs is found by it alone."""
+    run = inspect(made, "--verify")
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-4:] == [
+        "all data, names and attributes fit their checksums",
+        "diagram: 48 lanes run again are equal bit for bit",
+        "lyapunov: 48 lanes run again are equal bit for bit",
+        "doubling: runs as a whole, not lane by lane",
+    ]
+    other = tmp_path / "other.h5"
+    other.write_bytes(made.read_bytes())
+    with h5py.File(other, "r+") as file:  # changed and sealed anew, as by a program that computes other numbers
+        data = file["lyapunov/exponents"]
+        data[3, 0] = np.nextafter(data[3, 0], 9)
+        data.attrs[store.DATA] = store.checksum(data[()]).hexdigest()
+        file.attrs[store.SEAL] = store._digest(file)
+    run = inspect(other, "--verify")
+    assert run.returncode == 2
+    assert "lyapunov: run again, 1 of 48 lanes differ" in run.stderr
+
+
+def test_table(made):
+    """A row a lane, start and strobe; numbers to the last digit."""
+    rows = list(csv.reader(io.StringIO(inspect(made, "--csv", "diagram").stdout)))
+    assert rows[0] == ["b", "start", "strobe", "x1", "x2", "y1", "y2"]
+    assert len(rows) == 1 + 50 * 2 * 3
+    with h5py.File(made) as file:
+        x1, b = file["diagram/x1"][()], file["diagram/b"][()]
+    np.testing.assert_array_equal(np.array([row[3] for row in rows[1:]], float), x1.ravel())
+    np.testing.assert_array_equal(np.array([row[0] for row in rows[1:]], float), np.repeat(b, 6))
+    rows = list(csv.reader(io.StringIO(inspect(made, "--csv", "lyapunov").stdout)))
+    assert rows[0][:4] == ["b", "exponent", "exponents", "exponents_error"]
+    assert len(rows) == 1 + 50 * 2
+
+
+def test_failed_lanes_have_a_reason(tmp_path):
+    path = tmp_path / "failed.h5"
+    b, x, failed = np.linspace(1, 2, 11), np.zeros((11, 2)), np.zeros(11, np.int8)
+    x[3, 1], failed[[2, 5]] = np.nan, 1
+    why, codes = {"flag_values": np.arange(3), "flag_meanings": "none singular not_finite"}, np.zeros(11, np.int8)
+    codes[[4, 6, 7]] = 1, 2, 1
+    groups = {
+        "poincare": Group({"b": Variable(("b",), b, "b"), "failure": Variable(("b",), codes, "why", attrs=why)}),
+        "diagram": Group({"b": Variable(("b",), b, "b"), "x1": Variable(("b", "strobe"), x, "x1")}),
+        "period": Group({"b": Variable(("b",), b, "b"), "failed": Variable(("b",), failed, "failed")}),
+    }
+    store.write(path, {"jaxnh_version": "0"}, groups)
+    lines = inspect(path).stdout.splitlines()
+    assert "poincare: 2 of 11 lanes failed: singular, at b = 1.4, 1.7" in [line.strip() for line in lines]
+    assert "poincare: 1 of 11 lanes failed: not_finite, at b = 1.6" in [line.strip() for line in lines]
+    assert "diagram: 1 of 11 lanes failed: left the numbers (x1), at b = 1.3" in [line.strip() for line in lines]
+    assert "period: 2 of 11 lanes failed: left the numbers, at b = 1.2, 1.5" in [line.strip() for line in lines]
+
+
+def test_what_is_no_result(made, tmp_path):
+    """One line and exit code 2: not there, a folder, text, cut off, another program's, a flipped bit, no such group."""
+    text, cut, other, bad = (tmp_path / name for name in ("text.h5", "cut.h5", "other.h5", "bad.h5"))
+    text.write_text("hello")
+    cut.write_bytes(made.read_bytes()[:9000])
+    with h5py.File(other, "w") as file:
+        file.attrs["title"] = "something else"
+    with h5py.File(made) as file:
+        place = file["diagram/b"].id.get_offset()
+    content = bytearray(made.read_bytes())
+    content[place + 9] ^= 1
+    bad.write_bytes(content)
+    for arguments, said in (
+        ([tmp_path / "absent.h5"], "is not there"),
+        ([tmp_path], "is a folder"),
+        ([text], "is not a readable HDF5 file"),
+        ([cut], "is not a readable HDF5 file"),
+        ([other], "is an HDF5 file, but not a result of jaxnh"),
+        ([bad, "--verify"], "the data of /diagram/b do not fit their checksum"),
+        ([made, "--csv", "poincare"], "has the groups diagram, lyapunov, doubling, and no poincare"),
+    ):
+        run = inspect(*arguments)
+        assert run.returncode == 2
+        assert len(run.stderr.splitlines()) == 1
+        assert run.stderr.startswith("command line: ")
+        assert said in run.stderr

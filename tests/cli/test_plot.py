@@ -1,0 +1,203 @@
+"""The command `python -m jaxnh.plot`, and the configs of the paper's figures."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from jaxnh import plot
+from jaxnh.config.experiment import load
+from jaxnh.plotting import results as figures
+
+CONFIG = """\
+title: A little of everything
+system: {constraint: constant_speed}
+sweep: {b: {values: [5.8, 2.5, 4.1, 5.3]}}
+accuracy: {solver: blanes_moan6, steps: 60}
+analyses:
+  portrait: {transient: 30, periods: 4, samples: 16}
+  poincare: {transient: 30, strobes: 8}
+  diagram: {transient: 30, strobes: 16}
+  doubling: {levels: 1}
+  lyapunov: {transient: 16, periods: 32, exponents: 1}
+"""
+
+
+@pytest.fixture(scope="module")
+def everything(result, tmp_path_factory):
+    """A result file with several analyses."""
+    config = tmp_path_factory.mktemp("plot") / "everything.yaml"
+    config.write_text(CONFIG)
+    return result("plot_everything", config)[0]
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Exit code, standard output and standard error of the command, run in this process."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["plot", *map(str, arguments)])
+        code = plot.main()
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_the_command_makes_a_picture(everything, tmp_path):
+    picture = tmp_path / "new" / "picture.png"
+    arguments = [sys.executable, "-m", "jaxnh.plot", str(everything), "--output", str(picture)]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=300, check=True)
+    assert done.stdout == f"wrote {picture}\n"
+    pixels = imread(picture)
+    assert pixels.shape[1] == 1400
+    assert pixels.std() > 0.01
+    assert picture.stat().st_size < 1 << 20
+
+
+def test_every_analysis_of_a_file_has_its_panels(everything):
+    """Four portraits with the Poincaré points on them, and a panel each for the rest."""
+    drawing = figures.figure(everything)
+    assert len(drawing.axes) == 4 + 3
+    titles = [ax.get_title() for ax in drawing.axes[:4]]
+    assert titles == ["(a) $b$ = 5.8", "(b) $b$ = 2.5", "(c) $b$ = 4.1", "(d) $b$ = 5.3"]
+    for ax in drawing.axes[:4]:
+        path, points = ax.lines
+        assert len(path.get_xdata()) == 4 * 16
+        assert len(points.get_xdata()) == 8
+    assert drawing.get_suptitle() == "A little of everything"
+
+
+def test_the_picture_lies_beside_the_file(everything, command, tmp_path):
+    file = tmp_path / "copy.h5"
+    file.write_bytes(everything.read_bytes())
+    assert command(file) == (0, f"wrote {tmp_path / 'copy.png'}\n", "")
+    assert (tmp_path / "copy.png").read_bytes().startswith(b"\x89PNG")
+    assert command(file, "--output", tmp_path / "copy.svg")[0] == 0
+
+
+def not_hdf5(path):
+    path.write_text("title: not a result\n")
+
+
+def cut_short(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def not_ours(path):
+    with h5py.File(path, "w") as file:
+        file["x"] = np.arange(3)
+
+
+def no_analysis(path):
+    with h5py.File(path, "r+") as file:
+        for name in list(file):
+            del file[name]
+
+
+def without_a_variable(path):
+    with h5py.File(path, "r+") as file:
+        del file["diagram/x1"]
+
+
+def without_provenance(path):
+    with h5py.File(path, "r+") as file:
+        del file.attrs["solver"]
+
+
+BAD = (not_hdf5, cut_short, not_ours, no_analysis, without_a_variable, without_provenance, Path.unlink)
+
+
+@pytest.mark.parametrize("spoil", BAD, ids=[spoil.__name__ for spoil in BAD])
+def test_a_bad_file_is_said_in_one_line(everything, command, tmp_path, spoil):
+    file = tmp_path / "bad.h5"
+    file.write_bytes(everything.read_bytes())
+    spoil(file)
+    code, out, err = command(file)
+    assert (code, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert err.startswith("command line: FILE: ")
+    assert str(file) in err
+    assert not (tmp_path / "bad.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "FILE"),
+        (["{file}", "--colour", "red"], "--colour"),
+        (["{file}", "--output", "picture.doc"], "must end in one of .png, .pdf, .svg"),
+        (["{file}", "--output", "/proc/none/picture.png"], "--output: cannot write in"),
+        (["{folder}"], "is a folder"),
+    ],
+)
+def test_a_bad_command_line_is_said_in_one_line(everything, command, arguments, words):
+    arguments = [argument.format(file=everything, folder=everything.parent) for argument in arguments]
+    code, out, err = command(*arguments)
+    assert (code, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert words.lower() in err.lower()
+
+
+def test_values_that_are_too_many_for_portraits_are_named(tmp_path, everything):
+    """Of 20 values of b 12 are drawn, and the picture says so."""
+    file = tmp_path / "many.h5"
+    with h5py.File(everything) as source, h5py.File(file, "w") as target:
+        target.attrs.update(source.attrs)
+        group = target.create_group("poincare")
+        for name in ("b", "x1", "x2"):
+            data = source[f"poincare/{name}"]
+            group[name] = np.repeat(data[:], 5, axis=0) if name != "b" else np.arange(20.0)
+            group[name].attrs.update({key: data.attrs[key] for key in ("long_name", "units")})
+        group["b"].make_scale("b")
+        group["strobe"] = np.arange(8)
+        group["strobe"].make_scale("strobe")
+        for name in ("x1", "x2"):
+            for axis, dim in enumerate(("b", "strobe")):
+                group[name].dims[axis].attach_scale(group[dim])
+    drawing = figures.figure(file)
+    assert len(drawing.axes) == 12
+    assert drawing.get_supxlabel().endswith("12 of the 20 values of b are drawn")
+
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+PORTRAITS = {1: ("constant_speed", [5.8, 2.5, 4.1, 5.3]), 6: ("disturbed_speed", [5.9, 2.5, 4.2, 5.6])}
+WHOLE = {
+    **dict.fromkeys((2, 3, 4), ("constant_speed", 0.1, 6.0)),
+    **dict.fromkeys((7, 8, 9), ("disturbed_speed", 0.01, 6.0)),
+}
+ZOOMS = {5: ("constant_speed", 5.487714, 5.519779), 10: ("disturbed_speed", 5.755236, 5.805459)}
+ASKED = {
+    **dict.fromkeys((1, 6), ("portrait", "poincare")),
+    **dict.fromkeys((2, 3, 7, 8), ("lyapunov",)),
+    **dict.fromkeys((4, 9), ("diagram",)),
+    **dict.fromkeys((5, 10), ("diagram", "doubling")),
+}
+
+
+@pytest.mark.parametrize("number", range(1, 11))
+def test_the_configs_say_what_the_paper_says(number):
+    """Parameters and start of sections 2 and 3, b of each figure, and zooms that hold the table's first and last."""
+    experiment = load(CONFIGS / f"fig{number:02d}.yaml")
+    system, b = experiment.system, experiment.sweep.grid()
+    assert tuple(analysis.name for analysis, _ in experiment.requested()) == ASKED[number]
+    assert (system.a, system.c, system.omega, getattr(system, "d", None)) == (
+        0.5,
+        1.0,
+        1.0,
+        0.1 if number > 5 else None,
+    )
+    assert (experiment.initial.x1, experiment.initial.x2, experiment.initial.y1) == (0.1, 0.1, 0.1)
+    if number in PORTRAITS:
+        assert (system.constraint, b.tolist()) == PORTRAITS[number]
+    elif number in WHOLE:
+        assert (system.constraint, b[0], b[-1]) == WHOLE[number]
+    else:
+        constraint, last, first = ZOOMS[number]
+        assert system.constraint == constraint
+        assert b.min() < last < first < b.max()

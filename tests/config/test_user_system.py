@@ -1,0 +1,426 @@
+"""A system of the user's own: its file, its place in a config, its analyses beside those of the built-in systems."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+
+import diffrax
+import heyoka as hy
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import taylor
+from conftest import ROOT
+from measure import SYSTEMS
+
+from jaxnh.analyses import ANALYSES, doubling, lyapunov
+from jaxnh.analyses.base import Scene
+from jaxnh.config.experiment import load, schema
+from jaxnh.config.yaml_source import ConfigError, read
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.general_flow import MarchedStrobe
+from jaxnh.maps.iterate import derivatives, section_map
+from jaxnh.plotting import results as figures
+from jaxnh.solvers import SOLVERS, SPLITTINGS, Projected
+from jaxnh.storage import hdf5 as store
+from jaxnh.systems.lagrangian import Motion
+
+PARTICLE = """import jax.numpy as jnp
+
+def system(a=0.5, b=5.5, c=1.0, d=0.0, omega=1.0):
+    def T(q, v, t):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2)
+
+    def Q(q, v, t):
+        (x, y), g = q, 1 + jnp.sin(omega * t)
+        return -a * g * x - g * x**3 - a * v[0] + b * y, -g * y - a * g * y**3 - a * v[1] + b * x
+
+    def f(q, v, t):
+        return (v[0] ** 2 + v[1] ** 2 - c - d * jnp.sin(t),)
+
+    return dict(T=T, Q=Q, f=f, coordinates=("x1", "y1"), period=2 * jnp.pi / omega)
+"""
+CONFIG = """system: {file: own.py}
+initial: {x1: 0.1, x1_dot: 0.1, y1: 0.1, y1_dot: 0.99498743710662}
+sweep: {b: {values: [5.3, 5.6]}}
+accuracy: {solver: dopri8, steps: 200}
+analyses:
+  diagram: {transient: 4, strobes: 2}
+"""
+
+
+def write(folder, text=PARTICLE, config=CONFIG):
+    (folder / "own.py").write_text(text)
+    (folder / "own.yaml").write_text(config)
+    return folder / "own.yaml"
+
+
+def scene(folder, values, steps=200):
+    experiment = load(write(folder))
+    system = experiment.system.build()
+    return Scene(system, experiment.initial.state(system), np.asarray(values), SOLVERS["dopri8"], steps, False, 0.0)
+
+
+# ---- the map
+
+
+def test_map_is_diffeqsolve_with_projected_steps(tmp_path):
+    """The loop of steps is the written-out solver, projected, under `diffrax.diffeqsolve`, to rounding."""
+    own = scene(tmp_path, [2.0], 100)
+    strobe = own.strobe()
+    assert isinstance(strobe, MarchedStrobe)
+    start = jax.tree.map(jnp.float64, own.start)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(own.system.vector_field), Projected(SOLVERS["dopri8"], own.system), 0.0, own.system.period,
+        own.system.period / 100, start, args=2.0, max_steps=128,
+    )  # fmt: skip
+    moved = Lanes()(section_map, (strobe, np.int32(1)), (own.system.section_point(own.start)[None], np.array([2.0])))[0]
+    exact = np.array([float(x[-1]) for x in (*solution.ys.q, *solution.ys.v)])
+    assert np.abs(moved - exact).max() < 1e-11
+
+
+def test_map_and_its_derivatives_are_those_of_the_splitting(tmp_path):
+    """Two methods that share no code: positions after a period, and their slopes in positions and in b.
+
+    Across the constraint the map has no slope: one multiplier more is zero.
+    """
+    own, planar = scene(tmp_path, [5.3, 5.6]), SYSTEMS["constant"]
+    fine = make_strobe(planar, SPLITTINGS["sofroniou_spaletta10"], 200)
+    x2, y2 = own.start.v
+    lanes, one, b = Lanes(), np.int32(1), np.array([5.3, 5.6])
+    u = np.tile([0.1, 0.1, np.arctan2(y2, x2)], (2, 1))
+    exact, monodromy, slope = lanes(derivatives, (fine, one), (u, b))
+    points = np.tile(own.system.section_point(own.start), (2, 1))
+    image, whole, general_slope = lanes(derivatives, (own.strobe(), one), (points, b))
+    assert np.abs(image[:, :2] - exact[:, :2]).max() < 1e-9
+    assert np.abs(general_slope[:, :2] - slope[:, :2]).max() < 1e-8
+    assert np.abs(whole[:, :2, :2] - monodromy[:, :2, :2]).max() < 1e-8
+    assert np.abs(np.linalg.eigvals(whole)).min(axis=1).max() < 1e-9
+
+
+# Two values on each stable orbit of the cascade, of periods 1 to 64: by the paper's table.
+CASCADE = (
+    5.53,
+    5.525,
+    5.51,
+    5.50,
+    5.4935,
+    5.4905,
+    5.489,
+    5.4884,
+    5.48797,
+    5.48785,
+    5.48776,
+    5.48773,
+    5.487708,
+    5.487704,
+)
+
+
+@pytest.mark.slow
+def test_doublings_of_table_1(tmp_path):
+    """All six doublings from T, Q and f are those of the isokinetic route in results/table1.h5, to 1e-8."""
+    general = doubling.run(doubling.DoublingOptions(levels=6), scene(tmp_path, CASCADE), Lanes()).variables
+    isokinetic = store.read_variables(ROOT / "results" / "table1.h5", "doubling")
+    np.testing.assert_array_equal(general["period"].data, isokinetic["period"])
+    apart = np.abs(general["b"].data - isokinetic["b"])
+    print(apart)
+    assert apart.max() < 1e-8
+
+
+# ---- a cascade of the user's own
+
+
+def governor():
+    """configs/governor.py without its multiplier: u' = (Q1 + 2 r u Q2)/(1 + 4 r² u²); x stays within half a turn."""
+    u, y, x = hy.make_vars("u", "y", "x")
+    drive, rate, level, damping, omega = (hy.par[i] for i in range(5))
+    rise = rate * (u * u - level)
+    force = drive * hy.sin(omega * hy.time) + x - x * x * x - damping * u
+    lift = -y - damping * rise
+    return (u, y, x), drive, [(u, (force + 2 * rate * u * lift) / (1 + 4 * rate * rate * u * u)), (y, rise), (x, u)]
+
+
+class Governor(taylor.Parameters):
+    equations = staticmethod(governor)
+
+
+@pytest.mark.slow
+def test_doublings_of_the_governor():
+    """The first two against the Taylor reference, whose equations have no multipliers: within the errors of both."""
+    values = np.linspace(0.87, 0.785, 24)
+    experiment = load(ROOT / "configs" / "governor.yaml")
+    system = experiment.system.build()
+    own = Scene(system, experiment.initial.state(system), values, SOLVERS["dopri8"], 136, False, 0.0)
+    found = doubling.run(doubling.DoublingOptions(levels=2), own, Lanes()).variables
+    assert found["period"].data.tolist() == [2, 4]
+    exact = taylor.cascade(
+        Governor(a=0.5, c=0.5, d=0.2), [0.8452, 0.7933], np.array([0.0, 0.0, 0.5]), first=2, before=0.87
+    )
+    for b, error, (reference, _, info) in zip(found["b"].data, found["b_error"].data, exact, strict=True):
+        assert abs(b - float(reference)) < error + info.error
+
+
+@pytest.mark.slow
+def test_lyapunov_spectrum_has_its_sum(tmp_path):
+    """Three exponents on the constraint, their sum the mean divergence of all four equations; none is transverse."""
+    options = lyapunov.LyapunovOptions(transient=16, periods=16)
+    found = lyapunov.run(options, scene(tmp_path, [5.6]), Lanes()).variables
+    assert found["exponents"].data.shape == (1, 3)
+    assert abs(found["sum_rule_residual"].data[0]) < 1e-6
+    assert "transverse" not in found
+
+
+# ---- the section
+
+
+ROLLING = """import jax.numpy as jnp
+def system(r=1.0):
+    T = lambda q, v, t: 0.5 * (v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    Q = lambda q, v, t: (jnp.sin(t) - q[0], 0.0, jnp.cos(q[2]))
+    f = lambda q, v, t: (v[1] - r * v[2],)
+    return dict(T=T, Q=Q, f=f, coordinates=("x", "y", "phi"), angles=("phi",), ignorable=("y",), period=6.0)
+"""
+
+
+def test_section_leaves_out_ignorable_coordinates_and_wraps_angles(tmp_path):
+    config = CONFIG.replace("initial: {x1: 0.1, x1_dot: 0.1, y1: 0.1, y1_dot: 0.99498743710662}\n", "")
+    experiment = load(write(tmp_path, ROLLING, config.replace("b: {", "r: {")))
+    system = experiment.system.build()
+    assert (system.dimension, system.exponents, system.constraints) == (5, 4, 1)
+    state = Motion((0.5, 7.0, 4.0), (1.0, 2.0, 3.0), (0.0, 0.0))
+    point = np.asarray(system.chart(jax.tree.map(jnp.float64, state)))
+    assert np.abs(point - [0.5, 4.0 - 2 * np.pi, 1.0, 2.0, 3.0]).max() < 1e-15
+    assert system.unchart(point).q[1] == 0
+    assert (
+        np.abs(system.wrap(np.array([[9.0, 4.0, 9.0, 0.0, 0.0]]))[0] - [9.0, 4.0 - 2 * np.pi, 9.0, 0.0, 0.0]).max()
+        < 1e-15
+    )
+
+
+# ---- the file and the config
+
+FAULTS = {
+    "no Python": (("return 0.5", "return 0.5 *)"), "own.py:5: no Python"),
+    "no function": (("def system(", "def machine("), "own.py:1: there is no function system"),
+    "a name in Q": (("b * y,", "beta * y,"), "own.py:9: NameError: name 'beta' is not defined"),
+    "math on what a lane decides": (("jnp.sin(omega * t)", "__import__('math').sin(omega * t)"), "own.py:8: "),
+    "too few forces": (("+ b * y, -g", "+ b * y - g"), "own.py:7: Q must return a tuple of numbers"),
+    "no period": ((", period=2 * jnp.pi / omega", ""), "own.py:3: system must also return period"),
+    "unknown key": (("f=f", "F=f"), "own.py:3: system returns 'F', which is unknown; known are T, Q"),
+    "no default": (("a=0.5", "a"), "own.py:3: parameter a of system needs a number as its default"),
+    "taken name": (('("x1", "y1")', '("x1", "t")'), "own.py:3: coordinates must differ, and not be one of"),
+    "a period that is swept": (("/ omega", "/ omega * (1 + b)"), "own.py:3: period depends on b, which is swept"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("edit", "message"), FAULTS.values(), ids=FAULTS)
+def test_fault_in_the_users_file(tmp_path, edit, message):
+    assert edit[0] in PARTICLE
+    with pytest.raises(ConfigError) as caught:
+        load(write(tmp_path, PARTICLE.replace(*edit)))
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(f"{tmp_path}/{message}")
+
+
+CONFIG_FAULTS = {
+    "off the constraint": (("x1_dot: 0.1,", "x1_dot: 0.2,"), ":2: initial.x1_dot: f[0] is 0.03 at the start with b = 5.3"),
+    "unknown coordinate": (("x1: 0.1", "z: 0.1"), ":2: initial.z: unknown key"),
+    "unknown parameter": (("own.py}", "own.py, e: 1}"), ":1: system.e: unknown key"),
+    "swept and given": (("own.py}", "own.py, b: 1}"), ":1: system.b: b is swept"),
+    "unknown sweep": (("{b:", "{bb:"), ":3: sweep.bb: unknown key"),
+    "two sweeps": (("sweep: {", "sweep: {a: {values: [1]}, "), ":3: sweep.a: name one parameter"),
+    "no such file": (("own.py", "other.py"), ":1: system.file: there is no file"),
+    "a splitting": (("dopri8", "kahan_li8"), ":4: accuracy.solver: kahan_li8 is for a particle"),
+    "too many exponents": (("analyses:", "analyses:\n  lyapunov: {exponents: 4}"), ":6: analyses.lyapunov.exponents: must be at most 3"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("edit", "message"), CONFIG_FAULTS.values(), ids=CONFIG_FAULTS)
+def test_fault_in_the_config(tmp_path, edit, message):
+    assert edit[0] in CONFIG
+    with pytest.raises(ConfigError) as caught:
+        load(write(tmp_path, config=CONFIG.replace(*edit)))
+    assert str(caught.value).startswith(f"{tmp_path}/own.yaml{message}")
+
+
+def test_another_file_is_another_experiment(tmp_path):
+    one = load(write(tmp_path)).sha256
+    assert load(write(tmp_path)).sha256 == one
+    assert load(write(tmp_path, PARTICLE + "\n# the same\n")).sha256 != one
+
+
+# ---- from the file to the result
+
+
+EVERYTHING = """\
+title: Every analysis of a governor
+system: {file: governor.py}
+initial: {x: 0.5, y_dot: -0.25}
+sweep: {drive: {values: [0.86, 0.845, 0.84, 0.83, 0.72, 0.7]}}
+accuracy: {solver: dopri5, steps: 80}
+analyses:
+  portrait: {transient: 200, periods: 8, samples: 64}
+  poincare: {transient: 200, strobes: 64}
+  diagram: {transient: 200, strobes: 32}
+  lyapunov: {transient: 64, periods: 200, exponents: 3}
+  period: {limit: 8, transient: 400}
+  chaos01: {transient: 100, periods: 400}
+  verdict: {}
+  doubling: {levels: 1}
+"""
+
+
+@pytest.mark.slow
+def test_every_analysis(result, tmp_path):
+    """Of a user's system, with a picture of all. The doubling is that of the Taylor reference, to the error of 80 steps."""
+    config = tmp_path / "everything.yaml"
+    config.write_text(EVERYTHING)
+    shutil.copy(ROOT / "configs" / "governor.py", tmp_path)
+    path, *_ = result("own_everything", config)
+    found = {name: store.read_variables(path, name) for name in ANALYSES}
+    assert found["period"]["period"].tolist() == [2, 4, 4, 4, 0, 0]
+    assert found["verdict"]["kind"].tolist() == [0, 0, 0, 0, 2, 2]
+    assert abs(found["doubling"]["b"][0] - 0.845218652286) < 1e-8
+    for name in ("portrait", "poincare", "diagram"):
+        x, y_dot = found[name]["x_dot"], found[name]["y_dot"]
+        assert np.abs(y_dot - 0.5 * (x**2 - 0.5)).max() < 1e-12  # every state is on f = 0
+    assert len(figures.figure(path).axes) == 6 + 6
+
+
+SMALL = """\
+system: {file: governor.py}
+initial: {x: 0.5, y_dot: -0.25}
+sweep: {drive: {start: 0.7, stop: 0.9, count: 64}}
+accuracy: {solver: dopri5, steps: 40}
+analyses:
+  diagram: {transient: 16, strobes: 4}
+"""
+
+
+def run(module, folder, *arguments):
+    """Exit code and lines of a command of ours in a folder."""
+    command = [sys.executable, "-m", f"jaxnh.{module}", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout.splitlines(), done.stderr.splitlines()
+
+
+@pytest.mark.slow
+def test_file_goes_with_plan_and_result(tmp_path):
+    """Parts, Dask workers and lanes run again know it from the text that is kept; one that has changed is not mixed in."""
+    (tmp_path / "job.yaml").write_text(SMALL)
+    file = tmp_path / "governor.py"
+    shutil.copy(ROOT / "configs" / "governor.py", file)
+    text = file.read_text()
+    tiles = ("--tile", 16, "--output", "job.h5")
+    assert run("sweep", tmp_path, "job.yaml", *tiles, "--part", "1/2")[0] == 0
+    file.write_text(text.replace("-q[1]", "-2 * q[1]"))
+    code, _, err = run("sweep", tmp_path, "job.yaml", *tiles)
+    assert (code, len(err)) == (2, 1)
+    assert err[0].endswith("job.h5.tiles holds tiles of another text of governor.py; --fresh drops them")
+    file.write_text(text)
+    shutil.copytree(tmp_path / "job.h5.tiles", tmp_path / "whole.h5.tiles")
+    code, out, err = run("sweep", tmp_path, "job.yaml", *tiles, "--part", "2/2", "--dask", "local:1")
+    assert (code, out) == (0, ["part 2/2: 2 of 4 tiles"]), err
+    assert run("sweep", tmp_path, "job.yaml", *tiles, "--merge")[0] == 0
+    code, _, err = run("sweep", tmp_path, "job.yaml", "--output", "whole.h5")
+    assert code == 0
+    assert "2 of 4 tiles are done; going on" in err
+    for name in ("x", "x_dot", "y", "y_dot", "drift"):
+        one, other = (store.read_variables(tmp_path / f"{which}.h5", "diagram")[name] for which in ("job", "whole"))
+        assert one.tobytes() == other.tobytes()
+    assert store.read_attrs(tmp_path / "job.h5")["system_file"] == text
+    equal = "diagram: 48 lanes run again are equal bit for bit"
+    again = "lanes are run again by its text in the result"
+    for change, said in (
+        (None, "is as it was"),
+        ("# another", f"has changed since; {again}"),
+        ("", f"is not there; {again}"),
+    ):
+        if change is not None:
+            file.write_text(change) if change else file.unlink()
+        code, out, err = run("inspect", tmp_path, "job.h5", "--verify")
+        assert code == 0, err
+        assert out[-2:] == [f"governor.py {said}", equal]
+    file.write_text(text + "# another\n")
+    code, _, err = run("sweep", tmp_path, "job.yaml", "--output", "job.h5")
+    assert code == 2
+    assert err == [
+        "command line: --output: job.h5 holds the result of another text of governor.py; --fresh replaces it"
+    ]
+
+
+# ---- the schema for editors
+
+TYPES = {"object": dict, "array": (list, tuple), "string": str, "null": type(None)}
+
+
+def fits(content, schema, root):
+    """Whether a config is valid by a JSON Schema: the keywords that ours has, by the words of the specification."""
+    kind = schema.get("type")
+    number = isinstance(content, int | float) and not isinstance(content, bool)
+    if kind in ("number", "integer") and not (number and (kind == "number" or int(content) == content)):
+        return False
+    if kind in TYPES and not isinstance(content, TYPES[kind]):
+        return False
+    within = {
+        "$ref": lambda name: fits(content, root["$defs"][name.removeprefix("#/$defs/")], root),
+        "const": lambda one: content == one,
+        "enum": lambda some: content in some,
+        "minimum": lambda low: not number or content >= low,
+        "maximum": lambda high: not number or content <= high,
+        "exclusiveMinimum": lambda low: not number or content > low,
+        "minItems": lambda least: len(content) >= least,
+        "maxItems": lambda most: len(content) <= most,
+        "minProperties": lambda least: len(content) >= least,
+        "maxProperties": lambda most: len(content) <= most,
+        "required": lambda names: set(names) <= set(content),
+        "items": lambda each: all(fits(item, each, root) for item in content),
+        "oneOf": lambda several: sum(fits(content, one, root) for one in several) == 1,
+        "anyOf": lambda several: any(fits(content, one, root) for one in several),
+        "properties": lambda known: all(fits(content[key], known[key], root) for key in set(known) & set(content)),
+        "if": lambda case: fits(content, schema["then" if fits(content, case, root) else "else"], root),
+    }
+    others = set(content) - set(schema.get("properties", {})) if isinstance(content, dict) else set()
+    further = schema.get("additionalProperties", True)
+    if others and (
+        further is False or (further is not True and not all(fits(content[o], further, root) for o in others))
+    ):
+        return False
+    words = {"type", "title", "description", "default", "discriminator", "additionalProperties", "then", "else"}
+    assert set(schema) <= set(within) | words | {"$schema", "$defs"}, set(schema) - set(within)
+    return all(rule(schema[word]) for word, rule in within.items() if word in schema)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("*.yaml")), ids=lambda path: path.stem)
+def test_configs_are_valid_by_the_schema(path):
+    described = schema()
+    assert fits(read(path).data, described, described)
+
+
+SCHEMA_FAULTS = {
+    "a parameter that is text": ("system.a=much", "system.a='much'"),
+    "no such key of a system of ours": ("system.mass=1", None),
+    "two sweeps": (None, "sweep.a={values: [1.0]}"),
+    "a sweep of nothing": (None, "sweep={}"),
+    "a start of no coordinate of ours": ("initial.x=0.5", None),
+    "a start that is text": ("initial.x1=up", "initial.x1=up"),
+    "unknown section": ("accuracies={}", "accuracies={}"),
+    "a file and a constraint": ("system.file=own.py", "system.constraint=constant_speed"),
+}
+
+
+@pytest.mark.parametrize("edits", SCHEMA_FAULTS.values(), ids=SCHEMA_FAULTS)
+def test_schema_marks_faults(tmp_path, edits):
+    """Of a config of a built-in system, and of one of a user's: both valid without the fault."""
+    described = schema()
+    for path, edit in zip((ROOT / "configs" / "table1.yaml", write(tmp_path)), edits, strict=True):
+        assert fits(read(path).data, described, described)
+        if edit:
+            assert not fits(read(path, [edit]).data, described, described)

@@ -1,0 +1,183 @@
+"""Lanes: the same bits however many there are and wherever they run, and nothing of one lane in another."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import ROOT
+from measure import SYSTEMS
+
+from jaxnh.engine.lanes import TILE, Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import derivatives, iterate
+from jaxnh.solvers import SPLITTINGS
+
+MANY = 1000
+STATE = (np.full(MANY, 0.1), np.full(MANY, 0.1)), (np.full(MANY, 0.1), np.full(MANY, math.sqrt(0.99)))
+CHAOTIC = np.linspace(5.2, 5.45, MANY)  # below the accumulation of doublings of table 1
+PERIODS = 200
+COUNTS = [1, 7, TILE, TILE + 44, 2 * TILE + 1, MANY]
+
+
+def strobe():
+    return make_strobe(SYSTEMS["constant"], SPLITTINGS["blanes_moan6"], 80)
+
+
+def same(one, other):
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def lane(k, tree):
+    """A slice of the lanes."""
+    return jax.tree.map(lambda leaf: leaf[k], tree)
+
+
+@pytest.fixture(scope="module")
+def runners():
+    """One runner a number of devices, so that equal programs are compiled once."""
+    return {count: Lanes(devices=jax.devices("cpu")[:count]) for count in (1, 2)}
+
+
+@pytest.fixture(scope="module")
+def chaos(runners):
+    """The states of all lanes after many periods, on two devices."""
+    return runners[2](iterate, (strobe(), np.int32(PERIODS)), (STATE, CHAOTIC))
+
+
+def test_lanes_are_chaotic(runners, chaos):
+    """What the tests here rest on: a change in the last bit of b alone has long become as large as the attractor."""
+    nudged = runners[2](iterate, (strobe(), np.int32(PERIODS)), (STATE, np.nextafter(CHAOTIC, 6)))
+    assert np.median(np.abs(nudged[0][0] - chaos[0][0])) > 0.01
+
+
+@pytest.mark.parametrize("devices", [1, 2])
+@pytest.mark.parametrize("count", COUNTS)
+def test_same_bits_for_any_number_of_lanes_and_devices(runners, chaos, count, devices):
+    """Chaos would blow a single bit up; the last lanes are asked for as well as the first, at other places of a tile."""
+    for part in (slice(0, count), slice(MANY - count, MANY)):
+        few = runners[devices](iterate, (strobe(), np.int32(PERIODS)), (lane(part, STATE), CHAOTIC[part]))
+        same(few, lane(part, chaos))
+
+
+@pytest.mark.parametrize("count", [1, 300])
+def test_same_bits_of_derivatives(runners, count):
+    """Of another program with more outputs, and tiles of another size."""
+    u = np.random.default_rng(4).uniform(-1, 1, (MANY, 3))
+    shared = strobe(), np.int32(5)
+    one, two = (runners[n](derivatives, shared, (u[:count], CHAOTIC[:count]), tile=64) for n in (1, 2))
+    same(one, two)
+    same(one, lane(slice(0, count), runners[2](derivatives, shared, (u, CHAOTIC), tile=64)))
+
+
+def test_same_bits_in_any_order(runners, chaos):
+    """A lane does not depend on its place, nor on its neighbours."""
+    order = np.random.default_rng(6).permutation(MANY)
+    shuffled = runners[2](iterate, (strobe(), np.int32(PERIODS)), (lane(order, STATE), CHAOTIC[order]))
+    same(shuffled, lane(order, chaos))
+
+
+@pytest.mark.parametrize("bad", [0, 5, TILE - 1, 699])
+def test_lane_that_is_not_a_number(runners, bad):
+    """Its results are not numbers, and those of all other lanes are the same bits; as the last lane it pads a tile."""
+    count = 700
+    b = CHAOTIC[:count].copy()
+    good = runners[2](iterate, (strobe(), np.int32(3)), (lane(slice(0, count), STATE), b))
+    b[bad] = math.nan
+    result = runners[2](iterate, (strobe(), np.int32(3)), (lane(slice(0, count), STATE), b))
+    others = np.arange(count) != bad
+    same(lane(others, result), lane(others, good))
+    assert all(math.isnan(leaf[bad]) for leaf in jax.tree.leaves(result))
+
+
+# ---- the call itself, on a function that is easy to know
+
+
+def _polynomial(shared, x, pair, power):
+    return {"power": shared * x**power, "sum": pair[0] + jnp.sum(pair[1])}
+
+
+@pytest.mark.parametrize("count", [1, 7, 300])
+@pytest.mark.parametrize("tile", [None, 1, 4])
+def test_results_are_those_of_a_loop(runners, count, tile):
+    """Every lane once, in order, pytrees in and out, whole numbers exactly; padding leaves no trace."""
+    x, pair = np.arange(count) + 1.0, (np.arange(count) % 3, np.arange(5 * count).reshape(count, 5))
+    result = runners[2](_polynomial, (np.float64(2.0),), (x, pair), tile=tile, static=(3,))
+    assert set(result) == {"power", "sum"}
+    np.testing.assert_array_equal(result["power"], 2.0 * x**3)
+    np.testing.assert_array_equal(result["sum"], pair[0] + pair[1].sum(axis=1))
+    assert all(isinstance(leaf, np.ndarray) and len(leaf) == count for leaf in result.values())
+
+
+def test_static_arguments_are_part_of_the_program(runners):
+    x = np.arange(4.0)
+    for power in (2, 3, 2):
+        pair = (np.zeros(4, int), np.zeros((4, 1), int))
+        result = runners[1](_polynomial, (np.float64(1.0),), (x, pair), static=(power,))
+        np.testing.assert_array_equal(result["power"], x**power)
+
+
+class Recorder:
+    """Progress that remembers."""
+
+    def __init__(self):
+        self.said = []
+
+    def start(self, label, total):
+        self.said.append((label, total))
+
+    def advance(self, amount):
+        self.said.append(amount)
+
+    def finish(self):
+        self.said.append("end")
+
+
+def _double(x):
+    return 2 * x
+
+
+def test_accounts():
+    """Lane-periods are those of the lanes asked for, not of the padding; a program is compiled once for all calls."""
+    recorder = Recorder()
+    lanes = Lanes(recorder, devices=jax.devices("cpu")[:2], tile=8)
+    with lanes.stage("doubling numbers", 40 * 3):
+        lanes(_double, (), (np.arange(40.0),), periods=3)
+    assert recorder.said == [("doubling numbers", 120), 48, 48, 24, "end"]
+    assert lanes.lane_periods == 120
+    compiled, ran = lanes.compile_seconds, lanes.run_seconds
+    assert compiled > 0
+    lanes(_double, (), (np.arange(5.0),), periods=2)
+    assert lanes.lane_periods == 130
+    assert lanes.compile_seconds == compiled
+    assert lanes.run_seconds > ran
+
+
+def test_stage_ends_when_something_fails():
+    recorder = Recorder()
+    lanes = Lanes(recorder)
+    with pytest.raises(ZeroDivisionError), lanes.stage("failing", 1):
+        raise ZeroDivisionError
+    assert recorder.said == [("failing", 1), "end"]
+
+
+@pytest.mark.parametrize(("number", "set_before", "devices"), [("3", {}, 3), ("", {"JAX_NUM_CPU_DEVICES": "1"}, 1)])
+def test_configure(number, set_before, devices):
+    """So many devices as asked for, unless the environment says otherwise, and all of them at work."""
+    code = (
+        f"from jaxnh.engine.lanes import configure, Lanes; configure({number}); import jax, numpy as np;"
+        "r = Lanes()(abs, (), (np.linspace(-1, 0, 10),)); print(len(jax.devices()), r.sum())"
+    )
+    environment = {**os.environ, **set_before}
+    environment.pop("XLA_FLAGS", None)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == [str(devices), "5.0"]

@@ -1,0 +1,90 @@
+"""Written-out Runge–Kutta methods: their order, and diffrax's own implementation of the same tableaus."""
+
+from __future__ import annotations
+
+import diffrax
+import jax
+import numpy as np
+import pytest
+import taylor
+from measure import CALM, STATES, SYSTEMS, UNIT, B, apart, order_of, twin
+
+from jaxnh.solvers import RUNGE_KUTTA
+from jaxnh.systems.particle import chart, unchart
+
+methods = pytest.mark.parametrize("solver", RUNGE_KUTTA.values(), ids=RUNGE_KUTTA)
+
+
+def diffrax_s_own(solver):
+    return getattr(diffrax, solver.name.capitalize())()
+
+
+@methods
+@pytest.mark.parametrize("system", CALM.values(), ids=CALM)
+def test_order_under_diffrax(system, solver):
+    """A wrong coefficient costs one order at least, so half an order less is its sign.
+
+    At coarse steps the next term of the error, one order up, may still lead: it cannot lift the slope by more.
+    """
+    assert solver.convergence_order - 0.5 < order_of(system, solver) < solver.convergence_order + 1.5
+
+
+@methods
+def test_step_is_that_of_diffrax(solver):
+    """State and error estimate of one step, to the rounding of a sum over stages in another order."""
+    term = diffrax.ODETerm(SYSTEMS["disturbed"].vector_field)
+    own = diffrax_s_own(solver)
+
+    def step(solver, u, b):
+        state = unchart(u)
+        memory = solver.init(term, 0.3, 0.5, state, b)
+        end, error, *_ = solver.step(term, 0.3, 0.5, state, b, memory, False)
+        return end, error
+
+    ours = jax.jit(jax.vmap(lambda u, b: step(solver, u, b)))(STATES, B)
+    theirs = jax.jit(jax.vmap(lambda u, b: step(own, u, b)))(STATES, B)
+    for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        # Stages are below 1 and coefficients below 40: fifteen products, of which each is rounded twice.
+        assert np.abs(np.asarray(one) - np.asarray(other)).max() < 2 * 15 * 40 * UNIT
+
+
+@methods
+def test_stages_are_those_the_solution_needs(solver):
+    """A stage is needed if a value that is not a number there reaches the solution."""
+
+    def end(poisoned):
+        calls = iter(range(100))
+        term = diffrax.ODETerm(lambda t, y, args: np.nan if next(calls) == poisoned else -y)
+        return solver.step(term, 0.0, 0.1, np.float64(1.0), None, None, False)[0]
+
+    assert sum(np.isnan(end(poisoned)) for poisoned in range(20)) == solver.stages
+    assert abs(end(None) - np.exp(-0.1)) < 0.1**solver.convergence_order / 120
+
+
+@pytest.mark.parametrize("name", ["tsit5", "dopri8"])
+def test_adaptive_steps(name):
+    """Under a PID controller: the same steps as diffrax's own, and the tolerance of a step, added up, as the error."""
+    solver = RUNGE_KUTTA[name]
+    system, tolerance = SYSTEMS["disturbed"], 1e-9
+    exact = taylor.strobe(twin(system), B, STATES)
+
+    def solve(solver, u, b):
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(system.vector_field),
+            solver,
+            0.0,
+            system.period,
+            0.01,
+            unchart(u),
+            args=b,
+            stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+        )
+        return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys)), solution.stats["num_accepted_steps"]
+
+    ours, steps = jax.jit(jax.vmap(lambda u, b: solve(solver, u, b)))(STATES, B)
+    theirs, their_steps = jax.jit(jax.vmap(lambda u, b: solve(diffrax_s_own(solver), u, b)))(STATES, B)
+    assert np.abs(np.asarray(steps) - np.asarray(their_steps)).max() <= 1
+    monodromy = taylor.strobe_jacobian(twin(system), B, STATES)[1].astype(float)
+    allowed = tolerance * np.asarray(steps) * np.maximum(np.linalg.norm(monodromy, 2, axis=(1, 2)), 1)
+    assert np.all(apart(ours, exact) < allowed)
+    assert np.all(apart(ours, theirs) < allowed)

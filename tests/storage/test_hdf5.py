@@ -1,0 +1,366 @@
+"""Result files: what xarray and netCDF4 see in them, and that a file is there whole or not at all."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+from conftest import ROOT
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from jaxnh.analyses.base import Group, Variable
+from jaxnh.storage.hdf5 import (
+    SEAL,
+    StoreError,
+    attributes,
+    check_writable,
+    dimensions,
+    read,
+    read_attrs,
+    read_variables,
+    verify,
+    write,
+)
+
+ATTRS = {"title": "Täst δ", "jaxnh_version": "0", "steps": 160, "error_estimate": 3.5e-11, "config": "a: 1\nb: 2\n"}
+ENGINES = [
+    "h5netcdf",
+    pytest.param(
+        "netcdf4",
+        marks=pytest.mark.skipif(not importlib.util.find_spec("netCDF4"), reason="netCDF4 is not a dependency"),
+    ),
+]
+
+
+def group():
+    """Two dimensions, one of them without a coordinate of its own; an array large enough to be compressed."""
+    b, x = np.linspace(1, 2, 7), np.random.default_rng(8).normal(size=(7, 900))
+    flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "periodic chaotic"}
+    variables = {
+        "b": Variable(("b",), b, "coupling b"),
+        "x1": Variable(("b", "strobe"), x, "position x1", "length"),
+        "residual": Variable(("b",), np.array([np.nan, *b[1:]]), "residual"),
+        "kind": Variable(("b",), np.arange(7, dtype=np.int8) % 2, "kind of motion", attrs=flags),
+    }
+    return Group(variables, {"levels_found": 3, "delta_limit": np.nan}, ("one", "two"))
+
+
+def write_group(path):
+    write(path, ATTRS, {"diagram": group(), "second": group()})
+
+
+# ---- what is in a file
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_file_opens_as_a_data_tree(tmp_path, engine):
+    """Every value, dimension, coordinate, long_name, units and attribute that went in comes out."""
+    path = tmp_path / "result.h5"
+    write_group(path)
+    with xr.open_datatree(path, engine=engine) as tree:
+        assert {name: tree.attrs[name] for name in ATTRS} == ATTRS
+        assert set(tree.children) == {"diagram", "second"}
+        for child in tree.children.values():
+            ours, data = group(), child.to_dataset()
+            assert dict(data.sizes) == {"b": 7, "strobe": 900}
+            for name, variable in ours.variables.items():
+                assert data[name].dims == variable.dims
+                assert data[name].attrs["long_name"] == variable.long_name
+                assert data[name].attrs["units"] == variable.units
+                np.testing.assert_array_equal(data[name].values, variable.data)
+                assert data[name].dtype == variable.data.dtype
+            assert set(data.coords) == {"b", "strobe"}
+            np.testing.assert_array_equal(data["strobe"].values, np.arange(900))
+            assert data["strobe"].attrs["units"] == "1"
+            assert data["strobe"].attrs["long_name"]
+            np.testing.assert_array_equal(data["kind"].attrs["flag_values"], [0, 1])
+            assert data["kind"].attrs["flag_meanings"] == "periodic chaotic"
+            assert data.attrs["levels_found"] == 3
+            assert np.isnan(data.attrs["delta_limit"])
+            assert data.attrs["warnings"] == "one\ntwo"
+
+
+def test_every_axis_is_a_dimension_scale(tmp_path):
+    """As netCDF4 wants it: coordinates are scales, and every axis of every other variable has one attached."""
+    path = tmp_path / "result.h5"
+    write_group(path)
+    with h5py.File(path) as file:
+        for item in file["diagram"].values():
+            if item.is_scale:
+                assert item.name.rsplit("/", 1)[1] in ("b", "strobe")
+            else:
+                assert all(len(dimension) == 1 for dimension in item.dims)
+        assert list(file["diagram"])[:4] == ["b", "x1", "residual", "kind"]  # in the order they were given
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    arrays.arrays(
+        st.sampled_from([np.float64, np.float32, np.int64, np.int8]),
+        arrays.array_shapes(min_dims=1, max_dims=3, max_side=30),
+    )
+)
+def test_every_array_comes_back_bit_for_bit(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("any") / "result.h5"
+    dims = ("u", "v", "w")[: data.ndim]
+    write(path, ATTRS, {"any": Group({"data": Variable(dims, data, "anything")})})
+    back = read_variables(path, "any")["data"]
+    assert back.dtype == data.dtype
+    assert back.tobytes() == data.tobytes()
+    assert {name: value for name, value in read_attrs(path).items() if name != SEAL} == ATTRS
+
+
+def test_writing_replaces_a_file_and_nothing_else(tmp_path):
+    path = tmp_path / "result.h5"
+    path.write_bytes(b"something else")
+    write_group(path)
+    assert read_attrs(path)["title"] == ATTRS["title"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["result.h5"]
+    assert path.stat().st_mode & 0o777 == 0o644 or path.stat().st_mode & 0o600 == 0o600
+
+
+# ---- what is no result file
+
+
+def test_files_that_are_no_results(tmp_path):
+    """A sentence each: not HDF5, cut off, another program's, not there, and a group that is not there."""
+    text, cut, other, ours = (tmp_path / name for name in ("text.h5", "cut.h5", "other.h5", "ours.h5"))
+    text.write_text("hello")
+    write_group(ours)
+    cut.write_bytes(ours.read_bytes()[:3000])
+    with h5py.File(other, "w") as file:
+        file.attrs["title"] = "something else"
+    for path, said in ((text, "not a readable"), (cut, "not a readable"), (other, "not a result of jaxnh")):
+        with pytest.raises(StoreError, match=said):
+            read_attrs(path)
+    with pytest.raises(StoreError, match="not a readable"):
+        read_attrs(tmp_path / "absent.h5")
+    with pytest.raises(StoreError, match="no readable group lyapunov"):
+        read_variables(ours, "lyapunov")
+
+
+def test_damaged_data_is_not_read_as_numbers(tmp_path):
+    """A flipped bit in a compressed array is found by its checksum."""
+    path = tmp_path / "result.h5"
+    write_group(path)
+    with h5py.File(path) as file:
+        chunk = file["diagram/x1"].id.get_chunk_info(0)
+    content = bytearray(path.read_bytes())
+    content[chunk.byte_offset + chunk.size // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match="no readable group diagram"):
+        read_variables(path, "diagram")
+
+
+# ---- checksums
+
+
+def test_file_fits_its_checksums(tmp_path):
+    path = tmp_path / "result.h5"
+    write_group(path)
+    verify(path)
+
+
+def everything(path):
+    """All that a reader sees in a file."""
+    with h5py.File(path) as file:
+        seen = [sorted((key, str(value)) for key, value in file.attrs.items())]
+        for group in file.values():
+            seen.append((group.name, sorted((key, str(value)) for key, value in group.attrs.items())))
+            for item in group.values():
+                attrs = sorted((key, str(value)) for key, value in attributes(item).items())
+                seen.append((item.name, item.shape, item.dtype, dimensions(item), read(item).tobytes(), attrs))
+    return seen
+
+
+def test_any_flipped_bit_is_found(tmp_path):
+    """Of some hundred all over the file: what is not found is not seen by a reader either (gaps that HDF5 leaves)."""
+    path = tmp_path / "result.h5"
+    write(path, ATTRS, {"diagram": group()})
+    sound, seen = path.read_bytes(), everything(path)
+    bits = np.random.default_rng(3).integers(0, 8 * len(sound), 400)
+    found = 0
+    for bit in bits.tolist():
+        content = bytearray(sound)
+        content[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(content)
+        try:
+            verify(path)
+        except StoreError:
+            found += 1
+        else:
+            assert everything(path) == seen
+    assert found > 300
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.9, 0.999])
+def test_file_cut_short_is_found(tmp_path, share):
+    path = tmp_path / "result.h5"
+    write_group(path)
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    with pytest.raises(StoreError, match="cannot be read: it is damaged"):
+        verify(path)
+
+
+def test_changed_name_or_attribute_is_found(tmp_path):
+    """Changed by HDF5 itself, so that only the seal can tell."""
+    for change in (
+        lambda file: file.attrs.update({"config": "a: 2"}),
+        lambda file: file["diagram"].attrs.update({"levels_found": 4}),
+        lambda file: file["diagram/x1"].attrs.update({"units": "1/length"}),
+        lambda file: file.move("second", "third"),
+    ):
+        path = tmp_path / "result.h5"
+        write_group(path)
+        with h5py.File(path, "r+") as file:
+            change(file)
+        with pytest.raises(StoreError, match="names or attributes do not fit their checksum"):
+            verify(path)
+
+
+@pytest.mark.skipif(not shutil.which("h5dump"), reason="h5dump is not installed")
+def test_h5dump_reads_it(tmp_path):
+    path = tmp_path / "result.h5"
+    write_group(path)
+    command = ["h5dump", "-d", "/diagram/kind", "-y", "-w", "0", str(path)]
+    out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "0, 1, 0, 1, 0, 1, 0" in out
+
+
+# ---- folders and disks that refuse
+
+
+@pytest.mark.parametrize("where", ["file/result.h5", "file/below/result.h5", "/proc/result.h5", "/proc/new/result.h5"])
+def test_folder_that_cannot_be_written(tmp_path, where):
+    """Below a regular file, and in /proc, not even root can write: one sentence with the folder, nothing left."""
+    (tmp_path / "file").write_text("a file")
+    path = tmp_path / where
+    with pytest.raises(StoreError, match=f"cannot write in {path.parent}: "):
+        check_writable(path)
+    with pytest.raises(StoreError, match=f"cannot write in {path.parent}: "):
+        write_group(path)
+    assert (tmp_path / "file").read_text() == "a file"
+
+
+def test_folder_as_the_file(tmp_path):
+    with pytest.raises(StoreError, match="is a folder"):
+        check_writable(tmp_path)
+    with pytest.raises(StoreError, match="cannot write"):
+        write_group(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    assert not list(tmp_path.parent.glob(f".{tmp_path.name}*"))
+
+
+def test_check_makes_the_folder_and_leaves_nothing_in_it(tmp_path):
+    path = tmp_path / "new" / "folder" / "result.h5"
+    check_writable(path)
+    assert path.parent.is_dir()
+    assert list(path.parent.iterdir()) == []
+
+
+def run(code, *arguments):
+    """Python code in a process of its own, that may import this file; what it prints, as JSON."""
+    head = f"import sys; sys.path.insert(0, {str(ROOT / 'tests')!r})\n"
+    command = [sys.executable, "-W", "ignore", "-c", head + code, *map(str, arguments)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+LIMITED = """
+import json, os, resource
+from pathlib import Path
+from test_hdf5 import write_group
+from jaxnh.storage.hdf5 import StoreError
+
+path, limit = Path(sys.argv[1]), int(sys.argv[2])
+reading, writing = os.pipe()
+child = os.fork()
+if not child:
+    os.dup2(writing, 1), os.dup2(writing, 2)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    try:
+        write_group(path)
+    except StoreError as error:
+        print(error, flush=True)
+    sys.exit()
+os.close(writing)
+said = open(reading).read()
+print(json.dumps([os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said]))
+"""
+
+
+@pytest.fixture(scope="module", params=[(0, ""), (2_000, "a result of old"), (60_000, "")], ids=str)
+def full_disk(request, tmp_path_factory):
+    """Writing where files cannot grow past a limit, below the 110 kB needed: status, words, and files as expected."""
+    limit, before = request.param
+    path = tmp_path_factory.mktemp("full") / "result.h5"
+    if before:
+        path.write_text(before)
+    status, said = run(LIMITED, path, limit)
+    return path, status, said, [before] if before else []
+
+
+def test_full_disk_leaves_all_as_it_was(full_disk):
+    path, _, said, before = full_disk
+    assert f"cannot write {path}: " in said
+    assert [entry.read_text() for entry in path.parent.iterdir()] == before
+
+
+def test_full_disk_is_said_in_a_sentence(full_disk):
+    """One line, no traceback, and the process lives."""
+    path, status, said, _ = full_disk
+    assert said.startswith(f"cannot write {path}: ")
+    assert len(said.splitlines()) == 1
+    assert status == 0
+
+
+KILLED = """
+import json, os, random, signal, time
+from pathlib import Path
+from test_hdf5 import ATTRS, group
+from jaxnh.storage.hdf5 import read_attrs, read_variables, write
+
+folder, trials = Path(sys.argv[1]), int(sys.argv[2])
+expected = group().variables["x1"].data
+began = time.perf_counter()
+for _ in range(5):
+    write(folder / "timing.h5", ATTRS, {"diagram": group(), "second": group()})
+took = (time.perf_counter() - began) / 5
+random.seed(1)
+absent = whole = interrupted = 0
+for trial in range(trials):
+    path = folder / f"{trial}.h5"
+    child = os.fork()
+    if not child:
+        while True:
+            write(path, ATTRS, {"diagram": group(), "second": group()})
+    time.sleep(random.uniform(0, 3 * took))
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    interrupted += bool(list(folder.glob(f".{trial}.h5*")))
+    if path.exists():
+        read_attrs(path)
+        for name in ("diagram", "second"):
+            assert (read_variables(path, name)["x1"] == expected).all()
+        whole += 1
+    else:
+        absent += 1
+print(json.dumps([absent, whole, interrupted]))
+"""
+
+
+def test_killed_at_any_moment(tmp_path):
+    """Under its final name a file is absent or whole, after kills during the first writing and during later ones."""
+    absent, whole, interrupted = run(KILLED, tmp_path, 60)
+    assert absent + whole == 60
+    assert min(absent, whole, interrupted) > 0  # or no kill came while a file was being written, and nothing was shown

@@ -1,0 +1,353 @@
+"""Equations of motion from T, Q and f: against the paper's own, closed forms of two classics, and exact identities."""
+
+from __future__ import annotations
+
+import math
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from measure import SYSTEMS, UNIT
+
+from jaxnh.solvers import SOLVERS, SPLITTINGS
+from jaxnh.solvers.isokinetic import DriftTerm, KickTerm
+from jaxnh.solvers.projected import Projected
+from jaxnh.systems.elimination import eliminate
+from jaxnh.systems.lagrangian import FAULTS, Equations, Motion, accelerations, nonholonomic_system
+from jaxnh.systems.particle import constrained_field
+
+MOMENTS = 200
+RNG = np.random.default_rng(21)
+T, B = RNG.uniform(0, 20, MOMENTS), RNG.uniform(0.01, 6, MOMENTS)
+X, Y, THETA = RNG.uniform(-1.5, 1.5, MOMENTS), RNG.uniform(-1.5, 1.5, MOMENTS), RNG.uniform(-np.pi, np.pi, MOMENTS)
+EXACT = 1e-12  # some thirty products, each of them below 100, and one division by a speed near one
+
+
+def particle(a, omega, b, c=None, d=0.0):
+    """The paper's particle as T, Q and f: free where there is no c, at the speed √(c + d sin t) where there is."""
+
+    def kinetic(q, v, t):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2)
+
+    def forces(q, v, t):
+        (x, y), g = q, 1.0 + jnp.sin(omega * t)
+        return -a * g * x - g * x**3 - a * v[0] + b * y, -g * y - a * g * y**3 - a * v[1] + b * x
+
+    def speed(q, v, t):
+        return (v[0] ** 2 + v[1] ** 2 - c - d * jnp.sin(t),)
+
+    return Equations(kinetic, forces, None if c is None else speed)
+
+
+def on_the_constraint(system):
+    speed = np.sqrt(system.c + system.d * np.sin(T))
+    return speed * np.cos(THETA), speed * np.sin(THETA)
+
+
+def solved(system, v, *constraint):
+    """q̈ and λ of the particle at all moments, in one program of arrays."""
+    solve = jax.jit(lambda v, b, t: accelerations(particle(system.a, system.omega, b, *constraint), (X, Y), v, t))
+    return jax.tree.map(np.asarray, solve(v, B, T))
+
+
+def applied(system, v):
+    """Forces of (1) with their damping, written out here."""
+    a, g = system.a, 1 + np.sin(system.omega * T)
+    return -a * g * X - g * X**3 - a * v[0] + B * Y, -g * Y - a * g * Y**3 - a * v[1] + B * X
+
+
+systems = pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
+
+
+def test_free_particle_is_1():
+    system = SYSTEMS["other"]
+    v = on_the_constraint(system)
+    a, multipliers, singular = solved(system, v)
+    assert multipliers == ()
+    assert not singular.any()
+    for one, other in zip(a, applied(system, v), strict=True):
+        assert np.abs(one - other).max() < EXACT
+
+
+@systems
+def test_held_particle_is_12_and_22(system):
+    """The accelerations are those of (12) and (22), and λ is (11) and, with + before d cos t, (21)."""
+    v = on_the_constraint(system)
+    a, (multiplier,), singular = solved(system, v, system.c, system.d)
+    assert not singular.any()
+    _, ax, _, ay = (np.asarray(rate) for rate in constrained_field(system, T, (X, v[0], Y, v[1]), B))
+    assert np.abs(a[0] - ax).max() < EXACT
+    assert np.abs(a[1] - ay).max() < EXACT
+    assert np.abs(multiplier - multiplier_of_21(system, v, +1)).max() < EXACT
+
+
+@systems
+def test_sign_slip_of_21(system):
+    """As printed, with −(d cos t)/2, (21) is off by (d cos t)/2/(c + d sin t), half of it from either sign."""
+    v = on_the_constraint(system)
+    _, (multiplier,), _ = solved(system, v, system.c, system.d)
+    slip = system.d * np.cos(T) / (2 * (system.c + system.d * np.sin(T)))
+    assert np.abs(multiplier - multiplier_of_21(system, v, -1) - slip).max() < EXACT
+    assert (np.abs(slip).max() > 0.01) == (system.d != 0)
+
+
+def multiplier_of_21(system, v, sign):
+    """(21), which is (11) without a disturbance, with a sign of its own before (d cos t)/2."""
+    a, g = system.a, 1 + np.sin(system.omega * T)
+    power = (a * g * X + g * X**3 - B * Y) * v[0] + (g * Y + a * g * Y**3 - B * X) * v[1]
+    return a / 2 + (power + sign * system.d * np.cos(T) / 2) / (2 * (system.c + system.d * np.sin(T)))
+
+
+# ---- the bordered solve
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_elimination(n):
+    """Solutions of random systems, some of which need an exchange of rows, against LAPACK."""
+    matrix, right = RNG.normal(size=(MOMENTS, n, n)), RNG.normal(size=(MOMENTS, n, 2))
+    matrix[::3, 0, 0] = 0.0 if n > 1 else 1.0
+    components = [[matrix[:, i, j] for j in range(n)] for i in range(n)]
+    solutions, smallest = eliminate(components, [[right[:, i, s] for i in range(n)] for s in range(2)])
+    found = np.stack([np.stack(s, axis=-1) for s in solutions], axis=-1)
+    condition = np.linalg.cond(matrix)[:, None, None]
+    assert np.all(np.abs(found - np.linalg.solve(matrix, right)) < 100 * UNIT * condition * np.abs(found).max())
+    assert np.all(np.asarray(smallest) > 0)
+
+
+def test_reduced_mass():
+    """A bead on a wire y = x²: with M and the constraint ẏ = 2xẋ, (1 + 4x²) ẍ = −4xẋ² − 2gx, g = 9."""
+    bead = Equations(
+        lambda q, v, t: v[0] ** 2 + v[1] ** 2,
+        lambda q, v, t: (0.0, -18.0),
+        lambda q, v, t: (v[1] - 2.0 * q[0] * v[0],),
+    )
+    a, _, _ = accelerations(bead, (X, X**2), (Y, 2 * X * Y), T)
+    assert np.abs(np.asarray(a[0]) + (4 * X * Y**2 + 18 * X) / (1 + 4 * X**2)).max() < EXACT
+
+
+def test_energy_that_depends_on_place_and_time():
+    """T = (1 + t) e^{q} q̇²/2: d/dt(∂T/∂q̇) − ∂T/∂q = (1 + t) e^q (q̈ + q̇²/2) + e^q q̇ = 0."""
+    free = Equations(lambda q, v, t: 0.5 * (1.0 + t) * jnp.exp(q[0]) * v[0] ** 2, lambda q, v, t: (0.0,))
+    a, _, _ = accelerations(free, (X,), (Y,), T)
+    assert np.abs(np.asarray(a[0]) + Y**2 / 2 + Y / (1 + T)).max() < EXACT
+
+
+# ---- trajectories
+
+
+def march(system, state, t1, steps, b=0.0, solver="dopri8", project=True):
+    """State at t1 from t = 0 by constant steps."""
+    solver = Projected(SOLVERS[solver], system) if project else SOLVERS[solver]
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(system.vector_field),
+        solver,
+        0.0,
+        t1,
+        t1 / steps,
+        state,
+        args=b,
+        max_steps=steps + 1,
+        throw=False,
+    )
+    return jax.tree.map(lambda leaf: np.asarray(leaf[-1]), solution.ys)
+
+
+def motion(q, v):
+    return jax.tree.map(jnp.asarray, Motion(tuple(map(float, q)), tuple(map(float, v)), (0.0, 0.0)))
+
+
+def sleigh(mass=1.0, inertia=0.4, length=0.6):
+    """Chaplygin's sleigh: a blade at (x, y) that does not slide sideways, the centre of mass a length ahead of it."""
+
+    def kinetic(q, v, t):
+        theta, (x_dot, y_dot, turn) = q[2], v
+        u, w = x_dot - length * turn * jnp.sin(theta), y_dot + length * turn * jnp.cos(theta)
+        return 0.5 * mass * (u**2 + w**2) + 0.5 * inertia * turn**2
+
+    def forces(q, v, t):
+        return 0.0, 0.0, 0.0
+
+    def blade(q, v, t):
+        return (v[1] * jnp.cos(q[2]) - v[0] * jnp.sin(q[2]),)
+
+    return {"T": kinetic, "Q": forces, "f": blade, "coordinates": ("x", "y", "theta"), "period": 1.0}
+
+
+def test_chaplygin_sleigh():
+    """u = U tanh τ along the blade and θ' = U/k sech τ with τ = lUt/k² + φ, k² = l² + I/m (Chaplygin 1911).
+
+    The angle is (k/l) times the Gudermannian of τ. The sleigh turns round once and runs away along its stable way.
+    """
+    mass, inertia, length = 1.3, 0.4, 0.6
+    system = nonholonomic_system(sleigh, {"mass": mass, "inertia": inertia, "length": length}, "mass")
+    k = math.sqrt(length**2 + inertia / mass)
+    speed, phase, t1 = 1.5, -2.0, 4.0
+    start = motion((0, 0, 0), (speed * math.tanh(phase), 0, speed / k / math.cosh(phase)))
+    end = march(system, start, t1, 200, mass)
+    tau = length * speed * t1 / k**2 + phase
+    theta = k / length * (2 * math.atan(math.tanh(tau / 2)) - 2 * math.atan(math.tanh(phase / 2)))
+    u = end.v[0] * math.cos(theta) + end.v[1] * math.sin(theta)
+    assert tau > 2
+    assert abs(end.q[2] - theta) < 1e-11
+    assert abs(u - speed * math.tanh(tau)) < 1e-11
+    assert abs(end.v[2] - speed / k / math.cosh(tau)) < 1e-11
+    energy = [float(sleigh(mass, inertia, length)["T"](s.q, s.v, 0.0)) for s in (start, end)]
+    assert abs(energy[1] - energy[0]) < 1e-11
+
+
+def appell_hamel(ratio=0.7, gravity=9.0, stiffness=0.0):
+    """The Appell–Hamel machine: ẋ² + ẏ² = ratio² ż², nonlinear in the velocities; springs to the origin if wanted."""
+
+    def kinetic(q, v, t):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+
+    def forces(q, v, t):
+        return -stiffness * q[0], -2.0 * stiffness * q[1], -gravity
+
+    def wheel(q, v, t):
+        return (v[0] ** 2 + v[1] ** 2 - ratio**2 * v[2] ** 2,)
+
+    return {"T": kinetic, "Q": forces, "f": wheel, "coordinates": ("x", "y", "z"), "period": 1.0}
+
+
+def test_appell_hamel_machine():
+    """It falls with z'' = −g/(1 + r²) along a straight line (Hamel, Theoretische Mechanik, 1949), λ = x''/(2x').
+
+    The motion is quadratic in time, so that any method from order two on follows it to rounding.
+    """
+    ratio, gravity, t1 = 0.7, 9.0, 2.0
+    system = nonholonomic_system(appell_hamel, {"ratio": ratio, "gravity": gravity, "stiffness": 0.0}, "ratio")
+    along, fall = np.array([0.6, 0.8]), gravity / (1 + ratio**2)
+    start = motion((0, 0, 0), (*(ratio * along), -1))
+    end = march(system, start, t1, 10, ratio)
+    expected = (*(ratio * along * (t1 + fall * t1**2 / 2)), -(t1 + fall * t1**2 / 2))
+    assert np.abs(np.subtract(end.q, expected)).max() < 1e-12
+    (multiplier,) = system.multipliers(0.0, start, ratio)
+    assert abs(float(multiplier) - fall / 2) < 1e-12
+
+
+def test_energy_of_the_appell_hamel_machine_in_springs():
+    """f is homogeneous in the velocities, so its reaction does no work: the energy stays to the error of the method."""
+    parameters = {"ratio": 0.7, "gravity": 0.0, "stiffness": 1.0}
+    system = nonholonomic_system(appell_hamel, parameters, "ratio")
+    start = motion((0.3, -0.2, 0), (0.42, 0.56, -1))
+    energies = []
+    for state in (start, *(march(system, start, 2.0, steps, 0.7) for steps in (25, 50))):
+        (x, y, _), v = state.q, state.v
+        energies.append(float(0.5 * sum(u * u for u in v) + 0.5 * x**2 + y**2))
+    coarse, fine = np.abs(np.subtract(energies[1:], energies[0]))
+    assert fine < coarse / 2**7 + 1e-14  # order eight, one power left for the terms that follow
+    assert fine < 1e-10
+
+
+# ---- projection and failures
+
+
+def test_projection_is_orthogonal_and_its_drift_is_kept():
+    """One coarse step leaves f = 0 by its error; the projection moves v along M⁻¹Aᵀ alone, and keeps that |f|."""
+    system = nonholonomic_system(sleigh, {"mass": 1.3, "inertia": 0.4, "length": 0.6}, "mass")
+    start = motion((0, 0, 0.3), (math.cos(0.3), math.sin(0.3), 2.0))
+    before, after = (march(system, start, 0.3, 1, 1.3, "tsit5", project) for project in (False, True))
+    (drift,), (left,) = (system.residuals(0.3, state, 1.3) for state in (before, after))
+    assert abs(float(drift)) > 1e-6
+    assert abs(float(left)) < 1e-15
+    assert abs(after.watch[0] - abs(float(drift))) < 1e-15
+    assert after.watch[1] == 0
+    assert after.q == before.q
+    theta, moved = after.q[2], np.subtract(after.v, before.v)
+    metric = jax.hessian(lambda v: sleigh(1.3)["T"](after.q, v, 0.0))(jnp.asarray(before.v))
+    for free in ((np.cos(theta), np.sin(theta), 0.0), (0.0, 0.0, 1.0)):  # directions that the blade allows
+        assert abs(np.dot(free, np.asarray(metric) @ moved)) < 1e-15
+
+
+def test_projection_of_a_nonlinear_constraint():
+    """Two Newton steps bring a drift of a hundredth down to its cube, and a drift beyond measure is a failure."""
+    system = nonholonomic_system(appell_hamel, {"ratio": 1.0, "gravity": 9.0, "stiffness": 0.0}, "ratio")
+    small = system.project(0.0, motion((0, 0, 0), (0.6, 0.8, -1.0001)), 1.0)
+    assert abs(float(system.residuals(0.0, small, 1.0)[0])) < 1e-11
+    assert FAULTS[int(small.watch[1])] == "none"
+    large = system.project(0.0, motion((0, 0, 0), (0.6, 0.8, -9.0)), 1.0)
+    assert FAULTS[int(large.watch[1])] == "off_constraint"
+    assert not np.isfinite(large.v).any()
+
+
+def test_singular_lanes_fail_alone():
+    """At rest the wheel may go anywhere, ∂f/∂q̇ = 0: that lane fails with its reason, its neighbour goes on."""
+    system = nonholonomic_system(appell_hamel, {"ratio": 1.0, "gravity": 9.0, "stiffness": 0.0}, "ratio")
+    states = jax.tree.map(lambda *x: jnp.stack(x), motion((0, 0, 0), (0, 0, 0)), motion((0, 0, 0), (0.6, 0.8, -1)))
+    end = jax.vmap(lambda state: march_traced(system, state, 1.0, 1.0, 5))(states)
+    assert [FAULTS[int(code)] for code in np.asarray(end.watch[1])] == ["singular", "none"]
+    assert np.isfinite(np.asarray(end.v)).all(axis=0).tolist() == [False, True]
+
+
+def test_redundant_constraints_are_singular():
+    """The same constraint twice has no definite multipliers."""
+
+    def twice(ratio=1.0):
+        machine = appell_hamel(ratio)
+        return machine | {"f": lambda q, v, t: machine["f"](q, v, t) * 2}
+
+    system = nonholonomic_system(twice, {"ratio": 1.0}, "ratio")
+    assert system.constraints == 2
+    end = march_traced(system, motion((0, 0, 0), (0.6, 0.8, -1)), 1.0, 1.0, 5)
+    assert FAULTS[int(end.watch[1])] == "singular"
+
+
+def march_traced(system, state, b, t1, steps):
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(system.vector_field), Projected(SOLVERS["dopri5"], system), 0.0, t1, t1 / steps, state, args=b
+    )
+    return jax.tree.map(lambda leaf: leaf[-1], solution.ys)
+
+
+# ---- three dimensions
+
+
+class Isokinetic3(eqx.Module):
+    """A particle in three dimensions at unit speed, for the isokinetic splittings."""
+
+    b: float
+
+    def speed(self, t):
+        return jnp.ones_like(t)
+
+    def forcing(self, t):
+        return 1.0 + jnp.sin(t)
+
+    def path_length(self, t0, t1):
+        return t1 - t0
+
+    def force(self, q, g, weight, b):
+        return oscillators(q, g, weight * b)
+
+
+def oscillators(q, g, coupling):
+    x, y, z = q
+    return coupling * y - g * x * (0.5 + x * x), coupling * z - g * y * (1.0 + y * y), coupling * x - g * z
+
+
+def test_three_dimensions():
+    """Constant speed in space by an isokinetic splitting and by T, Q and f: two methods that share no code."""
+
+    def define(b=1.5):
+        return {
+            "T": lambda q, v, t: 0.5 * (v[0] ** 2 + v[1] ** 2 + v[2] ** 2),
+            "Q": lambda q, v, t: oscillators(q, 1.0 + jnp.sin(t), b),
+            "f": lambda q, v, t: (v[0] ** 2 + v[1] ** 2 + v[2] ** 2 - 1.0,),
+            "coordinates": ("x", "y", "z"),
+            "period": 2 * math.pi,
+        }
+
+    b, q, n = 1.5, (0.1, -0.2, 0.3), (2 / 3, -2 / 3, 1 / 3)
+    particle = Isokinetic3(b)
+    start = jax.tree.map(jnp.asarray, (q, n))
+    split = diffrax.diffeqsolve(
+        (DriftTerm(particle), KickTerm(particle)), SPLITTINGS["sofroniou_spaletta10"], 0.0, 2 * math.pi, math.pi / 60,
+        start, args=b, max_steps=200,
+    )  # fmt: skip
+    general = march(nonholonomic_system(define, {"b": b}, "b"), motion(q, n), 2 * math.pi, 400, b)
+    for one, other in zip((*split.ys[0], *split.ys[1]), (*general.q, *general.v), strict=True):
+        assert abs(float(one[-1]) - float(other)) < 1e-11
