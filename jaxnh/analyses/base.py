@@ -1,20 +1,36 @@
-"""What every analysis takes and gives: a scene and a way to run lanes in, a group of named variables out. No files."""
+"""What every analysis takes and gives: a scene and a way to run lanes in, a dataset out. No files.
+
+An analysis is one file: its options, what it needs, its numbers, its table for the terminal and its panel of figures;
+`analyses.ANALYSES` lists them. Its dataset has the lanes as dimension `LANE`, which the engine turns into the axes of
+the sweep.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
+import jax
 import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict
+from pydantic_core import PydanticCustomError
 
+from jaxnh.exceptions import InputError
 from jaxnh.maps.build import make_strobe
-from jaxnh.maps.protocol import Strobe, System
-from jaxnh.maps.section import Flow, SectionedFlow
+from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
+from jaxnh.systems.flow import Flow, State
+
+LANE = "lane"
+"""Dimension of lanes side by side."""
+
+
+# ---- what an analysis is asked for
 
 
 class Options(BaseModel):
@@ -23,74 +39,121 @@ class Options(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-@dataclass(frozen=True)
-class Variable:
-    """An array with named dimensions, as netCDF means it.
+def rule(message: str, *keys: str) -> PydanticCustomError:
+    """The error a validator raises for values that do not go together; the config gives it its line.
+
+    Args:
+        message: what is wrong, and what would be right.
+        keys: dotted paths, from where the validator stands, of the values concerned, the most likely culprit first.
+    """
+    return PydanticCustomError("rule", "{message}", {"message": message, "keys": keys})
+
+
+class OptionError(InputError):
+    """Options that a scene or sweep has no place for.
 
     Attributes:
-        dims: names of the dimensions, one an axis.
-        data: the array.
-        long_name: what it is, in words.
-        units: "1" where it has none.
-        attrs: further attributes.
+        key: the option, "" for the analysis as such.
     """
 
-    dims: tuple[str, ...]
-    data: np.ndarray
+    def __init__(self, message: str, key: str = "") -> None:
+        super().__init__(message)
+        self.key = key
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a sweep.
+
+    Attributes:
+        name: of the parameter, or of the coordinate of the start state; the name of the dimension in results.
+        values: in the order of the config, (n,).
+        long_name: what it is, in words, its name included.
+        kind: "lane", a parameter that lanes side by side may differ in; "start", a coordinate of the start state;
+            "shared", a parameter that changes what all lanes of a program share, as the table of kicks.
+    """
+
+    name: str
+    values: Float[np.ndarray, " n"]
     long_name: str
-    units: str = "1"
-    attrs: Mapping[str, Any] = field(default_factory=dict)
+    kind: Literal["lane", "start", "shared"] = "lane"
 
 
-@dataclass(frozen=True)
-class Group:
-    """The result of one analysis: coordinates are the variables named as their only dimension.
+class Setting(NamedTuple):
+    """What `Analysis.check` may look at.
 
     Attributes:
-        variables: name to variable.
-        attrs: attributes of the group.
-        warnings: sentences for the user, kept in the file as well.
+        flow: the system in continuous time.
+        autonomous: whether it has no clock and is seen on a section.
+        axes: of the sweep.
+        precision: "float64" or "float32".
     """
 
-    variables: Mapping[str, Variable]
-    attrs: Mapping[str, Any] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    flow: Flow
+    autonomous: bool
+    axes: tuple[Axis, ...]
+    precision: str
+
+
+# ---- what an analysis is given
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One system, its start state and sweep, and the solver that meets the accuracy asked for.
+    """Lanes of one system, and the solver that meets the accuracy asked for.
 
     Attributes:
         system: the flow, or without a clock the flow on its section.
-        start: start state of every lane, floats: (q, n) of a particle at a prescribed speed.
-        values: swept values of b in the order of the sweep, (lanes,).
+        start: start states, components (lanes,).
+        p: parameters that lanes have of their own, by name, each (lanes,).
         solver, steps, compensated: what P is computed with.
         error_estimate: estimated largest error of one period's map.
-        first: place of the first value in the whole sweep, where these are a part of it.
+        place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
+        along: the first axis, where the lanes are those along it, at one point of all others.
         chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
         precision: "float64" or, where asked for, "float32", of the arithmetic within a period.
     """
 
-    system: System
-    start: Any
-    values: np.ndarray
+    system: Flow
+    start: State
+    p: Mapping[str, Float[np.ndarray, " lanes"]]
     solver: Solver
     steps: int
     compensated: bool
     error_estimate: float
-    first: int = 0
+    place: Int[np.ndarray, " lanes"] | None = None
+    along: Axis | None = None
     chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     precision: str = "float64"
 
     @property
+    def count(self) -> int:
+        """Number of lanes."""
+        return len(jax.tree.leaves(self.start)[0])
+
+    @property
+    def lanes(self) -> tuple[State, Mapping[str, Float[np.ndarray, " lanes"]]]:
+        """Start states and parameters, as lane functions take them."""
+        return self.start, self.p
+
+    @property
+    def places(self) -> Int[np.ndarray, " lanes"]:
+        """Place of each lane along the first axis."""
+        return np.arange(self.count) if self.place is None else self.place
+
+    @property
     def flow(self) -> Flow:
         """The system in continuous time."""
-        return self.system.flow if isinstance(self.system, SectionedFlow) else self.system
+        return self.system.flow
 
     def in_time(self) -> Scene:
         """The same scene with no section, for what is an average or a path over time."""
         return replace(self, system=self.flow, start=self.start.state) if self.flow is not self.system else self
+
+    def take(self, lanes: Any) -> Scene:
+        """The scene of some of its lanes: a slice, or an array of their numbers."""
+        start, p = jax.tree.map(lambda leaf: leaf[lanes], (self.start, dict(self.p)))
+        return replace(self, start=start, p=p, place=self.places[lanes])
 
     def strobe(self, refinement: float = 1) -> Strobe:
         """P with `refinement` times the steps that the accuracy asks for."""
@@ -99,8 +162,13 @@ class Scene:
         return in_precision(strobe, self.precision)
 
 
+def spread(start: State, lanes: int) -> State:
+    """A start state of floats as lanes, components of shape (lanes,)."""
+    return jax.tree.map(lambda component: np.full(lanes, component, float), start)
+
+
 class LaneRunner(Protocol):
-    """Runs a per-lane function over any number of lanes (`jaxnh.lanes.Lanes`)."""
+    """Runs a per-lane function over any number of lanes (`jaxnh.engine.lanes.Lanes`)."""
 
     def __call__(
         self,
@@ -119,6 +187,52 @@ class LaneRunner(Protocol):
         ...
 
 
+# ---- what an analysis gives
+
+
+def variable(
+    dims: Sequence[str] | str, data: Any, long_name: str, units: str = "1", **attrs: Any
+) -> tuple[tuple[str, ...], np.ndarray, dict[str, Any]]:
+    """A variable of a dataset, with its words and units; "1" where it has none."""
+    names = (dims,) if isinstance(dims, str) else tuple(dims)
+    return names, np.asarray(data), {"long_name": long_name, "units": units, **attrs}
+
+
+class Table(NamedTuple):
+    """A table for the terminal: heads and cells as text, all right-aligned."""
+
+    title: str
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    caption: str | None = None
+
+
+class Program(NamedTuple):
+    """A compiled function of lanes that stands for a period of an analysis, for `jaxnh.cost --effects`.
+
+    Attributes:
+        function, shared, lanes, static, tile: as a `LaneRunner` takes them.
+        turns: how often its loops turn in a period, outermost first.
+        periods: periods a call.
+    """
+
+    function: Callable[..., Any]
+    shared: tuple[Any, ...]
+    lanes: tuple[Any, ...]
+    turns: tuple[float, ...]
+    static: tuple[Any, ...] = ()
+    periods: int = 1
+    tile: int | None = None
+
+
+class Price(NamedTuple):
+    """The program of a period of an analysis (None: it computes nothing of its own), that without it, and a note."""
+
+    with_it: Program | None
+    without_it: Program
+    note: str
+
+
 def _always(options: Any) -> bool:
     return True
 
@@ -127,8 +241,12 @@ def _few(options: Any) -> int:
     return 64
 
 
-def _nothing(variables: Mapping[str, Variable]) -> Mapping[str, int]:
+def _nothing(data: xr.Dataset) -> Mapping[str, int]:
     return {}
+
+
+def _all_right(options: Any, setting: Setting) -> None:
+    return None
 
 
 @dataclass(frozen=True)
@@ -139,22 +257,35 @@ class Analysis:
         name: the key in YAML and the group in the result file.
         options: the model of its options.
         periods: (options, number of lanes) to the lane-periods that a run of it is expected to integrate.
-        run: (options, scene, lane runner) to its group; with `needs`, also a mapping of the groups it needs.
+        run: (options, scene, lane runner) to its dataset; with `needs`, also a mapping of the datasets it needs.
+            Attributes of the dataset are those of the group: `panel` and what the panel reads, and `warnings`, lines
+            for the user.
         needs: analyses that have to run before, with their defaults where the config does not ask for them.
-        splits: options to whether its lanes know nothing of each other, so that a sweep may be run in parts: every
-            variable either has b as first dimension or is the same in all parts.
+        independent: options to whether its lanes know nothing of each other. If not, it is run along the whole first
+            axis, once for each point of the others (`Scene.along`); variables without dimensions are then attributes
+            of the group, or get the other axes where there are some.
+        newton: whether it rests on Newton for orbits, for which single precision is too coarse.
+        clock: whether it needs a clock.
         numbers: options to about how many numbers a lane leaves.
-        choose: (options, scene of the whole sweep, lane runner) to whole numbers that are chosen from all lanes and
-            hold for each part; `run` finds them in `Scene.chosen`.
-        count: variables over b to how many lanes are what: attributes of the group, that add up over parts.
+        choose: (options, scene, lane runner) to whole numbers that hold for all lanes of a sweep; of several scenes
+            that sample one, the largest count. `run` finds them in `Scene.chosen`.
+        count: dataset to the number of lanes of each kind: attributes of the group, that add up over parts.
+        check: (options, setting) raises `OptionError` where they do not go together.
+        table: (dataset, published values by name, their source) to a table for the terminal.
+        price: (options, scene) to what a period of it costs.
     """
 
     name: str
     options: type[Options]
     periods: Callable[[Any, int], float]
-    run: Callable[..., Group]
+    run: Callable[..., xr.Dataset]
     needs: tuple[str, ...] = ()
-    splits: Callable[[Any], bool] = _always
+    independent: Callable[[Any], bool] = _always
+    newton: bool = False
+    clock: bool = False
     numbers: Callable[[Any], int] = _few
     choose: Callable[[Any, Scene, LaneRunner], Mapping[str, int]] | None = None
-    count: Callable[[Mapping[str, Variable]], Mapping[str, int]] = _nothing
+    count: Callable[[xr.Dataset], Mapping[str, int]] = _nothing
+    check: Callable[[Any, Setting], None] = _all_right
+    table: Callable[[xr.Dataset, Mapping[str, np.ndarray], str], Table] | None = None
+    price: Callable[[Any, Scene], Price] | None = None

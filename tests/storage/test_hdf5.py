@@ -269,7 +269,7 @@ def test_check_makes_the_folder_and_leaves_nothing_in_it(tmp_path):
 
 def run(code, *arguments):
     """Python code in a process of its own, that may import this file; what it prints, as JSON."""
-    head = f"import sys; sys.path.insert(0, {str(ROOT / 'tests')!r})\n"
+    head = f"import sys; sys.path.insert(0, {str(ROOT / 'tests' / 'storage')!r})\n"
     command = [sys.executable, "-W", "ignore", "-c", head + code, *map(str, arguments)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr

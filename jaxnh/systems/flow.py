@@ -1,0 +1,164 @@
+"""What a system is: the one protocol that the particle, systems of T, Q and f, and sections of them implement.
+
+A flow says what moves; a lane says with which numbers. A lane is a start state and a mapping `p` of the parameters that
+differ between lanes to its own values; all other parameters are the flow's.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+Vector = tuple[Any, ...]
+"""Cartesian components, each of shape (...,): JAX arrays in lanes, NumPy arrays or floats on the host."""
+
+State = Any
+"""A pytree of components of shape (...,): (q, n) of a particle at a prescribed speed, `Motion`, `Crossing`."""
+
+Parameters = Mapping[str, ArrayLike]
+"""Name to value, of the parameters that a lane has of its own; of lanes side by side each (lanes,)."""
+
+
+class Output(NamedTuple):
+    """A named coordinate of states as results have it: numbers, words for it, and attributes."""
+
+    data: Any
+    long_name: str
+    attrs: Mapping[str, Any] = {}
+
+
+class Flow(eqx.Module):
+    """A flow with named coordinates and parameters; its lanes keep one clock, or none.
+
+    Section coordinates are those that a Poincaré map acts on: of shape (dimension,), or (..., dimension) on the host.
+    """
+
+    # ---- names
+
+    @property
+    @abc.abstractmethod
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates of a start state, in the order of results."""
+
+    @property
+    @abc.abstractmethod
+    def parameters(self) -> Parameters:
+        """All parameters by name, with the value of lanes that have none of their own."""
+
+    @abc.abstractmethod
+    def words(self, name: str) -> str:
+        """What a parameter or coordinate is called in results, its name included: "coupling b"."""
+
+    @property
+    @abc.abstractmethod
+    def plane(self) -> tuple[str, str]:
+        """The two coordinates that portraits are drawn over: the first position and its velocity."""
+
+    @property
+    def flow(self) -> Flow:
+        """The flow in continuous time: itself, or of a section the flow that it is of."""
+        return self
+
+    # ---- time
+
+    @property
+    @abc.abstractmethod
+    def period(self) -> float:
+        """Strobe period; without a clock the unit that lengths of time are counted in. On the host alone."""
+
+    @property
+    @abc.abstractmethod
+    def autonomous(self) -> bool:
+        """Whether there is no clock."""
+
+    @abc.abstractmethod
+    def shares(self, name: str) -> bool:
+        """Whether all lanes of a program must have the same value of a parameter: it changes their clock or table."""
+
+    def density(self, t: np.ndarray) -> np.ndarray:
+        """Steps a unit of time, up to a factor, that suit all lanes; t of any shape."""
+        return np.ones_like(t)
+
+    # ---- motion
+
+    @abc.abstractmethod
+    def rhs(self, t: ArrayLike, y: State, p: Parameters) -> State:
+        """Time derivative of a state; components (...,) in and out."""
+
+    @abc.abstractmethod
+    def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Any:
+        """Divergence of the flow; its mean is the sum of the Lyapunov exponents."""
+
+    def project(self, t: ArrayLike, y: State, p: Parameters) -> State:
+        """The state brought back to the constraints, where there are some that a step leaves."""
+        return y
+
+    # ---- section coordinates
+
+    @property
+    @abc.abstractmethod
+    def dimension(self) -> int:
+        """Number of section coordinates."""
+
+    @property
+    @abc.abstractmethod
+    def exponents(self) -> int:
+        """Number of Lyapunov exponents of motions that keep the constraints."""
+
+    @abc.abstractmethod
+    def chart(self, y: State) -> Float[Array, " dimension"]:
+        """Section coordinates of a state."""
+
+    @abc.abstractmethod
+    def unchart(self, u: Float[Array, " dimension"]) -> State:
+        """The state with section coordinates."""
+
+    @abc.abstractmethod
+    def wrap(self, difference: Any) -> Any:
+        """A difference of section coordinates (..., dimension), its angles in [−π, π)."""
+
+    @abc.abstractmethod
+    def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Largest difference of positions between section points (..., dimension): (...,)."""
+
+    @abc.abstractmethod
+    def signal(self, y: State) -> Any:
+        """The position that stands for a motion where one is enough."""
+
+    # ---- tangents
+
+    @abc.abstractmethod
+    def directions(self, k: int) -> tuple[Vector, ...]:
+        """k tangents in section coordinates to begin with."""
+
+    @abc.abstractmethod
+    def lift(self, y: State, tangent: Vector) -> State:
+        """The tangent of a state with these section coordinates."""
+
+    @abc.abstractmethod
+    def lower(self, y: State, tangent: State) -> Vector:
+        """Section coordinates of a tangent of a state."""
+
+    # ---- host: start states and results
+
+    @abc.abstractmethod
+    def start(self, coordinates: Mapping[str, ArrayLike]) -> State:
+        """The state at t = 0 with coordinates by name, floats or (lanes,); what the constraint decides is left out."""
+
+    @abc.abstractmethod
+    def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> State:
+        """Start states (lanes,) from even draws (lanes, d) in [−1, 1]: positions within the box, any direction."""
+
+    @abc.abstractmethod
+    def outputs(self, y: State, t: np.ndarray) -> dict[str, Output]:
+        """Coordinates of states by name; times t repeat along their last axis."""
+
+    def reports(self, y: State) -> dict[str, Output]:
+        """What there is to report of each trajectory (..., points), such as why it has failed."""
+        return {}
