@@ -1,4 +1,4 @@
-"""Blocks of a config that every system shares: the axes of a sweep, and what a system and its start state have to say."""
+"""What blocks of a config are, and those that every system has: its axes, its parameters and its start state."""
 
 from __future__ import annotations
 

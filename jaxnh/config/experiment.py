@@ -462,11 +462,11 @@ def schema() -> dict[str, Any]:
     properties = {**built_in["properties"]}
     system = properties["system"]
     properties["system"] = {**system, "oneOf": [*system["oneOf"], {"$ref": users["properties"]["system"]["$ref"]}]}
-    kinds = {}
-    for word, given in (("then", users), ("else", built_in)):  # which of the two is known from the system
-        kinds[word] = {"properties": {name: {"$ref": given["properties"][name]["$ref"]} for name in ("initial", "sweep")}}
+    kinds = {"then": {"properties": {}}, "else": {"properties": {}}}  # which of the two is known from the system
     for name in ("initial", "sweep"):
         properties[name] = {"description": properties[name]["description"]}
+        for word, given in (("then", users), ("else", built_in)):
+            kinds[word]["properties"][name] = {"$ref": given["properties"][name]["$ref"]}
     return {
         "$schema": GenerateJsonSchema.schema_dialect,
         **built_in,

@@ -6,7 +6,7 @@ Which keys there are is known from the user's file, which the blocks find in the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, model_valid
 from jaxnh.analyses.base import rule
 from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, SweepBlock, SystemBlock
 from jaxnh.config.messages import listed, unknown
+from jaxnh.systems.flow import Flow
 from jaxnh.systems.lagrangian import Lagrangian
 from jaxnh.systems.user_file import NAMES_OF_RESULTS, UserFile
 
@@ -48,7 +49,7 @@ class UserBlock(Block):
         raise NotImplementedError
 
 
-class UserInitial(UserBlock, InitialBlock):
+class UserInitial(InitialBlock, UserBlock):
     """The start state at t = 0 of a user's system: coordinates NAME and velocities NAME_dot, zero where not given."""
 
     __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -65,7 +66,7 @@ class UserInitial(UserBlock, InitialBlock):
         return {name: self.__pydantic_extra__.get(name, 0.0) for name in self.known}
 
 
-class UserSweep(UserBlock, SweepBlock):
+class UserSweep(SweepBlock, UserBlock):
     """The axes of the sweep, whose product is what is run: parameters, coordinates NAME or velocities NAME_dot."""
 
     __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -84,7 +85,7 @@ class UserSweep(UserBlock, SweepBlock):
         return (*self._file.parameters, *(k for name in self._file.coordinates for k in (name, f"{name}_dot")))
 
 
-class UserSystem(UserBlock, SystemBlock):
+class UserSystem(SystemBlock, UserBlock):
     """A user's file, and its parameters."""
 
     __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -116,10 +117,10 @@ class UserSystem(UserBlock, SystemBlock):
         """The system, with these parameters in place of its own."""
         return self._file.flow({**self.parameters, **parameters})
 
-    def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Any) -> bool:
-        """Whether the clock depends on a parameter."""
+    def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
+        """Whether the strobe period depends on a parameter."""
         picked = values[_evenly(len(values), _MOST_CLOCKS)]
-        return flow.shares(name) or len({self._file.period({**self.parameters, name: float(v)}) for v in picked}) > 1
+        return len({self._file.period({**flow.parameters, name: float(value)}) for value in picked}) > 1
 
     def check(self, initial: UserInitial, sweep: SweepBlock) -> None:
         """See that no key says what an axis says, and that f = 0 holds at the start of every lane."""

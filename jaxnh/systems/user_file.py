@@ -122,7 +122,9 @@ class UserFile:
         try:
             code = compile(self.text, str(self.path), "exec")
         except (SyntaxError, ValueError) as error:
-            raise self._fault(getattr(error, "lineno", 1) or 1, f"not valid Python: {getattr(error, 'msg', error)}") from None
+            raise self._fault(
+                getattr(error, "lineno", 1) or 1, f"not valid Python: {getattr(error, 'msg', error)}"
+            ) from None
         self._guarded(lambda: exec(code, scope))
         if not inspect.isfunction(scope.get("system")):
             raise self._fault(1, "there is no function system(...) that returns T, Q, f, coordinates and period")
@@ -149,7 +151,7 @@ class UserFile:
             raise self._fault(line, f"coordinates must differ, and not be one of {', '.join(_BESIDE_STATES)}")
         for name in every:
             if name in inspect.signature(self._define).parameters:
-                raise self._fault(line, f"{name} is the name of a coordinate or velocity, and of a parameter; rename one")
+                raise self._fault(line, f"{name} names a parameter and a coordinate or velocity; rename one of them")
         for kind in ("angles", "ignorable"):
             for name in definition.get(kind, ()):
                 if name not in names:
@@ -171,7 +173,9 @@ class UserFile:
                     raise self._fault(self._line_of(name), f"{name} must return a tuple of numbers")
                 return found if name == "T" else tuple(jnp.asarray(x) for x in found)
 
-            shape = self._guarded(lambda e=evaluate: jax.eval_shape(e, parameters, (number,) * k, (number,) * k, number))
+            shape = self._guarded(
+                lambda e=evaluate: jax.eval_shape(e, parameters, (number,) * k, (number,) * k, number)
+            )
             leaves = jax.tree.leaves(shape)
             line = self._line_of(name)
             if any(leaf.shape for leaf in leaves) or (count is None and len(leaves) != 1):
