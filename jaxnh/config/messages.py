@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails
 
-from jaxnh.config.yaml_source import ConfigError, KeyPath, Source
+from jaxnh.config.yaml_source import KeyPath, Source
+from jaxnh.exceptions import ConfigError
 
 _KINDS = {
     "float_type": "a number",
@@ -71,16 +72,6 @@ class _Finding:
     kind: str
 
 
-def rule(message: str, *keys: str) -> PydanticCustomError:
-    """The error a validator raises for values that do not go together.
-
-    Args:
-        message: what is wrong, and what would be right.
-        keys: dotted paths, from where the validator stands, of the values concerned, the most likely culprit first.
-    """
-    return PydanticCustomError("rule", "{message}", {"message": message, "keys": keys})
-
-
 def first_fault(error: ValidationError, source: Source, layout: Layout) -> ConfigError:
     """The fault that comes first in the file, or if the file has none, on the command line."""
     findings = [_finding(detail, layout) for detail in error.errors(include_url=False)]
@@ -116,6 +107,18 @@ def shown(value: Any) -> str:
             return "a mapping"
         case _:
             return "a list"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a sentence lists them: "a", "a and b", "a, b and c"."""
+    return " and ".join((*([", ".join(words[:-1])] if len(words) > 1 else []), *words[-1:]))
+
+
+def unknown(word: object, known: Iterable[str]) -> str:
+    """What is wrong with a key that is not known."""
+    known = tuple(known)
+    names = f"known keys are {', '.join(known)}" if len(known) > 1 else f"the only known key is {''.join(known)}"
+    return f"unknown key{close_match(word, known)}; {names}"
 
 
 def close_match(word: object, known: Iterable[str]) -> str:

@@ -1,6 +1,6 @@
-"""A config file as text: YAML in which every key knows its line, overrides, and the one line that reports a fault.
+"""A config as text or as a dict: where every key of it is, overrides, and the one line that reports a fault.
 
-What the keys mean (experiment.py) and how a wrong value is put in words (faults.py) is not known here.
+What the keys mean (experiment.py) and how a wrong value is put in words (messages.py) is not known here.
 """
 
 from __future__ import annotations
@@ -8,9 +8,11 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.constructor import ConstructorError, RoundTripConstructor
@@ -28,14 +30,13 @@ from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.reader import ReaderError
 from ruamel.yaml.representer import RoundTripRepresenter
 
+from jaxnh.exceptions import ConfigError
+
 KeyPath = tuple[str | int, ...]
 """Keys, and numbers of list items, from the top level down; () is the whole file."""
 
 _DEEPEST = 16
-
-
-class ConfigError(Exception):
-    """A config that cannot be used. str() is the whole message, one line: where, which key, what is wrong."""
+_NAMELESS = "experiment"  # in messages, where there is no file
 
 
 class _Fault(Exception):
@@ -48,24 +49,33 @@ class _Fault(Exception):
 
 @dataclass(frozen=True)
 class Source:
-    """A config file as read, with the overrides applied.
+    """A config as read, with the overrides applied.
 
     Attributes:
-        path: the file, as the user named it.
-        text: the YAML as run: the file's own text, or with overrides its tree written again, comments kept.
+        path: the file, as the user named it; None where there is none.
         data: the content in plain dicts, lists, strings, numbers, booleans and None.
-        positions: (line, column) in the file of each key and list item, both from 1.
-        overridden: what the command line gave, in its order; created mappings by their outermost key.
+        positions: (line, column) of each key and list item, both from 1; in a dict the number of each key in its order.
+        overridden: what overrides gave, in their order; created mappings by their outermost key.
+        numbered: whether positions are of lines of a text.
+        given: the text, where no override has changed what it says.
+        tree: the content as it is written as YAML where they have.
     """
 
-    path: Path
-    text: str
+    path: Path | None
     data: dict[str, Any]
     positions: Mapping[KeyPath, tuple[int, int]]
     overridden: Sequence[KeyPath]
+    numbered: bool
+    given: str | None
+    tree: dict[str, Any]
+
+    @cached_property
+    def text(self) -> str:
+        """The YAML as run: the text given, or with overrides its tree written again, comments kept."""
+        return _dump(self.tree) if self.given is None else self.given
 
     def is_overridden(self, key: KeyPath) -> bool:
-        """Whether the value of a key came from the command line."""
+        """Whether the value of a key came from an override."""
         return any(key[: len(root)] == root for root in self.overridden)
 
     def blame(self, keys: Sequence[KeyPath]) -> KeyPath:
@@ -88,8 +98,10 @@ class Source:
 
     def error(self, key: KeyPath, message: str) -> ConfigError:
         """The line that reports a fault at a key."""
-        where = "command line" if self.is_overridden(key) else f"{self.path}:{self.position(key)[0]}"
-        return _config_error(where, key, message)
+        if not self.numbered:
+            return _config_error(_NAMELESS, key, message)
+        line = f"{self.path or _NAMELESS}:{self.position(key)[0]}"
+        return _config_error("command line" if self.is_overridden(key) else line, key, message)
 
 
 def read(path: Path, overrides: Sequence[str] = ()) -> Source:
@@ -98,7 +110,36 @@ def read(path: Path, overrides: Sequence[str] = ()) -> Source:
     Raises:
         ConfigError: no such file, not UTF-8 YAML, not a mapping at the top level, an override that cannot be applied.
     """
-    text = _decode(path)
+    return _of_text(_decode(path), path, overrides)
+
+
+def from_text(text: str) -> Source:
+    """The text of a config file as a source, without a file.
+
+    Raises:
+        ConfigError: not YAML, not a mapping at the top level.
+    """
+    return _of_text(text, None, ())
+
+
+def from_dict(content: Mapping[str, Any], overrides: Sequence[str] = ()) -> Source:
+    """A dict that says what a config file would say as a source, with KEY=VALUE overrides applied to it.
+
+    Raises:
+        ConfigError: no mapping, something in it that YAML has no place for, an override that cannot be applied.
+    """
+    positions: dict[KeyPath, tuple[int, int]] = {}
+    try:
+        tree = _of_python(content, positions)
+        if not isinstance(tree, CommentedMap):
+            raise _Fault("a config is a mapping of keys to values", line=1)
+    except _Fault as fault:
+        raise _config_error(_NAMELESS, fault.key, fault.message) from None
+    roots = [_override(tree, override, _NAMELESS) for override in overrides]
+    return Source(None, _plain(tree), positions, roots, False, None, tree)
+
+
+def _of_text(text: str, path: Path | None, overrides: Sequence[str]) -> Source:
     try:
         positions, tree = _scan(text), _parse(text)
         if tree is None:
@@ -107,11 +148,9 @@ def read(path: Path, overrides: Sequence[str] = ()) -> Source:
             raise _Fault("the top level must be a mapping of keys to values", line=positions[()][0])
         _plain(tree)  # here only for its faults, which have lines as long as no override has touched the tree
     except _Fault as fault:
-        raise _config_error(f"{path}:{fault.line}", fault.key, fault.message) from None
-    roots = [_override(tree, override) for override in overrides]
-    if overrides:
-        text = _dump(tree)
-    return Source(path, text, _plain(tree), positions, roots)
+        raise _config_error(f"{path or _NAMELESS}:{fault.line}", fault.key, fault.message) from None
+    roots = [_override(tree, override, "command line") for override in overrides]
+    return Source(path, _plain(tree), positions, roots, True, None if overrides else text, tree)
 
 
 def _config_error(where: str, key: KeyPath | str, message: str) -> ConfigError:
@@ -314,11 +353,40 @@ def _plain(node: Any, path: KeyPath = ()) -> Any:
     return node
 
 
+def _of_python(node: Any, positions: dict[KeyPath, tuple[int, int]], path: KeyPath = ()) -> Any:
+    """What a dict says as a tree that can be written as YAML, and the number of each key in its order.
+
+    Raises:
+        _Fault: a key that is not text, a value that YAML has no place for.
+    """
+    positions.setdefault(path, (len(positions), 1))
+    if len(path) > _DEEPEST:
+        raise _Fault("this is nested too deeply", 1, path[:3])
+    if isinstance(node, Mapping):
+        tree = CommentedMap()
+        for key, value in node.items():
+            if not isinstance(key, str):
+                raise _Fault(f"a key must be text, not {key!r:.40}", 1, path)
+            tree[key] = _of_python(value, positions, (*path, key))
+        return tree
+    if isinstance(node, np.ndarray | np.generic):
+        node = node.tolist()
+    if isinstance(node, list | tuple):
+        return [_of_python(item, positions, (*path, i)) for i, item in enumerate(node)]
+    if isinstance(node, Path):
+        return str(node)
+    if node is None or isinstance(node, str | bool | int | float):
+        return node
+    raise _Fault(f"a config has mappings, lists, text and numbers, and no {type(node).__name__}", 1, path)
+
+
 # ---- overrides
 
 
-def _override(tree: CommentedMap, override: str) -> KeyPath:
+def _override(tree: CommentedMap, override: str, where: str) -> KeyPath:
     """Apply KEY=VALUE to the tree, and return the path of what is new: the key's own, or of the mapping made for it.
+
+    `where` is what messages begin with.
 
     Raises:
         ConfigError: no KEY or no =, a VALUE that is not YAML, or a KEY that leads into something without keys.
@@ -326,17 +394,17 @@ def _override(tree: CommentedMap, override: str) -> KeyPath:
     name, equals, literal = override.partition("=")
     name = name.strip()
     if not equals:
-        raise _config_error("command line", name, "an override is KEY=VALUE; this one has no =")
+        raise _config_error(where, name, "an override is KEY=VALUE; this one has no =")
     steps = name.split(".")
     if not all(steps):
-        raise _config_error("command line", override, "an override is KEY=VALUE, KEY as in system.d; this key is empty")
+        raise _config_error(where, override, "an override is KEY=VALUE, KEY as in system.d; this key is empty")
     try:
         _scan(literal)
         value = _parse(literal)
         _plain(value)
         return _assign(tree, steps, value)
     except _Fault as fault:
-        raise _config_error("command line", name, fault.message) from None
+        raise _config_error(where, name, fault.message) from None
 
 
 def _assign(tree: CommentedMap, steps: Sequence[str], value: Any) -> KeyPath:
