@@ -2,23 +2,40 @@
 
 A survey sends thousands of lanes to their attractors and finds the period of each: candidates come from the strobe
 points, the decision from Newton on the orbit and its multipliers, so that slow convergence near a doubling does not
-bias it. Between neighbouring lanes, multisection on the multiplier brackets a doubling, and Newton on orbit, b and
-multiplier −1 together finishes. Where the survey is too coarse for the next level, a new one looks closer.
+bias it. Between neighbouring lanes, multisection on the multiplier brackets a doubling, and Newton on orbit, parameter
+and multiplier −1 together finishes. Where the survey is too coarse for the next level, a new one looks closer.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.analyses.period import CONVERGED, Survey, orbits, section_points, survey
+from jaxnh.analyses.base import (
+    Analysis,
+    Axis,
+    LaneRunner,
+    OptionError,
+    Options,
+    Price,
+    Program,
+    Scene,
+    Setting,
+    Table,
+    map_alone,
+    section_points,
+    variable,
+)
+from jaxnh.analyses.period import CONVERGED, Survey, orbits, survey
 from jaxnh.maps.iterate import section_map
 from jaxnh.maps.protocol import Strobe
-from jaxnh.orbits.shooting import DoublingPoint, refine_doubling, segment
+from jaxnh.orbits.shooting import DoublingPoint, Segment, refine_doubling, segment
 
 _TRANSIENT = 512  # periods before the strobe points are looked at
 _SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: the cascade may begin at 2 or 3
@@ -27,6 +44,7 @@ _CLOSER = 64  # lanes of a closer survey
 _CLOSER_TRIES = 4
 SEGMENT_TILE = 32
 _REFINEMENTS = (1, 2, 4)
+_MOST_SHOWN = 16  # cascades in a table of many
 
 
 class DoublingOptions(Options):
@@ -40,57 +58,110 @@ def periods(options: DoublingOptions, lanes: int) -> float:
     return 2.0 * lanes * (_TRANSIENT + 2 * 2**options.levels)
 
 
-def splits(options: DoublingOptions) -> bool:
+def independent(options: DoublingOptions) -> bool:
     """Never: a cascade is found by comparing neighbouring lanes."""
     return False
 
 
-def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> Group:
-    """Find up to `levels` doublings n → 2n, each with its b, its error, and δ."""
-    limit = max(_SMALLEST_LIMIT, 2**options.levels)
-    found = survey(
-        scene, lanes, scene.values, section_points(scene), limit, "doubling", _TRANSIENT, only_doublings=True
+def check(options: DoublingOptions, setting: Setting) -> None:
+    """See that the first axis is a parameter of the lanes' own, by which the map has a derivative."""
+    first = setting.axes[0]
+    if first.kind == "lane":
+        return
+    why = (
+        f"all lanes share {first.name}" if first.kind == "shared" else f"{first.name} is a coordinate of the start state"
     )
-    found = found.without_holes()
-    followed = _follow(found)
+    message = f"doubling follows the first axis of the sweep by its derivatives, and {why}"
+    raise OptionError(message + setting.advice)
+
+
+# ---- the search
+
+
+class Line(NamedTuple):
+    """Lanes along the first axis, on their attractors.
+
+    Attributes:
+        value: of the first axis, (lanes,).
+        period: least period of the attractor, 0 where it is none up to the limit, (lanes,).
+        u: a point of the orbit in section coordinates, (lanes, d).
+    """
+
+    value: Float[np.ndarray, " lanes"]
+    period: Int[np.ndarray, " lanes"]
+    u: Float[np.ndarray, "lanes d"]
+
+    def without_holes(self) -> Line:
+        """The line without lanes that stand alone or in pairs and are no part of a cascade.
+
+        Undecided ones lie in windows or at doublings; ones of another period than both neighbours, which have the
+        same, are on a coexisting attractor.
+        """
+        starts = np.flatnonzero(np.diff(self.period, prepend=-1))
+        lengths = np.diff(np.append(starts, len(self.period)))
+        found = self.period[starts]
+        before, after = np.append(-1, found[:-1]), np.append(found[1:], -2)
+        keep = np.repeat((lengths > 2) | ((found != 0) & (before != after)), lengths)
+        return Line(*(leaf[keep] for leaf in self))
+
+    def run_end(self, first: int) -> int:
+        """Last lane of the run of equal periods that begins at a lane."""
+        other = np.flatnonzero(self.period[first:] != self.period[first])
+        return first + int(other[0]) - 1 if len(other) else len(self.value) - 1
+
+
+def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
+    name = scene.line.name
+    limit = max(_SMALLEST_LIMIT, 2**options.levels)
+    found = survey(scene, lanes, section_points(scene), limit, "doubling", _TRANSIENT, only_doublings=True)
+    followed = _follow(_line(scene, found))
     points: list[DoublingPoint] = []
     errors: list[float] = []
     warning = ""
     if followed is None:
-        period, warning = 1, "no period doubling in this range of b: no two neighbouring values have periods n and 2n"
+        period = 1
+        warning = f"no period doubling in this range of {name}: no two neighbouring values have periods n and 2n"
     else:
-        found, lane = followed
-        period = int(found.period[lane])
-        end = float(found.b[-1])
+        line, lane = followed
+        period = int(line.period[lane])
+        end = float(line.value[-1])
         for level in range(options.levels):
             n = period << level
-            located = _locate(scene, lanes, found, lane, n)
+            located = _locate(scene, lanes, line, lane, n)
             if located is None:
-                warning = f"the orbit of period {n} does not double before b = {end:g}"
+                warning = f"the orbit of period {n} does not double before {name} = {end:g}"
                 break
             point, error = located
             points.append(point)
             errors.append(error)
             if level + 1 == options.levels:
                 break
-            ahead = _next_run(scene, lanes, found, points, 2 * n, max(limit, period << options.levels), end)
+            ahead = _next_run(scene, lanes, line, points, 2 * n, max(limit, period << options.levels), end)
             if ahead is None:
-                warning = f"no stable orbit of period {2 * n} was found beyond the doubling at b = {point.b:.9g}"
+                warning = (
+                    f"no stable orbit of period {2 * n} was found beyond the doubling at {name} = {point.value:.9g}"
+                )
                 break
-            found, lane = ahead
+            line, lane = ahead
     if warning:
         warning = f"doubling: {len(points)} of {options.levels} levels found; {warning}"
-    return _group(scene.system.sweeps, options.levels, period, points, errors, warning)
+    return _dataset(scene.line, options.levels, period, points, errors, warning)
 
 
-def _follow(found: Survey) -> tuple[Survey, int] | None:
-    """The survey in the direction in which a cascade goes furthest, and the lane where its first run begins.
+def _line(scene: Scene, found: Survey) -> Line:
+    """A survey of lanes along the first axis, without its holes."""
+    return Line(scene.line.values, found.period, found.u).without_holes()
+
+
+def _follow(found: Line) -> tuple[Line, int] | None:
+    """The line in the direction in which a cascade goes furthest, and the lane where its first run begins.
 
     A cascade is a row of neighbouring runs of lanes, each with twice (or a higher power of two times, where the survey
     steps over a level) the period of the one before. A tie goes to the direction of the sweep, and there to the first.
     """
-    best: tuple[int, Survey, int] | None = None
-    for ordered in (found, Survey(*(leaf[::-1] for leaf in found))):
+    best: tuple[int, Line, int] | None = None
+    for ordered in (found, Line(*(leaf[::-1] for leaf in found))):
         starts = np.flatnonzero(np.diff(ordered.period, prepend=-1))
         periods = ordered.period[starts]
         for k in range(len(starts)):
@@ -102,92 +173,120 @@ def _follow(found: Survey) -> tuple[Survey, int] | None:
     return None if best is None else best[1:]
 
 
-def _doubles(n: Any, following: Any) -> Any:
-    """Whether `following` is n times a power of two above one; integers or arrays of them."""
+def _doubles(n: np.integer, following: np.integer) -> np.bool:
+    """Whether `following` is n times a power of two above one."""
     ratio = following // np.maximum(n, 1)
     return (n > 0) & (ratio > 1) & (ratio * n == following) & (ratio & (ratio - 1) == 0)
 
 
-def _locate(scene: Scene, lanes: LaneRunner, found: Survey, lane: int, n: int) -> tuple[DoublingPoint, float] | None:
-    """The doubling of the stable period-n orbit that a lane of the survey is on, and the error of its b."""
+def _locate(scene: Scene, lanes: LaneRunner, found: Line, lane: int, n: int) -> tuple[DoublingPoint, float] | None:
+    """The doubling of the stable period-n orbit that a lane of a line is on, and the error of its value."""
     last = found.run_end(lane)
-    if last + 1 == len(found.b):
+    if last + 1 == len(found.value):
         return None
-    bracket = np.linspace(found.b[last], found.b[last + 1], _CANDIDATES)
+    bracket = np.linspace(found.value[last], found.value[last + 1], _CANDIDATES)
     with lanes.stage(f"doubling: period {n} → {2 * n}, multisection of {_CANDIDATES}", 0):
         start = np.broadcast_to(found.u[last], (_CANDIDATES, found.u.shape[1]))
-        orbit = orbits(lanes, scene.strobe(), start, bracket, n)
+        orbit = orbits(lanes, scene.strobe(), start, scene.at(bracket).p, n)
     ok = (orbit.residual < CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
-    beyond = np.flatnonzero(ok & (_most_negative(np.where(ok[:, None, None], orbit.monodromy, 0.0)) < -1.0))
+    beyond = np.flatnonzero(ok & (smallest_multiplier(np.where(ok[:, None, None], orbit.monodromy, 0.0)) < -1.0))
     if not len(beyond):
         return None
     seed = max(int(beyond[0]) - 1, 0)
     return _refine(scene, lanes, orbit.u[seed], orbit.monodromy[seed], float(bracket[seed]), n)
 
 
-def _most_negative(monodromy: np.ndarray) -> np.ndarray:
-    """The smallest real eigenvalue, (lanes,); +∞ where all are complex."""
+def smallest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.ndarray, " lanes"]:
+    """The smallest real eigenvalue; +∞ where all are complex."""
     values = np.linalg.eigvals(monodromy)
     return np.where(np.abs(values.imag) < 1e-12, values.real, np.inf).min(axis=1)
 
 
 def _refine(
-    scene: Scene, lanes: LaneRunner, u: np.ndarray, monodromy: np.ndarray, b: float, n: int
+    scene: Scene,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, " d"],
+    monodromy: Float[np.ndarray, "d d"],
+    value: float,
+    n: int,
 ) -> tuple[DoublingPoint, float] | None:
-    """The doubling point with twice the steps; the error of b is what three refinements and Newton moved it by."""
-    values, vectors = np.linalg.eig(monodromy)
-    vector = np.real(vectors[:, np.argmin(np.abs(values + 1.0))])
-    orbit = _walk(lanes, scene.strobe(), u, b, n)
-    carried = np.empty((n, len(u)))
-    for i in range(n):
-        carried[i] = vector
-        vector = _segments(lanes, scene.strobe(), orbit[i : i + 1], vector[None], np.array([b])).carried[0]
+    """The doubling point with twice the steps, and the error of its value: what refinements and Newton moved it by."""
+    orbit, carried = around(scene, lanes, u, monodromy, value, n)
     refined: list[DoublingPoint] = []
     for refinement in _REFINEMENTS:
         strobe = scene.strobe(refinement)
         point = refine_doubling(
-            lambda *a, strobe=strobe: _segments(lanes, strobe, *a), orbit, carried, b, scene.system.wrap
+            lambda *at, strobe=strobe: segments(scene, lanes, strobe, *at), orbit, carried, value, scene.system.wrap
         )
         if not point.converged:
             return None
-        orbit, carried, b = point.orbit, point.vector, point.b
+        orbit, carried, value = point.orbit, point.vector, point.value
         refined.append(point)
     coarse, fine, finest = refined
-    return fine, abs(fine.b - coarse.b) + abs(finest.b - fine.b) + fine.last_step
+    return fine, abs(fine.value - coarse.value) + abs(finest.value - fine.value) + fine.last_step
 
 
-def _walk(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: float, n: int) -> np.ndarray:
-    """The n points of an orbit, (n, d)."""
-    points = [u]
+def around(
+    scene: Scene,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, " d"],
+    monodromy: Float[np.ndarray, "d d"],
+    value: float,
+    n: int,
+) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d"]]:
+    """The n points of an orbit, and its eigenvector of −1 carried along it."""
+    eigenvalues, eigenvectors = np.linalg.eig(monodromy)
+    vector = np.real(eigenvectors[:, np.argmin(np.abs(eigenvalues + 1.0))])
+    orbit = _walk(scene, lanes, u, value, n)
+    carried = np.empty((n, len(u)))
+    for i in range(n):
+        carried[i] = vector
+        moved = segments(scene, lanes, scene.strobe(), orbit[i : i + 1], vector[None], np.array([value]))
+        vector = moved.carried[0]
+    return orbit, carried
+
+
+def _walk(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, " d"], value: float, n: int
+) -> Float[np.ndarray, "n d"]:
+    """The n points of an orbit."""
+    points, p = [u], scene.at(np.array([value])).p
     for _ in range(n - 1):
-        points.append(
-            lanes(section_map, (strobe, np.int32(1)), (points[-1][None], np.array([b])), tile=SEGMENT_TILE)[0]
-        )
+        points.append(lanes(section_map, (scene.strobe(), np.int32(1)), (points[-1][None], p), tile=SEGMENT_TILE)[0])
     return np.array(points)
 
 
-def _segments(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, w: np.ndarray, b: np.ndarray) -> Any:
-    return lanes(segment, (strobe,), (u, w, b), tile=SEGMENT_TILE)
+def segments(
+    scene: Scene,
+    lanes: LaneRunner,
+    strobe: Strobe,
+    u: Float[np.ndarray, "n d"],
+    w: Float[np.ndarray, "n d"],
+    values: Float[np.ndarray, " n"],
+) -> Segment:
+    """`segment` at so many points, vectors and values of the first axis."""
+    static = (scene.line.name,)
+    return lanes(segment, (strobe,), (u, w, scene.at(values).p), tile=SEGMENT_TILE, static=static)
 
 
 def _next_run(
-    scene: Scene, lanes: LaneRunner, found: Survey, points: list[DoublingPoint], n: int, limit: int, end: float
-) -> tuple[Survey, int] | None:
-    """A survey and the first lane in it that is on the period-n orbit born at the last doubling."""
+    scene: Scene, lanes: LaneRunner, found: Line, points: list[DoublingPoint], n: int, limit: int, end: float
+) -> tuple[Line, int] | None:
+    """A line and the first lane in it that is on the period-n orbit born at the last doubling."""
     born = points[-1]
-    sign = np.sign(found.b[-1] - found.b[0])
-    ahead = np.flatnonzero(sign * (found.b - born.b) > 0)
-    if len(ahead) and found.period[ahead[0]] == n and found.run_end(ahead[0]) > ahead[0]:
+    sign = np.sign(found.value[-1] - found.value[0])
+    ahead = np.flatnonzero(sign * (found.value - born.value) > 0)
+    if len(ahead) and found.period[ahead[0]] == n and found.run_end(int(ahead[0])) > ahead[0]:
         return found, int(ahead[0])
-    spacing = abs(found.b[1] - found.b[0])
-    reach = 0.5 * abs(born.b - points[-2].b) if len(points) > 1 else 8 * spacing
+    spacing = abs(found.value[1] - found.value[0])
+    reach = 0.5 * abs(born.value - points[-2].value) if len(points) > 1 else 8 * spacing
     for _ in range(_CLOSER_TRIES):
-        stop = born.b + sign * min(reach, abs(end - born.b))
-        b = np.linspace(born.b, stop, _CLOSER + 1)[1:]
+        stop = born.value + sign * min(reach, abs(end - born.value))
+        near = scene.at(np.linspace(born.value, stop, _CLOSER + 1)[1:])
         start = np.broadcast_to(born.orbit[0] + 0.01 * born.vector[0], (_CLOSER, born.orbit.shape[1]))
-        label = f"doubling, beyond b = {born.b:.9g}"
-        closer = survey(scene, lanes, b, start, limit, label, _TRANSIENT, least=n, only_doublings=True)
-        closer = closer.without_holes()
+        label = f"doubling, beyond {scene.line.name} = {born.value:.9g}"
+        closer = survey(near, lanes, start, limit, label, _TRANSIENT, least=n, only_doublings=True)
+        closer = _line(near, closer)
         first = np.flatnonzero(closer.period == n)
         if len(first):
             return closer, int(first[0])
@@ -195,43 +294,62 @@ def _next_run(
     return None
 
 
-def _group(
-    sweeps: str, levels: int, period: int, points: list[DoublingPoint], errors: list[float], warning: str
-) -> Group:
+# ---- what it gives
+
+
+def _dataset(
+    axis: Axis, levels: int, period: int, points: list[DoublingPoint], errors: list[float], warning: str
+) -> xr.Dataset:
     """Points as the variables of the contract, NaN where a level was not found."""
-    b = np.full(levels, np.nan)
-    b[: len(points)] = [point.b for point in points]
-    b_error = np.full(levels, np.nan)
-    b_error[: len(points)] = errors
-    delta, delta_error = _deltas(b, b_error)
+    name = axis.name
+    value = np.full(levels, np.nan)
+    value[: len(points)] = [point.value for point in points]
+    value_error = np.full(levels, np.nan)
+    value_error[: len(points)] = errors
+    delta, delta_error = _deltas(value, value_error)
     limit, limit_error = _delta_limit(delta[np.isfinite(delta)], delta_error[np.isfinite(delta)])
     index = np.arange(1, levels + 1)
+    error_words = f"largest error of {name}, from step refinement and the Newton residual"
     variables = {
-        "level": Variable(("level",), index, "number of the period doubling"),
-        "period": Variable(
-            ("level",), period * 2 ** (index - 1), "period n of the orbit that doubles to 2n", "forcing periods"
+        "level": variable("level", index, "number of the period doubling"),
+        "period": variable("level", period * 2 ** (index - 1), "period n of the orbit that doubles to 2n", "periods"),
+        name: variable("level", value, f"{axis.long_name} at the doubling", ancillary_variables=f"{name}_error"),
+        f"{name}_error": variable("level", value_error, error_words),
+        "delta": variable(
+            "level",
+            delta,
+            "ratio δ of successive distances between doublings, equation (14)",
+            ancillary_variables="delta_error",
         ),
-        "b": Variable(("level",), b, f"{sweeps} at the doubling"),
-        "b_error": Variable(("level",), b_error, "largest error of b, from step refinement and the Newton residual"),
-        "delta": Variable(("level",), delta, "ratio δ of successive distances between doublings, equation (14)"),
-        "delta_error": Variable(("level",), delta_error, "error of δ that the errors of b cause"),
+        "delta_error": variable("level", delta_error, f"error of δ that the errors of {name} cause"),
+        "delta_limit": variable((), limit, "limit of δ", ancillary_variables="delta_limit_error"),
+        "delta_limit_error": variable((), limit_error, "error of the limit of δ"),
+        "levels_found": variable((), len(points), "number of doublings found"),
     }
-    attrs = {"delta_limit": limit, "delta_limit_error": limit_error, "levels_found": len(points)}
-    return Group(variables, attrs, (warning,) if warning else ())
+    attrs = {
+        "along": name,
+        "panel": "cascade",
+        "panel_variables": f"{name} delta",
+        "panel_label": "ratio δ",
+        **({"warnings": warning} if warning else {}),
+    }
+    return xr.Dataset(variables, attrs=attrs)
 
 
-def _deltas(b: np.ndarray, b_error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _deltas(
+    value: Float[np.ndarray, " levels"], value_error: Float[np.ndarray, " levels"]
+) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
     """δ_k = (b_k − b_{k−1})/(b_{k+1} − b_k) at the middle level, NaN at both ends, and its propagated error."""
-    delta = np.full(len(b), np.nan)
-    error = np.full(len(b), np.nan)
-    gap = np.diff(b)
-    gap_error = b_error[1:] + b_error[:-1]
+    delta = np.full(len(value), np.nan)
+    error = np.full(len(value), np.nan)
+    gap = np.diff(value)
+    gap_error = value_error[1:] + value_error[:-1]
     delta[1:-1] = gap[:-1] / gap[1:]
     error[1:-1] = np.abs(delta[1:-1]) * (gap_error[:-1] / np.abs(gap[:-1]) + gap_error[1:] / np.abs(gap[1:]))
     return delta, error
 
 
-def _delta_limit(delta: np.ndarray, error: np.ndarray) -> tuple[float, float]:
+def _delta_limit(delta: Float[np.ndarray, " found"], error: Float[np.ndarray, " found"]) -> tuple[float, float]:
     """Limit of δ by Aitken's Δ² from the last three, with the distance from the last as part of its error.
 
     With two δ the last one stands for the limit, and their distance for its error; with fewer there is none (NaN).
@@ -244,3 +362,94 @@ def _delta_limit(delta: np.ndarray, error: np.ndarray) -> tuple[float, float]:
     bend = third - 2.0 * second + first
     limit = third - (third - second) ** 2 / bend if bend else third
     return float(limit), float(abs(limit - third) + error[-3:].max())
+
+
+def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
+    """Levels of a cascade beside published values: the parameter with its error, their difference, and δ of both.
+
+    Of many cascades, one for each point of the other axes, only what each has come to.
+
+    Args:
+        data: result of this analysis; numbers of a cascade are variables, or attributes where there is one cascade.
+        published: published values of the parameter by its name and `delta`, a value a level, NaN where there is none.
+        source: where they are from.
+    """
+    data = data.assign({name: ((), data.attrs[name]) for name in _NUMBERS if name in data.attrs})
+    others = tuple(str(dim) for dim in data["delta"].dims if dim != "level")
+    return _cascades(data, others) if others else _levels(data, published, source)
+
+
+_NUMBERS = ("delta_limit", "delta_limit_error", "levels_found")
+
+
+def _levels(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
+    """A row a level."""
+    name = str(data.attrs["along"])
+    ours = {key: data[key].to_numpy() for key in ("period", name, f"{name}_error", "delta")}
+    levels = len(ours[name])
+    none = np.full(levels, np.nan)
+    theirs = {key: np.append(published.get(key, none[:0]), none)[:levels] for key in (name, "delta")}
+    heads = ("period", name, "± error", "δ")
+    if published:
+        heads = ("period", f"{name}, {source}", name, "± error", "difference", f"δ, {source}", "δ")
+    rows = []
+    for k in range(levels):
+        n = int(ours["period"][k])
+        row = [f"{n} → {2 * n}", f"{ours[name][k]:.12f}", f"{ours[f'{name}_error'][k]:.1e}", f"{ours['delta'][k]:.6f}"]
+        if published:
+            difference = theirs[name][k] - ours[name][k]
+            row[1:1] = [f"{theirs[name][k]:.6f}"]
+            row[4:4] = [f"{difference:+.1e}", f"{theirs['delta'][k]:.4f}"]
+        rows.append(tuple(_cell(cell) for cell in row))
+    return Table("Period doublings", heads, tuple(rows), _limit_words(data) or None)
+
+
+def _cascades(data: xr.Dataset, others: tuple[str, ...]) -> Table:
+    """A row a cascade: its point of the other axes, its first and last doubling, and the limit of δ."""
+    name = str(data.attrs["along"])
+    points = list(np.ndindex(*(data.sizes[other] for other in others)))
+    shown = np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_SHOWN)).round().astype(int))
+    rows = []
+    for point in (points[i] for i in shown):
+        cascade = data.isel(dict(zip(others, point, strict=True)))
+        found = int(cascade["levels_found"])
+        ends = [f"{cascade[name].to_numpy()[k]:.12f}" if found else "–" for k in (0, found - 1)]
+        place = [f"{float(cascade[other]):.6g}" for other in others]
+        rows.append((*place, str(found), *ends, _limit_words(cascade) or "–"))
+    caption = f"{len(rows)} of {len(points):,} cascades" if len(rows) < len(points) else None
+    return Table("Period doublings", (*others, "found", f"{name}, first", f"{name}, last", "δ"), tuple(rows), caption)
+
+
+def _limit_words(data: xr.Dataset) -> str:
+    """The limit of δ and its error; nothing where there is none."""
+    limit, error = float(data["delta_limit"]), float(data["delta_limit_error"])
+    return f"δ → {limit:.4f} ± {error:.1g}" if math.isfinite(limit) else ""
+
+
+def _cell(text: str) -> str:
+    return "–" if text in ("nan", "+nan") else text
+
+
+def price(options: DoublingOptions, scene: Scene) -> Price:
+    """Newton at a doubling needs second derivatives; before it comes the map alone."""
+    strobe, u = scene.strobe(), section_points(scene)
+    lanes: tuple[Any, ...] = u, np.ones_like(u), dict(scene.p)
+    program = Program(segment, (strobe,), lanes, strobe.turns, (scene.line.name,), tile=SEGMENT_TILE)
+    note = "second derivatives in every period of Newton at a doubling, the map alone before it"
+    return Price(program, map_alone(scene, tile=SEGMENT_TILE), note)
+
+
+ANALYSIS = Analysis(
+    "doubling",
+    DoublingOptions,
+    periods,
+    run,
+    independent=independent,
+    newton=True,
+    clock=True,
+    check=check,
+    table=table,
+    price=price,
+)
+"""The entry of this analysis in the table."""
+
