@@ -96,7 +96,9 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     With `start: up` or `down` the last state at a value of the first axis is the start state at the next.
     """
     dims = (LANE, "strobe")
-    where = f"at {scene.count:,} values of {scene.line.name}" if options.start in _CARRIED else f"of {scene.count:,} lanes"
+    where = (
+        f"at {scene.count:,} values of {scene.line.name}" if options.start in _CARRIED else f"of {scene.count:,} lanes"
+    )
     label = f"diagram: {options.strobes} strobes {where}, start {options.start}"
     with lanes.stage(label, periods(options, scene.count)):
         if options.start == "random":

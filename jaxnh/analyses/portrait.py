@@ -61,9 +61,7 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     return xr.Dataset(variables, attrs={"panel": "trajectories", "panel_variables": " ".join(scene.system.plane)})
 
 
-def trajectory(
-    strobe: Strobe, parts: Strobe, transient: ArrayLike, state: State, p: Parameters, count: int
-) -> State:
+def trajectory(strobe: Strobe, parts: Strobe, transient: ArrayLike, state: State, p: Parameters, count: int) -> State:
     """Of one lane: states (count · samples,) over `count` periods after a transient, which may be traced.
 
     `parts` are the maps over the parts of a period, stacked (`maps.build.make_parts`).

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Scene, Setting, OptionError, variable
+from jaxnh.analyses.base import OptionError, Scene, Setting, variable
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.systems.flow import Flow, State
 
