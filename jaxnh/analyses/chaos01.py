@@ -57,7 +57,13 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
         "k": variable(LANE, median, words, ancillary_variables="k_error"),
         "k_error": variable(LANE, 0.5 * (high - low), error_words),
     }
-    attrs = {"angles": _ANGLES, "panel": "curves", "panel_variables": "k", "panel_label": "0–1 test"}
+    attrs = {
+        "angles": _ANGLES,
+        "panel": "curves",
+        "panel_variables": "k",
+        "panel_label": "0–1 test",
+        "panel_levels": "0 1",
+    }
     return xr.Dataset(variables, attrs=attrs)
 
 

@@ -38,8 +38,8 @@ class DiagramOptions(Options):
     strobes: int = Field(default=128, ge=1, description="Number of strobes kept, one period apart")
     start: Literal["fixed", "up", "down", "random"] = Field(
         default="fixed",
-        description="Start state: the same in every lane, carried along the rising or falling values of the first axis, "
-        "or random ones in every lane",
+        description="Start state: the same in every lane, carried along rising or falling values of the first axis, or "
+        "random ones in every lane",
     )
     phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
     starts: int = Field(default=16, ge=1, description="Number of random start states a lane")

@@ -54,11 +54,8 @@ def check(options: DoublingOptions, setting: Setting) -> None:
     first = setting.axes[0]
     if first.kind == "lane":
         return
-    why = (
-        f"all lanes share {first.name}"
-        if first.kind == "shared"
-        else f"{first.name} is a coordinate of the start state"
-    )
+    shared = first.kind == "shared"
+    why = f"all lanes share {first.name}" if shared else f"{first.name} is a coordinate of the start state"
     message = f"doubling follows the first axis of the sweep by its derivatives, and {why}"
     raise OptionError(message + setting.advice)
 
@@ -78,12 +75,11 @@ def _dataset(axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
     delta, delta_error = _deltas(value, value_error)
     limit, limit_error = _delta_limit(delta[np.isfinite(delta)], delta_error[np.isfinite(delta)])
     index = np.arange(1, levels + 1)
+    period_words = "period n of the orbit that doubles to 2n"
     error_words = f"largest error of {name}, from step refinement and the Newton residual"
     variables = {
         "level": variable("level", index, "number of the period doubling"),
-        "period": variable(
-            "level", found.period * 2 ** (index - 1), "period n of the orbit that doubles to 2n", "periods"
-        ),
+        "period": variable("level", found.period * 2 ** (index - 1), period_words, "periods"),
         name: variable("level", value, f"{axis.long_name} at the doubling", ancillary_variables=f"{name}_error"),
         f"{name}_error": variable("level", value_error, error_words),
         "delta": variable(

@@ -202,7 +202,7 @@ def advance(strobes: Strobe, count: ArrayLike, begun: ArrayLike, growth: Growth,
     """One lane `count` periods on, its sums begun anew."""
     growth = Growth(growth.state, growth.tangents, *jax.tree.map(jnp.zeros_like, growth[2:]))
     # Where the divergence is a derivative more, it serves the sum rule alone.
-    wanted = strobes.system.volume_known or len(growth.logs) == strobes.system.exponents
+    wanted = strobes.system.mean_divergence or len(growth.logs) == strobes.system.exponents
 
     def part(growth: Growth, strobe: Strobe) -> tuple[Growth, None]:
         system = strobe.system
@@ -319,12 +319,15 @@ def _dataset(
         "exponents": variable(each, exponents, words, unit, ancillary_variables="exponents_error"),
         "exponents_error": variable(each, errors, "error of the exponents: two standard errors", unit),
     }
-    if scene.flow.transverse:
-        variables["transverse"] = variable(LANE, 2.0 * mean[:, k], scene.flow.transverse, unit)
+    divergence = ""
+    if symbols := scene.flow.mean_divergence:
+        divergence = f" {symbols}"
+        words = f"exponent off the constraint, twice {symbols}"
+        variables["transverse"] = variable(LANE, 2.0 * mean[:, k], words, unit)
     variables["averaged"] = variable(LANE, averaged, "periods averaged over", counted_in(scene.system))
     if wanted == scene.flow.exponents:
         residual = np.take_along_axis(mean[:, :k], order, axis=1).sum(axis=1) - mean[:, k]
-        words = f"sum of the exponents minus the mean divergence{scene.flow.divergence_words}"
+        words = f"sum of the exponents minus the mean divergence{divergence}"
         variables["sum_rule_residual"] = variable(LANE, residual, words, unit)
         # Without a clock the exponent along the flow counts as well.
         of = "of the flow" if scene.flow.autonomous else "of the Poincaré section"
