@@ -1,24 +1,28 @@
-"""The stroboscopic map P(z; b): a system under a solver over one period, its iterates and its derivatives.
+"""How a map is made: of a flow under a solver, over a period, a part of one, or from crossing to crossing.
 
-Every lane keeps the same clock, and the clock starts anew each period, so no phase is lost in a long run.
+Every lane keeps the same clock, and the clock starts anew each period, so no phase is lost in a long run. The registry
+at the end says which flows have a way of their own; all others go by Runge–Kutta steps.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
 
+import diffrax
 import jax
 import numpy as np
 
 from jaxnh.maps.crossings import EventStrobe, SteppedStrobe
-from jaxnh.maps.general_flow import MarchedStrobe, SolveStrobe, marched
+from jaxnh.maps.general_flow import GeneralStrobe, general_strobe
 from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table
 from jaxnh.maps.kicks import KickStrobe
-from jaxnh.maps.protocol import Strobe, System
-from jaxnh.maps.section import Flow, SectionedFlow
+from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.section import SectionedFlow
 from jaxnh.maps.step_grids import GRID_POINTS, share_of_steps, step_grid
-from jaxnh.solvers import IsokineticSplitting, Solver, WrittenOutRungeKutta
-from jaxnh.systems.lagrangian import NonholonomicSystem
+from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver, dopri8, tsit5
+from jaxnh.systems.flow import Flow
 from jaxnh.systems.particle import IsokineticParticle
 
 _SMALLEST_TABLE = 1024
@@ -26,20 +30,177 @@ _SMALLEST_STEP = 64  # kicks of a step: as many as any splitting has, so that al
 _LONGEST_RETURN = 1000.0  # time without a crossing after which a lane has failed
 
 
+# ---- ways to integrate
+
+
+class Way(Protocol):
+    """How flows of one kind are integrated, by solvers of one kind: the registry knows which.
+
+    Attributes:
+        solvers: those to choose from.
+        reference: the one that errors are measured with.
+        summations: whether sums may be plain, compensated, or both.
+        rough_steps: of the reference, for a first look at a flow.
+    """
+
+    solvers: tuple[Solver, ...]
+    reference: Solver
+    summations: tuple[bool, ...]
+    rough_steps: int
+
+    def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> Strobe:
+        """The map over a span of time in so many steps."""
+        ...
+
+    def step(self, flow: Any, solver: Any) -> Strobe:
+        """One step as long as the unit of time, of a flow without a clock."""
+        ...
+
+    def parts(
+        self, flow: Any, solver: Any, each: int, grid: np.ndarray, ends: np.ndarray, *, compensated: bool
+    ) -> Strobe:
+        """Maps between ends (parts + 1,) of `each` steps on a grid (parts, each + 1), stacked."""
+        ...
+
+    def cut(self, flow: Any, solver: Any, each: int, grid: np.ndarray, *, compensated: bool) -> Strobe:
+        """The map of a period cut into parts of `each` steps on a grid (parts, each + 1), stacked."""
+        ...
+
+
+class Kicks:
+    """By isokinetic splittings: kicks in a table that all lanes share."""
+
+    solvers: tuple[Solver, ...] = tuple(SPLITTINGS.values())
+    reference: Solver = SPLITTINGS["sofroniou_spaletta10"]
+    summations = (False, True)
+    rough_steps = 32
+
+    def strobe(
+        self,
+        flow: Any,
+        solver: Any,
+        steps: int,
+        span: tuple[float, float],
+        *,
+        compensated: bool,
+    ) -> Strobe:
+        if solver.processed:
+            table = processed_table(flow, solver, steps, span, smallest=_SMALLEST_TABLE)
+        else:
+            table = kick_table(flow, solver, step_grid(flow, steps, span), smallest=_SMALLEST_TABLE)
+        return KickStrobe(flow.tabulated(), *table, compensated)
+
+    def step(self, flow: Any, solver: Any) -> Strobe:
+        table = kick_table(flow, solver, np.array([0.0, 1.0]), smallest=_SMALLEST_STEP)
+        return KickStrobe(flow.tabulated(), *table)
+
+    def parts(
+        self,
+        flow: Any,
+        solver: Any,
+        each: int,
+        grid: np.ndarray,
+        ends: np.ndarray,
+        *,
+        compensated: bool,
+    ) -> Strobe:
+        if solver.processed:
+            table = processed_table(flow, solver, each, (ends[:-1], ends[1:]))
+        else:
+            table = kick_table(flow, solver, grid)
+        return KickStrobe(_stacked(flow.tabulated(), len(grid)), *table, compensated)
+
+    def cut(self, flow: Any, solver: Any, each: int, grid: np.ndarray, *, compensated: bool) -> Strobe:
+        parts = len(grid)
+        if solver.processed:
+            whole = processed_table(flow, solver, each * parts, (0.0, flow.period))
+            table = cut_table(whole, parts, each * solver.stages)
+        else:
+            table = kick_table(flow, solver, grid)
+        return KickStrobe(_stacked(flow.tabulated(), parts), *table, compensated)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """By Runge–Kutta steps, of any flow.
+
+    Attributes:
+        rolled: whether the stages of a step are a loop, as large fields need it to compile.
+    """
+
+    rolled: bool = True
+
+    solvers: ClassVar[tuple[Solver, ...]] = (dopri8, tsit5)
+    reference: ClassVar[Solver] = dopri8
+    summations: ClassVar[tuple[bool, ...]] = (False,)
+    rough_steps: ClassVar[int] = 128
+
+    def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> Strobe:
+        return general_strobe(flow, _fitting(solver), step_grid(flow, steps, span), rolled=self.rolled)
+
+    def step(self, flow: Any, solver: Any) -> Strobe:
+        return GeneralStrobe(flow, _fitting(solver), np.array([0.0, 1.0]), np.int32(1), self.rolled)
+
+    def parts(
+        self,
+        flow: Any,
+        solver: Any,
+        each: int,
+        grid: np.ndarray,
+        ends: np.ndarray,
+        *,
+        compensated: bool,
+    ) -> Strobe:
+        return general_strobe(_stacked(flow, len(grid)), _fitting(solver), grid, rolled=self.rolled)
+
+    def cut(self, flow: Any, solver: Any, each: int, grid: np.ndarray, *, compensated: bool) -> Strobe:
+        return general_strobe(_stacked(flow, len(grid)), _fitting(solver), grid, rolled=self.rolled)
+
+
+def _fitting(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:
+    if isinstance(solver, IsokineticSplitting):
+        raise TypeError(f"{solver.name} is a splitting for a particle at a prescribed speed")
+    return solver
+
+
+def _stacked(flow: Any, parts: int) -> Any:
+    """A flow as `lax.scan` takes it: every leaf with the parts as first axis."""
+    return jax.tree.map(lambda leaf: np.full(parts, leaf, float), flow)
+
+
+WAYS: dict[type[Flow], tuple[Way, Way]] = {
+    IsokineticParticle: (Kicks(), Steps(rolled=False)),
+    Flow: (Steps(), Steps()),
+}
+"""The registry: how flows of a kind are integrated by solvers of that way, and by others."""
+
+
+def way_of(flow: Flow, solver: diffrax.AbstractSolver | None = None) -> Way:
+    """How a flow is integrated, by a solver if one is named."""
+    own, other = next(WAYS[kind] for kind in type(flow.flow).__mro__ if kind in WAYS)
+    return own if solver is None or isinstance(solver, type(own.reference)) else other
+
+
+# ---- maps
+
+
 def make_strobe(
-    system: System,
+    system: Flow,
     solver: Solver,
     steps: int,
     *,
     compensated: bool = False,
     span: tuple[float, float] | None = None,
 ) -> Strobe:
-    """The strobe map of a system under a solver with so many steps a period; of a flow on a section, its return map.
+    """The strobe map of a flow under a solver with so many steps a period; of a flow on a section, its return map.
 
     Args:
         compensated: lower the rounding floor of a splitting; Runge–Kutta methods and maps without a clock ignore it.
         span: times (t0, t1) of another stretch than the period from 0, for a map over part of a period or a strobe at
             another phase; it gets its share of the steps, at least one.
+
+    Raises:
+        TypeError: the solver is none for flows of this kind.
     """
     if isinstance(system, SectionedFlow):
         most = math.ceil(_LONGEST_RETURN * steps / system.period)
@@ -49,38 +210,7 @@ def make_strobe(
         steps = max(1, math.ceil(steps * (t1 - t0) / system.period - 1e-6))
         return _equal_steps(system, solver, steps, t1 - t0)
     steps = max(1, math.ceil(steps * share_of_steps(system, (t0, t1)) - 1e-6))
-    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle) and solver.processor[1]:
-        table = processed_table(system, solver, steps, (t0, t1), smallest=_SMALLEST_TABLE)
-        return KickStrobe(system, *table, compensated)
-    grid = step_grid(system, steps, (t0, t1))
-    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle):
-        return KickStrobe(system, *kick_table(system, solver, grid, smallest=_SMALLEST_TABLE), compensated)
-    return _solved(system, solver, grid)
-
-
-def _solved(system: Flow, solver: Solver, grid: np.ndarray) -> Strobe:
-    """The map, or stacked maps, of a Runge–Kutta method over a grid (..., steps + 1)."""
-    if isinstance(system, NonholonomicSystem):
-        return marched(system, solver, grid)
-    return SolveStrobe(system, solver, grid)
-
-
-def _unit_step(flow: Flow, solver: Solver) -> Strobe:
-    """One step as long as the unit of time, of a system without a clock."""
-    grid = np.array([0.0, 1.0])
-    if isinstance(solver, IsokineticSplitting) and isinstance(flow, IsokineticParticle):
-        return KickStrobe(flow, *kick_table(flow, solver, grid, smallest=_SMALLEST_STEP))
-    if isinstance(flow, NonholonomicSystem) and isinstance(solver, WrittenOutRungeKutta):
-        return MarchedStrobe(flow, solver, grid, np.int32(1))
-    raise TypeError(f"{solver.name} has no steps of its own for a system without a clock")
-
-
-def _equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: int = 0) -> SteppedStrobe:
-    """So many equal steps over a length of time, or the same in every one of so many parts."""
-    strobe = SteppedStrobe(flow, _unit_step(flow, solver).stretched(length / steps), np.int32(steps))
-    if not parts:
-        return strobe
-    return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], parts, axis=0), strobe)
+    return way_of(system, solver).strobe(system, solver, steps, (t0, t1), compensated=compensated)
 
 
 def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> Strobe:
@@ -97,12 +227,7 @@ def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     each = max(1, math.ceil(steps * np.diff(shares).max() - 1e-6))
     grid = np.interp(np.linspace(shares[:-1], shares[1:], each + 1, axis=-1), share, fine)
     grid[:, 0], grid[:, -1] = ends[:-1], ends[1:]
-    many = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
-    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle) and solver.processor[1]:
-        return KickStrobe(many, *processed_table(system, solver, each, (ends[:-1], ends[1:])), compensated)
-    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle):
-        return KickStrobe(many, *kick_table(system, solver, grid), compensated)
-    return _solved(many, solver, grid)
+    return way_of(system, solver).parts(system, solver, each, grid, ends, compensated=compensated)
 
 
 def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> Strobe:
@@ -114,12 +239,21 @@ def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     each = -(-steps // parts)
     if system.autonomous:
         return _equal_steps(system, solver, each, system.period / parts, parts)
-    many = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
-    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle) and solver.processor[1]:
-        table = processed_table(system, solver, each * parts, (0.0, system.period))
-        return KickStrobe(many, *cut_table(table, parts, each * solver.stages), compensated)
     ends = step_grid(system, each * parts, (0.0, system.period))
     grid = ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
-    if isinstance(solver, IsokineticSplitting) and isinstance(system, IsokineticParticle):
-        return KickStrobe(many, *kick_table(system, solver, grid), compensated)
-    return _solved(many, solver, grid)
+    return way_of(system, solver).cut(system, solver, each, grid, compensated=compensated)
+
+
+def _unit_step(flow: Flow, solver: Solver) -> Strobe:
+    """One step as long as the unit of time, of a flow without a clock."""
+    if not isinstance(solver, IsokineticSplitting) and not hasattr(solver, "rolled_step"):
+        raise TypeError(f"{solver.name} has no steps of its own for a flow without a clock")
+    return way_of(flow, solver).step(flow, solver)
+
+
+def _equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: int = 0) -> SteppedStrobe:
+    """So many equal steps over a length of time, or the same in every one of so many parts."""
+    strobe = SteppedStrobe(flow, _unit_step(flow, solver).stretched(length / steps), np.int32(steps))
+    if not parts:
+        return strobe
+    return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], parts, axis=0), strobe)

@@ -12,13 +12,14 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.maps.protocol import Pushed, Strobe, System, Tangent
+from jaxnh.maps.protocol import Pushed, Strobe, Tangent
 from jaxnh.maps.section import NO_RETURN, NOT_FINITE, Crossing, SectionedFlow
-from jaxnh.systems.lagrangian import Motion
+from jaxnh.systems.flow import Flow, Parameters, State
 
 _ON_SECTION = 1e-9  # a state as near as this is on the section, and leaves it
 _GUESSES = 6  # Newton steps on the cubic through the ends of a step
@@ -35,7 +36,7 @@ class SteppedStrobe(Strobe):
         steps: how many.
     """
 
-    system: System
+    system: Flow
     one: Strobe
     steps: ArrayLike
 
@@ -44,12 +45,17 @@ class SteppedStrobe(Strobe):
         """Those of a step."""
         return self.one.most_lanes
 
-    def __call__(self, state: Any, b: ArrayLike) -> Any:
-        return lax.fori_loop(0, self.steps, lambda _, z: self.one(z, b), state)
+    @property
+    def turns(self) -> tuple[float, ...]:
+        """Of the loop over steps, and those of a step."""
+        return (float(np.mean(self.steps)), *self.one.turns)
 
-    def push(self, state: Any, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
+    def __call__(self, state: State, p: Parameters) -> State:
+        return lax.fori_loop(0, self.steps, lambda _, z: self.one(z, p), state)
+
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
         begun = Pushed(state, tangents, jnp.ones_like(state[0][0]))
-        return lax.fori_loop(0, self.steps, lambda _, pushed: _pushed_on(self.one, pushed, b), begun)
+        return lax.fori_loop(0, self.steps, lambda _, pushed: _pushed_on(self.one, pushed, p), begun)
 
 
 class _Search(NamedTuple):
@@ -95,26 +101,31 @@ class EventStrobe(Strobe):
         """Those of a step."""
         return self.unit.most_lanes
 
-    def __call__(self, state: Crossing, b: ArrayLike) -> Crossing:
-        search = self._search(state.state, b, lambda one, z: one(z, b), lambda carried: carried)
-        share = self._locate(search.carried, search, b)
-        return self._arrived(state, search, self._partly(share)(search.carried, b), share)
+    @property
+    def turns(self) -> tuple[float, ...]:
+        """Of the loop over steps in a period of time, and those of a step."""
+        return (self.system.period / float(np.mean(self.step)), *self.unit.turns)
 
-    def push(self, state: Crossing, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
-        flow_tangents = tuple(Tangent(t.state.state, t.b) for t in tangents)
+    def __call__(self, state: Crossing, p: Parameters) -> Crossing:
+        search = self._search(state.state, p, lambda one, z: one(z, p), lambda carried: carried)
+        share = self._locate(search.carried, search, p)
+        return self._arrived(state, search, self._partly(share)(search.carried, p), share)
+
+    def push(self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+        flow_tangents = tuple(Tangent(t.state.state, t.p) for t in tangents)
         begun = Pushed(state.state, flow_tangents, jnp.ones_like(state.t))
-        search = self._search(begun, b, lambda one, pushed: _pushed_on(one, pushed, b), lambda pushed: pushed.state)
+        search = self._search(begun, p, lambda one, pushed: _pushed_on(one, pushed, p), lambda pushed: pushed.state)
         before = search.carried.state
-        share = self._locate(before, search, b)
-        last = _pushed_on(self._partly(share), search.carried, b)
-        moving = jax.jvp(lambda share: self._partly(share)(before, b), (share,), (jnp.ones_like(share),))[1]
+        share = self._locate(before, search, p)
+        last = _pushed_on(self._partly(share), search.carried, p)
+        moving = jax.jvp(lambda share: self._partly(share)(before, p), (share,), (jnp.ones_like(share),))[1]
         speed = moving[0][self.system.number]
         pushed = []
         for old, new in zip(tangents, last.tangents, strict=True):
             later = -new.state[0][self.system.number] / speed  # of the step, that all stays on the section
             moved = jax.tree.map(lambda dz, v, later=later: dz + v * later, new.state, moving)
-            pushed.append(Tangent(Crossing(moved, old.state.t + later * self.step, jnp.zeros_like(later)), old.b))
-        volume = last.volume * self.system.rate(state.state, b) / self.system.rate(last.state, b)
+            pushed.append(Tangent(Crossing(moved, old.state.t + later * self.step, jnp.zeros_like(later)), old.p))
+        volume = last.volume * self.system.rate(state.state, p) / self.system.rate(last.state, p)
         return Pushed(self._arrived(state, search, last.state, share), tuple(pushed), volume)
 
     def _partly(self, share: ArrayLike) -> Strobe:
@@ -122,17 +133,17 @@ class EventStrobe(Strobe):
         return self.unit.stretched(self.step * share)
 
     def _search(
-        self, begun: Any, b: ArrayLike, advance: Callable[[Strobe, Any], Any], state_of: Callable[[Any], Any]
+        self, begun: Any, p: Parameters, advance: Callable[[Strobe, Any], Any], state_of: Callable[[Any], Any]
     ) -> _Search:
         """Steps until the next one has a crossing, or there is no hope of one."""
         whole = self._partly(1.0)
         state = state_of(begun)
-        height, rate = self.system.height(state), self.system.rate(state, b)
+        height, rate = self.system.height(state), self.system.rate(state, p)
         side = jnp.sign(jnp.where(jnp.abs(height) < _ON_SECTION, rate, height))
 
         def step(search: _Search) -> _Search:
             ahead = advance(whole, search.carried)
-            side, low, high, found = self._between(state_of(search.carried), search.side, state_of(ahead), b)
+            side, low, high, found = self._between(state_of(search.carried), search.side, state_of(ahead), p)
             lost = ~_finite(state_of(ahead))
             found &= ~lost
             carried = jax.tree.map(lambda old, new: jnp.where(found, old, new), search.carried, ahead)
@@ -153,9 +164,9 @@ class EventStrobe(Strobe):
         first = _Search(begun, side, jnp.int32(0), zero, zero + 1.0, jnp.bool_(False), ~_finite(state))
         return lax.while_loop(unfinished, step, first)
 
-    def _between(self, before: Any, side: Array, after: Any, b: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    def _between(self, before: Any, side: Array, after: Any, p: Parameters) -> tuple[Array, Array, Array, Array]:
         """The side after a step, the part of it that has a crossing, and whether there is one."""
-        ends = self._ends(before, after, b)
+        ends = self._ends(before, after, p)
         now = jnp.where(ends[2] >= 0.0, 1.0, -1.0)
         turn = ends[1] / (ends[1] - ends[3])
         turns = ends[1] * ends[3] < 0.0
@@ -169,13 +180,13 @@ class EventStrobe(Strobe):
             return now, low, high, (crossed & (side < 0.0)) | touched
         return now, low, high, crossed | touched
 
-    def _ends(self, before: Any, after: Any, b: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    def _ends(self, before: Any, after: Any, p: Parameters) -> tuple[Array, Array, Array, Array]:
         """Heights and their rates a step at both ends of it."""
         heights = self.system.height(before), self.system.height(after)
-        rates = self.system.rate(before, b) * self.step, self.system.rate(after, b) * self.step
+        rates = self.system.rate(before, p) * self.step, self.system.rate(after, p) * self.step
         return heights[0], rates[0], heights[1], rates[1]
 
-    def _locate(self, before: Any, search: _Search, b: ArrayLike) -> Array:
+    def _locate(self, before: Any, search: _Search, p: Parameters) -> Array:
         """The share of a step after which the state is on the section, to rounding."""
         rising = jnp.ones_like(search.side) if self.system.direction != "both" else -search.side
 
@@ -186,15 +197,15 @@ class EventStrobe(Strobe):
             inside = (better >= low) & (better <= high)
             return jnp.where(inside, better, 0.5 * (low + high)), low, high
 
-        ends = self._ends(before, self._partly(1.0)(before, b), b)
+        ends = self._ends(before, self._partly(1.0)(before, p), p)
         share, low, high = 0.5 * (search.low + search.high), search.low, search.high
         for _ in range(_GUESSES):
             share, low, high = improve(share, *_cubic(ends, share), low, high)
 
         def shoot(carry: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
             share, low, high, _, shots = carry
-            state = self._partly(share)(before, b)
-            rate = self.system.rate(state, b) * self.step
+            state = self._partly(share)(before, p)
+            rate = self.system.rate(state, p) * self.step
             better, low, high = improve(share, self.system.height(state), rate, low, high)
             return better, low, high, jnp.abs(better - share), shots + 1
 
@@ -209,13 +220,13 @@ class EventStrobe(Strobe):
         why = jnp.where(search.lost, 1.0 * NOT_FINITE, 1.0 * NO_RETURN)
         reason = jnp.where(search.found, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
         t = start.t + (search.steps.astype(share.dtype) + share) * self.step
-        q, v, t = jax.tree.map(lambda x: jnp.where(search.found, x, jnp.nan), (*state[:2], t))
-        return Crossing(Motion(q, v, state.watch) if isinstance(state, Motion) else (q, v), t, reason)
+        state = self.system.inner.blanked(state, search.found)
+        return Crossing(state, jnp.where(search.found, t, jnp.nan), reason)
 
 
-def _pushed_on(one: Strobe, pushed: Pushed, b: ArrayLike) -> Pushed:
+def _pushed_on(one: Strobe, pushed: Pushed, p: Parameters) -> Pushed:
     """State and tangents one map later, volumes multiplied."""
-    after = one.push(pushed.state, b, pushed.tangents)
+    after = one.push(pushed.state, p, pushed.tangents)
     return after._replace(volume=pushed.volume * after.volume)
 
 

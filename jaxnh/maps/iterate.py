@@ -2,52 +2,69 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxnh.maps.protocol import Strobe, Tangent
-from jaxnh.systems.particle import State
+from jaxnh.systems.flow import Parameters, State
 
 
-def iterate(strobe: Strobe, n: ArrayLike, state: State, b: ArrayLike) -> State:
-    """Pⁿ(z; b) for one lane; n may be traced."""
-    return lax.fori_loop(0, n, lambda _, z: strobe(z, b), state)
+def iterate(strobe: Strobe, n: ArrayLike, state: State, p: Parameters) -> State:
+    """Pⁿ(z; p) for one lane; n may be traced."""
+    return lax.fori_loop(0, n, lambda _, z: strobe(z, p), state)
 
 
-def record(strobe: Strobe, state: State, b: ArrayLike, count: int) -> tuple[State, State]:
+def record(strobe: Strobe, state: State, p: Parameters, count: int) -> tuple[State, State]:
     """The state after `count` periods, and those after 1, 2, …, count stacked along a new first axis."""
 
-    def step(z: State, _: Any) -> tuple[State, State]:
-        z = strobe(z, b)
+    def step(z: State, _: None) -> tuple[State, State]:
+        z = strobe(z, p)
         return z, z
 
     return lax.scan(step, state, length=count)
 
 
-def section_map(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Array:
-    """Pⁿ in section coordinates, (d,) to (d,)."""
-    return strobe.system.chart(iterate(strobe, n, strobe.system.unchart(u), b))
+def section_map(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
+    """Pⁿ in section coordinates."""
+    return strobe.system.chart(iterate(strobe, n, strobe.system.unchart(u), p))
 
 
-def derivatives(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> tuple[Array, Array, Array]:
-    """Pⁿ(u; b) of shape (d,), its monodromy matrix ∂Pⁿ/∂u (d, d) and ∂Pⁿ/∂b (d,), in one forward pass.
+class Derivatives(NamedTuple):
+    """Pⁿ at a point, and its derivatives.
+
+    Attributes:
+        image: Pⁿ(u; p), (d,).
+        monodromy: ∂Pⁿ/∂u, (d, d).
+        by_parameter: ∂Pⁿ/∂p of one parameter, (d,); None where none was asked for.
+    """
+
+    image: Float[Array, " d"]
+    monodromy: Float[Array, "d d"]
+    by_parameter: Float[Array, " d"] | None
+
+
+def derivatives(
+    strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, name: str | None = None
+) -> Derivatives:
+    """Pⁿ(u; p) with ∂Pⁿ/∂u, and if a parameter is named ∂Pⁿ/∂p in it, in one forward pass.
 
     The same as `jax.jacfwd` of `section_map`, to rounding.
     """
     system, d = strobe.system, strobe.system.dimension
-    basis = jnp.eye(d + 1)
+    tangents = [Tangent(jax.jvp(system.unchart, (u,), (e,))[1]) for e in jnp.eye(d)]
+    if name is not None:
+        still = jax.tree.map(jnp.zeros_like, tangents[0].state)
+        tangents.append(Tangent(still, {name: jnp.ones_like(u[0])}))
 
-    def lift(v: Array) -> tuple[State, Array]:
-        return system.unchart(v[:d]), v[d]
+    def period(_: int, carry: tuple[State, tuple[Tangent, ...]]) -> tuple[State, tuple[Tangent, ...]]:
+        pushed = strobe.push(carry[0], p, carry[1])
+        return pushed.state, pushed.tangents
 
-    point = jnp.append(u, b)
-    state, _ = lift(point)
-    tangents = tuple(Tangent(*jax.jvp(lift, (point,), (e,))[1]) for e in basis)
-    state, tangents = lax.fori_loop(0, n, lambda _, carry: strobe.push(carry[0], b, carry[1])[:2], (state, tangents))
-    columns = [jax.jvp(system.chart, (state,), (t.state,))[1] for t in tangents]
-    return system.chart(state), jnp.stack(columns[:d], axis=-1), columns[d]
+    state, moved = lax.fori_loop(0, n, period, (system.unchart(u), tuple(tangents)))
+    columns = [jax.jvp(system.chart, (state,), (t.state,))[1] for t in moved]
+    return Derivatives(system.chart(state), jnp.stack(columns[:d], axis=-1), None if name is None else columns[d])

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.maps.protocol import Pushed, Strobe, Tangent
 from jaxnh.solvers import half_turn, kick
-from jaxnh.systems.particle import IsokineticParticle, State, Vector
+from jaxnh.systems.flow import Parameters, Vector
+from jaxnh.systems.particle import IsokineticParticle, State
 
 
 class _Carry(NamedTuple):
@@ -33,7 +35,7 @@ class KickStrobe(Strobe):
     (tables grow by powers of two). It does the arithmetic of `IsokineticSplitting.step` under `diffrax.diffeqsolve`.
 
     Attributes:
-        system: the flow.
+        system: the flow as kicks see it (`IsokineticParticle.tabulated`): speed and clock are in the table.
         table: (capacity, 3), a row a kick: drift before it, its length over the speed, and that times the forcing; two
             numbers a row without forcing.
         kicks: number of rows that are in use.
@@ -48,26 +50,31 @@ class KickStrobe(Strobe):
     rest: ArrayLike
     compensated: bool = eqx.field(static=True, default=False)
 
-    def __call__(self, state: State, b: ArrayLike) -> State:
+    @property
+    def turns(self) -> tuple[float, ...]:
+        """Of the loop over kicks."""
+        return (float(np.mean(self.kicks)),)
+
+    def __call__(self, state: State, p: Parameters) -> State:
         def advance(entry: Array, carry: _Carry) -> _Carry:
-            return _one_loop(lambda carry: self._kick(entry, carry, b), carry)
+            return _one_loop(lambda carry: self._kick(entry, carry, p), carry)
 
         return self._end(self._run(advance, jnp.asarray(self.table), self._begin(state)))
 
-    def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
-        # A kick turns θ alone, so few numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, b). Differentiating
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+        # A kick turns θ alone, so few numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, p). Differentiating
         # where the kick is keeps every component an array of lanes; jacfwd of the whole period would not. Tangents are
         # carried from before one kick to before the next, so that they need the n after a kick alone.
-        in_b = any(t.b is not None for t in tangents)
+        names = tuple(dict.fromkeys(name for t in tangents for name in t.p or ()))
 
         def kick(entry: Array, before: _Carry) -> tuple[_Carry, Vector]:
-            after = self._kick(entry, before, b)
-            return after, self._slopes(entry, after.q, before.n, b, in_b)
+            after = self._kick(entry, before, p)
+            return after, self._slopes(entry, after.q, before.n, p, names)
 
         def move(
             length: Array, n: Vector, slopes: Vector, moved: tuple[Vector, ...], volume: Array
         ) -> tuple[tuple[Vector, ...], Array]:
-            kicked = [_kick_tangent(slopes, v, t.b) for v, t in zip(moved, tangents, strict=True)]
+            kicked = [_kick_tangent(slopes, v, t.p, names) for v, t in zip(moved, tangents, strict=True)]
             return tuple(_drift_tangent(n, v, length) for v in kicked), volume * slopes[0]
 
         def advance(entry: Array, carry: tuple[_Carry, tuple[Vector, ...], Array]) -> Any:
@@ -83,35 +90,35 @@ class KickStrobe(Strobe):
         )
         q, n = self._end(carry)
         pushed = tuple(
-            Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.b)
+            Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.p)
             for (dx, dy, dtheta), t in zip(moved, tangents, strict=True)
         )
         return Pushed((q, n), pushed, volume)
 
-    def _kick(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
+    def _kick(self, entry: Array, carry: _Carry, p: Parameters) -> _Carry:
         if self.compensated:
-            return self._kick_compensated(entry, carry, b)
+            return self._kick_compensated(entry, carry, p)
         q = _along(carry.q, carry.n, entry[0])
-        return _Carry(q, kick(carry.n, self.system.force(q, self._forcing(entry), entry[1], b), half_turn), None)
+        return _Carry(q, kick(carry.n, self.system.force(q, self._forcing(entry), entry[1], p), half_turn), None)
 
-    def _kick_compensated(self, entry: Array, carry: _Carry, b: ArrayLike) -> _Carry:
+    def _kick_compensated(self, entry: Array, carry: _Carry, p: Parameters) -> _Carry:
         # In the plane n' − n = 2 N (n × f) J m / (m·m) with J the quarter turn: small, and free of cancellation.
         assert carry.lost is not None
         q, q_lost = _add_compensated(carry.q, carry.lost[0], tuple(ni * entry[0] for ni in carry.n))
-        n, f = carry.n, self.system.force(q, self._forcing(entry), entry[1], b)
+        n, f = carry.n, self.system.force(q, self._forcing(entry), entry[1], p)
         top, bottom = half_turn(f[0] * f[0] + f[1] * f[1])
         m = tuple(ni * bottom + fi * top for ni, fi in zip(n, f, strict=True))
         turn = 2.0 * top * _cross(n, f) / (m[0] * m[0] + m[1] * m[1])
         n, n_lost = _add_compensated(n, carry.lost[1], (-turn * m[1], turn * m[0]))
         return _Carry(q, n, (q_lost, n_lost))
 
-    def _slopes(self, entry: Array, q: Vector, n: Vector, b: ArrayLike, in_b: bool) -> Vector:
-        """∂θ'/∂(θ, x1, y1) of a kick at q, and if asked for ∂b.
+    def _slopes(self, entry: Array, q: Vector, n: Vector, p: Parameters, names: Sequence[str]) -> Vector:
+        """∂θ'/∂(θ, x1, y1) of a kick at q, and in the parameters named.
 
         With the bisector m = D n + N f, θ' = 2 arg m − θ. So ∂θ'/∂θ = 2 D (m·n)/(m·m) − 1, and of the force
         ∂θ'/∂f = (2 N J m + 4 (N' D − N D') (n × f) f)/(m·m), J the quarter turn and ' the derivative in z = f·f.
         """
-        f = self.system.force(q, self._forcing(entry), entry[1], b)
+        f = self.system.force(q, self._forcing(entry), entry[1], p)
         z = f[0] * f[0] + f[1] * f[1]
         (top, bottom), (top_rate, bottom_rate) = jax.jvp(half_turn, (z,), (jnp.ones_like(z),))
         m = tuple(ni * bottom + fi * top for ni, fi in zip(n, f, strict=True))
@@ -122,8 +129,8 @@ class KickStrobe(Strobe):
         across = twice * top
         along = (twice + twice) * _cross(n, f) * (top_rate * bottom - top * bottom_rate)
         by_force = along * f[0] - across * m[1], along * f[1] + across * m[0]
-        rows = self.system.force_pullback(q, self._forcing(entry), entry[1], b, by_force)
-        return (half + half - length) * scale, *(rows if in_b else rows[:2])
+        rows = self.system.force_pullback(q, self._forcing(entry), entry[1], p, by_force, names)
+        return (half + half - length) * scale, *rows
 
     def _forcing(self, entry: Array) -> Array:
         return entry[2] if self.system.forced else entry[1]
@@ -179,11 +186,14 @@ def _drift_tangent(n: Vector, v: Vector, length: ArrayLike) -> Vector:
     return dx - n[1] * turned, dy + n[0] * turned, dtheta
 
 
-def _kick_tangent(slopes: tuple[Array, ...], v: Vector, db: ArrayLike | None) -> Vector:
-    """δ(x1, y1, θ) after a kick with these ∂θ'/∂(θ, x1, y1, b)."""
+def _kick_tangent(slopes: Vector, v: Vector, dp: Parameters | None, names: Sequence[str]) -> Vector:
+    """δ(x1, y1, θ) after a kick with these ∂θ'/∂(θ, x1, y1) and ∂θ'/∂p of the parameters named."""
     dx, dy, dtheta = v
     turned = slopes[0] * dtheta + slopes[1] * dx + slopes[2] * dy
-    return dx, dy, turned if db is None else turned + slopes[3] * db
+    for name, slope in zip(names, slopes[3:], strict=True):
+        if dp is not None and name in dp:
+            turned = turned + slope * dp[name]
+    return dx, dy, turned
 
 
 def _cross(u: Vector, v: Vector) -> Array:

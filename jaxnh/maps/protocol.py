@@ -1,4 +1,4 @@
-"""What a strobe map is: states and tangents over one period, whatever system and solver it has."""
+"""What a map of one lane is: states and tangents over one period, whatever flow and solver it has."""
 
 from __future__ import annotations
 
@@ -9,27 +9,19 @@ import equinox as eqx
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.maps.section import SectionedFlow
-from jaxnh.systems.lagrangian import NonholonomicSystem
-from jaxnh.systems.particle import IsokineticParticle
-
-System = IsokineticParticle | NonholonomicSystem | SectionedFlow
-"""Systems have the same section: `dimension`, `exponents`, `chart`, `unchart`, `wrap` and so on."""
-
-
-def swept_name(system: System) -> str:
-    """Name of the parameter that differs from lane to lane."""
-    return system.sweeps.rsplit(" ", 1)[-1]
+from jaxnh.systems.flow import Parameters, State
 
 
 class Tangent(NamedTuple):
-    """A direction in phase and parameter space: δ(q, n) as a state, and δb, each component of shape ().
+    """A direction in phase and parameter space, each component of shape ().
 
-    Without δb nothing of the derivative in b is computed.
+    Attributes:
+        state: δ of the state.
+        p: δ of the parameters that change, by name; without any nothing of a derivative in them is computed.
     """
 
-    state: Any
-    b: ArrayLike | None = None
+    state: State
+    p: Parameters | None = None
 
 
 class Pushed(NamedTuple):
@@ -41,29 +33,37 @@ class Pushed(NamedTuple):
         volume: determinant of the derivative of the section coordinates, of (x1, y1, θ) exp(−∫ n·F/s dt).
     """
 
-    state: Any
+    state: State
     tangents: tuple[Tangent, ...]
     volume: Array
 
 
 class Strobe(eqx.Module):
-    """P(z; b) for one lane: state and b in, the state one period later out. Use under `jax.vmap`."""
+    """P(z; p) for one lane: state and its own parameters in, the state one strobe period later out.
 
-    system: eqx.AbstractVar[Any]
+    Use under `jax.vmap`. For a section, from one crossing to the next.
+    """
+
+    system: eqx.AbstractVar[Any]  # a `Flow`; Any, as a mutable attribute cannot narrow its type in a subclass
 
     @property
     def most_lanes(self) -> int | None:
         """Lanes a tile at most, where more would be slower."""
         return None
 
+    @property
     @abc.abstractmethod
-    def __call__(self, state: Any, b: ArrayLike) -> Any:
+    def turns(self) -> tuple[float, ...]:
+        """How often the loops of the program turn in a period, outermost first; of stacked maps their mean."""
+
+    @abc.abstractmethod
+    def __call__(self, state: State, p: Parameters) -> State:
         """The state one strobe period later."""
 
     @abc.abstractmethod
-    def push(self, state: Any, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
         """The state and any number of tangents one strobe period later, exact derivatives of `__call__`."""
 
     def stretched(self, factor: ArrayLike) -> Strobe:
-        """The map over so many times the time, of a system without a clock; of maps of one step alone."""
+        """The map over so many times the time, of a flow without a clock; of maps of one step alone."""
         raise NotImplementedError

@@ -1,27 +1,26 @@
 """A flow without a clock seen on a section: the states at which one of its positions passes a value.
 
-The section takes the part of the strobe: `event.EventStrobe` is its map. Without forcing and disturbance the flow at
-constant speed keeps a volume: its divergence −n·F/s is a time derivative, d(V/c)/dt with F = −grad V. Exponents then
+The section takes the part of the strobe: `crossings.EventStrobe` is its map. Without forcing and disturbance the flow
+at constant speed keeps a volume: its divergence −n·F/s is a time derivative, d(V/c)/dt with F = −grad V. Exponents then
 come in pairs ±λ about zero (Dettmann and Morriss, Phys. Rev. E 53 (1996) R5545), and no orbit is attracting.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
-from jaxnh.systems.lagrangian import FAULTS, NonholonomicSystem
-from jaxnh.systems.particle import IsokineticParticle
+from jaxnh.systems.flow import Flow, Output, Parameters, State, Vector
+from jaxnh.systems.lagrangian import FAULTS
 
 NOT_FINITE, NO_RETURN = FAULTS.index("not_finite"), len(FAULTS)
-"""Why a lane has failed here, continuing `mechanics.FAULTS`."""
-
-Flow = IsokineticParticle | NonholonomicSystem
+"""Why a lane has failed here, continuing `lagrangian.FAULTS`."""
 
 
 class Crossing(NamedTuple):
@@ -33,112 +32,170 @@ class Crossing(NamedTuple):
         reason: why the lane has failed, else zero.
     """
 
-    state: Any
+    state: State
     t: Any
     reason: Any
 
 
-class SectionedFlow(eqx.Module):
+class SectionedFlow(Flow):
     """A flow without a clock and a section of it.
 
     Attributes:
-        flow: the flow.
+        inner: the flow.
         coordinate, number: name and number of the position that decides.
         value: where it does.
         direction: "up" or "down", in which it passes the value, or "both".
     """
 
-    flow: Flow
+    inner: Flow
     coordinate: str = eqx.field(static=True)
     number: int = eqx.field(static=True)
     value: float = eqx.field(static=True)
     direction: str = eqx.field(static=True)
 
-    def height(self, state: Any) -> Any:
+    def height(self, y: State) -> Any:
         """How far a state of the flow is from the section: above zero after a passage up, or down if that is wanted."""
-        above = state[0][self.number] - self.value
+        above = y[0][self.number] - self.value
         return -above if self.direction == "down" else above
 
-    def rate(self, state: Any, lane: ArrayLike) -> Any:
+    def rate(self, y: State, p: Parameters) -> Any:
         """Its time derivative."""
-        rate = self.flow.vector_field(jnp.zeros_like(state[0][0]), state, lane)[0][self.number]
+        rate = self.inner.rhs(jnp.zeros_like(y[0][0]), y, p)[0][self.number]
         return -rate if self.direction == "down" else rate
 
     @property
-    def words(self) -> str:
+    def section(self) -> str:
         """The section in words."""
         return f"{self.coordinate} = {self.value:g}, {self.direction}"
 
-    # ---- what every system has
+    @property
+    def flow(self) -> Flow:
+        """The flow that it is a section of."""
+        return self.inner
+
+    # ---- as every flow
 
     @property
-    def dimension(self) -> int:
-        """Coordinates of the section."""
-        return self.flow.dimension - 1
+    def coordinates(self) -> tuple[str, ...]:
+        """Those of the flow."""
+        return self.inner.coordinates
 
     @property
-    def exponents(self) -> int:
-        """Lyapunov exponents of the flow, that along it included."""
-        return self.flow.exponents
+    def parameters(self) -> Parameters:
+        """Those of the flow."""
+        return self.inner.parameters
+
+    def words(self, name: str) -> str:
+        """As the flow says."""
+        return self.inner.words(name)
 
     @property
-    def sweeps(self) -> str:
-        """What differs from lane to lane, in words and with its symbol."""
-        return self.flow.sweeps
+    def plane(self) -> tuple[str, str]:
+        """The first position that the section does not fix, and its velocity."""
+        position, velocity = self.inner.plane
+        if position != self.coordinate:
+            return position, velocity
+        names = self.inner.coordinates
+        return names[2], names[3]
 
     @property
     def period(self) -> float:
         """Unit that steps and lengths of time are counted in."""
-        return self.flow.period
+        return self.inner.period
 
-    def signal(self, crossing: Crossing) -> Any:
+    @property
+    def autonomous(self) -> bool:
+        """As the flow."""
+        return self.inner.autonomous
+
+    def shares(self, name: str) -> bool:
+        """As the flow."""
+        return self.inner.shares(name)
+
+    def rhs(self, t: ArrayLike, y: State, p: Parameters) -> State:
+        """That of the flow, at one of its states."""
+        return self.inner.rhs(t, y, p)
+
+    def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Any:
+        """That of the flow, at one of its states."""
+        return self.inner.divergence(t, y, p)
+
+    @property
+    def dimension(self) -> int:
+        """Coordinates of the section."""
+        return self.inner.dimension - 1
+
+    @property
+    def exponents(self) -> int:
+        """Lyapunov exponents of the flow, that along it included."""
+        return self.inner.exponents
+
+    def signal(self, y: Crossing) -> Any:
         """A position that stands for a motion where one is enough."""
-        return crossing.state[0][1 if self.number == 0 else 0]
+        return y.state[0][1 if self.number == 0 else 0]
 
-    def chart(self, crossing: Crossing) -> Array:
-        """Coordinates of a point on the section, (dimension,)."""
-        u = self.flow.chart(crossing.state)
+    def chart(self, y: Crossing) -> Float[Array, " dimension"]:
+        """Coordinates of a point on the section."""
+        u = self.inner.chart(y.state)
         return jnp.concatenate([u[: self.number], u[self.number + 1 :]])
 
-    def unchart(self, u: Array) -> Crossing:
+    def unchart(self, u: Float[Array, " dimension"]) -> Crossing:
         """The point with these coordinates, at t = 0."""
         zero = jnp.zeros_like(u[0])
         value = jnp.full_like(u[:1], self.value)
-        return Crossing(self.flow.unchart(jnp.concatenate([u[: self.number], value, u[self.number :]])), zero, zero)
+        return Crossing(self.inner.unchart(jnp.concatenate([u[: self.number], value, u[self.number :]])), zero, zero)
 
     def wrap(self, difference: Any) -> Any:
         """A difference of section coordinates (..., dimension), its angles in [−π, π)."""
         xp = np if isinstance(difference, np.ndarray) else jnp
-        return xp.delete(self.flow.wrap(self._whole(difference)), self.number, axis=-1)
+        return xp.delete(self.inner.wrap(self._whole(difference)), self.number, axis=-1)
 
     def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Largest difference of positions between section points (..., dimension): (...,)."""
-        return self.flow.apart(self._whole(one), self._whole(other))
+        return self.inner.apart(self._whole(one), self._whole(other))
 
-    def section_point(self, start: Crossing) -> np.ndarray:
-        """(dimension,) coordinates of a point of floats."""
-        return np.delete(self.flow.section_point(start.state), self.number)
+    def directions(self, k: int) -> tuple[Vector, ...]:
+        """Those of the flow."""
+        return self.inner.directions(k)
 
-    def random_states(self, draws: np.ndarray, box: float, b: np.ndarray) -> Crossing:
+    def lift(self, y: State, tangent: Vector) -> State:
+        """That of the flow, at one of its states."""
+        return self.inner.lift(y, tangent)
+
+    def lower(self, y: State, tangent: State) -> Vector:
+        """That of the flow, at one of its states."""
+        return self.inner.lower(y, tangent)
+
+    def start(self, coordinates: Mapping[str, ArrayLike]) -> Crossing:
+        """The state at t = 0, on its way to the section."""
+        state = self.inner.start(coordinates)
+        zero = np.zeros_like(state[0][0])
+        return Crossing(state, zero, zero)
+
+    def section_point(self, y: Crossing) -> Float[np.ndarray, "... dimension"]:
+        """Section coordinates of points (...,) on the host."""
+        return np.delete(self.inner.section_point(y.state), self.number, axis=-1)
+
+    def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> Crossing:
         """Start states of even draws (lanes, dimension + 1) from [−1, 1], none of them on the section."""
-        return Crossing(self.flow.random_states(draws, box, b), np.zeros(len(b)), np.zeros(len(b)))
+        return Crossing(self.inner.random_states(draws, box, p), np.zeros(len(draws)), np.zeros(len(draws)))
 
-    def outputs(self, states: Crossing, t: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
+    def outputs(self, y: Crossing, t: np.ndarray) -> dict[str, Output]:
         """Coordinates and velocities of states by name, and when they are met."""
         del t
-        return {**self.flow.outputs(states.state, np.zeros(1)), "t": (states.t, "time since the start")}
+        return {**self.inner.outputs(y.state, np.zeros(1)), "t": Output(y.t, "time since the start")}
 
-    def reports(self, states: Crossing) -> dict[str, tuple[np.ndarray, str, dict[str, Any]]]:
+    def reports(self, y: Crossing) -> dict[str, Output]:
         """What the flow reports, and why a trajectory has failed: the section may be one more reason."""
-        found = self.flow.reports(states.state)
-        reason = np.asarray(states.reason)[..., -1].astype(np.int8)
+        found = self.inner.reports(y.state)
+        reason = np.asarray(y.reason)[..., -1].astype(np.int8)
         if "failure" in found:
-            reason = np.where(reason == NO_RETURN, reason, found["failure"][0])
+            reason = np.where(reason == NO_RETURN, reason, found["failure"].data)
         flags = {
             "flag_values": np.arange(NO_RETURN + 1, dtype=np.int8),
             "flag_meanings": " ".join((*FAULTS, "no_return")),
         }
-        return {**found, "failure": (reason, "why the trajectory has failed", flags)}
+        return {**found, "failure": Output(reason, "why the trajectory has failed", flags)}
 
     def _whole(self, u: Any) -> Any:
         """Section coordinates (..., dimension) as those of the flow."""

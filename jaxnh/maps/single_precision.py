@@ -7,10 +7,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from jaxnh.maps.protocol import Pushed, Strobe, Tangent
-from jaxnh.systems.particle import IsokineticParticle, State
+from jaxnh.systems.flow import Flow, Parameters, State
 
 
 class SingleStrobe(Strobe):
@@ -21,14 +20,19 @@ class SingleStrobe(Strobe):
         inner: the map, its arrays in float32.
     """
 
-    system: IsokineticParticle
+    system: Flow
     inner: Strobe
 
-    def __call__(self, state: State, b: ArrayLike) -> State:
-        return _cast(self.inner(*_cast((state, b), jnp.float32)), jnp.float64)
+    @property
+    def turns(self) -> tuple[float, ...]:
+        """Of the map within."""
+        return self.inner.turns
 
-    def push(self, state: State, b: ArrayLike, tangents: tuple[Tangent, ...]) -> Pushed:
-        return _cast(self.inner.push(*_cast((state, b, tangents), jnp.float32)), jnp.float64)
+    def __call__(self, state: State, p: Parameters) -> State:
+        return _cast(self.inner(*_cast((state, dict(p)), jnp.float32)), jnp.float64)
+
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+        return _cast(self.inner.push(*_cast((state, dict(p), tangents), jnp.float32)), jnp.float64)
 
 
 def in_precision(strobe: Strobe, precision: str) -> Strobe:

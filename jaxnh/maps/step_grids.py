@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxnh.maps.section import Flow
-from jaxnh.systems.lagrangian import NonholonomicSystem
+from jaxnh.systems.flow import Flow
 
 GRID_POINTS = 1 << 16
 _CELLS = 1 << 12
@@ -13,22 +12,10 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _NEWTON_STEPS = 4
 
 
-def density(system: Flow, t: np.ndarray) -> np.ndarray:
-    """Steps a unit of time, up to a factor; t of any shape.
-
-    The density (g + 1/10)^0.3 / s follows the forcing weakly and the inverse speed fully: at constant speed it lowers
-    the largest error of a period about 1.5 times at equal cost (stronger grading raises it again), and where the speed
-    nearly vanishes it refines geometrically towards that moment.
-    """
-    if isinstance(system, NonholonomicSystem):  # of which nothing is known
-        return np.ones_like(t)
-    return (system.forcing(t) + 0.1) ** 0.3 / system.speed(t)
-
-
 def step_grid(system: Flow, steps: int, span: tuple[float, float]) -> np.ndarray:
     """Ends of the steps over a span, (steps + 1,)."""
     t = np.linspace(*span, GRID_POINTS + 1)
-    rate = density(system, t)
+    rate = system.density(t)
     share = np.concatenate([[0.0], np.cumsum(rate[1:] + rate[:-1])])
     grid = np.interp(np.linspace(0.0, share[-1], steps + 1), share, t)
     grid[-1] = span[1]
@@ -60,16 +47,16 @@ class SmoothGrid:
         turns, rest = np.divmod(share, self._shares[-1])
         t = np.interp(rest, self._shares, np.arange(_CELLS + 1) * self._width) + turns * self._system.period
         for _ in range(_NEWTON_STEPS):
-            t = t - (self.share(t) - share) / density(self._system, t)
+            t = t - (self.share(t) - share) / self._system.density(t)
         return t
 
     def rate(self, t: np.ndarray) -> np.ndarray:
         """dt/dτ at t, any shape."""
-        return 1.0 / density(self._system, t)
+        return 1.0 / self._system.density(t)
 
     def _integral(self, t: np.ndarray, length: np.ndarray) -> np.ndarray:
         nodes = t[..., None] + 0.5 * length[..., None] * (1.0 + _NODES)
-        return 0.5 * length * (density(self._system, nodes) * _WEIGHTS).sum(axis=-1)
+        return 0.5 * length * (self._system.density(nodes) * _WEIGHTS).sum(axis=-1)
 
 
 def share_of_steps(system: Flow, span: tuple[float, float]) -> float:

@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.elimination import eliminate
+from jaxnh.systems.flow import Parameters
 
 _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-9  # residual after which one more step reaches the rounding floor
@@ -39,17 +40,17 @@ class Orbit(NamedTuple):
     steps: Any
 
 
-def find_orbit(strobe: Strobe, n: ArrayLike, u: Array, b: ArrayLike) -> Orbit:
-    """Newton on Pⁿ(u; b) = u for one lane, from u of shape (d,); n may be traced.
+def find_orbit(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters) -> Orbit:
+    """Newton on Pⁿ(u; p) = u for one lane, from u of shape (d,); n may be traced.
 
-    Stops by itself; a lane that does not converge shows it by its residual (NaN where it left the numbers).
+    Stops by itself; a lane that does not converge shows it by its residual (NaN where its state is not finite).
     Newton does not care whether the orbit is stable, nor how slowly the map itself would approach it.
     """
 
     wrap, one = strobe.system.wrap, jnp.eye(strobe.system.dimension)
 
     def look(u: Array, steps: Array) -> tuple[Orbit, Array]:
-        image, monodromy, _ = derivatives(strobe, n, u, b)
+        image, monodromy, _ = derivatives(strobe, n, u, p)
         return Orbit(u, jnp.max(jnp.abs(wrap(image - u))), monodromy, steps), image
 
     def improve(carry: tuple[Orbit, Array, Array]) -> tuple[Orbit, Array, Array]:

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxnh.maps.protocol import Strobe, Tangent
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.particle import wrap as planar_wrap
 
 _NEWTON_STEPS = 12
@@ -27,10 +27,10 @@ class Segment(NamedTuple):
     """One period of an orbit with a vector carried along, and all that Newton on both needs.
 
     Attributes:
-        image: P(u; b), (d,).
+        image: P(u; p), (d,).
         carried: M w with M = ∂P/∂u, (d,).
-        image_slope: ∂P/∂(u, b), (d, d + 1).
-        carried_slope: ∂(M w)/∂(u, b), (d, d + 1).
+        image_slope: ∂P/∂u and in one parameter, (d, d + 1).
+        carried_slope: ∂(M w)/∂u and in it, (d, d + 1).
     """
 
     image: Any
@@ -39,18 +39,18 @@ class Segment(NamedTuple):
     carried_slope: Any
 
 
-def segment(strobe: Strobe, u: Array, w: Array, b: ArrayLike) -> Segment:
-    """P, M w and their derivatives in u and b for one lane; u and w of shape (d,)."""
+def segment(strobe: Strobe, u: Float[Array, " d"], w: Float[Array, " d"], p: Parameters, name: str) -> Segment:
+    """P, M w and their derivatives in u and the parameter of that name, for one lane."""
 
     system, d = strobe.system, strobe.system.dimension
 
     def carry(v: Array) -> tuple[Array, Array]:
         state, tangent = jax.jvp(system.unchart, (v[:d],), (w,))
-        pushed = strobe.push(state, v[d], (Tangent(tangent),))
+        pushed = strobe.push(state, {**p, name: v[d]}, (Tangent(tangent),))
         image, carried = jax.jvp(system.chart, (pushed.state,), (pushed.tangents[0].state,))
         return image, carried
 
-    point = jnp.append(u, b)
+    point = jnp.append(u, p[name])
     image_slope, carried_slope = jax.jacfwd(carry)(point)
     return Segment(*carry(point), image_slope, carried_slope)
 
@@ -59,14 +59,14 @@ class DoublingPoint(NamedTuple):
     """Where a period-n orbit has a multiplier −1.
 
     Attributes:
-        b: the parameter value.
+        value: of the parameter.
         orbit: the n points of the orbit in section coordinates, (n, d).
         vector: the eigenvector of −1 at each of them, (n, d), of length one at the first.
-        last_step: size of the last Newton step in b, which is rounding once it has converged.
+        last_step: size of the last Newton step in the parameter, which is rounding once it has converged.
         converged: whether it has.
     """
 
-    b: float
+    value: float
     orbit: np.ndarray
     vector: np.ndarray
     last_step: float
@@ -77,10 +77,10 @@ def refine_doubling(
     segments: Callable[[np.ndarray, np.ndarray, np.ndarray], Segment],
     orbit: np.ndarray,
     vector: np.ndarray,
-    b: float,
+    value: float,
     wrap: Callable[[np.ndarray], np.ndarray] = planar_wrap,
 ) -> DoublingPoint:
-    """Newton on orbit, eigenvector and b together, so that the orbit of n points has the multiplier −1.
+    """Newton on orbit, eigenvector and one parameter together, so that the orbit of n points has the multiplier −1.
 
     Multiple shooting: P(u_i) = u_{i+1}, M_i w_i = w_{i+1} around the orbit with w_n = −w_0 and |w_0|² = 1. No product
     of monodromy matrices is formed, so that rounding does not grow with n; and since the orbit, stable or not, is a
@@ -90,7 +90,7 @@ def refine_doubling(
         segments: `segment` over lanes (n, d), (n, d), (n,).
         orbit: starting points (n, d).
         vector: starting vectors (n, d).
-        b: starting value.
+        value: starting value of the parameter.
         wrap: brings angles of a difference of section coordinates into their range.
     """
     n, d = orbit.shape
@@ -99,7 +99,7 @@ def refine_doubling(
     vector = vector / np.linalg.norm(vector[0])
     step = np.inf
     for _ in range(_NEWTON_STEPS):
-        s = Segment(*(np.asarray(leaf) for leaf in segments(orbit, vector, np.full(n, b))))
+        s = Segment(*(np.asarray(leaf) for leaf in segments(orbit, vector, np.full(n, value))))
         residual = np.concatenate(
             [wrap(np.roll(orbit, -1, 0) - s.image), turn * np.roll(vector, -1, 0) - s.carried], axis=1
         )
@@ -112,13 +112,13 @@ def refine_doubling(
         slope = np.concatenate([s.image_slope[:, :, d], s.carried_slope[:, :, d]], axis=1)
         normal = np.concatenate([np.zeros(d), 2.0 * vector[0]])
         moved, shift = solve_cyclic(here, there, slope, residual, normal, 1.0 - vector[0] @ vector[0])
-        orbit, vector, b = orbit + moved[:, :d], vector + moved[:, d:], b + shift
+        orbit, vector, value = orbit + moved[:, :d], vector + moved[:, d:], value + shift
         previous, step = step, abs(shift)
         if not np.isfinite(step):
             break
         if (step < 1e-10 and step >= 0.25 * previous) or step == 0.0:
-            return DoublingPoint(b, orbit, vector, step, True)
-    return DoublingPoint(b, orbit, vector, step, bool(step < 1e-10))
+            return DoublingPoint(value, orbit, vector, step, True)
+    return DoublingPoint(value, orbit, vector, step, bool(step < 1e-10))
 
 
 class LongOrbit(NamedTuple):
@@ -136,45 +136,45 @@ class LongOrbit(NamedTuple):
 
 
 def close_orbit(
-    segments: Callable[[np.ndarray, np.ndarray, np.ndarray], Segment], points: np.ndarray, b: float
+    segments: Callable[[np.ndarray, np.ndarray, np.ndarray], Segment], points: np.ndarray, value: float
 ) -> LongOrbit:
-    """Newton on P(u_i; b) = u_{i+1} around an orbit, all points (n, 3) at once: no error grows over more than a period.
+    """Newton on P(u_i; p) = u_{i+1} around an orbit, all points (n, 3) at once: no error grows over more than a period.
 
     Args:
         segments: `segment` over lanes (n, 3), (n, 3), (n,).
         points: starting points (n, 3).
-        b: the parameter value.
+        value: of the parameter.
     """
     n = len(points)
     there = np.tile(-np.eye(3), (n, 1, 1))
     size = np.inf
     for _ in range(_NEWTON_STEPS):
-        orbit, slope, right = _around(segments, points, b)
+        orbit, slope, right = _around(segments, points, value)
         if not size > _NEWTON_TOLERANCE or not np.isfinite(orbit.residual):
             return orbit
-        # Of the line of solutions with b free, the one that leaves b where it is.
+        # Of the line of solutions with the parameter free, the one that leaves it where it is.
         (y0, shift0), (y1, shift1) = (
             solve_cyclic(orbit.blocks, there, slope, right, np.ones(3), level) for level in (0.0, 1.0)
         )
         step = y0 - shift0 / (shift1 - shift0) * (y1 - y0)
         size = float(np.abs(step).max())
         points = points + step * min(1.0, _LARGEST_STEP / size)
-    return _around(segments, points, b)[0]
+    return _around(segments, points, value)[0]
 
 
 def _around(
-    segments: Callable[[np.ndarray, np.ndarray, np.ndarray], Segment], points: np.ndarray, b: float
+    segments: Callable[[np.ndarray, np.ndarray, np.ndarray], Segment], points: np.ndarray, value: float
 ) -> tuple[LongOrbit, np.ndarray, np.ndarray]:
-    """An orbit as it is, ∂P/∂b at its points (n, 3), and what its images miss the next points by (n, 3)."""
-    s = segments(points, np.zeros_like(points), np.full(len(points), b))
+    """An orbit as it is, ∂P/∂p at its points (n, 3), and what its images miss the next points by (n, 3)."""
+    s = segments(points, np.zeros_like(points), np.full(len(points), value))
     slope = np.asarray(s.image_slope)
     missing = planar_wrap(np.roll(points, -1, 0) - np.asarray(s.image))
     return LongOrbit(points, slope[:, :, :3], float(np.abs(missing).max())), slope[:, :, 3], missing
 
 
-def log_volume(strobe: Strobe, u: Array, b: ArrayLike) -> Array:
-    """ln det ∂P/∂u for one lane, exact where the determinant itself is lost to rounding; u of shape (3,)."""
-    return jnp.log(strobe.push(strobe.system.unchart(u), b, ()).volume)
+def log_volume(strobe: Strobe, u: Float[Array, " d"], p: Parameters) -> Array:
+    """ln det ∂P/∂u for one lane, exact where the determinant itself is lost to rounding."""
+    return jnp.log(strobe.push(strobe.system.unchart(u), p, ()).volume)
 
 
 def multiplier_logs(blocks: np.ndarray, volume: float) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Isokinetic splittings: drift the position along n, kick n by the exact turn under a frozen force.
 
-With the clock advanced by the drift, the flow of `systems.IsokineticParticle` is A + B:
+With the clock advanced by the drift, the flow of `particle.IsokineticParticle` is A + B:
     A (drift):  q' = s(t) n, t' = 1     solved exactly, q += n ∫ s dt;
     B (kick):   n' = (F − (n·F) n)/s    at frozen q and t, solved exactly by a hyperbolic turn (Zhang 1997).
 Any composition of both keeps |n| = 1 by construction. Compositions of high order are tables of coefficients.
@@ -15,10 +15,10 @@ import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.systems.particle import IsokineticParticle, State, Vector
+from jaxnh.systems.flow import Parameters, Vector
+from jaxnh.systems.particle import IsokineticParticle, State
 
 
 class DriftTerm(diffrax.AbstractTerm):
@@ -37,11 +37,11 @@ class DriftTerm(diffrax.AbstractTerm):
 
 
 class KickTerm(diffrax.AbstractTerm):
-    """F/s at a frozen time as a diffrax term; the solver turns n by it. `args` is the lane's b."""
+    """F/s at a frozen time as a diffrax term; the solver turns n by it. `args` are the lane's parameters."""
 
     system: IsokineticParticle
 
-    def vf(self, t: Any, y: Vector, args: ArrayLike) -> Vector:
+    def vf(self, t: Any, y: Vector, args: Parameters) -> Vector:
         weight = 1.0 / self.system.speed(t)
         return self.system.force(y, self.system.forcing(t) * weight, weight, args)
 
@@ -114,7 +114,7 @@ class IsokineticSplitting(diffrax.AbstractSolver):
         processor: drifts (one more) and kicks, fractions of the step that sum to zero, of a processed method (Blanes,
             Casas and Murua, SIAM J. Sci. Comput. 27 (2006) 1817); without one, of no stages. Its order is that of
             processor, steps, inverse of the processor: `sequence`. Its steps alone, and so `diffeqsolve`, have order
-            two; `strobe.make_strobe` puts the processor before the first step of a map and its inverse after the last.
+            two; `maps.build` puts the processor before the first step of a map and its inverse after the last.
     """
 
     drifts: tuple[float, ...] = eqx.field(static=True)

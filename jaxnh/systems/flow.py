@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
@@ -99,6 +101,10 @@ class Flow(eqx.Module):
         """The state brought back to the constraints, where there are some that a step leaves."""
         return y
 
+    def blanked(self, y: State, kept: Any) -> State:
+        """The state of a lane that is kept, and not a number of one that is not."""
+        return jax.tree.map(lambda x: jnp.where(kept, x, jnp.nan), y)
+
     # ---- section coordinates
 
     @property
@@ -150,6 +156,10 @@ class Flow(eqx.Module):
     @abc.abstractmethod
     def start(self, coordinates: Mapping[str, ArrayLike]) -> State:
         """The state at t = 0 with coordinates by name, floats or (lanes,); what the constraint decides is left out."""
+
+    @abc.abstractmethod
+    def section_point(self, y: State) -> Float[np.ndarray, "... dimension"]:
+        """Section coordinates of states (...,) on the host."""
 
     @abc.abstractmethod
     def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> State:

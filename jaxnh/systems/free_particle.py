@@ -1,6 +1,6 @@
 """The particle of equation (1) without a constraint, by the general route: T and Q, and no f.
 
-With a constraint the same equations are those of `systems.IsokineticParticle` by another way, which tests and prices
+With a constraint the same equations are those of `particle.IsokineticParticle` by another way, which tests and prices
 compare it with.
 """
 
@@ -8,55 +8,75 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
-from jaxnh.systems.lagrangian import Motion, NonholonomicSystem, nonholonomic_system
-from jaxnh.systems.particle import SWEEPS
+from jaxnh.systems.flow import Output, Parameters
+from jaxnh.systems.lagrangian import Lagrangian, Motion, lagrangian
+from jaxnh.systems.particle import WORDS
 
 
-class FreeParticle(NonholonomicSystem):
+class FreeParticle(Lagrangian):
     """A particle in the plane under the paper's forces, equation (1); made by `free_particle`.
 
     Attributes:
-        without: effects that are left out, of `systems.EFFECTS`; without forcing there is no clock.
+        without: effects that are left out, of `particle.EFFECTS`; without forcing there is no clock.
     """
 
     without: frozenset[str] = eqx.field(static=True, default=frozenset())
 
     @property
-    def autonomous(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def coordinates(self) -> tuple[str, ...]:
+        """The paper's x1, x2, y1, y2."""
+        return "x1", "x2", "y1", "y2"
+
+    @property
+    def parameters(self) -> Parameters:
+        """a, b and ω."""
+        return {name: self.values[name] for name in ("a", "b", "omega")}
+
+    def words(self, name: str) -> str:
+        """What a parameter or coordinate is called."""
+        return WORDS[name]
+
+    @property
+    def plane(self) -> tuple[str, str]:
+        """(x1, x2)."""
+        return "x1", "x2"
+
+    @property
+    def autonomous(self) -> bool:
         """Whether there is no clock."""
         return "forcing" in self.without
 
-    @property
-    def sweeps(self) -> str:
-        """What differs from lane to lane, in words and with its symbol."""
-        return SWEEPS[self.swept]
+    def start(self, coordinates: Mapping[str, ArrayLike]) -> Motion:
+        """(q, q̇) at t = 0 with x1, x2, y1 and y2."""
+        names = {"x1": "x1", "x1_dot": "x2", "y1": "y1", "y1_dot": "y2"}
+        return super().start({ours: coordinates[theirs] for ours, theirs in names.items()})
 
-    def outputs(self, states: Motion, t: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
-        """The paper's coordinates of states by name, each with words for it."""
-        (x1, y1), (x2, y2) = states.q, states.v
+    def outputs(self, y: Motion, t: np.ndarray) -> dict[str, Output]:
+        """The paper's coordinates of states by name."""
+        (x1, y1), (x2, y2) = y.q, y.v
         return {
-            "x1": (x1, "position x1"),
-            "x2": (x2, "velocity x2 = dx1/dt"),
-            "y1": (y1, "position y1"),
-            "y2": (y2, "velocity y2 = dy1/dt"),
+            "x1": Output(x1, "position x1"),
+            "x2": Output(x2, "velocity x2 = dx1/dt"),
+            "y1": Output(y1, "position y1"),
+            "y2": Output(y2, "velocity y2 = dy1/dt"),
         }
 
-    def reports(self, states: Motion) -> dict[str, tuple[np.ndarray, str, dict[str, Any]]]:
+    def reports(self, y: Motion) -> dict[str, Output]:
         """Why a trajectory has failed; there is no constraint to drift from."""
-        found = super().reports(states)
-        return {"failure": found["failure"]}
+        return {"failure": super().reports(y)["failure"]}
 
 
 @functools.cache
 def definition(without: frozenset[str], constrained: bool = False) -> Callable[..., Mapping[str, Any]]:
-    """Parameters a, b, c, d and ω to T, Q and, if constrained, f of the particle without some of `systems.EFFECTS`."""
+    """Parameters a, b, c, d and ω to T, Q and, if constrained, f of the particle without some of `particle.EFFECTS`."""
 
     def system(a: Any, b: Any, c: Any, d: Any, omega: Any) -> Mapping[str, Any]:
         def kinetic(q: Any, v: Any, t: Any) -> Any:
@@ -83,11 +103,10 @@ def definition(without: frozenset[str], constrained: bool = False) -> Callable[.
     return system
 
 
-def free_particle(
-    a: float, b: float | None, omega: float, swept: str, without: frozenset[str] = frozenset()
-) -> FreeParticle:
-    """The particle of equation (1), lanes differing in a or b, without some of `systems.EFFECTS`."""
+def free_particle(a: float, b: float | None, omega: float, without: Collection[str] = ()) -> FreeParticle:
+    """The particle of equation (1) without some of `particle.EFFECTS`; b is None where every lane has its own."""
+    left_out = frozenset(without)
     parameters = {"a": a, "b": 0.0 if b is None else b, "c": 0.0, "d": 0.0, "omega": omega}
-    made = nonholonomic_system(definition(without), parameters, swept)
-    fields = (made.define, made.parameters, made.swept, made.names, made.constraints)
-    return FreeParticle(*fields, made.period, made.angles, made.ignorable, without)
+    made = lagrangian(definition(left_out), parameters)
+    fields = (made.define, made.values, made.names, made.constraints, made.angles, made.ignorable)
+    return FreeParticle(*fields, left_out)

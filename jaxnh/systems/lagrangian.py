@@ -8,7 +8,7 @@ paper and df/dt = 0 are one bordered system for the accelerations and the multip
     A q̈        = −(∂f/∂q) q̇ − ∂f/∂t
 
 Its exact flow keeps f, on the constraint and off it. A computed step leaves f = 0 by the error of the method, and
-`NonholonomicSystem.project` goes back along M⁻¹ Aᵀ, which is orthogonal in the metric of the mass.
+`Lagrangian.project` goes back along M⁻¹ Aᵀ, which is orthogonal in the metric of the mass.
 
 Everything here is a function of one lane, with a component an array of its own: under `jax.vmap` no batch of small
 matrices is ever formed, and no library is called to solve them.
@@ -17,7 +17,7 @@ matrices is ever formed, and no library is called to solve them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -26,9 +26,10 @@ import numpy as np
 from jax import lax
 from jax.core import Tracer
 from jax.typing import ArrayLike
+from jaxtyping import Float
 
 from jaxnh.systems.elimination import definite, eliminate, known, largest_of, minus
-from jaxnh.systems.particle import Vector
+from jaxnh.systems.flow import Flow, Output, Parameters, Vector
 
 Energy = Callable[[Vector, Vector, Any], Any]
 """(q, q̇, t) to a number."""
@@ -175,69 +176,107 @@ def _bordered(mass: list[list[Any]], slopes: list[list[Any]]) -> list[list[Any]]
 # ---- a system of lanes
 
 
-class NonholonomicSystem(eqx.Module):
-    """Any system of T, Q and f whose lanes differ in one parameter; made by `nonholonomic_system`.
+class Lagrangian(Flow):
+    """Any system of T, Q and f; made by `lagrangian`.
 
     Attributes:
         define: parameters by name to the system's definition, whose `T`, `Q` and `f` are read; called in every lane.
-        parameters: all parameters by name; that of the sweep is replaced by the lane's own.
-        swept: name of the parameter that differs from lane to lane.
+        values: all parameters by name; those that a lane has of its own replace them.
         names: names of the k coordinates.
         constraints: number m of constraints.
-        period: strobe period.
         angles: for each coordinate, whether it is an angle, which returns after 2π.
         ignorable: for each, whether nothing depends on it: such coordinates are left out of the section.
     """
 
     define: Callable[..., Mapping[str, Any]] = eqx.field(static=True)
-    parameters: dict[str, ArrayLike]
-    swept: str = eqx.field(static=True)
+    values: dict[str, ArrayLike]
     names: tuple[str, ...] = eqx.field(static=True)
     constraints: int = eqx.field(static=True)
-    period: float = eqx.field(static=True)
     angles: tuple[bool, ...] = eqx.field(static=True)
     ignorable: tuple[bool, ...] = eqx.field(static=True)
 
-    autonomous: ClassVar[bool] = (
-        False  # of T, Q and f it is not known whether they have a clock: one is taken to be there
-    )
+    # ---- names
 
-    def equations(self, b: ArrayLike) -> Equations:
-        """T, Q and f of a lane, whose swept parameter is b."""
-        definition = self.define(**{**self.parameters, self.swept: b})
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Each coordinate and its velocity: x, x_dot, y, y_dot, …"""
+        return tuple(word for name in self.names for word in (name, f"{name}_dot"))
+
+    @property
+    def parameters(self) -> Parameters:
+        """All parameters by name."""
+        return self.values
+
+    def words(self, name: str) -> str:
+        """What a parameter or coordinate is called."""
+        base = name.removesuffix("_dot")
+        if name in self.names:
+            return f"angle {name}" if self.angles[self.names.index(name)] else f"coordinate {name}"
+        return f"velocity {name}" if base != name and base in self.names else f"parameter {name}"
+
+    @property
+    def plane(self) -> tuple[str, str]:
+        """The first coordinate of the section, and its velocity."""
+        name = self.names[self.kept[0]]
+        return name, f"{name}_dot"
+
+    # ---- time
+
+    @property
+    def period(self) -> float:
+        """Strobe period, from the definition."""
+        return float(self.define(**self.values)["period"])
+
+    @property
+    def autonomous(self) -> bool:
+        """Of T, Q and f it is not known whether they have a clock: one is taken to be there."""
+        return False
+
+    def shares(self, name: str) -> bool:
+        """Whether the strobe period depends on a parameter."""
+        if name not in self.values:
+            return False
+        other = self.define(**{**self.values, name: self.values[name] + 1.0})
+        return float(other["period"]) != self.period
+
+    # ---- motion
+
+    def equations(self, p: Parameters) -> Equations:
+        """T, Q and f of a lane."""
+        definition = self.define(**{**self.values, **p})
         return Equations(definition["T"], definition["Q"], definition.get("f"))
 
-    def vector_field(self, t: ArrayLike, state: Motion, b: ArrayLike) -> Motion:
+    def rhs(self, t: ArrayLike, y: Motion, p: Parameters) -> Motion:
         """Time derivative of a state; a singular matrix makes the rate of the reason not a number."""
-        solved = accelerations(self.equations(b), state.q, state.v, t)
-        zero = jnp.zeros_like(state.q[0])
-        return Motion(state.v, solved.a, (zero, jnp.where(solved.singular, jnp.nan, zero)))
+        solved = accelerations(self.equations(p), y.q, y.v, t)
+        zero = jnp.zeros_like(y.q[0])
+        return Motion(y.v, solved.a, (zero, jnp.where(solved.singular, jnp.nan, zero)))
 
-    def divergence(self, t: ArrayLike, state: Motion, b: ArrayLike) -> Any:
+    def divergence(self, t: ArrayLike, y: Motion, p: Parameters) -> Any:
         """Σ ∂q̈_i/∂q̇_i; its mean is the sum of the 2k − m Lyapunov exponents, as those across f = 0 are zero."""
-        equations, k = self.equations(b), len(state.q)
+        equations, k = self.equations(p), len(y.q)
 
         def acceleration(i: int) -> Callable[..., Any]:
-            return lambda *v: accelerations(equations, state.q, v, t).a[i]
+            return lambda *v: accelerations(equations, y.q, v, t).a[i]
 
-        return sum(slope(acceleration(i), tuple(state.v), i) for i in range(k))
+        return sum(slope(acceleration(i), tuple(y.v), i) for i in range(k))
 
-    def multipliers(self, t: ArrayLike, state: Motion, b: ArrayLike) -> Vector:
+    def multipliers(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
         """The m multipliers λ of (6)."""
-        return accelerations(self.equations(b), state.q, state.v, t).multipliers
+        return accelerations(self.equations(p), y.q, y.v, t).multipliers
 
-    def residuals(self, t: ArrayLike, state: Motion, b: ArrayLike) -> Vector:
+    def residuals(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
         """The m values of f, zero on the constraints."""
-        return _constraints(self.equations(b), len(state.q))(*state.q, *state.v, t)
+        return _constraints(self.equations(p), len(y.q))(*y.q, *y.v, t)
 
-    def project(self, t: ArrayLike, state: Motion, b: ArrayLike, *, trust: bool = True) -> Motion:
+    def project(self, t: ArrayLike, y: Motion, p: Parameters, *, trust: bool = True) -> Motion:
         """The state brought back to f = 0 along M⁻¹ Aᵀ, or marked as failed: not a number from there on.
 
         Newton on the multipliers with the matrix of the state itself. The largest |f| found here is kept in `watch`.
         Without trust a state that is still off f = 0 is no failure.
         """
-        equations, k = self.equations(b), len(state.q)
-        q, v, (drift, reason) = state
+        equations, k = self.equations(p), len(y.q)
+        q, v, (drift, reason) = y
         f = _constraints(equations, k)
         finite = jnp.isfinite(sum(x * x for x in (*q, *v)))
         singular = jnp.isnan(reason)
@@ -263,6 +302,11 @@ class NonholonomicSystem(eqx.Module):
         q, v = (tuple(jnp.where(reason > 0.0, jnp.nan, x) for x in side) for side in (q, v))
         return Motion(q, v, lax.stop_gradient((drift, reason)))
 
+    def blanked(self, y: Motion, kept: Any) -> Motion:
+        """The state of a lane that is kept; of one that is not, its reports alone are numbers."""
+        q, v = jax.tree.map(lambda x: jnp.where(kept, x, jnp.nan), (y.q, y.v))
+        return Motion(q, v, y.watch)
+
     # ---- the section: coordinates and velocities, those that are ignorable left out
 
     @property
@@ -270,9 +314,9 @@ class NonholonomicSystem(eqx.Module):
         """Numbers of the coordinates that the section has."""
         return tuple(i for i, left_out in enumerate(self.ignorable) if not left_out)
 
-    def signal(self, state: Motion) -> Any:
-        """The coordinate that stands for a motion where one is enough: the first of the section."""
-        return state.q[self.kept[0]]
+    def signal(self, y: Motion) -> Any:
+        """The first coordinate of the section."""
+        return y.q[self.kept[0]]
 
     @property
     def dimension(self) -> int:
@@ -284,15 +328,10 @@ class NonholonomicSystem(eqx.Module):
         """Lyapunov exponents of motions that keep the constraints."""
         return self.dimension - self.constraints
 
-    @property
-    def sweeps(self) -> str:
-        """What differs from lane to lane, in words and with its symbol."""
-        return f"parameter {self.swept}"
-
-    def chart(self, state: Motion) -> jax.Array:
+    def chart(self, y: Motion) -> jax.Array:
         """Section coordinates of a state, (dimension,); angles in [−π, π)."""
-        q = [_turned(state.q[i]) if self.angles[i] else state.q[i] for i in self.kept]
-        return jnp.stack([*q, *state.v])
+        q = [_turned(y.q[i]) if self.angles[i] else y.q[i] for i in self.kept]
+        return jnp.stack([*q, *y.v])
 
     def unchart(self, u: Any) -> Motion:
         """The state with section coordinates (dimension,), ignorable coordinates zero."""
@@ -313,16 +352,22 @@ class NonholonomicSystem(eqx.Module):
         """Largest difference of positions between section points (..., dimension): (...,)."""
         return np.max(np.abs(self.wrap(one - other)[..., : len(self.kept)]), axis=-1)
 
-    def section_point(self, start: Motion) -> np.ndarray:
-        """(dimension,) section coordinates of a start state of floats."""
-        return np.array([*(start.q[i] for i in self.kept), *start.v])
+    def start(self, coordinates: Mapping[str, ArrayLike]) -> Motion:
+        """(q, q̇) at t = 0."""
+        q = tuple(np.asarray(coordinates[name], float) for name in self.names)
+        v = tuple(np.asarray(coordinates[f"{name}_dot"], float) for name in self.names)
+        return Motion(q, v, (np.zeros_like(q[0]), np.zeros_like(q[0])))
+
+    def section_point(self, y: Motion) -> Float[np.ndarray, "... dimension"]:
+        """Section coordinates of states (...,) on the host."""
+        return np.stack(np.broadcast_arrays(*(y.q[i] for i in self.kept), *y.v), axis=-1)
 
     def directions(self, k: int) -> tuple[Vector, ...]:
         """k tangents to begin with, in no special direction: none is lost on the constraints."""
         draws = np.linalg.qr(np.random.default_rng(0).normal(size=(self.dimension, self.dimension)))[0]
         return tuple(tuple(row.tolist()) for row in draws[:k])
 
-    def lift(self, state: Motion, tangent: Vector) -> Motion:
+    def lift(self, y: Motion, tangent: Vector) -> Motion:
         """δ(q, q̇) of a tangent in section coordinates."""
         zero = jnp.zeros_like(tangent[0])
         q = [zero] * len(self.names)
@@ -330,41 +375,43 @@ class NonholonomicSystem(eqx.Module):
             q[i] = tangent[j]
         return Motion(tuple(q), tuple(tangent[len(self.kept) :]), (zero, zero))
 
-    def lower(self, state: Motion, tangent: Motion) -> Vector:
+    def lower(self, y: Motion, tangent: Motion) -> Vector:
         """Section coordinates of a tangent δ(q, q̇)."""
         return (*(tangent.q[i] for i in self.kept), *tangent.v)
 
-    def random_states(self, draws: np.ndarray, box: float, b: np.ndarray) -> Motion:
+    def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> Motion:
         """Start states of even draws (lanes, dimension) from [−1, 1], times the box (angles: times π), on f = 0."""
         scale = [np.pi if self.angles[i] else box for i in self.kept] + [box] * len(self.names)
-        return jax.tree.map(np.asarray, jax.vmap(self.approach)(jnp.asarray(draws * scale), jnp.asarray(b)))
+        return jax.tree.map(
+            np.asarray, jax.vmap(self.approach)(jnp.asarray(draws * scale), jax.tree.map(jnp.asarray, dict(p)))
+        )
 
-    def approach(self, u: Any, b: Any) -> Motion:
+    def approach(self, u: Any, p: Parameters) -> Motion:
         """The state near section coordinates u that is on the constraints at t = 0, by many projections."""
         zero = jnp.zeros_like(u[0])
 
         def again(_: Any, state: Motion) -> Motion:
             q, v, (drift, _) = state
-            moved = self.project(zero, Motion(q, v, (drift, zero)), b, trust=False)
+            moved = self.project(zero, Motion(q, v, (drift, zero)), p, trust=False)
             return Motion(q, moved.v, (drift, zero))
 
-        return self.project(zero, lax.fori_loop(0, _APPROACHES, again, self.unchart(u)), b)
+        return self.project(zero, lax.fori_loop(0, _APPROACHES, again, self.unchart(u)), p)
 
-    def outputs(self, states: Motion, t: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
-        """Coordinates and velocities of states by name, each with words for it: x, x_dot, y, y_dot, …"""
-        found: dict[str, tuple[np.ndarray, str]] = {}
-        for name, q, v, is_angle in zip(self.names, states.q, states.v, self.angles, strict=True):
-            found[name] = (_turned(q), f"angle {name}") if is_angle else (q, f"coordinate {name}")
-            found[f"{name}_dot"] = v, f"velocity {name}_dot = d{name}/dt"
+    def outputs(self, y: Motion, t: np.ndarray) -> dict[str, Output]:
+        """Coordinates and velocities of states by name: x, x_dot, y, y_dot, …"""
+        found: dict[str, Output] = {}
+        for name, q, v, is_angle in zip(self.names, y.q, y.v, self.angles, strict=True):
+            found[name] = Output(_turned(q), f"angle {name}") if is_angle else Output(q, f"coordinate {name}")
+            found[f"{name}_dot"] = Output(v, f"velocity {name}_dot = d{name}/dt")
         return found
 
-    def reports(self, states: Motion) -> dict[str, tuple[np.ndarray, str, dict[str, Any]]]:
+    def reports(self, y: Motion) -> dict[str, Output]:
         """Of each trajectory, by the last of its states (..., points): largest |f| before a projection, and its end."""
-        drift, reason = (component[..., -1] for component in states.watch)
+        drift, reason = (component[..., -1] for component in y.watch)
         flags = {"flag_values": np.arange(len(FAULTS), dtype=np.int8), "flag_meanings": " ".join(FAULTS)}
         return {
-            "drift": (drift, "largest |f| that a step left before its projection", {}),
-            "failure": (reason.astype(np.int8), "why the trajectory has failed", flags),
+            "drift": Output(drift, "largest |f| that a step left before its projection"),
+            "failure": Output(reason.astype(np.int8), "why the trajectory has failed", flags),
         }
 
 
@@ -373,17 +420,14 @@ def _turned(angle: Any) -> Any:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-def nonholonomic_system(
-    define: Callable[..., Mapping[str, Any]], parameters: Mapping[str, float], swept: str
-) -> NonholonomicSystem:
+def lagrangian(define: Callable[..., Mapping[str, Any]], parameters: Mapping[str, float]) -> Lagrangian:
     """The system that a function of its parameters defines.
 
     Args:
         define: parameters by name to a mapping with `T`, `Q` and, unless the system is free, `f`: functions of
             (q, q̇, t), with q and q̇ tuples of k numbers; `coordinates`, their k names; `period`, that of the strobe; and
             where there are some, names of coordinates that are `angles` or `ignorable`.
-        parameters: values of all parameters, that of the sweep included.
-        swept: name of the parameter that differs from lane to lane.
+        parameters: values of all parameters.
     """
     definition = define(**parameters)
     names = tuple(definition["coordinates"])
@@ -391,8 +435,7 @@ def nonholonomic_system(
     zeros = (jnp.zeros(()),) * len(names)
     equations = Equations(definition["T"], definition["Q"], definition.get("f"))
     m = len(jax.eval_shape(lambda q, t: _constraints(equations, len(q))(*q, *q, t), zeros, zeros[0]))
-    period = float(definition["period"])
-    return NonholonomicSystem(define, dict(parameters), swept, names, m, period, angles, ignorable)
+    return Lagrangian(define, dict(parameters), names, m, angles, ignorable)
 
 
 def at_rest(k: int) -> Motion:

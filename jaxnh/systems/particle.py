@@ -1,4 +1,4 @@
-"""The systems: forces, prescribed speed, parameters and sources. No integrator lives here.
+"""The particle at a prescribed speed: forces, speed, parameters and sources. No integrator lives here.
 
 A particle of unit mass in the plane is held at a prescribed speed s(t) by a nonlinear nonholonomic constraint
 x2² + y2² = s(t)². Its velocity is written as s(t) n with a unit vector n, so that the constraint holds by
@@ -10,35 +10,48 @@ damping −a dx/dt, which therefore appears nowhere.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping, Sequence
 from fractions import Fraction
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
-jax.config.update("jax_enable_x64", True)  # every module that computes imports this one first
+from jaxnh.systems.flow import Flow, Output, Parameters, Vector
 
-Vector = tuple[Any, ...]
-"""Cartesian components, each of shape (...,): JAX arrays in lanes, NumPy arrays or floats on the host."""
 State = tuple[Vector, Vector]
 """(q, n): position (x1, y1) and unit vector of the velocity (n1, n2)."""
+
+EFFECTS = ("forcing", "coupling", "cubic_stiffness", "damping")
+"""What can be left out of a system; the disturbance is left out by d = 0, the constraint by another system."""
+
+WORDS = {
+    "a": "stiffness a",
+    "b": "coupling b",
+    "c": "squared speed c",
+    "d": "disturbance d",
+    "omega": "frequency omega",
+    "x1": "position x1",
+    "x2": "velocity x2",
+    "y1": "position y1",
+    "y2": "velocity y2",
+}
+"""What the paper's parameters and coordinates are called."""
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _LARGEST_DENOMINATOR = 64
 
 
-def chart(state: State) -> Array:
-    """(x1, y1, θ) of shape (3,), θ the direction of n in (−π, π]: coordinates of the section."""
+def chart(state: State) -> Float[Array, " 3"]:
+    """(x1, y1, θ), θ the direction of n in (−π, π]: coordinates of the section."""
     (x, y), (n1, n2) = state
     return jnp.stack([x, y, jnp.arctan2(n2, n1)])
 
 
-def unchart(u: Array) -> State:
+def unchart(u: Float[Array, " 3"]) -> State:
     """The state with section coordinates (x1, y1, θ)."""
     return (u[0], u[1]), (jnp.cos(u[2]), jnp.sin(u[2]))
 
@@ -50,39 +63,52 @@ def wrap(difference: Any) -> Any:
     return xp.stack([difference[..., 0], difference[..., 1], angle], axis=-1)
 
 
-class IsokineticParticle(eqx.Module):
+class IsokineticParticle(Flow):
     """Forced coupled oscillator (1) whose squared speed is held at c + d sin t: equations (12) and (22).
 
     Phase space is (x1, y1, n) and time: three dimensions and a clock, or none without forcing and disturbance. Lanes
-    differ in b or in a; all else is shared. An effect that is left out is no part of any program.
+    may have their own a and b; c, d and ω are the same for all lanes of a program. An effect that is left out is no
+    part of any program.
 
     Attributes (all real, no units: the paper's equations are dimensionless):
         a: linear stiffness of x1 and cubic stiffness of y1 (and damping, which the constraint absorbs).
         c: mean squared speed, c > |d|.
-        d: amplitude of the disturbance of the squared speed; 0 gives (12).
+        d: amplitude of the disturbance of the squared speed.
         omega: angular frequency of the forcing g(t) = 1 + sin ωt, ω > 0.
-        b: coupling where all lanes have the same, else None.
-        swept: the parameter that differs from lane to lane, "b" or "a".
-        without: effects that are left out, of `EFFECTS`.
+        b: coupling; None where it is left out or every lane has its own.
+        without: effects that are left out, of `EFFECTS` and "disturbance", which gives (12).
     """
 
     a: ArrayLike
-    c: float = eqx.field(static=True)
-    d: float = eqx.field(static=True)
-    omega: float = eqx.field(static=True)
+    c: Any
+    d: Any
+    omega: Any
     b: ArrayLike | None = None
-    swept: str = eqx.field(static=True, default="b")
     without: frozenset[str] = eqx.field(static=True, default=frozenset())
 
-    dimension: ClassVar[int] = 3
-    """Coordinates of the section: (x1, y1, θ)."""
-    exponents: ClassVar[int] = 3
-    """Lyapunov exponents of motions that keep the constraint."""
+    # ---- names
 
     @property
-    def sweeps(self) -> str:
-        """What differs from lane to lane, in words and with its symbol."""
-        return SWEEPS[self.swept]
+    def coordinates(self) -> tuple[str, ...]:
+        """The paper's x1, x2, y1, y2."""
+        return "x1", "x2", "y1", "y2"
+
+    @property
+    def parameters(self) -> Parameters:
+        """a, b, c, d and ω."""
+        own = {"a": self.a, "b": self.b, "c": self.c, "d": self.d, "omega": self.omega}
+        return {name: value for name, value in own.items() if value is not None}
+
+    def words(self, name: str) -> str:
+        """What a parameter or coordinate is called."""
+        return WORDS[name]
+
+    @property
+    def plane(self) -> tuple[str, str]:
+        """(x1, x2)."""
+        return "x1", "x2"
+
+    # ---- time
 
     @property
     def forced(self) -> bool:
@@ -90,9 +116,14 @@ class IsokineticParticle(eqx.Module):
         return "forcing" not in self.without
 
     @property
+    def disturbed(self) -> bool:
+        """Whether there is a disturbance of the speed."""
+        return "disturbance" not in self.without
+
+    @property
     def autonomous(self) -> bool:
         """Whether there is no clock: neither forcing nor disturbance."""
-        return not self.forced and not self.d
+        return not self.forced and not self.disturbed
 
     @property
     def period(self) -> float:
@@ -100,7 +131,21 @@ class IsokineticParticle(eqx.Module):
 
         Without a clock it is the unit that lengths of time are counted in, 2π/ω.
         """
-        return strobe_period(self.omega if self.forced or not self.d else 1.0, disturbed=self.d != 0)
+        disturbed = self.disturbed and bool(self.d)
+        return strobe_period(self.omega if self.forced or not disturbed else 1.0, disturbed=disturbed)
+
+    def shares(self, name: str) -> bool:
+        """c, d and ω are in the table of kicks, which all lanes share."""
+        return name in ("c", "d", "omega")
+
+    def density(self, t: np.ndarray) -> np.ndarray:
+        """Steps a unit of time, up to a factor; t of any shape.
+
+        The density (g + 1/10)^0.3 / s follows the forcing weakly and the inverse speed fully: at constant speed it
+        lowers the largest error of a period about 1.5 times at equal cost (stronger grading raises it again), and where
+        the speed nearly vanishes it refines geometrically towards that moment.
+        """
+        return (self.forcing(t) + 0.1) ** 0.3 / self.speed(t)
 
     def forcing(self, t: Any) -> Any:
         """g(t) = 1 + sin ωt, any shape; 1 without forcing."""
@@ -109,23 +154,30 @@ class IsokineticParticle(eqx.Module):
     def speed(self, t: Any) -> Any:
         """s(t) = √(c + d sin t), any shape."""
         xp = _namespace(t)
-        return xp.sqrt(self.c + self.d * xp.sin(t)) if self.d else xp.full_like(t, math.sqrt(self.c))
+        if self.disturbed and not _vanishes(self.d):
+            return xp.sqrt(self.c + self.d * xp.sin(t))
+        return xp.full_like(t, _root(self.c))
 
     def path_length(self, t0: Any, t1: Any) -> Any:
         """∫ s dt from t0 to t1, any shape: exact at constant speed, else by twelve Gauss–Legendre nodes."""
-        if not self.d:
-            return math.sqrt(self.c) * (t1 - t0)
+        if not self.disturbed or _vanishes(self.d):
+            return _root(self.c) * (t1 - t0)
         half = 0.5 * (t1 - t0)
         nodes = 0.5 * (t0 + t1)[..., None] + half[..., None] * _GAUSS_NODES
         return half * (self.speed(nodes) * _GAUSS_WEIGHTS).sum(axis=-1)
 
-    def force(self, q: Vector, g: ArrayLike, weight: ArrayLike, lane: ArrayLike) -> Vector:
+    def tabulated(self) -> IsokineticParticle:
+        """The flow as kicks see it: what a table of kicks has of it, its speed and its clock, is no part of it."""
+        return IsokineticParticle(self.a, None, None, None, self.b, self.without)
+
+    # ---- forces
+    def force(self, q: Vector, g: ArrayLike, weight: ArrayLike, p: Parameters) -> Vector:
         """Applied force without damping, times a weight: −weight (g a x + g x³ − b y, g y + g a y³ − b x).
 
         `g` is the forcing times the weight and `weight` the weight alone, as both come ready-made from tables; without
-        forcing `g` is not looked at. `lane` is the lane's own parameter.
+        forcing `g` is not looked at.
         """
-        a, b = self._stiffness_and_coupling(lane)
+        a, b = self._stiffness_and_coupling(p)
 
         def along(z: Any, other: Any, stiffness: Callable[[], Any]) -> Any:
             pull = None if b is None else weight * (b * other) if self.forced else b * other
@@ -140,58 +192,72 @@ class IsokineticParticle(eqx.Module):
             return along(x, y, lambda: a), along(y, x, lambda: None)
         return along(x, y, lambda: a + x * x), along(y, x, lambda: 1.0 + a * (y * y))
 
-    def force_pullback(self, q: Vector, g: ArrayLike, weight: ArrayLike, lane: ArrayLike, p: Vector) -> Vector:
-        """Derivatives of p·F, with F as in `force` and p held, in (x1, y1) and the lane's parameter: a row of three."""
+    def force_pullback(
+        self, q: Vector, g: ArrayLike, weight: ArrayLike, p: Parameters, m: Vector, names: Sequence[str] = ()
+    ) -> Vector:
+        """Derivatives of m·F, with F as in `force` and m held, in x1, y1 and the parameters named, of a and b."""
         x, y = q
-        a, b = self._stiffness_and_coupling(lane)
+        a, b = self._stiffness_and_coupling(p)
         scale, cubic = g if self.forced else weight, "cubic_stiffness" not in self.without
         xx, ayy = (x * x, a * (y * y)) if cubic else (0.0, 0.0)
 
         def along(i: int, k: Any, square: Any) -> Any:
-            pull = None if b is None else weight * (b * p[1 - i])
+            pull = None if b is None else weight * (b * m[1 - i])
             slope = k + square + (square + square) if cubic else k
-            spring = p[i] * (scale if slope is None else scale * slope)
+            spring = m[i] * (scale if slope is None else scale * slope)
             return -spring if pull is None else pull - spring
 
         by_x, by_y = along(0, a, xx), along(1, 1.0 if cubic else None, ayy)
-        if self.swept == "b":
-            return by_x, by_y, weight * (p[0] * y + p[1] * x)
-        by_a = p[0] * x + p[1] * (y * (y * y)) if cubic else p[0] * x
-        return by_x, by_y, -(scale * by_a)
+        rows = {
+            "b": lambda: weight * (m[0] * y + m[1] * x),
+            "a": lambda: -(scale * (m[0] * x + m[1] * (y * (y * y)) if cubic else m[0] * x)),
+        }
+        return by_x, by_y, *(rows[name]() for name in names)
 
-    def _stiffness_and_coupling(self, lane: ArrayLike) -> tuple[Any, Any]:
+    def _stiffness_and_coupling(self, p: Parameters) -> tuple[Any, Any]:
         """a and b of a lane; b is None without coupling."""
-        a, b = (self.a, lane) if self.swept == "b" else (lane, self.b)
-        return a, None if "coupling" in self.without else b
+        return p.get("a", self.a), None if "coupling" in self.without else p.get("b", self.b)
 
-    def vector_field(self, t: ArrayLike, state: State, b: ArrayLike) -> State:
+    def rhs(self, t: ArrayLike, y: State, p: Parameters) -> State:
         """Time derivative (q', n'); shapes (...,) in and out."""
-        q, n = state
+        q, n = y
         s = self.speed(t)
-        f = self.force(q, self.forcing(t), 1.0, b)
+        f = self.force(q, self.forcing(t), 1.0, p)
         turn = (n[0] * f[1] - n[1] * f[0]) / s
         return (s * n[0], s * n[1]), (-n[1] * turn, n[0] * turn)
 
-    def divergence(self, t: ArrayLike, state: State, b: ArrayLike) -> Array:
+    def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Array:
         """Divergence −n·F/s of the flow of (x1, y1, θ); its mean is the sum of the three Lyapunov exponents.
 
         Twice this is the growth rate of a speed error in the paper's four equations, off the constraint.
         """
-        q, n = state
-        f = self.force(q, self.forcing(t), 1.0, b)
+        q, n = y
+        f = self.force(q, self.forcing(t), 1.0, p)
         return -(n[0] * f[0] + n[1] * f[1]) / self.speed(t)
 
-    def velocity(self, t: ArrayLike, state: State) -> Vector:
+    def velocity(self, t: ArrayLike, y: State) -> Vector:
         """(x2, y2) = s(t) n."""
         s = self.speed(t)
-        return s * state[1][0], s * state[1][1]
+        return s * y[1][0], s * y[1][1]
 
-    def chart(self, state: State) -> Array:
-        """Section coordinates (x1, y1, θ) of a state, (3,)."""
-        return chart(state)
+    # ---- section coordinates and tangents
 
-    def unchart(self, u: Array) -> State:
-        """The state with section coordinates (3,)."""
+    @property
+    def dimension(self) -> int:
+        """Section coordinates: (x1, y1, θ)."""
+        return 3
+
+    @property
+    def exponents(self) -> int:
+        """Lyapunov exponents of motions that keep the constraint."""
+        return 3
+
+    def chart(self, y: State) -> Float[Array, " 3"]:
+        """Section coordinates (x1, y1, θ) of a state."""
+        return chart(y)
+
+    def unchart(self, u: Float[Array, " 3"]) -> State:
+        """The state with section coordinates."""
         return unchart(u)
 
     def wrap(self, difference: Any) -> Any:
@@ -202,48 +268,54 @@ class IsokineticParticle(eqx.Module):
         """Largest difference of positions between section points (..., 3): (...,)."""
         return np.max(np.abs(one[..., :2] - other[..., :2]), axis=-1)
 
-    def section_point(self, start: State) -> np.ndarray:
-        """(3,) section coordinates of a start state of floats."""
-        (x, y), (n1, n2) = start
-        return np.array([x, y, math.atan2(n2, n1)])
+    def signal(self, y: State) -> Any:
+        """The position x1."""
+        return y[0][0]
 
     def directions(self, k: int) -> tuple[Vector, ...]:
         """k tangents of three components to begin with: coordinate directions."""
         return tuple(tuple(float(i == j) for j in range(3)) for i in range(k))
 
-    def lift(self, state: State, tangent: Vector) -> State:
+    def lift(self, y: State, tangent: Vector) -> State:
         """δ(q, n) of a tangent δ(x1, y1, θ) at a state."""
-        (dx, dy, dtheta), n = tangent, state[1]
+        (dx, dy, dtheta), n = tangent, y[1]
         return (dx, dy), (-n[1] * dtheta, n[0] * dtheta)
 
-    def lower(self, state: State, tangent: State) -> Vector:
+    def lower(self, y: State, tangent: State) -> Vector:
         """δ(x1, y1, θ) of a tangent δ(q, n) at a state."""
-        n, dn = state[1], tangent[1]
+        n, dn = y[1], tangent[1]
         return *tangent[0], n[0] * dn[1] - n[1] * dn[0]
 
-    def signal(self, state: State) -> Any:
-        """The position that stands for a motion where one is enough."""
-        return state[0][0]
+    # ---- host: start states and results
 
-    def random_states(self, draws: np.ndarray, box: float, b: np.ndarray) -> State:
+    def start(self, coordinates: Mapping[str, ArrayLike]) -> State:
+        """(q, n) at t = 0 with x1, x2 and y1; y2 is the positive root of the constraint, NaN where there is none."""
+        x1, x2, y1 = (np.asarray(coordinates[name], float) for name in ("x1", "x2", "y1"))
+        speed = np.sqrt(self.c)  # c + d sin t at t = 0
+        with np.errstate(invalid="ignore"):
+            return (x1, y1), (x2 / speed, np.sqrt(self.c - x2 * x2) / speed)
+
+    def section_point(self, y: State) -> Float[np.ndarray, "... 3"]:
+        """Section coordinates of states (...,) on the host."""
+        (x, y_), (n1, n2) = y
+        # The arctangent of the C library, which is the same on all processors; NumPy's own is not.
+        return np.stack(np.broadcast_arrays(x, y_, np.vectorize(math.atan2, otypes=[float])(n2, n1)), axis=-1)
+
+    def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> State:
         """Start states of even draws (lanes, 3) from [−1, 1]: x1 and y1 in [−box, box] and any direction."""
         angle = np.pi * draws[:, 2]
         return (box * draws[:, 0], box * draws[:, 1]), (np.cos(angle), np.sin(angle))
 
-    def outputs(self, states: State, t: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
-        """The paper's coordinates of states by name, each with words for it; times t repeat along their last axis."""
-        (x1, y1), (n1, n2) = states
+    def outputs(self, y: State, t: np.ndarray) -> dict[str, Output]:
+        """The paper's coordinates of states by name; times t repeat along their last axis."""
+        (x1, y1), (n1, n2) = y
         speed = np.tile(self.speed(t), n1.shape[-1] // len(t))
         return {
-            "x1": (x1, "position x1"),
-            "x2": (speed * n1, "velocity x2 = dx1/dt"),
-            "y1": (y1, "position y1"),
-            "y2": (speed * n2, "velocity y2 = dy1/dt"),
+            "x1": Output(x1, "position x1"),
+            "x2": Output(speed * n1, "velocity x2 = dx1/dt"),
+            "y1": Output(y1, "position y1"),
+            "y2": Output(speed * n2, "velocity y2 = dy1/dt"),
         }
-
-    def reports(self, states: State) -> dict[str, tuple[np.ndarray, str, dict[str, Any]]]:
-        """Nothing: the constraint holds by construction."""
-        return {}
 
 
 def _namespace(t: Any) -> Any:
@@ -251,10 +323,14 @@ def _namespace(t: Any) -> Any:
     return np if isinstance(t, np.ndarray) else jnp
 
 
-EFFECTS = ("forcing", "coupling", "cubic_stiffness", "damping")
-"""What can be left out of a system; the disturbance is left out by d = 0, the constraint by another system."""
-SWEEPS = {"b": "coupling b", "a": "stiffness a"}
-"""What can differ from lane to lane, in words and with its symbol."""
+def _vanishes(x: Any) -> bool:
+    """Whether a number is known, and zero."""
+    return isinstance(x, float | int) and x == 0
+
+
+def _root(c: Any) -> Any:
+    """√c, of a number or a traced one."""
+    return math.sqrt(c) if isinstance(c, float | int) else jnp.sqrt(c)
 
 
 def strobe_period(omega: float, *, disturbed: bool) -> float:
@@ -275,25 +351,35 @@ def strobe_period(omega: float, *, disturbed: bool) -> float:
     return 2 * math.pi * ratio.denominator
 
 
-def constant_speed(a: float = 0.5, c: float = 1.0, omega: float = 1.0, **others: Any) -> IsokineticParticle:
-    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1); others are its fields."""
-    return IsokineticParticle(a=a, c=c, d=0.0, omega=omega, **others)
+def constant_speed(
+    a: float = 0.5, c: float = 1.0, omega: float = 1.0, b: float | None = None, without: Collection[str] = ()
+) -> IsokineticParticle:
+    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1); `without` names effects of `EFFECTS`."""
+    return IsokineticParticle(a, c, 0.0, omega, b, frozenset(without) - {"damping"} | {"disturbance"})
 
 
 def disturbed_speed(
-    a: float = 0.5, c: float = 1.0, d: float = 0.1, omega: float = 1.0, **others: Any
+    a: float = 0.5,
+    c: float = 1.0,
+    d: float = 0.1,
+    omega: float = 1.0,
+    b: float | None = None,
+    without: Collection[str] = (),
 ) -> IsokineticParticle:
-    """x2² + y2² = c + d sin t: equation (22) of the paper (figures 6–10, table 2); others are its fields."""
-    return IsokineticParticle(a=a, c=c, d=d, omega=omega, **others)
+    """x2² + y2² = c + d sin t: equation (22) of the paper (figures 6–10, table 2); `without` names effects.
+
+    With d = 0 the speed is constant at this d; `constant_speed` has no disturbance in any program.
+    """
+    return IsokineticParticle(a, c, d, omega, b, frozenset(without) - {"damping"})
 
 
-def constrained_field(system: IsokineticParticle, t: ArrayLike, y: Vector, b: ArrayLike) -> Vector:
+def constrained_field(system: IsokineticParticle, t: ArrayLike, y: Vector, p: Parameters) -> tuple[Any, Any, Any, Any]:
     """The paper's own four equations (12)/(22), with (13)/(23), in y = (x1, x2, y1, y2).
 
     For comparison only: off the constraint they are ill-posed, a speed error grows as exp(−2 ∫ n·F/s dt).
     """
     x1, x2, y1, y2 = y
-    g = system.forcing(t)
+    g, b = system.forcing(t), p.get("b", system.b)
     f1 = g * x1 * (system.a + x1 * x1) - b * y1
     f2 = g * y1 * (1.0 + system.a * (y1 * y1)) - b * x1
     squared_speed = system.c + system.d * jnp.sin(t)
