@@ -202,7 +202,7 @@ def advance(strobes: Strobe, count: ArrayLike, begun: ArrayLike, growth: Growth,
     """One lane `count` periods on, its sums begun anew."""
     growth = Growth(growth.state, growth.tangents, *jax.tree.map(jnp.zeros_like, growth[2:]))
     # Where the divergence is a derivative more, it serves the sum rule alone.
-    wanted = strobes.system.mean_divergence or len(growth.logs) == strobes.system.exponents
+    wanted = strobes.system.contraction or len(growth.logs) == strobes.system.exponents
 
     def part(growth: Growth, strobe: Strobe) -> tuple[Growth, None]:
         system = strobe.system
@@ -320,9 +320,8 @@ def _dataset(
         "exponents_error": variable(each, errors, "error of the exponents: two standard errors", unit),
     }
     divergence = ""
-    if symbols := scene.flow.mean_divergence:
-        divergence = f" {symbols}"
-        words = f"exponent off the constraint, twice {symbols}"
+    if symbols := scene.flow.contraction:
+        divergence, words = f" −{symbols}", f"exponent off the constraint, −2{symbols}"
         variables["transverse"] = variable(LANE, 2.0 * mean[:, k], words, unit)
     variables["averaged"] = variable(LANE, averaged, "periods averaged over", counted_in(scene.system))
     if wanted == scene.flow.exponents:

@@ -51,7 +51,7 @@ def section_attrs(scene: Scene) -> dict[str, str]:
     if scene.flow is scene.system:
         return {}
     section = cast(SectionedFlow, scene.system)
-    return {"section": section.label, "section_coordinate": section.coordinate}
+    return {"section": section.section, "section_coordinate": section.coordinate}
 
 
 def count(data: xr.Dataset) -> dict[str, int]:
