@@ -95,7 +95,7 @@ def effects(data: xr.Dataset) -> Table:
             "–" if math.isnan(x) else form.format(x)
             for x, form in zip(cells, ("{:,.0f}", "{:,.0f}", "{:.2f}"), strict=True)
         ]
-        stored = f"{columns['stored'][i]:,.0f}" if columns["stored"][i] else ""
+        stored = f"{columns['stored'][i]:,.0f}" if kinds[i] == "analysis" else ""
         rows.append((str(what), *words, stored, str(columns["note"][i])))
     return Table(
         "What each effect and analysis costs",
