@@ -307,6 +307,11 @@ class Experiment(Block):
             found.append(Axis(name, values, flow.words(name), kind))
         return tuple(found)
 
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Coordinates of the start state that can be given; what the constraint decides is not among them."""
+        return tuple(self._block.start(self.initial))
+
     @cached_property
     def autonomous(self) -> bool:
         """Whether the scene has no clock: neither forcing nor disturbance."""
