@@ -222,7 +222,7 @@ class _Run:
         self._receipts.pop(piece.number, None)
         path = tiles.piece_path(self._folder, piece)
         path.unlink(missing_ok=True)
-        self._progress.note(f"{path}: {why}; it is computed again")
+        self._progress.warn(f"{path}: {why}; it is computed again")
 
     def _compute(self, job: Job, missing: list[Piece]) -> None:
         if not missing:
