@@ -251,6 +251,8 @@ class DisturbedSpeed(PrescribedSpeed):
     def flow(self, parameters: Mapping[str, float]) -> Flow:
         """The system in continuous time, with these parameters in place of its own."""
         p = {**dict(self), **parameters}
+        if self.d == 0 and "d" not in parameters:  # no part of any program
+            return constant_speed(p["a"], p["c"], p["omega"], p["b"], without=self._without)
         return disturbed_speed(p["a"], p["c"], p["d"], p["omega"], p["b"], without=self._without)
 
 

@@ -120,7 +120,7 @@ class UserSystem(SystemBlock, UserBlock):
     def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Whether the strobe period depends on a parameter."""
         picked = values[_evenly(len(values), _MOST_CLOCKS)]
-        return len({self._file.period({**flow.parameters, name: float(value)}) for value in picked}) > 1
+        return len({self._file.period({**dict(flow.parameters), name: float(value)}) for value in picked}) > 1
 
     def check(self, initial: UserInitial, sweep: SweepBlock) -> None:
         """See that no key says what an axis says, and that f = 0 holds at the start of every lane."""
@@ -148,7 +148,8 @@ def _check_constraints(system: UserSystem, initial: UserInitial, sweep: SweepBlo
         return
     coordinates = {name: np.full(lanes, value) for name, value in initial.coordinates().items()}
     start = flow.start(coordinates | {name: values for name, values in axes.items() if name in coordinates})
-    residuals = np.stack(jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)), (0, 0), 1)(start, parameters))
+    found = jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)), out_axes=1)(start, parameters)
+    residuals = np.asarray(found)
     limit = _LARGEST_RESIDUAL * (1.0 + np.abs(np.stack([np.asarray(v) for v in start.v])).max(axis=0))
     sizes = np.where(np.isfinite(residuals), np.abs(residuals), np.inf)
     if np.all(sizes <= limit):

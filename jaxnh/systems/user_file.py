@@ -24,6 +24,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
+from jax.typing import ArrayLike
 
 from jaxnh.exceptions import UserFileError
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
@@ -109,7 +110,7 @@ class UserFile:
             raise self._fault(line, f"period must be a positive number, not {period}")
         return definition
 
-    def period(self, parameters: Mapping[str, float]) -> float:
+    def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period with these parameters."""
         return float(self.define(**parameters)["period"])
 
