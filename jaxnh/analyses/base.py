@@ -15,12 +15,13 @@ from typing import Any, Literal, NamedTuple, Protocol
 import jax
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from pydantic import BaseModel, ConfigDict
 from pydantic_core import PydanticCustomError
 
 from jaxnh.exceptions import InputError
 from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
@@ -94,6 +95,13 @@ class Setting(NamedTuple):
     axes: tuple[Axis, ...]
     precision: str
 
+    @property
+    def advice(self) -> str:
+        """What to say of a first axis that is no parameter of a lane's own: which one may be put in its place."""
+        names = [axis.name for axis in self.axes if axis.kind == "lane"]
+        names = names[:1] or sorted(name for name in self.flow.parameters if not self.flow.shares(name))[-1:]
+        return f"; put a parameter such as {names[0]} first" if names else ""
+
 
 # ---- what an analysis is given
 
@@ -134,7 +142,7 @@ class Scene:
     @property
     def lanes(self) -> tuple[State, Mapping[str, Float[np.ndarray, " lanes"]]]:
         """Start states and parameters, as lane functions take them."""
-        return self.start, self.p
+        return self.start, dict(self.p)
 
     @property
     def places(self) -> Int[np.ndarray, " lanes"]:
@@ -150,10 +158,27 @@ class Scene:
         """The same scene with no section, for what is an average or a path over time."""
         return replace(self, system=self.flow, start=self.start.state) if self.flow is not self.system else self
 
-    def take(self, lanes: Any) -> Scene:
+    def take(self, lanes: slice | Int[np.ndarray, " some"]) -> Scene:
         """The scene of some of its lanes: a slice, or an array of their numbers."""
-        start, p = jax.tree.map(lambda leaf: leaf[lanes], (self.start, dict(self.p)))
+        start, p = picked((self.start, dict(self.p)), lanes)
         return replace(self, start=start, p=p, place=self.places[lanes])
+
+    @property
+    def line(self) -> Axis:
+        """The first axis, along which the lanes lie.
+
+        Raises:
+            ValueError: they do not lie along one.
+        """
+        if self.along is None:
+            raise ValueError("the lanes of this scene do not lie along one axis")
+        return self.along
+
+    def at(self, values: Float[np.ndarray, " points"]) -> Scene:
+        """The scene at other values along the first axis, the start state and all else as in its first lane."""
+        name, count = self.line.name, len(values)
+        start, p = jax.tree.map(lambda leaf: np.full(count, leaf[0]), (self.start, dict(self.p)))
+        return replace(self, start=start, p={**p, name: np.asarray(values)}, place=None)
 
     def strobe(self, refinement: float = 1) -> Strobe:
         """P with `refinement` times the steps that the accuracy asks for."""
@@ -162,9 +187,28 @@ class Scene:
         return in_precision(strobe, self.precision)
 
 
+def picked(tree: Any, lanes: slice | Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"]) -> Any:
+    """Some lanes of a pytree whose leaves have the lanes as first axis."""
+    return jax.tree.map(lambda leaf: leaf[lanes], tree)
+
+
 def spread(start: State, lanes: int) -> State:
     """A start state of floats as lanes, components of shape (lanes,)."""
     return jax.tree.map(lambda component: np.full(lanes, component, float), start)
+
+
+def section_points(scene: Scene) -> Float[np.ndarray, "lanes dimension"]:
+    """Section coordinates of the start states, on the host."""
+    return scene.system.section_point(scene.start)
+
+
+def counted_in(system: Flow) -> str:
+    """Units of a number of iterates of a system's map: periods, crossings, or without either units of time."""
+    if system.flow is not system:
+        return "crossings"
+    if not system.autonomous:
+        return "periods"
+    return "units of time 2 pi/omega" if "omega" in system.parameters else "units of time"
 
 
 class LaneRunner(Protocol):
@@ -199,12 +243,27 @@ def variable(
 
 
 class Table(NamedTuple):
-    """A table for the terminal: heads and cells as text, all right-aligned."""
+    """A table for the terminal, all of it text.
+
+    Attributes:
+        title: stands above it.
+        heads: of the columns, (columns,).
+        rows: cells, (rows, columns).
+        caption: stands below it.
+        left: numbers of the columns that are aligned on the left; all others are on the right.
+        ruled: whether columns have lines between them; without, cells are never wrapped.
+        bold: number of a row that stands out.
+        breaks: numbers of the rows that begin a new part.
+    """
 
     title: str
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     caption: str | None = None
+    left: tuple[int, ...] = ()
+    ruled: bool = True
+    bold: int | None = None
+    breaks: tuple[int, ...] = ()
 
 
 class Program(NamedTuple):
@@ -231,6 +290,12 @@ class Price(NamedTuple):
     with_it: Program | None
     without_it: Program
     note: str
+
+
+def map_alone(scene: Scene, strobe: Strobe | None = None, tile: int | None = None) -> Program:
+    """One period of the scene's own map, or of another one of the same lanes, and nothing else."""
+    strobe = scene.strobe() if strobe is None else strobe
+    return Program(iterate, (strobe, np.int32(1)), scene.lanes, (1.0, *strobe.turns), tile=tile)
 
 
 def _always(options: Any) -> bool:
@@ -272,7 +337,8 @@ class Analysis:
         count: dataset to the number of lanes of each kind: attributes of the group, that add up over parts.
         check: (options, setting) raises `OptionError` where they do not go together.
         table: (dataset, published values by name, their source) to a table for the terminal.
-        price: (options, scene) to what a period of it costs.
+        price: (options, scene) to what a period of it costs; by default that of the map alone.
+        brief: options that make a run short and leave as many numbers a lane.
     """
 
     name: str
@@ -289,3 +355,4 @@ class Analysis:
     check: Callable[[Any, Setting], None] = _all_right
     table: Callable[[xr.Dataset, Mapping[str, np.ndarray], str], Table] | None = None
     price: Callable[[Any, Scene], Price] | None = None
+    brief: Mapping[str, int] = field(default_factory=dict)

@@ -11,20 +11,18 @@ the part that repeats after m points is taken off first, with m ≤ 64 chosen as
 
 from __future__ import annotations
 
-from typing import Any
-
-import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array
+from jaxtyping import Array, Float
 from pydantic import Field
 
-from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Scene, variable
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
-from jaxnh.systems.particle import State
+from jaxnh.systems.flow import Parameters, State
 
 _ANGLES = 64
 _TILE = 32
@@ -44,35 +42,41 @@ def periods(options: Chaos01Options, lanes: int) -> float:
     return float(lanes * (options.transient + options.periods))
 
 
-def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> Group:
+def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """K of every lane, the median over angles, and half the distance between their quartiles."""
-    count = len(scene.values)
     # Fixed angles, spread evenly over (π/5, 4π/5) by the golden ratio: no resonance is shared by many of them.
     angles = np.pi / 5 + 3 * np.pi / 5 * ((np.arange(_ANGLES) * (np.sqrt(5.0) - 1) / 2) % 1.0)
-    state = jax.tree.map(lambda leaf: np.full(count, leaf, float), scene.start)
     cost = options.transient + options.periods
-    with lanes.stage(f"chaos01: {count} values", count * cost):
+    with lanes.stage(f"chaos01: {scene.count} lanes", scene.count * cost):
         shared = (scene.strobe(), np.int32(options.transient), angles)
-        k = lanes(_growth, shared, (state, scene.values), periods=cost, tile=_TILE, static=(options.periods,))
+        k = lanes(_growth, shared, scene.lanes, periods=cost, tile=_TILE, static=(options.periods,))
     low, median, high = np.quantile(k, [0.25, 0.5, 0.75], axis=1)
+    words = "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"
+    error_words = "half the distance between the quartiles of K over the angles"
     variables = {
-        "b": Variable(("b",), scene.values, scene.system.sweeps),
-        "k": Variable(
-            ("b",), median, "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"
-        ),
-        "k_error": Variable(("b",), 0.5 * (high - low), "half the distance between the quartiles of K over the angles"),
+        "k": variable(LANE, median, words, ancillary_variables="k_error"),
+        "k_error": variable(LANE, 0.5 * (high - low), error_words),
     }
-    return Group(variables, {"angles": _ANGLES})
+    attrs = {
+        "angles": _ANGLES,
+        "panel": "curves",
+        "panel_variables": "k",
+        "panel_label": "0–1 test",
+        "panel_levels": "0 1",
+    }
+    return xr.Dataset(variables, attrs=attrs)
 
 
-def _growth(strobe: Strobe, transient: Any, angles: Array, state: State, b: Any, count: int) -> Array:
-    """K of one lane for every angle, (angles,)."""
-    signal = strobe.system.signal(record(strobe, iterate(strobe, transient, state, b), b, count)[1])
+def _growth(
+    strobe: Strobe, transient: ArrayLike, angles: Float[Array, " angles"], state: State, p: Parameters, count: int
+) -> Float[Array, " angles"]:
+    """K of one lane for every angle."""
+    signal = strobe.system.signal(record(strobe, iterate(strobe, transient, state, p), p, count)[1])
     return growth_rates(without_period(signal), angles, jnp.mean(signal**2))
 
 
-def without_period(signal: Array) -> Array:
-    """A signal (N,) less its mean over the points that are a multiple of m apart, m the lag of its best recurrence."""
+def without_period(signal: Float[Array, " points"]) -> Float[Array, " points"]:
+    """A signal less its mean over the points that are a multiple of m apart, m the lag of its best recurrence."""
     count = signal.shape[0]
     used = count - _LONGEST_PERIOD
     lags = jnp.arange(1, _LONGEST_PERIOD + 1)
@@ -83,8 +87,10 @@ def without_period(signal: Array) -> Array:
     return signal - (total / jnp.maximum(number, 1.0))[place]
 
 
-def growth_rates(signal: Array, angles: Array, scale: ArrayLike) -> Array:
-    """K_c of a signal (N,) for every angle c (angles,): correlation of the damped displacement D_c(n) with n ≤ N/10.
+def growth_rates(
+    signal: Float[Array, " points"], angles: Float[Array, " angles"], scale: ArrayLike
+) -> Float[Array, " angles"]:
+    """K_c of a signal of N points for every angle c: correlation of the damped displacement D_c(n) with n ≤ N/10.
 
     A displacement that is nothing beside `scale`, a mean square, is that of regular motion: K_c = 0.
     """
@@ -111,3 +117,7 @@ def growth_rates(signal: Array, angles: Array, scale: ArrayLike) -> Array:
         return jnp.where(spread > _NO_MOTION * scale, correlation, 0.0)
 
     return lax.map(one, angles)
+
+
+ANALYSIS = Analysis("chaos01", Chaos01Options, periods, run, brief={"transient": 1})
+"""The entry of this analysis in the table."""

@@ -1,31 +1,34 @@
-"""Bifurcation diagram: strobe points after a transient over thousands of b.
+"""Bifurcation diagram: strobe points after a transient over thousands of values of a parameter.
 
-Where the attractor depends on where one comes from, the start decides: the same state at every b, a state carried along
-b upward or downward, or random states. Fixed and random starts are lanes side by side; a carried state is one lane that
-meets the values of b in turn: a period then takes what a core waits for each kick, measured 15 times as long as side by
-side on one core, and no other core can help.
+Where the attractor depends on where one comes from, the start decides: the same state in every lane, a state carried
+along the first axis upward or downward, or random states. Fixed and random starts are lanes side by side; a carried
+state is one lane that meets the values in turn: a period then takes what a core waits for each kick, measured 15 times
+as long as side by side on one core, and no other core can help.
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import numpy as np
+import xarray as xr
 from jax import lax
+from jax.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.base import Group, LaneRunner, Options, Scene
-from jaxnh.analyses.poincare import coupling, section_attrs, spread, state_variables, strobe_states
-from jaxnh.config.messages import rule
+from jaxnh.analyses.base import LANE, Analysis, LaneRunner, OptionError, Options, Scene, Setting, rule
+from jaxnh.analyses.poincare import strobe_states
+from jaxnh.analyses.states import check_transient, count, section_attrs, state_variables
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.protocol import Strobe, swept_name
+from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
-from jaxnh.systems.particle import State
+from jaxnh.systems.flow import Parameters, State
 
-_CARRIED_AT_ONCE = 32  # values of b that a call carries a state along: the steps of the progress shown
+_CARRIED_AT_ONCE = 32  # values that a call carries a state along: the steps of the progress shown
 _FOR_RANDOM = ("starts", "seed", "box")
+_CARRIED = ("up", "down")
 
 
 class DiagramOptions(Options):
@@ -35,10 +38,11 @@ class DiagramOptions(Options):
     strobes: int = Field(default=128, ge=1, description="Number of strobes kept, one period apart")
     start: Literal["fixed", "up", "down", "random"] = Field(
         default="fixed",
-        description="Start state: the same at every b, carried along rising or falling b, or random ones at every b",
+        description="Start state: the same in every lane, carried along rising or falling values of the first axis, or "
+        "random ones in every lane",
     )
     phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
-    starts: int = Field(default=16, ge=1, description="Number of random start states at every b")
+    starts: int = Field(default=16, ge=1, description="Number of random start states a lane")
     seed: int = Field(default=0, ge=0, description="Seed of the random start states")
     box: float = Field(
         default=4.0, gt=0, description="Random starts have x1 and y1 in [-box, box] and any direction, evenly"
@@ -58,9 +62,9 @@ def periods(options: DiagramOptions, lanes: int) -> float:
     return lanes * each * (options.starts if options.start == "random" else 1)
 
 
-def splits(options: DiagramOptions) -> bool:
-    """Whether lanes know nothing of each other: a state carried along b knows where it comes from."""
-    return options.start in ("fixed", "random")
+def independent(options: DiagramOptions) -> bool:
+    """Whether lanes know nothing of each other: a carried state knows where it comes from."""
+    return options.start not in _CARRIED
 
 
 def numbers(options: DiagramOptions) -> int:
@@ -68,70 +72,97 @@ def numbers(options: DiagramOptions) -> int:
     return 4 * options.strobes * (options.starts if options.start == "random" else 1)
 
 
-def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> Group:
-    """States at `strobes` strobes after the transient, dimensions (b, strobe), or (b, start, strobe) if random.
+def check(options: DiagramOptions, setting: Setting) -> None:
+    """See that there is a period for a phase, a parameter to carry a state along, and one kind of start states."""
+    check_transient(options.transient, setting)
+    if setting.autonomous and options.phase:
+        raise OptionError("there is no period to have a phase in; leave it out", "phase")
+    first = setting.axes[0]
+    if options.start in _CARRIED and first.kind == "shared":
+        message = f"a state is carried along the first axis of the sweep, and all lanes share {first.name}"
+        raise OptionError(message + setting.advice, "start")
+    if options.start in _CARRIED and first.kind == "start":
+        message = f"there is nothing to carry along {first.name}, a coordinate of the start state"
+        raise OptionError(message + setting.advice, "start")
+    for axis in setting.axes if options.start == "random" else ():
+        if axis.kind == "start":
+            message = f"random starts and the axis {axis.name} of start states exclude each other; leave one out"
+            raise OptionError(message, "start")
 
-    With `start: up` or `down` the last state at a value of b is the start state at the next.
+
+def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """States at `strobes` strobes after the transient, dimensions (lane, strobe), or (lane, start, strobe) if random.
+
+    With `start: up` or `down` the last state at a value of the first axis is the start state at the next.
     """
-    count = len(scene.values)
-    label = (
-        f"diagram: {options.strobes} strobes at {count:,} values of {swept_name(scene.system)}, start {options.start}"
+    dims = (LANE, "strobe")
+    where = (
+        f"at {scene.count:,} values of {scene.line.name}" if options.start in _CARRIED else f"of {scene.count:,} lanes"
     )
-    dims = ("b", "strobe")
-    with lanes.stage(label, periods(options, count)):
+    label = f"diagram: {options.strobes} strobes {where}, start {options.start}"
+    with lanes.stage(label, periods(options, scene.count)):
         if options.start == "random":
-            dims = ("b", "start", "strobe")
-            b = np.repeat(scene.values, options.starts)
-            states = _side_by_side(options, scene, lanes, random_starts(options, scene, b), b)
-            states = jax.tree.map(lambda component: component.reshape(count, options.starts, -1), states)
+            dims = (LANE, "start", "strobe")
+            states = _side_by_side(options, scene, lanes, *random_starts(options, scene))
+            states = jax.tree.map(lambda leaf: leaf.reshape(scene.count, options.starts, -1), states)
         elif options.start == "fixed":
-            states = _side_by_side(options, scene, lanes, spread(scene.start, count), scene.values)
+            states = _side_by_side(options, scene, lanes, *scene.lanes)
         else:
             states = _in_turn(options, scene, lanes)
     t = np.array([options.phase * scene.system.period])
-    variables = {"b": coupling(scene), **state_variables(scene.system, states, t, dims)}
-    return Group(variables, {"start": options.start, "phase": options.phase, **section_attrs(scene)})
+    attrs = {
+        "start": options.start,
+        "phase": options.phase,
+        **section_attrs(scene),
+        "panel": "density",
+        "panel_variables": scene.system.plane[0],
+    }
+    return xr.Dataset(state_variables(scene.system, states, t, dims), attrs=attrs)
 
 
-def random_starts(options: DiagramOptions, scene: Scene, b: np.ndarray) -> Any:
-    """Random states at t = 0, components (lanes,), for lanes with these b, so many starts at each value of the scene.
+def random_starts(options: DiagramOptions, scene: Scene) -> tuple[State, Parameters]:
+    """Random states at t = 0 and parameters, (lanes · starts,), the starts of a lane one after the other.
 
-    A value of b has its states by its place in the sweep, however many values are asked for at once.
+    A lane has its states by its place along the first axis, whatever lanes it is computed with.
     """
+    first, place = int(scene.places.min()), scene.places
     bits = np.random.PCG64(options.seed)
     d = scene.flow.dimension
-    bits.advance(scene.first * options.starts * d)  # a draw of 64 bits a number
-    draws = np.random.Generator(bits).uniform(-1.0, 1.0, (len(b), d))
-    return scene.system.random_states(draws, options.box, b)
+    bits.advance(first * options.starts * d)  # a draw of 64 bits a number
+    shape = int(place.max()) - first + 1, options.starts, d
+    draws = np.random.Generator(bits).uniform(-1.0, 1.0, shape)[place - first]
+    p = {name: np.repeat(values, options.starts) for name, values in scene.p.items()}
+    return scene.system.random_states(draws.reshape(-1, d), options.box, p), p
 
 
-def _side_by_side(options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, b: np.ndarray) -> State:
-    """A lane for each start state and b: components (lanes, strobes)."""
-    state, strobe = _at_phase(options, scene, lanes, start, b)
+def _side_by_side(options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, p: Parameters) -> State:
+    """A lane for each start state and its parameters: components (lanes, strobes)."""
+    state, strobe = _at_phase(options, scene, lanes, start, p)
     return lanes(
         strobe_states,
         (strobe, np.int32(options.transient)),
-        (state, b),
+        (state, p),
         periods=options.transient + options.strobes - 1,
         static=(options.strobes,),
     )
 
 
 def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:
-    """The start state carried along b, up or down, in one lane: components (b, strobes) in the order of the sweep."""
-    order = np.argsort(scene.values, kind="stable")
+    """The start state carried along the first axis in one lane: components (lanes, strobes) in the scene's order."""
+    values = scene.line.values
+    order = np.argsort(values, kind="stable")
     if options.start == "down":
         order = order[::-1]
-    b = scene.values[order]
-    state, strobe = _at_phase(options, scene, lanes, spread(scene.start, 1), b[:1])
+    state, strobe = _at_phase(options, scene, lanes, *scene.take(order[:1]).lanes)
     met = []
-    for first in range(0, len(b), _CARRIED_AT_ONCE):
-        part = b[first : first + _CARRIED_AT_ONCE]
+    for first in range(0, len(order), _CARRIED_AT_ONCE):
+        part = order[first : first + _CARRIED_AT_ONCE]
         padded = np.append(part, np.full(_CARRIED_AT_ONCE - len(part), part[-1]))
+        p = {name: lane_values[None, padded] for name, lane_values in scene.p.items()}
         state, states = lanes(
             carried,
             (strobe, np.int32(options.transient)),
-            (state, padded[None]),
+            (state, p),
             periods=len(part) * (options.transient + options.strobes - 1),
             tile=1,
             static=(options.strobes,),
@@ -142,7 +173,7 @@ def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:
 
 
 def _at_phase(
-    options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, b: np.ndarray
+    options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, p: Parameters
 ) -> tuple[State, Strobe]:
     """States at t = 0 brought to the phase of the strobes, and the map of a period from there."""
     if not options.phase:
@@ -155,14 +186,28 @@ def _at_phase(
         )
         for span in ((0.0, t), (t, t + period))
     )
-    return lanes(iterate, (first, np.int32(1)), (start, b), periods=options.phase), strobe
+    return lanes(iterate, (first, np.int32(1)), (start, p), periods=options.phase), strobe
 
 
-def carried(strobe: Strobe, transient: Any, state: State, b: Any, count: int) -> tuple[State, State]:
-    """Of one lane: a state carried along b (values,), and the states (values, count) met at each after a transient."""
+def carried(strobe: Strobe, transient: ArrayLike, state: State, p: Parameters, count: int) -> tuple[State, State]:
+    """Of one lane: a state carried along parameters (values,), and the states (values, count) met at each of them."""
 
-    def at(z: State, b: Any) -> tuple[State, State]:
-        states = strobe_states(strobe, transient, z, b, count)
+    def at(z: State, p: Parameters) -> tuple[State, State]:
+        states = strobe_states(strobe, transient, z, p, count)
         return jax.tree.map(lambda component: component[-1], states), states
 
-    return lax.scan(at, state, b)
+    return lax.scan(at, state, p)
+
+
+ANALYSIS = Analysis(
+    "diagram",
+    DiagramOptions,
+    periods,
+    run,
+    independent=independent,
+    numbers=numbers,
+    count=count,
+    check=check,
+    brief={"transient": 1},
+)
+"""The entry of this analysis in the table."""

@@ -7,17 +7,33 @@ coexisting partner orbit is taken for another period.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array
+import xarray as xr
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
 from pydantic import Field
 
-from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.maps.iterate import iterate, record, section_map
+from jaxnh.analyses.base import (
+    LANE,
+    Analysis,
+    LaneRunner,
+    Options,
+    Price,
+    Program,
+    Scene,
+    counted_in,
+    map_alone,
+    picked,
+    section_points,
+    variable,
+)
+from jaxnh.maps.iterate import derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.newton import Orbit, find_orbit
+from jaxnh.systems.flow import Parameters, State
 
 CONVERGED = 1e-7
 """Residual of an orbit that Newton has found."""
@@ -37,38 +53,18 @@ class Survey(NamedTuple):
     """Lanes on their attractors.
 
     Attributes:
-        b: (lanes,).
         period: least period of the attractor, 0 where it is none up to the limit, (lanes,).
         u: a point of the orbit in section coordinates, (lanes, d).
         residual: largest component of Pⁿ(u) − u, NaN where no orbit was found, (lanes,).
         multiplier: largest modulus of the multipliers, NaN likewise, (lanes,).
-        failed: whether the lane has left the numbers, (lanes,).
+        failed: whether the state of the lane is not finite, (lanes,).
     """
 
-    b: np.ndarray
-    period: np.ndarray
-    u: np.ndarray
-    residual: np.ndarray
-    multiplier: np.ndarray
-    failed: np.ndarray
-
-    def without_holes(self) -> Survey:
-        """The survey without lanes that stand alone or in pairs and are no part of a cascade.
-
-        Undecided ones lie in windows or at doublings; ones of another period than both neighbours, which have the
-        same, are on a coexisting attractor.
-        """
-        starts = np.flatnonzero(np.diff(self.period, prepend=-1))
-        lengths = np.diff(np.append(starts, len(self.period)))
-        found = self.period[starts]
-        before, after = np.append(-1, found[:-1]), np.append(found[1:], -2)
-        keep = np.repeat((lengths > 2) | ((found != 0) & (before != after)), lengths)
-        return Survey(*(leaf[keep] for leaf in self))
-
-    def run_end(self, first: int) -> int:
-        """Last lane of the run of equal periods that begins at a lane."""
-        other = np.flatnonzero(self.period[first:] != self.period[first])
-        return first + int(other[0]) - 1 if len(other) else len(self.b) - 1
+    period: Int[np.ndarray, " lanes"]
+    u: Float[np.ndarray, "lanes d"]
+    residual: Float[np.ndarray, " lanes"]
+    multiplier: Float[np.ndarray, " lanes"]
+    failed: Bool[np.ndarray, " lanes"]
 
 
 def periods(options: PeriodOptions, lanes: int) -> float:
@@ -81,60 +77,58 @@ def numbers(options: PeriodOptions) -> int:
     return 6 * options.limit
 
 
-def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> Group:
+def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Least period of every lane with its residual and largest multiplier."""
     start = section_points(scene) if scene.flow is scene.system else _first_crossings(scene, lanes)
-    found = survey(scene, lanes, scene.values, start, options.limit, "period", options.transient)
-    unit = "forcing periods" if scene.flow is scene.system else "crossings"
+    found = survey(scene, lanes, start, options.limit, "period", options.transient)
+    unit = counted_in(scene.system)
     variables = {
-        "b": Variable(("b",), found.b, scene.system.sweeps),
-        "period": Variable(("b",), found.period, "least period, 0: none up to the limit", unit),
-        "residual": Variable(("b",), found.residual, "largest component of Pⁿ(u) − u of the orbit"),
-        "multiplier": Variable(("b",), found.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
-        "failed": Variable(("b",), found.failed.astype(np.int8), "1 where the lane has left the numbers"),
+        "period": variable(LANE, found.period, "least period, 0: none up to the limit", unit),
+        "residual": variable(LANE, found.residual, "largest component of Pⁿ(u) − u of the orbit"),
+        "multiplier": variable(LANE, found.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
+        "failed": variable(LANE, found.failed.astype(np.int8), "1 where the state is not finite"),
     }
-    return Group(variables, {"limit": options.limit})
+    attrs = {
+        "limit": options.limit,
+        "panel": "integers",
+        "panel_variables": "period",
+        "panel_label": "least period",
+    }
+    return xr.Dataset(variables, attrs=attrs)
 
 
-def section_points(scene: Scene) -> np.ndarray:
-    """(lanes, d) section coordinates of the start state, in every lane."""
-    return np.broadcast_to(scene.system.section_point(scene.start), (len(scene.values), scene.system.dimension))
+def _first_crossings(scene: Scene, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
+    """Coordinates of the first point on a section, of every lane."""
+    return lanes(_first_crossing, (scene.strobe(),), scene.lanes, periods=1)
 
 
-def _first_crossings(scene: Scene, lanes: LaneRunner) -> np.ndarray:
-    """(lanes, d) coordinates of the first point on a section, of every lane."""
-    start = jax.tree.map(lambda leaf: np.full(len(scene.values), leaf, float), scene.start)
-    return lanes(_first_crossing, (scene.strobe(),), (start, scene.values), periods=1)
-
-
-def _first_crossing(strobe: Strobe, state: Any, b: Any) -> Array:
-    return strobe.system.chart(strobe(state, b))
+def _first_crossing(strobe: Strobe, state: State, p: Parameters) -> Float[Array, " d"]:
+    return strobe.system.chart(strobe(state, p))
 
 
 def survey(
     scene: Scene,
     lanes: LaneRunner,
-    b: np.ndarray,
-    u: np.ndarray,
+    u: Float[np.ndarray, "lanes d"],
     limit: int,
     label: str,
     transient: int,
     least: int = 1,
     only_doublings: bool = False,
 ) -> Survey:
-    """Attractor and period (from `least` up to a limit) of every lane from start points u (lanes, d).
+    """Attractor and period (from `least` up to a limit) of every lane of a scene, from start points u.
 
     The period is a multiple of the least n after which the points roughly recur; with `only_doublings`, for a cascade,
     2, 4, 8, … times that alone are tried.
     """
-    strobe, apart = scene.strobe(), scene.system.apart
+    strobe, apart, count, p = scene.strobe(), scene.system.apart, scene.count, dict(scene.p)
     cost = transient + 2 * limit
-    with lanes.stage(f"{label}: {len(b)} values to their attractors", len(b) * cost):
-        points = lanes(_strobe_points, (strobe, np.int32(transient)), (u, b), periods=cost, static=(2 * limit,))
-    period = np.zeros(len(b), int)
-    base = np.zeros(len(b), int)  # least n after which the points recur, roughly: a multiple of it is the period
+    with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
+        points = lanes(_strobe_points, (strobe, np.int32(transient)), (u, p), periods=cost, static=(2 * limit,))
+    period = np.zeros(count, int)
+    base = np.zeros(count, int)  # least n after which the points recur, roughly: a multiple of it is the period
     found = np.array(points[:, 0])
-    residual, multiplier = np.full(len(b), np.nan), np.full(len(b), np.nan)
+    residual, multiplier = np.full(count, np.nan), np.full(count, np.nan)
     for n in range(least, limit + 1):
         recurs = np.max(apart(points[:, n : n + limit], points[:, :limit]), axis=1) < _CLOSE
         base[(base == 0) & recurs] = n
@@ -143,52 +137,76 @@ def survey(
         open_ = np.flatnonzero((period == 0) & recurs & possible)
         if not len(open_):
             continue
-        with lanes.stage(f"{label}: orbits of period {n} at {len(open_)} values", 0):
-            orbit = orbits(lanes, strobe, found[open_], b[open_], n)
+        with lanes.stage(f"{label}: orbits of period {n} of {len(open_)} lanes", 0):
+            orbit = orbits(lanes, strobe, found[open_], picked(p, open_), n)
         near = apart(orbit.u, found[open_]) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = (orbit.residual < CONVERGED) & near & (largest < 1.0)
-        shortest = least_period(lanes, strobe, orbit.u[settled], b[open_[settled]], n)
+        shortest = least_period(lanes, strobe, orbit.u[settled], picked(p, open_[settled]), n)
         for d in np.unique(shortest):
             part = np.flatnonzero(settled)[shortest == d]
             here = open_[part]
-            exact = (
-                Orbit(*(leaf[part] for leaf in orbit)) if d == n else orbits(lanes, strobe, orbit.u[part], b[here], d)
-            )
+            exact = picked(orbit, part) if d == n else orbits(lanes, strobe, orbit.u[part], picked(p, here), d)
             period[here], found[here] = d, exact.u
             residual[here], multiplier[here] = exact.residual, largest_multiplier(exact.monodromy)
-    return Survey(b, period, found, residual, multiplier, ~np.all(np.isfinite(points), axis=(1, 2)))
+    return Survey(period, found, residual, multiplier, ~np.all(np.isfinite(points), axis=(1, 2)))
 
 
-def orbits(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
-    """`find_orbit` of period n over lanes (lanes, d), (lanes,)."""
-    return lanes(find_orbit, (strobe, np.int32(n)), (u, b), tile=ORBIT_TILE)
+def orbits(lanes: LaneRunner, strobe: Strobe, u: Float[np.ndarray, "lanes d"], p: Parameters, n: int) -> Orbit:
+    """`find_orbit` of period n over lanes, whose parameters are (lanes,)."""
+    return lanes(find_orbit, (strobe, np.int32(n)), (u, p), tile=ORBIT_TILE)
 
 
-def least_period(lanes: LaneRunner, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> np.ndarray:
-    """Least d that divides n with P^d(u) = u, for points (lanes, d) of orbits of period n: (lanes,).
+def least_period(
+    lanes: LaneRunner, strobe: Strobe, u: Float[np.ndarray, "lanes d"], p: Parameters, n: int
+) -> Int[np.ndarray, " lanes"]:
+    """Least d that divides n with P^d(u) = u, for points u of orbits of period n.
 
     A lane that was still on its way may miss its orbit at d and meet it at a multiple.
     """
-    period = np.full(len(b), n)
+    period = np.full(len(u), n)
     for d in (d for d in range(1, n) if n % d == 0):
         open_ = np.flatnonzero(period == n)
         if not len(open_):
             break
-        image = lanes(section_map, (strobe, np.int32(d)), (u[open_], b[open_]), periods=d, tile=ORBIT_TILE)
+        image = lanes(section_map, (strobe, np.int32(d)), picked((u, p), open_), periods=d, tile=ORBIT_TILE)
         period[open_[np.max(np.abs(strobe.system.wrap(image - u[open_])), axis=1) < CONVERGED]] = d
     return period
 
 
-def largest_multiplier(monodromy: np.ndarray) -> np.ndarray:
-    """Largest modulus of the eigenvalues, (lanes,); infinite where the matrix is not finite."""
+def largest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.ndarray, " lanes"]:
+    """Largest modulus of the eigenvalues; infinite where the matrix is not finite."""
     finite = np.all(np.isfinite(monodromy), axis=(1, 2))
     moduli = np.abs(np.linalg.eigvals(np.where(finite[:, None, None], monodromy, 0.0)))
     return np.where(finite, moduli.max(axis=1), np.inf)
 
 
-def _strobe_points(strobe: Strobe, transient: Any, u: Array, b: Any, count: int) -> Array:
-    """(count, d) section points after a transient, of one lane."""
+def _strobe_points(
+    strobe: Strobe, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, count: int
+) -> Float[Array, "points d"]:
+    """Section points after a transient, of one lane."""
     system = strobe.system
-    settled = iterate(strobe, transient, system.unchart(u), b)
-    return jax.vmap(system.chart)(record(strobe, settled, b, count)[1])
+    settled = iterate(strobe, transient, system.unchart(u), p)
+    return jax.vmap(system.chart)(record(strobe, settled, p, count)[1])
+
+
+def price(options: PeriodOptions, scene: Scene) -> Price:
+    """Newton carries a tangent for every coordinate and the parameter; before it comes the map alone."""
+    strobe = scene.strobe()
+    lanes = section_points(scene), dict(scene.p)
+    program = Program(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=ORBIT_TILE)
+    note = f"{scene.system.dimension + 1} tangents in every period of Newton, the map alone before it"
+    return Price(program, map_alone(scene, tile=ORBIT_TILE), note)
+
+
+ANALYSIS = Analysis(
+    "period",
+    PeriodOptions,
+    periods,
+    run,
+    newton=True,
+    numbers=numbers,
+    price=price,
+    brief={"transient": 1, "limit": 1},
+)
+"""The entry of this analysis in the table."""

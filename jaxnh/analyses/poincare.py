@@ -1,26 +1,22 @@
-"""Poincaré map: the states at successive strobes after a transient, for every b.
+"""Poincaré map: the states at successive strobes after a transient, of every lane.
 
 Without a clock these are successive crossings of the section, and transients are counted in crossings as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
+from jax.typing import ArrayLike
 from pydantic import Field
 
-from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
+from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Scene, Setting, variable
+from jaxnh.analyses.states import TILE, check_transient, count, section_attrs, state_variables
 from jaxnh.maps.iterate import iterate, record
-from jaxnh.maps.protocol import Strobe, System, swept_name
-from jaxnh.maps.section import SectionedFlow
-from jaxnh.systems.particle import State
-
-TILE = 16
-"""Lanes a tile: few values of b are looked at for long, and small tiles take a period sooner."""
+from jaxnh.maps.protocol import Strobe
+from jaxnh.systems.flow import Parameters, State
 
 
 class PoincareOptions(Options):
@@ -40,77 +36,40 @@ def numbers(options: PoincareOptions) -> int:
     return 4 * options.strobes
 
 
-def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> Group:
-    """States at `strobes` strobes after the transient, from the start state, dimensions (b, strobe)."""
-    count = len(scene.values)
-    start = spread(scene.start, count)
-    total = periods(options, count)
-    with lanes.stage(f"poincare: {options.strobes} strobes at {count:,} values of {swept_name(scene.system)}", total):
+def check(options: PoincareOptions, setting: Setting) -> None:
+    """See that the first strobe is on the section."""
+    check_transient(options.transient, setting)
+
+
+def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """States at `strobes` strobes after the transient, from the start states, dimensions (lane, strobe)."""
+    total = periods(options, scene.count)
+    with lanes.stage(f"poincare: {options.strobes} strobes of {scene.count:,} lanes", total):
         states = lanes(
             strobe_states,
             (scene.strobe(), np.int32(options.transient)),
-            (start, scene.values),
-            periods=total / count,
+            scene.lanes,
+            periods=total / scene.count,
             tile=TILE,
             static=(options.strobes,),
         )
-    variables = {"b": coupling(scene)}
-    if not isinstance(scene.system, SectionedFlow):  # else every crossing has its own
+    variables = {}
+    if scene.flow is scene.system:  # else every crossing has its own time
         time = scene.system.period * (options.transient + np.arange(options.strobes))
-        variables["t"] = Variable(("strobe",), time, "time since the start")
-    variables |= state_variables(scene.system, states, np.zeros(1), ("b", "strobe"), {"coordinates": "t"})
-    return Group(variables, section_attrs(scene))
+        variables["t"] = variable("strobe", time, "time since the start")
+    variables |= state_variables(scene.system, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
+    panel = {"panel": "points", "panel_variables": " ".join(scene.system.plane)}
+    return xr.Dataset(variables, attrs={**section_attrs(scene), **panel})
 
 
-def strobe_states(strobe: Strobe, transient: Any, state: State, b: Any, count: int) -> State:
+def strobe_states(strobe: Strobe, transient: ArrayLike, state: State, p: Parameters, count: int) -> State:
     """Of one lane: states (count,) after `transient` periods and each one after; `transient` may be traced."""
-    first = iterate(strobe, transient, state, b)
-    _, following = record(strobe, first, b, count - 1)
+    first = iterate(strobe, transient, state, p)
+    _, following = record(strobe, first, p, count - 1)
     return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), first, following)
 
 
-def spread(start: State, lanes: int) -> State:
-    """A start state of floats as lanes, components of shape (lanes,)."""
-    return jax.tree.map(lambda component: np.full(lanes, component, float), start)
-
-
-def coupling(scene: Scene) -> Variable:
-    """The swept values as the coordinate b."""
-    return Variable(("b",), scene.values, scene.system.sweeps)
-
-
-def section_attrs(scene: Scene) -> dict[str, str]:
-    """Attributes of a group of crossings: what they are crossings of."""
-    system = scene.system
-    if not isinstance(system, SectionedFlow):
-        return {}
-    return {"section": system.words, "section_coordinate": system.coordinate}
-
-
-def state_variables(
-    system: System, states: Any, t: np.ndarray, dims: tuple[str, ...], attrs: dict[str, Any] | None = None
-) -> dict[str, Variable]:
-    """Coordinates and velocities of states, and what the system has to report of each trajectory.
-
-    Args:
-        states: components of the shape that the dimensions have.
-        t: times of the states within a period, repeated along the last dimension.
-        dims: names of the dimensions.
-        attrs: attributes of each variable.
-    """
-    named = {
-        name: Variable(dims, data, words, attrs=attrs if attrs and name != "t" else {})
-        for name, (data, words) in system.outputs(states, t).items()
-    }
-    reports = {
-        name: Variable(dims[:-1], data, words, attrs=flags)
-        for name, (data, words, flags) in system.reports(states).items()
-    }
-    return named | reports
-
-
-def count(variables: Mapping[str, Variable]) -> dict[str, int]:
-    """How many trajectories there are, and how many have left the numbers: they are not finite from there on."""
-    paths = [v.data for v in variables.values() if len(v.dims) > 1 and v.dims[-1] in ("strobe", "time")]
-    finite = np.all([np.isfinite(path[..., -1]) for path in paths], axis=0)
-    return {"trajectories": finite.size, "not_finite": int(np.count_nonzero(~finite))}
+ANALYSIS = Analysis(
+    "poincare", PoincareOptions, periods, run, numbers=numbers, count=count, check=check, brief={"transient": 1}
+)
+"""The entry of this analysis in the table."""

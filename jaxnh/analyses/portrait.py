@@ -1,21 +1,23 @@
-"""Phase portraits: trajectories after a transient, sampled many times a period, for every b."""
+"""Phase portraits: trajectories after a transient, sampled many times a period, of every lane."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import numpy as np
+import xarray as xr
 from jax import lax
+from jax.typing import ArrayLike
 from pydantic import Field
 
-from jaxnh.analyses.base import Group, LaneRunner, Options, Scene, Variable
-from jaxnh.analyses.poincare import TILE, coupling, spread, state_variables
+from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Price, Program, Scene, map_alone, variable
+from jaxnh.analyses.states import TILE, count, state_variables
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.protocol import Strobe, swept_name
+from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
-from jaxnh.systems.particle import State
+from jaxnh.systems.flow import Parameters, State
+
+_PRICED_PERIODS = 2
 
 
 class PortraitOptions(Options):
@@ -36,45 +38,62 @@ def numbers(options: PortraitOptions) -> int:
     return 4 * options.periods * options.samples
 
 
-def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> Group:
-    """Trajectories of `periods` periods after the transient, from the start state, dimensions (b, time)."""
+def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """Trajectories of `periods` periods after the transient, from the start states, dimensions (lane, time)."""
     scene = scene.in_time()
-    count = len(scene.values)
-    total = periods(options, count)
-    parts = in_precision(
-        make_parts(scene.flow, scene.solver, scene.steps, options.samples, compensated=scene.compensated),
-        scene.precision,
-    )
-    with lanes.stage(f"portrait: {options.periods} periods at {count:,} values of {swept_name(scene.system)}", total):
+    total = periods(options, scene.count)
+    with lanes.stage(f"portrait: {options.periods} periods of {scene.count:,} lanes", total):
         states = lanes(
             trajectory,
-            (scene.strobe(), parts, np.int32(options.transient)),
-            (spread(scene.start, count), scene.values),
-            periods=total / count,
+            (scene.strobe(), _parts(options, scene), np.int32(options.transient)),
+            scene.lanes,
+            periods=total / scene.count,
             tile=TILE,
             static=(options.periods,),
         )
     in_period = scene.system.period * np.arange(options.samples) / options.samples
     elapsed = np.arange(options.periods * options.samples) / options.samples
+    time = scene.system.period * (options.transient + elapsed)
     variables = {
-        "b": coupling(scene),
-        "t": Variable(("time",), scene.system.period * (options.transient + elapsed), "time since the start"),
-        **state_variables(scene.system, states, in_period, ("b", "time"), {"coordinates": "t"}),
+        "t": variable("time", time, "time since the start"),
+        **state_variables(scene.system, states, in_period, (LANE, "time"), {"coordinates": "t"}),
     }
-    return Group(variables)
+    return xr.Dataset(variables, attrs={"panel": "trajectories", "panel_variables": " ".join(scene.system.plane)})
 
 
-def trajectory(strobe: Strobe, parts: Strobe, transient: Any, state: State, b: Any, count: int) -> State:
+def trajectory(strobe: Strobe, parts: Strobe, transient: ArrayLike, state: State, p: Parameters, count: int) -> State:
     """Of one lane: states (count · samples,) over `count` periods after a transient, which may be traced.
 
-    `parts` are the maps over the parts of a period, stacked (`strobe.make_parts`).
+    `parts` are the maps over the parts of a period, stacked (`maps.build.make_parts`).
     """
 
     def sample(z: State, part: Strobe) -> tuple[State, State]:
-        return part(z, b), z
+        return part(z, p), z
 
     def period(z: State, _: None) -> tuple[State, State]:
         return lax.scan(sample, z, parts)
 
-    _, path = lax.scan(period, iterate(strobe, transient, state, b), length=count)
+    _, path = lax.scan(period, iterate(strobe, transient, state, p), length=count)
     return jax.tree.map(lambda component: component.reshape(-1), path)
+
+
+def price(options: PortraitOptions, scene: Scene) -> Price:
+    """Every sample ends a step, which is then shorter than that of the map."""
+    scene = scene.in_time()
+    parts = _parts(options, scene)
+    turns = (1.0, float(options.samples), *parts.turns)
+    shared = (scene.strobe(), parts, np.int32(0))
+    program = Program(trajectory, shared, scene.lanes, turns, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)
+    return Price(program, map_alone(scene, tile=TILE), "every sample ends a step, and is kept")
+
+
+def _parts(options: PortraitOptions, scene: Scene) -> Strobe:
+    """The maps from sample to sample."""
+    parts = make_parts(scene.flow, scene.solver, scene.steps, options.samples, compensated=scene.compensated)
+    return in_precision(parts, scene.precision)
+
+
+ANALYSIS = Analysis(
+    "portrait", PortraitOptions, periods, run, numbers=numbers, count=count, price=price, brief={"transient": 1}
+)
+"""The entry of this analysis in the table."""

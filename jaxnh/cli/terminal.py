@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
 
-import numpy as np
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Table as Renderable
 from rich.text import Text
 
-from jaxnh.analyses.base import Group
+from jaxnh.analyses.base import Table
 
 _LOG_SECONDS = 60.0
 
@@ -88,43 +87,23 @@ def progress(console: Console) -> Bar | Log:
     return Bar(console) if console.is_terminal else Log()
 
 
-def doubling_table(group: Group, published: Mapping[str, np.ndarray], source: str, swept: str = "b") -> Table:
-    """Levels of a cascade beside published values: b with its error, their difference, and δ of both.
-
-    Args:
-        group: result of the analysis `doubling`.
-        published: published `b` and `delta`, a value a level, NaN where there is none; may be empty.
-        source: where they are from.
-        swept: what b is called.
-    """
-    ours = {name: variable.data for name, variable in group.variables.items()}
-    levels = len(ours["b"])
-    theirs = {
-        name: np.append(published.get(name, np.empty(0)), np.full(levels, np.nan))[:levels] for name in ("b", "delta")
-    }
-    limit, error = group.attrs["delta_limit"], group.attrs["delta_limit_error"]
-    caption = f"δ → {limit:.4f} ± {error:.1g}" if np.isfinite(limit) else None
-    table = Table(title="Period doublings", caption=caption, padding=(0, 0, 0, 1))  # within 80 columns
-    compared = bool(published)
-    table.add_column("period", justify="right")
-    if compared:
-        table.add_column(f"{swept}, {source}", justify="right")
-    for head in (swept, "± error"):
-        table.add_column(head, justify="right")
-    if compared:
-        table.add_column("difference", justify="right")
-        table.add_column(f"δ, {source}", justify="right")
-    table.add_column("δ", justify="right")
-    for k in range(levels):
-        n = int(ours["period"][k])
-        row = [f"{n} → {2 * n}", f"{ours['b'][k]:.12f}", f"{ours['b_error'][k]:.1e}", f"{ours['delta'][k]:.6f}"]
-        if compared:
-            difference = theirs["b"][k] - ours["b"][k]
-            row[1:1] = [f"{theirs['b'][k]:.6f}"]
-            row[4:4] = [f"{difference:+.1e}", f"{theirs['delta'][k]:.4f}"]
-        table.add_row(*("–" if cell in ("nan", "+nan") else cell for cell in row))
-    return table
-
-
-TABLES = {"doubling": doubling_table}
-"""Terminal tables by analysis; an analysis without one is summed up by its shapes."""
+def show(table: Table) -> Renderable:
+    """A table of an analysis or of costs, for a console to print."""
+    if table.ruled:
+        drawn = Renderable(title=table.title, caption=table.caption, padding=(0, 0, 0, 1))  # within 80 columns
+    else:
+        drawn = Renderable(
+            title=table.title,
+            caption=table.caption,
+            box=box.SIMPLE_HEAD,
+            show_edge=False,
+            pad_edge=False,
+            collapse_padding=True,
+        )
+    for i, head in enumerate(table.heads):
+        drawn.add_column(head, justify="left" if i in table.left else "right", no_wrap=not table.ruled)
+    for i, row in enumerate(table.rows):
+        if i in table.breaks:
+            drawn.add_section()
+        drawn.add_row(*row, style="bold" if i == table.bold else None)
+    return drawn

@@ -1,1 +1,32 @@
 """What accuracy costs on a scene, a file a quantity: the map of one period, a doubling point, an exponent. No files."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import xarray as xr
+
+from jaxnh.analyses.base import LaneRunner, Scene, Table
+from jaxnh.costs import doubling, exponent, tables
+
+
+class Study(NamedTuple):
+    """What the accuracy of an analysis costs.
+
+    Attributes:
+        price: (scene along the first axis, lane runner) to its dataset; None where the sweep has nothing to measure.
+        table: of it.
+        absent: why there may be none.
+    """
+
+    price: Callable[[Scene, LaneRunner], xr.Dataset | None]
+    table: Callable[[xr.Dataset], Table]
+    absent: str
+
+
+STUDIES: Mapping[str, Study] = {
+    "doubling": Study(doubling.price, tables.doubling, "the sweep has no doubling to find"),
+    "lyapunov": Study(
+        exponent.price, tables.exponent, "no lane of the sweep has a largest exponent clearly above zero"
+    ),
+}
+"""Studies of the analyses that have one, by their names."""

@@ -17,14 +17,15 @@ import diffrax
 import equinox as eqx
 import jax
 import numpy as np
+import xarray as xr
+from jaxtyping import Float
 
-from jaxnh.analyses.base import Group, Scene, Variable
+from jaxnh.analyses.base import Scene, variable
 from jaxnh.engine.calibration import Calibration
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS, IsokineticSplitting
-from jaxnh.systems.particle import State
 
 _COARSEST = 1e-3  # largest error that makes a row
 _DECADES = 1.5  # of error between the rows of a splitting; their program is one for all
@@ -90,7 +91,7 @@ class Setting:
 
     Attributes:
         method: name of the solver, with what else sets it apart.
-        solver: what `make_strobe` takes.
+        solver: of the package, or any of diffrax.
         steps: a period; 1 where a controller chooses them inside.
         forces: force evaluations a period, NaN where a controller decides.
         compensated: whether its sums are.
@@ -120,26 +121,25 @@ class Bench:
     def __init__(self, scene: Scene, lanes: Lanes) -> None:
         self._system, self._lanes = scene.system, lanes
         self.count = lanes.tile * len(lanes.devices)
-        picked = np.linspace(0, len(scene.values) - 1, self.count).round().astype(int)
-        self._b = scene.values[picked]
-        state = jax.tree.map(lambda leaf: np.full(self.count, leaf, float), scene.start)
-        self._state: State = lanes(iterate, (scene.strobe(), np.int32(_SETTLED)), (state, self._b), periods=_SETTLED)
+        begun = scene.take(np.linspace(0, scene.count - 1, self.count).round().astype(int)).lanes
+        state = lanes(iterate, (scene.strobe(), np.int32(_SETTLED)), begun, periods=_SETTLED)
+        self._at = state, begun[1]
 
     def seconds(self, setting: Setting, periods: int = 1) -> float:
         """Wall time of one call a lane-period; a first call compiles, or `Calibration.error` has."""
         strobe = make_strobe(self._system, setting.solver, setting.steps, compensated=setting.compensated)
         began = time.perf_counter()
-        self._lanes(iterate, (strobe, np.int32(periods)), (self._state, self._b), periods=periods)
+        self._lanes(iterate, (strobe, np.int32(periods)), self._at, periods=periods)
         return (time.perf_counter() - began) / (self.count * periods)
 
-    def medians(self, rows: Sequence[Row], repeats: int) -> np.ndarray:
-        """Least, median and largest time per lane-period of every row, (3, rows); the repeats take turns."""
+    def medians(self, rows: Sequence[Row], repeats: int) -> Float[np.ndarray, "3 rows"]:
+        """Least, median and largest time per lane-period of every row; the repeats take turns."""
         periods = [max(1, round(_TIMED_SECONDS / (self.count * row.pilot))) for row in rows]
         seconds = [[self.seconds(row.setting, n) for row, n in zip(rows, periods, strict=True)] for _ in range(repeats)]
         return np.quantile(seconds, [0.0, 0.5, 1.0], axis=0)
 
 
-def price(scene: Scene, calibration: Calibration, target: float, work: float, lanes: Lanes, repeats: int) -> Group:
+def price(scene: Scene, calibration: Calibration, target: float, work: float, lanes: Lanes, repeats: int) -> xr.Dataset:
     """Error and time of every setting, with the one marked that the engine uses.
 
     Args:
@@ -156,8 +156,8 @@ def price(scene: Scene, calibration: Calibration, target: float, work: float, la
     settings = [row.setting for row in rows]
     error = np.array([row.error for row in rows])
 
-    def column(data: Any, long_name: str, units: str = "1", **attrs: Any) -> Variable:
-        return Variable(("setting",), np.asarray(data), long_name, units, attrs)
+    def column(data: Any, long_name: str, units: str = "1") -> Any:
+        return variable("setting", data, long_name, units)
 
     variables = {
         "method": column([s.method for s in settings], "solver"),
@@ -175,7 +175,7 @@ def price(scene: Scene, calibration: Calibration, target: float, work: float, la
         ),
     }
     attrs = {"target": target, "floor": calibration.floor, "projected_lane_periods": work, "repeats": repeats}
-    return Group(variables, attrs)
+    return xr.Dataset(variables, attrs=attrs)
 
 
 def _rows(calibration: Calibration, bench: Bench) -> list[Row]:

@@ -97,8 +97,20 @@ class Flow(eqx.Module):
     def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Any:
         """Divergence of the flow; its mean is the sum of the Lyapunov exponents."""
 
+    @property
+    def contraction(self) -> str:
+        """Symbols for the mean contraction of volume, where maps give it at no cost and twice of it acts off f = 0.
+
+        Empty elsewhere.
+        """
+        return ""
+
     def project(self, t: ArrayLike, y: State, p: Parameters) -> State:
         """The state brought back to the constraints, where there are some that a step leaves."""
+        return y
+
+    def compared(self, y: State) -> State:
+        """The components of a state that an error is a difference of: all but those that only report."""
         return y
 
     def blanked(self, y: State, kept: Any) -> State:

@@ -235,6 +235,11 @@ class IsokineticParticle(Flow):
         f = self.force(q, self.forcing(t), 1.0, p)
         return -(n[0] * f[0] + n[1] * f[1]) / self.speed(t)
 
+    @property
+    def contraction(self) -> str:
+        """⟨n·F⟩/s, which every kick gives."""
+        return "⟨n·F⟩/s"
+
     def velocity(self, t: ArrayLike, y: State) -> Vector:
         """(x2, y2) = s(t) n."""
         s = self.speed(t)

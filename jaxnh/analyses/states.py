@@ -1,0 +1,67 @@
+"""What the analyses that keep states have in common: variables of states, sections in words, and counts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from jaxnh.analyses.base import OptionError, Scene, Setting, variable
+from jaxnh.maps.section import SectionedFlow
+from jaxnh.systems.flow import Flow, State
+
+TILE = 16
+"""Lanes a tile where few lanes are followed for long: small tiles take a period sooner."""
+
+Entry = tuple[tuple[str, ...], np.ndarray, dict[str, Any]]
+"""A variable as `xarray.Dataset` takes it: dimensions, data, attributes."""
+
+
+def state_variables(
+    system: Flow,
+    states: State,
+    t: Float[np.ndarray, " times"],
+    dims: tuple[str, ...],
+    attrs: Mapping[str, str] | None = None,
+) -> dict[str, Entry]:
+    """Coordinates and velocities of states, and what the system has to report of each trajectory.
+
+    Args:
+        states: components of the shape that the dimensions have.
+        t: times of the states within a period, repeated along the last dimension.
+        dims: names of the dimensions.
+        attrs: attributes of each variable but the time.
+    """
+    named = {
+        name: variable(dims, found.data, found.long_name, **found.attrs, **(attrs if attrs and name != "t" else {}))
+        for name, found in system.outputs(states, t).items()
+    }
+    reports = {
+        name: variable(dims[:-1], found.data, found.long_name, **found.attrs)
+        for name, found in system.reports(states).items()
+    }
+    return named | reports
+
+
+def section_attrs(scene: Scene) -> dict[str, str]:
+    """Attributes of a group of crossings: which section they cross; none of a group of strobes."""
+    if scene.flow is scene.system:
+        return {}
+    section = cast(SectionedFlow, scene.system)
+    return {"section": section.section, "section_coordinate": section.coordinate}
+
+
+def count(data: xr.Dataset) -> dict[str, int]:
+    """Number of trajectories, and of those that are not finite at their end."""
+    paths = [v.to_numpy() for v in data.variables.values() if len(v.dims) > 1 and v.dims[-1] in ("strobe", "time")]
+    finite = np.all([np.isfinite(path[..., -1]) for path in paths], axis=0)
+    return {"trajectories": finite.size, "not_finite": int(np.count_nonzero(~finite))}
+
+
+def check_transient(transient: int, setting: Setting) -> None:
+    """See that crossings are not counted from a start state that is on no section."""
+    if setting.autonomous and not transient:
+        raise OptionError("must be at least 1: the start state is not on the section", "transient")
