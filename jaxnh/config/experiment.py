@@ -180,6 +180,11 @@ class Experiment(Block):
         return Crossing(state, np.zeros(count), np.zeros(count)) if flow.autonomous else state
 
     @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Coordinates of the start state that lanes may have of their own."""
+        return tuple(self._block.start(self.initial))
+
+    @property
     def axes(self) -> tuple[Axis, ...]:
         """The axes of the sweep, in the order of the config; their product, in C order, is what is run.
 

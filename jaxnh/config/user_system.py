@@ -19,7 +19,7 @@ from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, SweepB
 from jaxnh.config.messages import listed, unknown
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.lagrangian import Lagrangian
-from jaxnh.systems.user_file import NAMES_OF_RESULTS, UserFile
+from jaxnh.systems.user_file import DIMENSIONS, UserFile
 
 _LARGEST_RESIDUAL = 1e-6  # of f at the start, in units of |A q̇| + 1: what the digits of a config leave
 _MOST_CHECKED = 100_000  # lanes at which f is looked at
@@ -129,8 +129,8 @@ class UserSystem(SystemBlock, UserBlock):
             for block, given in blocks.items():
                 if name in given:
                     raise rule(f"{name} is swept; leave it out of {block}", f"{block}.{name}", f"sweep.{name}")
-            if name in NAMES_OF_RESULTS:
-                message = f"results have another quantity called {name}; give this one another name to sweep it"
+            if name in DIMENSIONS:
+                message = f"results have a dimension called {name}; give the parameter another name to sweep it"
                 raise rule(message, f"sweep.{name}")
         _check_constraints(self, initial, sweep)
 
