@@ -1,15 +1,16 @@
-"""What blocks of a config are, and those that every system has: its axes, its parameters and its start state."""
+"""Blocks of a config that are the same for all systems, and what those of a system, its start and its sweep have."""
 
 from __future__ import annotations
 
 import abc
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -17,14 +18,21 @@ from pydantic import (
     ModelWrapValidatorHandler,
     PrivateAttr,
     Tag,
+    create_model,
+    field_validator,
     model_validator,
 )
 
-from jaxnh.analyses.base import rule
+from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.base import Analysis, Options, rule
+from jaxnh.config.messages import close_match, shown
+from jaxnh.solvers import RUNGE_KUTTA, SOLVERS
 from jaxnh.systems.flow import Flow
 
 MOST_LANES = 10_000_000
 """Lanes that a sweep may have, the product of its axes."""
+
+_SOLVERS = tuple(SOLVERS)
 
 
 class Block(BaseModel):
@@ -70,6 +78,11 @@ class Evenly(Block):
         """Number of values."""
         return self.count
 
+    @property
+    def first(self) -> float:
+        """The first value."""
+        return self.start
+
     def grid(self) -> Float[np.ndarray, " count"]:
         """The values from start to stop."""
         return np.linspace(self.start, self.stop, self.count)
@@ -86,6 +99,11 @@ class Named(Block):
     def size(self) -> int:
         """Number of values."""
         return len(self.values)
+
+    @property
+    def first(self) -> float:
+        """The first value."""
+        return self.values[0]
 
     def grid(self) -> Float[np.ndarray, " count"]:
         """The values as given."""
@@ -161,3 +179,102 @@ class SystemBlock(Block, abc.ABC):
     def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Whether all lanes of a program must have the same of these values of a parameter."""
         return flow.shares(name)
+
+
+# ---- accuracy, analyses, published values
+
+
+class Accuracy(Block):
+    """How accurate the map of one period is to be, or by which method and steps it is computed."""
+
+    target: float = Field(
+        default=1e-10, ge=1e-13, le=1e-2, description="Largest error of one period's map that is allowed"
+    )
+    solver: str | None = Field(
+        default=None,
+        description="Solver to use instead of the one chosen for the target; needs steps",
+        json_schema_extra={"enum": [*_SOLVERS, None]},
+    )
+    steps: int | None = Field(
+        default=None, ge=1, le=1_000_000, description="Steps a period instead of those chosen for the target"
+    )
+
+    precision: Literal["float64", "float32"] | None = Field(
+        default=None,
+        description="Arithmetic within a period: float64, or if asked for float32, with errors of 1e-5 and more",
+    )
+
+    @field_validator("solver")
+    @classmethod
+    def _known(cls, solver: str | None) -> str | None:
+        if solver is not None and solver not in _SOLVERS:
+            raise rule(f"must be one of {', '.join(_SOLVERS)}, not {shown(solver)}{close_match(solver, _SOLVERS)}")
+        return solver
+
+    @model_validator(mode="after")
+    def _check(self) -> Accuracy:
+        if (self.solver is None) != (self.steps is None):
+            given, absent = ("solver", "steps") if self.steps is None else ("steps", "solver")
+            raise rule(f"solver and steps go together; give {absent} as well", given)
+        if self.precision == "float32" and self.solver in RUNGE_KUTTA:
+            raise rule(f"float32 goes with the splittings, and {self.solver} is none", "precision", "solver")
+        return self
+
+
+class AnalysesBase(OrderedBlock):
+    """The analyses asked for, each with its options; None where an analysis is absent."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults(cls, content: Any) -> Any:
+        """A name with nothing behind it means all defaults."""
+        if content in (None, {}):
+            raise rule(f"at least one analysis is needed; known are {', '.join(ANALYSES)}")
+        if not isinstance(content, dict):
+            return content
+        return {name: {} if options is None else options for name, options in content.items()}
+
+    def requested(self) -> list[tuple[Analysis, Options]]:
+        """Each analysis with its options, in the order of the config; those that one needs come before it."""
+        order: list[str] = []
+        for name in self._order:
+            order += [need for need in (*ANALYSES[name].needs, name) if need not in order]
+        return [(ANALYSES[name], getattr(self, name) or ANALYSES[name].options()) for name in order]
+
+
+if TYPE_CHECKING:
+    Analyses = AnalysesBase
+else:
+    Analyses = create_model(
+        "Analyses",
+        __base__=AnalysesBase,
+        __doc__=AnalysesBase.__doc__,
+        **{
+            name: (
+                analysis.options | None,
+                Field(default=None, description=f"Options of {name}; nothing or {{}} for all defaults"),
+            )
+            for name, analysis in ANALYSES.items()
+        },
+    )
+
+
+def _nan_for_null(column: tuple[float | None, ...]) -> tuple[float, ...]:
+    return tuple(math.nan if number is None else number for number in column)
+
+
+Column = Annotated[tuple[float | None, ...], Field(strict=False), AfterValidator(_nan_for_null)]
+"""Published numbers of one variable; NaN where the publication has none (null in YAML)."""
+
+
+class Published(Block):
+    """Published values of an analysis: where they are from, and a list of numbers a variable."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Column] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    source: str = Field(description="Where the values are published")
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Variable name to its published values, each float64 of shape (n,)."""
+        return {name: np.array(column, dtype=np.float64) for name, column in self.__pydantic_extra__.items()}

@@ -1,6 +1,6 @@
 """The experiment: what a config says, as frozen records that are valid once they exist. Nothing below sees a raw dict.
 
-The whole and what all systems share live here; blocks of the particle in particle.py and of users' systems in
+The whole lives here; the blocks of all systems in blocks.py, of the particle in particle.py and of users' systems in
 user_system.py, YAML and its lines in yaml_source.py, the words for a fault in messages.py.
 """
 
@@ -8,142 +8,29 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    PrivateAttr,
-    ValidationError,
-    create_model,
-    field_validator,
-    model_validator,
-)
+from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
 from pydantic.json_schema import GenerateJsonSchema
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Axis, OptionError, Options, Setting, rule
-from jaxnh.config.blocks import Block, Evenly, Named, OrderedBlock, SystemBlock
-from jaxnh.config.messages import Layout, close_match, first_fault, shown
+from jaxnh.config.blocks import Accuracy, Analyses, Block, Evenly, Named, Published, SystemBlock
+from jaxnh.config.messages import Layout, close_match, first_fault
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, PrescribedSpeed, Sweep
 from jaxnh.config.user_system import UserInitial, UserSweep, UserSystem
-from jaxnh.config.yaml_source import KeyPath, Source, from_dict, from_text, read
+from jaxnh.config.yaml_source import Source, from_dict, from_text, read
+from jaxnh.config.yaml_tree import KeyPath
 from jaxnh.maps.section import Crossing
-from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, SPLITTINGS
+from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS
 from jaxnh.systems.flow import Flow, State
 from jaxnh.systems.user_file import UserFile
 
 __all__ = ["Experiment", "load", "schema"]
-
-_SOLVERS = tuple(SOLVERS)
-
-
-# ---- accuracy, analyses, published values
-
-
-class Accuracy(Block):
-    """How accurate the map of one period is to be, or by which method and steps it is computed."""
-
-    target: float = Field(
-        default=1e-10, ge=1e-13, le=1e-2, description="Largest error of one period's map that is allowed"
-    )
-    solver: str | None = Field(
-        default=None,
-        description="Solver to use instead of the one chosen for the target; needs steps",
-        json_schema_extra={"enum": [*_SOLVERS, None]},
-    )
-    steps: int | None = Field(
-        default=None, ge=1, le=1_000_000, description="Steps a period instead of those chosen for the target"
-    )
-
-    precision: Literal["float64", "float32"] | None = Field(
-        default=None,
-        description="Arithmetic within a period: float64, or if asked for float32, with errors of 1e-5 and more",
-    )
-
-    @field_validator("solver")
-    @classmethod
-    def _known(cls, solver: str | None) -> str | None:
-        if solver is not None and solver not in _SOLVERS:
-            raise rule(f"must be one of {', '.join(_SOLVERS)}, not {shown(solver)}{close_match(solver, _SOLVERS)}")
-        return solver
-
-    @model_validator(mode="after")
-    def _check(self) -> Accuracy:
-        if (self.solver is None) != (self.steps is None):
-            given, absent = ("solver", "steps") if self.steps is None else ("steps", "solver")
-            raise rule(f"solver and steps go together; give {absent} as well", given)
-        if self.precision == "float32" and self.solver in RUNGE_KUTTA:
-            raise rule(f"float32 goes with the splittings, and {self.solver} is none", "precision", "solver")
-        return self
-
-
-class AnalysesBase(OrderedBlock):
-    """The analyses asked for, each with its options; None where an analysis is absent."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _defaults(cls, content: Any) -> Any:
-        """A name with nothing behind it means all defaults."""
-        if content in (None, {}):
-            raise rule(f"at least one analysis is needed; known are {', '.join(ANALYSES)}")
-        if not isinstance(content, dict):
-            return content
-        return {name: {} if options is None else options for name, options in content.items()}
-
-    def requested(self) -> list[tuple[Analysis, Options]]:
-        """Each analysis with its options, in the order of the config; those that one needs come before it."""
-        order: list[str] = []
-        for name in self._order:
-            order += [need for need in (*ANALYSES[name].needs, name) if need not in order]
-        return [(ANALYSES[name], getattr(self, name) or ANALYSES[name].options()) for name in order]
-
-
-if TYPE_CHECKING:
-    Analyses = AnalysesBase
-else:
-    Analyses = create_model(
-        "Analyses",
-        __base__=AnalysesBase,
-        __doc__=AnalysesBase.__doc__,
-        **{
-            name: (
-                analysis.options | None,
-                Field(default=None, description=f"Options of {name}; nothing or {{}} for all defaults"),
-            )
-            for name, analysis in ANALYSES.items()
-        },
-    )
-
-
-def _nan_for_null(column: tuple[float | None, ...]) -> tuple[float, ...]:
-    return tuple(math.nan if number is None else number for number in column)
-
-
-Column = Annotated[tuple[float | None, ...], Field(strict=False), AfterValidator(_nan_for_null)]
-"""Published numbers of one variable; NaN where the publication has none (null in YAML)."""
-
-
-class Published(Block):
-    """Published values of an analysis: where they are from, and a list of numbers a variable."""
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Column] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
-
-    source: str = Field(description="Where the values are published")
-
-    def columns(self) -> dict[str, np.ndarray]:
-        """Variable name to its published values, each float64 of shape (n,)."""
-        return {name: np.array(column, dtype=np.float64) for name, column in self.__pydantic_extra__.items()}
-
 
 # ---- the whole
 
@@ -251,8 +138,7 @@ class Experiment(Block):
             analysis.check(options, setting)
         except OptionError as error:
             key = f"analyses.{name}.{error.key}".rstrip(".")
-            sweep = tuple(f"sweep.{axis.name}" for axis in self.axes)
-            raise rule(str(error), key, f"analyses.{name}", *sweep) from None
+            raise rule(str(error), key, f"analyses.{name}", *(f"sweep.{axis}" for axis in self.sweep.grids)) from None
 
     # ---- what is run
 
@@ -262,9 +148,9 @@ class Experiment(Block):
 
     def _in_time(self, shared: Mapping[str, float]) -> Flow:
         """The flow in continuous time."""
-        swept = {name: float(grid.grid()[0]) for name, grid in self.sweep.grids.items()}
         coordinates = self.initial.coordinates()
-        return self._block.flow({**{name: v for name, v in swept.items() if name not in coordinates}, **shared})
+        swept = {name: grid.first for name, grid in self.sweep.grids.items() if name not in coordinates}
+        return self._block.flow({**swept, **shared})
 
     def flow(self, shared: Mapping[str, float] | None = None) -> Flow:
         """What moves; where it has no clock, on its section.
@@ -293,9 +179,17 @@ class Experiment(Block):
         state = flow.start({name: np.full(count, value, dtype=np.float64) for name, value in given.items()})
         return Crossing(state, np.zeros(count), np.zeros(count)) if flow.autonomous else state
 
-    @cached_property
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Coordinates of the start state that lanes may have of their own."""
+        return tuple(self._block.start(self.initial))
+
+    @property
     def axes(self) -> tuple[Axis, ...]:
-        """The axes of the sweep, in the order of the config; their product, in C order, is what is run."""
+        """The axes of the sweep, in the order of the config; their product, in C order, is what is run.
+
+        Made anew at every call.
+        """
         flow, coordinates, found = self._in_time({}), self.initial.coordinates(), []
         for name, grid in self.sweep.grids.items():
             values = grid.grid()
@@ -312,7 +206,7 @@ class Experiment(Block):
         """Coordinates of the start state that can be given; what the constraint decides is not among them."""
         return tuple(self._block.start(self.initial))
 
-    @cached_property
+    @property
     def autonomous(self) -> bool:
         """Whether the scene has no clock: neither forcing nor disturbance."""
         return self._in_time({}).autonomous
@@ -357,8 +251,8 @@ class Experiment(Block):
         `compare`, which change no number.
         """
         content = self._content()
-        if len(self.axes) > 1:
-            content["sweep"] = [[axis.name, content["sweep"][axis.name]] for axis in self.axes]
+        if len(names := tuple(self.sweep.grids)) > 1:
+            content["sweep"] = [[name, content["sweep"][name]] for name in names]
         if self.autonomous:
             content["section"] = (self.section or PoincareSection()).model_dump(mode="json")
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)

@@ -11,7 +11,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from jaxnh.config.yaml_source import KeyPath, Source
+from jaxnh.config.yaml_source import Source
+from jaxnh.config.yaml_tree import KeyPath
 from jaxnh.exceptions import ConfigError
 
 _KINDS = {

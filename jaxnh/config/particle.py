@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, field_validator
 from jaxnh.analyses.base import rule
 from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, OrderedBlock, SweepBlock, SystemBlock
 from jaxnh.config.messages import close_match, listed, shown
+from jaxnh.exceptions import InputError
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.free_particle import free_particle
@@ -122,6 +123,17 @@ class Particle(SystemBlock):
         """Those named, of `systems.EFFECTS`."""
         return frozenset(self.without or ())
 
+    def _with(self, parameters: Mapping[str, float]) -> dict[str, Any]:
+        """Its parameters with these in place of its own.
+
+        Raises:
+            InputError: it has no such parameter.
+        """
+        for name in parameters:
+            if name not in self.axes:
+                raise InputError(f"{name} does not go with {self.constraint}")
+        return {**dict(self), **parameters}
+
     def start(self, initial: Initial) -> Mapping[str, float]:
         """Coordinates of the start state; what the constraint decides is left out."""
         return {"x1": initial.x1, "x2": initial.x2, "y1": initial.y1}
@@ -218,7 +230,7 @@ class ConstantSpeed(PrescribedSpeed):
 
     def flow(self, parameters: Mapping[str, float]) -> Flow:
         """The system in continuous time, with these parameters in place of its own."""
-        p = {**dict(self), **parameters}
+        p = self._with(parameters)
         return constant_speed(p["a"], p["c"], p["omega"], p["b"], without=self._without)
 
 
@@ -250,7 +262,9 @@ class DisturbedSpeed(PrescribedSpeed):
 
     def flow(self, parameters: Mapping[str, float]) -> Flow:
         """The system in continuous time, with these parameters in place of its own."""
-        p = {**dict(self), **parameters}
+        p = self._with(parameters)
+        if self.d == 0 and "d" not in parameters:  # no part of any program
+            return constant_speed(p["a"], p["c"], p["omega"], p["b"], without=self._without)
         return disturbed_speed(p["a"], p["c"], p["d"], p["omega"], p["b"], without=self._without)
 
 
@@ -267,5 +281,5 @@ class Free(Particle):
 
     def flow(self, parameters: Mapping[str, float]) -> Flow:
         """The system in continuous time, with these parameters in place of its own."""
-        p = {**dict(self), **parameters}
+        p = self._with(parameters)
         return free_particle(p["a"], p["b"], p["omega"], self.effects_left_out)

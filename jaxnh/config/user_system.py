@@ -19,7 +19,7 @@ from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, SweepB
 from jaxnh.config.messages import listed, unknown
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.lagrangian import Lagrangian
-from jaxnh.systems.user_file import NAMES_OF_RESULTS, UserFile
+from jaxnh.systems.user_file import DIMENSIONS, UserFile
 
 _LARGEST_RESIDUAL = 1e-6  # of f at the start, in units of |A q̇| + 1: what the digits of a config leave
 _MOST_CHECKED = 100_000  # lanes at which f is looked at
@@ -120,7 +120,7 @@ class UserSystem(SystemBlock, UserBlock):
     def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Whether the strobe period depends on a parameter."""
         picked = values[_evenly(len(values), _MOST_CLOCKS)]
-        return len({self._file.period({**flow.parameters, name: float(value)}) for value in picked}) > 1
+        return len({self._file.period({**dict(flow.parameters), name: float(value)}) for value in picked}) > 1
 
     def check(self, initial: UserInitial, sweep: SweepBlock) -> None:
         """See that no key says what an axis says, and that f = 0 holds at the start of every lane."""
@@ -129,8 +129,8 @@ class UserSystem(SystemBlock, UserBlock):
             for block, given in blocks.items():
                 if name in given:
                     raise rule(f"{name} is swept; leave it out of {block}", f"{block}.{name}", f"sweep.{name}")
-            if name in NAMES_OF_RESULTS:
-                message = f"results have another quantity called {name}; give this one another name to sweep it"
+            if name in DIMENSIONS:
+                message = f"results have a dimension called {name}; give the parameter another name to sweep it"
                 raise rule(message, f"sweep.{name}")
         _check_constraints(self, initial, sweep)
 
@@ -148,7 +148,8 @@ def _check_constraints(system: UserSystem, initial: UserInitial, sweep: SweepBlo
         return
     coordinates = {name: np.full(lanes, value) for name, value in initial.coordinates().items()}
     start = flow.start(coordinates | {name: values for name, values in axes.items() if name in coordinates})
-    residuals = np.stack(jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)), (0, 0), 1)(start, parameters))
+    found = jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)), out_axes=1)(start, parameters)
+    residuals = np.asarray(found)
     limit = _LARGEST_RESIDUAL * (1.0 + np.abs(np.stack([np.asarray(v) for v in start.v])).max(axis=0))
     sizes = np.where(np.isfinite(residuals), np.abs(residuals), np.inf)
     if np.all(sizes <= limit):

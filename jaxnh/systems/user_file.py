@@ -24,6 +24,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
+from jax.typing import ArrayLike
 
 from jaxnh.exceptions import UserFileError
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
@@ -33,15 +34,8 @@ _KNOWN = (*_NEEDED, "f", "angles", "ignorable")
 _KEYS = ("file", "constraint")  # of a config, beside the parameters
 _BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "failure")  # in results, beside the coordinates
 
-NAMES_OF_RESULTS = frozenset(
-    (
-        *_BESIDE_STATES,
-        *("exponent", "exponents", "exponents_error", "transverse", "averaged", "sum_rule_residual", "kaplan_yorke"),
-        *("period", "residual", "multiplier", "kind", "k", "k_error", "failed"),
-        *("level", "levels_found", "delta", "delta_error", "delta_limit", "delta_limit_error"),
-    )
-)
-"""Variables and dimensions of results, which no axis of a sweep can be called."""
+DIMENSIONS = ("lane", "strobe", "time", "start", "exponent", "level")
+"""Dimensions of results, which no axis of a sweep can be called."""
 
 
 class UserFile:
@@ -109,7 +103,7 @@ class UserFile:
             raise self._fault(line, f"period must be a positive number, not {period}")
         return definition
 
-    def period(self, parameters: Mapping[str, float]) -> float:
+    def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period with these parameters."""
         return float(self.define(**parameters)["period"])
 

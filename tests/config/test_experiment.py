@@ -7,6 +7,7 @@ import math
 import tempfile
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -15,7 +16,8 @@ from pydantic import ValidationError
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.config.experiment import Experiment, load, schema
-from jaxnh.config.yaml_source import ConfigError, read
+from jaxnh.config.yaml_source import read
+from jaxnh.exceptions import ConfigError
 
 EXAMPLE = """\
 title: Period doubling at constant speed (Table 1)
@@ -85,9 +87,10 @@ def test_example_of_the_design(tmp_path):
     assert experiment.title == "Period doubling at constant speed (Table 1)"
     assert experiment.source == path
     assert experiment.text == EXAMPLE
-    system = experiment.system.build()
-    assert (system.a, system.c, system.d, system.omega) == (0.5, 1.0, 0.0, 1.0)
-    grid = experiment.sweep.grid()
+    assert dict(experiment.flow().parameters) == {"a": 0.5, "b": 5.6, "c": 1.0, "d": 0.0, "omega": 1.0}
+    (axis,) = experiment.axes
+    assert (axis.name, axis.long_name, axis.kind) == ("b", "coupling b", "lane")
+    grid = axis.values
     assert grid.dtype == np.float64
     assert grid.shape == (1024,)
     assert (grid[0], grid[-1]) == (5.6, 5.45)
@@ -107,9 +110,8 @@ def test_least_config_has_the_paper_s_defaults(tmp_path, behind):
         f"system: {{constraint: disturbed_speed}}\nsweep: {{b: {{values: [5, 2.5]}}}}\nanalyses:\n  doubling:{behind}\n"
     )
     experiment = load(write(tmp_path, text))
-    system = experiment.system.build()
-    assert (system.a, system.c, system.d, system.omega) == (0.5, 1.0, 0.1, 1.0)
-    assert experiment.sweep.grid().tolist() == [5.0, 2.5]
+    assert dict(experiment.flow().parameters) == {"a": 0.5, "b": 5.0, "c": 1.0, "d": 0.1, "omega": 1.0}
+    assert experiment.axes[0].values.tolist() == [5.0, 2.5]
     assert experiment.accuracy.target == 1e-10
     assert experiment.analyses.doubling == ANALYSES["doubling"].options()
 
@@ -117,11 +119,12 @@ def test_least_config_has_the_paper_s_defaults(tmp_path, behind):
 @pytest.mark.parametrize("overrides", [(), ("system.c=4", "initial.x2=-2"), ("system.c=0.3", "initial.x1=7")])
 def test_start_state_meets_the_constraint(tmp_path, overrides):
     experiment = load(write(tmp_path, EXAMPLE), overrides)
-    system = experiment.system.build()
-    q, n = experiment.initial.state(system)
+    start = experiment.start({}, 3)
+    assert {leaf.shape for leaf in jax.tree.leaves(start)} == {(3,)}
+    q, n = jax.tree.map(lambda component: float(component[1]), start)
     assert q == (experiment.initial.x1, experiment.initial.y1)
     assert math.hypot(*n) == pytest.approx(1.0, abs=4e-16)  # two roots and two quotients, each rounded once
-    assert n[0] * math.sqrt(system.c) == pytest.approx(experiment.initial.x2, rel=4e-16)
+    assert n[0] * math.sqrt(experiment.system.c) == pytest.approx(experiment.initial.x2, rel=4e-16)
     assert n[1] >= 0
 
 
@@ -157,7 +160,7 @@ def test_overrides_change_values_and_make_keys(tmp_path):
     experiment = load(path, overrides)
     assert experiment.analyses.doubling.levels == 4
     assert experiment.initial.x1 == 1e-8
-    assert experiment.sweep.grid().tolist() == [1.0, 2.5, 3.0]
+    assert experiment.axes[0].values.tolist() == [1.0, 2.5, 3.0]
 
 
 def test_last_override_wins(tmp_path):
