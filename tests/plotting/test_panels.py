@@ -242,9 +242,12 @@ def test_points_without_a_period_are_shown_as_such():
     assert len(ax.lines[1].get_xdata()) == 100
 
 
-@pytest.mark.parametrize("units", ["periods of the forcing", "crossings"])
-def test_periods_have_the_units_that_they_are_counted_in(units):
-    assert integers(periods(FEW, units)).get_ylabel() == f"least period ({units})"
+@pytest.mark.parametrize(
+    ("units", "gap"), [("periods of the forcing", "\n"), ("strobe periods", " "), ("crossings", " ")]
+)
+def test_periods_have_the_units_that_they_are_counted_in(units, gap):
+    """In a second line where the label would be longer than the panel is high."""
+    assert integers(periods(FEW, units)).get_ylabel() == f"least period{gap}({units})"
 
 
 # ---- other names, and axes
