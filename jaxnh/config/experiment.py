@@ -202,11 +202,6 @@ class Experiment(Block):
         return tuple(found)
 
     @property
-    def coordinates(self) -> tuple[str, ...]:
-        """Coordinates of the start state that can be given; what the constraint decides is not among them."""
-        return tuple(self._block.start(self.initial))
-
-    @property
     def autonomous(self) -> bool:
         """Whether the scene has no clock: neither forcing nor disturbance."""
         return self._in_time({}).autonomous
