@@ -323,7 +323,7 @@ def _dataset(
     if symbols := scene.flow.contraction:
         divergence, words = f" −{symbols}", f"exponent off the constraint, −2{symbols}"
         variables["transverse"] = variable(LANE, 2.0 * mean[:, k], words, unit)
-    variables["averaged"] = variable(LANE, averaged, "periods averaged over", counted_in(scene.system))
+    variables["averaged"] = variable(LANE, averaged, "length of the average", counted_in(scene.system))
     if wanted == scene.flow.exponents:
         residual = np.take_along_axis(mean[:, :k], order, axis=1).sum(axis=1) - mean[:, k]
         words = f"sum of the exponents minus the mean divergence{divergence}"
