@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
-from jaxnh.cli.exit_codes import check_output, run_app
+from jaxnh.cli.exit_codes import run_app
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.plotting.results import figure
+from jaxnh.storage.atomic import check_writable
 
 _DPI = 140
 _FORMATS = (".png", ".pdf", ".svg")
@@ -33,7 +34,10 @@ def plot(
         drawing = figure(file)
     except ResultError as error:
         raise InputError(f"command line: FILE: {' '.join(str(error).split())}") from error
-    check_output(path)
+    try:
+        check_writable(path)
+    except ResultError as error:
+        raise InputError(f"command line: --output: {error}") from error
     drawing.savefig(path, dpi=_DPI)
     print(f"wrote {path}")
 

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import MARK, POINT, new_axes
 from jaxnh.plotting.groups import declared_axes, fixed_axes, label_of, other_axes, shown
-from jaxnh.plotting.labels import point_title, symbol_of, with_units
+from jaxnh.plotting.labels import symbol_of, title_of, with_units
 
 FEIGENBAUM = 4.669201609102990
 """Universal ratio of successive distances between period doublings (Feigenbaum 1978)."""
@@ -45,7 +45,7 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ylabel=with_units(label_of(data) or "ratio δ", found[_RATIO]),
         xlim=(level.min(initial=1) - 0.5, level.max(initial=1) + 0.5),
     )
-    ax.set_title(point_title(data, fixed_axes(data, parameter(data))), fontsize=10, loc="left")
+    ax.set_title(title_of(data, fixed_axes(data, parameter(data))), fontsize=10, loc="left")
     ax.margins(y=0.25)
     ax.legend(fontsize=8, frameon=False, loc="lower right")
     return ax
@@ -63,6 +63,8 @@ def mark_doublings(data: xr.Dataset, ax: Axes, axis: str) -> None:
     where, period = found[axis].to_numpy(), found[_PERIOD].to_numpy()
     inside = (low <= where) & (where <= high)
     where, period = where[inside], period[inside]
+    if not len(where):
+        return
     bottom, top = ax.get_ylim()
     ax.set_ylim(bottom - 0.05 * (top - bottom), top)  # a strip for the labels
     for x in where:

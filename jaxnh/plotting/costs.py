@@ -13,7 +13,7 @@ from matplotlib.ticker import NullFormatter
 
 from jaxnh.plotting.groups import declared_axes
 from jaxnh.plotting.labels import symbol_of, with_units
-from jaxnh.plotting.reading import open_result
+from jaxnh.plotting.reading import load_result
 
 _SIZE = (9.0, 5.6)  # inches
 _MICRO = 1e6
@@ -134,7 +134,7 @@ def figures(path: Path) -> dict[str, Figure]:
     Raises:
         ResultError: the file is damaged or none of ours.
     """
-    tree = open_result(path)
+    tree = load_result(path)
     axes = {"axes": tree.attrs["axes"]} if "axes" in tree.attrs else {}
     drawn = {}
     for name, (suffix, draw) in DRAWINGS.items():

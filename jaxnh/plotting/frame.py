@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnh.plotting.groups import fixed_axes
-from jaxnh.plotting.labels import axis_label, point_title
+from jaxnh.plotting.labels import axis_label, title_of
 
 WIDTH = 10.0  # inches, of the figure of a whole result
 LINE, POINT, MARK = "#7f9cb8", "#b3261e", "#1c6e4a"
@@ -23,12 +23,12 @@ def new_axes(ax: Axes | None) -> Axes:
 def over_axis(data: xr.Dataset, coordinate: xr.DataArray, ax: Axes, ylabel: str) -> Axes:
     """Label and limits of axes over an axis of the sweep: all panels of a file end at the same values.
 
-    Where the sweep has other axes, the title says at which point of them this is.
+    Where the sweep has other axes, the title says at which point of them this is; where there is a section, on which.
     """
     edges = cell_edges(np.unique(coordinate.to_numpy()))
     ax.set(xlabel=axis_label(coordinate), ylabel=ylabel, xlim=(edges[0], edges[-1]))
     # y: else it would stand above the colour bar of a density.
-    ax.set_title(point_title(data, fixed_axes(data, str(coordinate.name))), fontsize=10, loc="left", y=1.0)
+    ax.set_title(title_of(data, fixed_axes(data, str(coordinate.name))), fontsize=10, loc="left", y=1.0)
     return ax
 
 

@@ -50,15 +50,12 @@ def with_units(label: str, variable: xr.DataArray) -> str:
     return f"{label} ({'dimensionless' if units == '1' else units})" if units else label
 
 
-def point_title(data: xr.Dataset, axes: Iterable[str]) -> str:
-    """Values of some axes at which a dataset is."""
-    return ", ".join(f"{symbol_of(name)} = {float(np.asarray(data[name]).item()):.10g}" for name in axes)
-
-
-def lane_title(lane: xr.Dataset, axes: Iterable[str], letter: str) -> str:
-    """What stands above a drawing of one lane: its letter, the values of the axes, and its section."""
-    section = f", on {lane.attrs['section']}" if "section" in lane.attrs else ""
-    return f"{letter}{point_title(lane, axes)}{section}"
+def title_of(data: xr.Dataset, axes: Iterable[str]) -> str:
+    """What stands above a drawing: the values of some axes that a dataset is at, and the section that it is on."""
+    parts = [f"{symbol_of(name)} = {float(np.asarray(data[name]).item()):.10g}" for name in axes]
+    if "section" in data.attrs:
+        parts.append(f"on {data.attrs['section']}")
+    return ", ".join(parts)
 
 
 def words_of(variable: xr.DataArray) -> str:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import LINE, POINT, new_axes
 from jaxnh.plotting.groups import axes_of, lane_count, lane_of, shown
-from jaxnh.plotting.labels import axis_label, lane_title
+from jaxnh.plotting.labels import axis_label, title_of
 
 _DISTINCT = 256  # up to so many different points get large markers
 _LETTERS = "abcdefghijklmnopqrstuvwxyz"
@@ -69,5 +69,5 @@ def _plane(data: xr.Dataset, lane: int, ax: Axes) -> Axes:
     x, y = _coordinates(data)
     ax.set(xlabel=axis_label(x), ylabel=axis_label(y))
     letter = f"({_LETTERS[lane]}) " if lane_count(data) <= len(_LETTERS) else ""
-    ax.set_title(lane_title(lane_of(data, lane), axes_of(data), letter), fontsize=10)
+    ax.set_title(letter + title_of(lane_of(data, lane), axes_of(data)), fontsize=10)
     return ax

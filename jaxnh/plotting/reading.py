@@ -1,4 +1,4 @@
-"""Result files as trees."""
+"""Result files as trees in memory."""
 
 from __future__ import annotations
 
@@ -6,19 +6,18 @@ from pathlib import Path
 
 import xarray as xr
 
-from jaxnh.exceptions import ResultError
+from jaxnh.exceptions import DamagedError
+from jaxnh.storage.hdf5 import UNREADABLE, open_result
 
 
-def open_result(path: Path) -> xr.DataTree:
-    """All of a result file.
+def load_result(path: Path) -> xr.DataTree:
+    """All of a result file, in memory.
 
     Raises:
         ResultError: the file is not there, is damaged, or is none of ours.
     """
-    try:
-        tree = xr.open_datatree(path, engine="h5netcdf").load()
-    except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
-        raise ResultError(f"{path} is not a readable result file: {error}") from error
-    if "jaxnh_version" not in tree.attrs:
-        raise ResultError(f"{path} is an HDF5 file, but not a result of jaxnh")
-    return tree
+    with open_result(path) as tree:
+        try:
+            return tree.load()
+        except UNREADABLE as error:
+            raise DamagedError(f"{path} cannot be read: it is damaged") from error

@@ -29,7 +29,7 @@ from jaxnh.plotting.groups import (
 )
 from jaxnh.plotting.layout import Panel, laid_out
 from jaxnh.plotting.panels import PANELS, Kind
-from jaxnh.plotting.reading import open_result
+from jaxnh.plotting.reading import load_result
 
 _MOST_LANES = 12  # that get a panel each
 _MOST_POINTS = 6  # of the axes beside the first, that get a panel each
@@ -47,7 +47,7 @@ def figure(result: xr.DataTree | xr.Dataset | Path | str) -> Figure:
         ResultError: a file is damaged or none of ours, a group lacks what it names, or there is nothing to draw.
     """
     source = str(result) if isinstance(result, Path | str) else "the result"
-    tree = open_result(Path(result)) if isinstance(result, Path | str) else result
+    tree = load_result(Path(result)) if isinstance(result, Path | str) else result
     groups = _groups(tree)
     panels: list[Panel] = []
     lines: list[str] = []
@@ -138,7 +138,7 @@ def _of_group(name: str) -> Iterator[None]:
         yield
     except ResultError as error:
         raise ResultError(f"{name} cannot be drawn: {error}") from error
-    except (KeyError, IndexError, ValueError, TypeError) as error:
+    except (KeyError, IndexError, ValueError, TypeError, OSError, RuntimeError) as error:
         raise ResultError(f"{name} is not as jaxnh writes it: {' '.join(str(error).split())}") from error
 
 

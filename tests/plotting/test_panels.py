@@ -100,6 +100,8 @@ def test_points_lie_over_their_trajectory():
 
 def test_a_section_is_named():
     assert points(strobes(section="y1 = 0, up"), lane=3).get_title() == "(d) $b$ = 5.3, on y1 = 0, up"
+    ax = density(states(FEW, 5).assign_attrs(section="y1 = 0, up"))
+    assert ax.get_title("left") == "on y1 = 0, up"
 
 
 def test_a_plane_has_two_coordinates():
@@ -143,8 +145,14 @@ def test_doubling_points_are_marked_where_they_are():
     assert {"1 → 2", "2 → 4", "… 8 → 16"} <= {text.get_text() for text in ax.texts}
 
 
-def test_doublings_along_another_axis_are_not_marked():
-    assert not density(states(MANY, 50), cascades=[doublings((0.8, 0.7), "drive", "drive at the doubling")]).lines
+@pytest.mark.parametrize(
+    "elsewhere", [doublings((0.8, 0.7), "drive", "drive at the doubling"), doublings((7.0, 6.9)), doublings((np.nan,))]
+)
+def test_doublings_that_are_not_in_the_picture_are_not_marked(elsewhere):
+    """Along another axis, outside, or not found: then no legend speaks of them."""
+    ax = density(states(MANY, 50), cascades=[elsewhere])
+    assert not ax.lines
+    assert ax.get_legend() is None
 
 
 def test_a_cascade_names_its_doublings():
