@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import taylor
 
+from jaxnh.analyses.base import Axis, Scene, spread
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
 from jaxnh.solvers import IsokineticSplitting, isokinetic_terms
@@ -30,6 +31,15 @@ def twin(system):
     return taylor.Parameters(system.a, system.c, system.d, system.omega)
 
 
+def scene_of(system, start, values, solver, steps, compensated=False, error=0.0, *, name="b", **others):
+    """A scene of lanes along one axis, all from the same start state of floats."""
+    values = np.asarray(values, float)
+    axis = Axis(name, values, system.words(name))
+    return Scene(
+        system, spread(start, len(values)), {name: values}, solver, steps, compensated, error, along=axis, **others
+    )
+
+
 def apart(one, other):
     """Largest difference of section coordinates (..., 3), angles modulo whole turns: shape (...,)."""
     gap = np.asarray(one, taylor.REAL) - np.asarray(other, taylor.REAL)
@@ -40,13 +50,11 @@ def apart(one, other):
 @functools.cache
 def stock(system, solver):
     """One period of lanes under `diffrax.diffeqsolve` with constant steps: (u, b, dt) to section points."""
-    terms = (
-        isokinetic_terms(system) if isinstance(solver, IsokineticSplitting) else diffrax.ODETerm(system.vector_field)
-    )
+    terms = isokinetic_terms(system) if isinstance(solver, IsokineticSplitting) else diffrax.ODETerm(system.rhs)
 
     def lane(u, b, dt):
         solution = diffrax.diffeqsolve(
-            terms, solver, 0.0, system.period, dt, unchart(u), args=b, max_steps=4096, throw=False
+            terms, solver, 0.0, system.period, dt, unchart(u), args={"b": b}, max_steps=4096, throw=False
         )
         return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
 
@@ -73,7 +81,7 @@ def order_of(system, solver):
     steps = np.unique(np.rint(np.geomspace(50, 2000, 22) / solver.stages).astype(int))
     if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
         run = jax.jit(jax.vmap(section_map, in_axes=(None, None, 0, 0)))
-        images = (run(make_strobe(system, solver, n), 1, CALM_STATES, CALM_B) for n in steps.tolist())
+        images = (run(make_strobe(system, solver, n), 1, CALM_STATES, {"b": CALM_B}) for n in steps.tolist())
     else:
         images = (stock(system, solver)(CALM_STATES, CALM_B, system.period / n) for n in steps)
     errors = np.array([np.exp(np.log(apart(image, exact)).mean()) for image in images])

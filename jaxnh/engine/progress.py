@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Protocol
+
+from jaxnh.exceptions import JaxnhWarning
 
 
 class Progress(Protocol):
@@ -19,11 +22,14 @@ class Progress(Protocol):
         """The stage ends."""
 
     def note(self, text: str) -> None:
-        """Something that a user should know, as of a damaged tile that is computed again."""
+        """Something worth knowing, as of tiles that are there already."""
+
+    def warn(self, text: str) -> None:
+        """Something that has gone wrong and was mended, as a damaged tile that is computed again."""
 
 
 class Silent:
-    """Progress that is told to nobody."""
+    """Progress that is told to nobody; what has gone wrong is a `JaxnhWarning`."""
 
     def start(self, label: str, total: float) -> None: ...
 
@@ -33,8 +39,11 @@ class Silent:
 
     def note(self, text: str) -> None: ...
 
+    def warn(self, text: str) -> None:
+        warnings.warn(text, JaxnhWarning, stacklevel=2)
 
-class Calling:
+
+class Calling(Silent):
     """Progress as calls of one function: (label, lane-periods done, lane-periods in all) of the stage in hand."""
 
     def __init__(self, function: Callable[[str, float, float], None]) -> None:
@@ -51,9 +60,6 @@ class Calling:
 
     def finish(self) -> None:
         self._function(self._label, self._total or self._done, self._total)
-
-    def note(self, text: str) -> None:
-        self._function(text, 0.0, 0.0)
 
 
 class Heeding:
@@ -79,3 +85,6 @@ class Heeding:
 
     def note(self, text: str) -> None:
         self.shown.note(text)
+
+    def warn(self, text: str) -> None:
+        self.shown.warn(text)

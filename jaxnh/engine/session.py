@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,6 +16,7 @@ from pydantic import ValidationError
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Axis, OptionError, Options, Setting
 from jaxnh.config.experiment import Experiment
+from jaxnh.engine import dask_workers
 from jaxnh.engine.calibration import Plan
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.plan import (
@@ -29,8 +31,10 @@ from jaxnh.engine.plan import (
     root_of,
 )
 from jaxnh.engine.progress import Calling, Progress, Silent
+from jaxnh.engine.run import How, check_output, is_there, run_to_file
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import InputError
+from jaxnh.storage.hdf5 import open_result
 from jaxnh.storage.merge import Extra, assemble
 from jaxnh.systems.flow import Flow
 
@@ -78,9 +82,7 @@ class Session:
         """
         return self._plan_for(self.experiment.axes)
 
-    def run(
-        self, analysis: str, options: Mapping[str, Any] | Options | None = None, **axes: ArrayLike
-    ) -> xr.Dataset:
+    def run(self, analysis: str, options: Mapping[str, Any] | Options | None = None, **axes: ArrayLike) -> xr.Dataset:
         """One analysis, on the experiment's lanes or on others.
 
         Args:
@@ -190,6 +192,47 @@ class Session:
         for data in whole.values():
             data.attrs["axes"] = " ".join(job.names)
         return whole
+
+
+def run(
+    experiment: Experiment,
+    output: str | Path | None = None,
+    *,
+    progress: ProgressCallback | Progress | None = None,
+    fresh: bool = False,
+    dask: str | None = None,
+    tile: int | None = None,
+) -> xr.DataTree:
+    """All analyses that an experiment asks for, as a tree with a dataset each.
+
+    Args:
+        output: a result file to write, by tiles in a folder beside it: a call that was stopped goes on where it
+            stopped, and a file that is there already is read. Without it everything stays in memory.
+        progress: told of all work; an exception raised in it, as `jaxnh.Stopped`, ends the call.
+        fresh: replace an output that is there.
+        dask: workers to use: "local", "local:N", "tcp://HOST:PORT" or a scheduler file; needs an output.
+        tile: lanes a tile of the output, by default some ten seconds of work.
+
+    Raises:
+        InputError: an argument cannot be used.
+        AccuracyError: nothing meets the accuracy asked for.
+        RunError: the run cannot go on; the message says what is kept.
+
+    Warns:
+        JaxStartedWarning: JAX had started without the options of the package.
+    """
+    if output is None:
+        if dask or tile:
+            raise InputError("dask and tile are for a run with an output")
+        return Session(experiment, progress=progress).tree()
+    path = Path(output)
+    if dask:
+        dask_workers.check(dask)
+    if not is_there(experiment, path, fresh=fresh):
+        check_output(path)
+        configure()
+        run_to_file(experiment, path, How(fresh=fresh, dask=dask, tile=tile), as_progress(progress))
+    return open_result(path)
 
 
 def as_progress(progress: ProgressCallback | Progress | None) -> Progress:

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import MARK, POINT, new_axes
-from jaxnh.plotting.groups import declared_axes, fixed_axes, other_axes, shown
+from jaxnh.plotting.groups import declared_axes, fixed_axes, label_of, other_axes, shown
 from jaxnh.plotting.labels import point_title, symbol_of, with_units
 
 FEIGENBAUM = 4.669201609102990
@@ -42,7 +42,7 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.set_xticks(level, [f"{_doubling(n)}\n{value:.8f}" for n, value in doublings], fontsize=8)
     ax.set(
         xlabel=with_units(f"doubling of the period, and its {symbol_of(parameter(data))}", where),
-        ylabel=with_units("ratio δ", found[_RATIO]),
+        ylabel=with_units(label_of(data) or "ratio δ", found[_RATIO]),
         xlim=(level.min(initial=1) - 0.5, level.max(initial=1) + 0.5),
     )
     ax.set_title(point_title(data, fixed_axes(data, parameter(data))), fontsize=10, loc="left")

@@ -18,6 +18,7 @@ from jaxnh.plotting.groups import along, label_of, shown
 from jaxnh.plotting.labels import axis_label, is_symbol, symbol_of, words_of
 
 _FEW = 48  # curves over fewer points show them
+_LONG = 30  # letters: a longer label of a low panel has its units in a second line
 _NUMBER, _NONE = "#3b6fb5", "#b8b8b8"
 _MEANINGS = {
     "periodic": "#3b6fb5",
@@ -94,7 +95,8 @@ def integers(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ticks = [2**k for k in range(highest.bit_length())]
     ax.set_yticks([none, *ticks], ["none", *map(str, ticks)])
     ax.set_ylim(none / 1.5, 1.5 * highest)
-    return over_axis(data, coordinate, ax, axis_label(variable, label_of(data)))
+    label = axis_label(variable, label_of(data))
+    return over_axis(data, coordinate, ax, label.replace(" (", "\n(") if len(label) > _LONG else label)
 
 
 def flags(data: xr.Dataset, ax: Axes | None = None) -> Axes:

@@ -27,7 +27,8 @@ def over_axis(data: xr.Dataset, coordinate: xr.DataArray, ax: Axes, ylabel: str)
     """
     edges = cell_edges(np.unique(coordinate.to_numpy()))
     ax.set(xlabel=axis_label(coordinate), ylabel=ylabel, xlim=(edges[0], edges[-1]))
-    ax.set_title(point_title(data, fixed_axes(data, str(coordinate.name))), fontsize=10, loc="left")
+    # y: else it would stand above the colour bar of a density.
+    ax.set_title(point_title(data, fixed_axes(data, str(coordinate.name))), fontsize=10, loc="left", y=1.0)
     return ax
 
 

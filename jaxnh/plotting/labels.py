@@ -28,16 +28,15 @@ def axis_label(variable: xr.DataArray, words: str = "", symbol: str = "") -> str
     """What a variable is in words, its symbol where it has one, and its units.
 
     Args:
-        words: in place of the variable's own; they may have a symbol in them, between dollars.
-        symbol: in place of the one that its name makes.
+        words: in place of the variable's own, and of the symbol that its name makes.
+        symbol: in place of that symbol; left out where the words have one, between dollars.
     """
     name = str(variable.name)
     own, named = _words(variable)
-    if not symbol and (is_symbol(name) or (named and not words)):
+    if not words and not symbol and (named or is_symbol(name)):
         symbol = symbol_of(name)
-    if "$" in words:
-        symbol = ""
-    return with_units(" ".join(filter(None, (words or own, symbol))), variable)
+    parts = (words or own, "" if "$" in words else symbol)
+    return with_units(" ".join(filter(None, parts)), variable)
 
 
 def is_symbol(name: str) -> bool:

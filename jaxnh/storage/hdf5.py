@@ -106,17 +106,15 @@ def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, xr.Dataset]
 
 
 def _write_group(target: h5py.Group, dataset: xr.Dataset, axes: Sequence[str]) -> None:
-    dataset = with_indices(dataset)
     set_attributes(target, {key: value for key, value in dataset.attrs.items() if key != "warnings" or value})
     names = [str(name) for name in dataset.variables]
     first = [axis for axis in axes if axis in dataset.variables and dataset.variables[axis].dims == (axis,)]
     names = [*first, *(name for name in names if name not in first)]
     for name in names:
-        variable = dataset.variables[name]
-        data = as_text(np.asarray(variable.values))
+        data = as_text(np.asarray(dataset.variables[name].values))
         item = create(target, name, data.shape, data.dtype)
         item[...] = as_stored(data)
-        set_attributes(item, {**variable.attrs, **_coordinates(dataset, name)})
+        set_attributes(item, {**dataset.variables[name].attrs, **_coordinates(dataset, name)})
         item.attrs[DATA] = checksum(data).hexdigest()
     attach(target, {name: tuple(map(str, dataset.variables[name].dims)) for name in names})
 
@@ -133,13 +131,13 @@ def _index_words(dim: str) -> dict[str, str]:
 
 def _coordinates(dataset: xr.Dataset, name: str) -> dict[str, str]:
     """The attribute by which CF names the coordinates of a variable that are no dimensions."""
-    variable = dataset.variables[name]
-    if "coordinates" in variable.attrs or name in dataset.coords:
+    own = dataset.variables[name]
+    if "coordinates" in own.attrs or name in dataset.coords:
         return {}
     others = [
         str(key)
         for key, coordinate in dataset.coords.items()
-        if key not in dataset.dims and set(coordinate.dims) <= set(variable.dims)
+        if key not in dataset.dims and set(coordinate.dims) <= set(own.dims)
     ]
     return {"coordinates": " ".join(others)} if others else {}
 
@@ -195,13 +193,13 @@ def slab_chunks(slab: tuple[int, ...], shape: tuple[int, ...], itemsize: int, mo
 def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> None:
     """Make every axis a dimension scale, with an index where no variable has its name."""
     for name, axes in dims.items():
-        item = variables(target)[name]
+        item = variable(target, name)
         for axis, dim in enumerate(axes):
             if dim not in target:
                 index = np.arange(item.shape[axis])
                 added = target.create_dataset(dim, data=index)
                 set_attributes(added, {**_index_words(dim), DATA: checksum(index).hexdigest()})
-            scale = variables(target)[dim]
+            scale = variable(target, dim)
             if not scale.is_scale:
                 scale.make_scale(dim)
             if name != dim:
@@ -284,6 +282,16 @@ def variables(group: h5py.Group) -> dict[str, h5py.Dataset]:
         TypeError: there is something else in it.
     """
     return {name: _expected(item, h5py.Dataset) for name, item in group.items()}
+
+
+def variable(group: h5py.Group, name: str) -> h5py.Dataset:
+    """One variable of a group.
+
+    Raises:
+        KeyError: there is none.
+        TypeError: it is something else.
+    """
+    return _expected(group[name], h5py.Dataset)
 
 
 def _expected(item: object, kind: type[_Item]) -> _Item:

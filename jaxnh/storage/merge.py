@@ -118,13 +118,13 @@ def _filled(parts: Sequence[tuple[Piece, xr.Dataset]], axes: Mapping[str, int]) 
     for piece, dataset in parts:
         data = {str(name): store.as_text(np.asarray(v.values)) for name, v in dataset.variables.items()}
         if not arrays:
-            wholes = {name: _Whole(name, dataset[name].dims, values.shape, axes) for name, values in data.items()}
+            wholes = {name: _Whole(name, dataset[name].dims, values, axes) for name, values in data.items()}
             arrays = {name: np.empty(wholes[name].shape, values.dtype) for name, values in data.items()}
         _check_names(data, wholes)
         for name, values in data.items():
-            place = wholes[name].place(piece, values.shape, lambda values=values: store.checksum(values).hexdigest())
-            if place is not None:
-                arrays[name] = _widened(arrays[name], values)
+            place = wholes[name].place(piece, values, lambda values=values: store.checksum(values).hexdigest())
+            if place is not None:  # texts of pieces differ in their greatest length
+                arrays[name] = arrays[name].astype(np.promote_types(arrays[name].dtype, values.dtype), copy=False)
                 arrays[name][place] = values
     for whole in wholes.values():
         whole.check_covered()
@@ -141,15 +141,6 @@ def _check_names(names: Iterable[Any], expected: Iterable[str]) -> None:
         raise DamagedError("its variables are not those of the other tiles")
 
 
-def _widened(array: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """An array that can hold these values: texts of pieces differ in their greatest length."""
-    if array.dtype == values.dtype:
-        return array
-    if not array.dtype.kind == values.dtype.kind == "U":
-        raise DamagedError(f"its numbers are {values.dtype}, and those of the other tiles {array.dtype}")
-    return array.astype(max(array.dtype, values.dtype))
-
-
 class _Whole:
     """A variable of the whole sweep in the making: its shape, and which parts of it are there.
 
@@ -159,24 +150,29 @@ class _Whole:
         grows: whether it grows at all.
     """
 
-    def __init__(self, name: str, dims: Sequence[Any], shape: tuple[int, ...], axes: Mapping[str, int]) -> None:
+    def __init__(
+        self, name: str, dims: Sequence[Any], first: np.ndarray | h5py.Dataset, axes: Mapping[str, int]
+    ) -> None:
         self.name, self.dims, self._axes = name, tuple(map(str, dims)), axes
-        self.shape = tuple(axes.get(dim, size) for dim, size in zip(self.dims, shape, strict=True))
+        self.shape = tuple(axes.get(dim, size) for dim, size in zip(self.dims, first.shape, strict=True))
+        self._dtype = first.dtype
         self.grows = any(dim in axes for dim in self.dims)
         self._repeats = not set(axes) <= set(self.dims)
         self._there: dict[tuple[tuple[int, int], ...], str] = {}
 
-    def place(self, piece: Piece, shape: tuple[int, ...], digest: Callable[[], str]) -> Slab | None:
+    def place(self, piece: Piece, values: np.ndarray, digest: Callable[[], str]) -> Slab | None:
         """Where the values of a piece go; None if equal ones are there already, as it varies along no axis that is cut.
 
         Raises:
-            DamagedError: they are not of that shape, or others are there.
+            DamagedError: they are not of that shape and type, or others are there.
         """
         places = slab(self.dims, piece, tuple(self._axes)) if self._axes else (slice(None),) * len(self.dims)
         ends = tuple(where.indices(size)[:2] for where, size in zip(places, self.shape, strict=True))
         expected = tuple(end - begin for begin, end in ends)
-        if shape != expected:
-            raise DamagedError(f"{self.name} has the shape {shape} in place of {expected}")
+        if values.shape != expected:
+            raise DamagedError(f"{self.name} has the shape {values.shape} in place of {expected}")
+        if values.dtype != self._dtype and values.dtype.kind != "U":
+            raise DamagedError(f"{self.name} has numbers {values.dtype} in place of {self._dtype}")
         found = digest() if self._repeats else ""
         if ends not in self._there:
             self._there[ends] = found
@@ -320,20 +316,21 @@ class _MergedGroup:
                 if store.checksum(values).hexdigest() != stated[name]:
                     raise DamagedError(f"the data of /{self._name}/{name} do not fit their checksum")
             if not self._whole:
-                self._begin(items)
+                self._begin(items, attrs)
             _check_names(data, self._whole)
             self._common.add(attrs)
             for name, values in data.items():
-                place = self._whole[name].place(piece, values.shape, lambda name=name: stated[name])
+                place = self._whole[name].place(piece, values, lambda name=name: stated[name])
                 if place is not None:
                     self._targets[name].put(place, values, items[name])
 
-    def _begin(self, items: Mapping[str, h5py.Dataset]) -> None:
+    def _begin(self, items: Mapping[str, h5py.Dataset], attrs: store.Attributes) -> None:
         """Empty variables with the attributes of the first piece's."""
+        store.set_attributes(self._group, attrs)
         for name, item in items.items():
-            self._whole[name] = whole = _Whole(name, store.dimensions(item), item.shape, self._axes)
+            self._whole[name] = whole = _Whole(name, store.dimensions(item), item, self._axes)
             self._targets[name] = self._target(name, item, whole)
-            store.set_attributes(store.variables(self._group)[name], store.attributes(item))
+            store.set_attributes(store.variable(self._group, name), store.attributes(item))
 
     def _target(self, name: str, item: h5py.Dataset, whole: _Whole) -> _Target:
         """The way into the file that suits a variable: by its size, and by the blocks that its first piece lies in."""
@@ -355,8 +352,11 @@ class _MergedGroup:
 
     def finish(self, extra: Extra) -> None:
         """What is known at the end: collected variables, hashes, scales, and attributes of the whole."""
-        items = store.variables(self._group)
         for name, target in self._targets.items():
-            items[name].attrs[store.DATA] = target.finish()
+            store.variable(self._group, name).attrs[store.DATA] = target.finish()
         store.attach(self._group, {name: whole.dims for name, whole in self._whole.items()})
-        store.set_attributes(self._group, self._common.attributes(extra))
+        attrs, of_first = self._common.attributes(extra), store.attributes(self._group)
+        for key in of_first.keys() - attrs.keys():
+            del self._group.attrs[key]
+        news = {key: value for key, value in attrs.items() if key not in of_first or _text(value) != _text(of_first[key])}
+        store.set_attributes(self._group, news)

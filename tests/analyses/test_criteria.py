@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import jax
@@ -13,10 +12,10 @@ import scipy.integrate
 import taylor
 import xarray as xr
 from conftest import ROOT
-from measure import turned
+from measure import scene_of, turned
 
-from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
-from jaxnh.analyses.base import Scene
+from jaxnh.analyses import cascade, chaos01, diagram, lyapunov, period, verdict
+from jaxnh.analyses.base import spread
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
@@ -37,7 +36,7 @@ def case(request):
     """A system at the paper's four values: scene, twin, periods, and the groups `period` and `lyapunov`."""
     system, twin, periods = CASES[request.param]
     # The map of one period is right to about 1e-10 with these steps, and so are exponents of periodic orbits.
-    scene = Scene(system, START, np.array(list(periods)), SPLITTINGS["kahan_li8"], 240, False, 1e-10)
+    scene = scene_of(system, START, list(periods), SPLITTINGS["kahan_li8"], 240, error=1e-10)
     lanes = Lanes()
     found = period.run(period.PeriodOptions(limit=16), scene, lanes)
     options = lyapunov.LyapunovOptions(transient=256, periods=512)
@@ -47,24 +46,24 @@ def case(request):
 def test_periods_of_the_paper(case):
     """Periods 1, 2, 4 and chaos where the paper's figures 1 and 6 show them."""
     _, _, periods, found, _ = case
-    np.testing.assert_array_equal(found.variables["period"].data, periods)
-    assert np.all(found.variables["residual"].data[:3] < 1e-7)
+    np.testing.assert_array_equal(found["period"].to_numpy(), periods)
+    assert np.all(found["residual"].to_numpy()[:3] < 1e-7)
 
 
 def test_multiple_of_the_period():
     """A point of the orbits of period 1 at b = 5.8 and 2 at 2.5, met by Newton at a period of 8, is of theirs."""
     strobe = make_strobe(constant_speed(), SPLITTINGS["kahan_li8"], 120)
     lanes, b = Lanes(), np.array([5.8, 2.5])
-    start = np.tile(constant_speed().section_point(START), (2, 1))
-    u = lanes(section_map, (strobe, np.int32(400)), (start, b))
-    np.testing.assert_array_equal(period.least_period(lanes, strobe, u, b, 8), [1, 2])
+    start, p = constant_speed().section_point(spread(START, 2)), {"b": b}
+    u = lanes(section_map, (strobe, np.int32(400)), (start, p))
+    np.testing.assert_array_equal(period.least_period(lanes, strobe, u, p, 8), [1, 2])
 
 
 def test_lanes_of_no_part_in_a_cascade():
     """Lone lanes of no period, and of another than their equal neighbours, go; doublings and windows stay."""
     found = np.array([1, 1, 1, 0, 2, 2, 2, 32, 2, 2, 4, 8, 8, 8, 0, 0, 0, 6, 6, 6])
-    other = [np.arange(len(found))] * 5
-    kept = period.Survey(other[0], found, *other[1:]).without_holes()
+    other = np.arange(len(found))
+    kept = cascade.Line(other, found, other).without_holes()
     np.testing.assert_array_equal(kept.period, [1, 1, 1, 2, 2, 2, 2, 2, 4, 8, 8, 8, 0, 0, 0, 6, 6, 6])
 
 
@@ -76,13 +75,13 @@ def test_exponents_of_periodic_orbits(case):
     """
     scene, twin, periods, _, group = case
     for i in np.flatnonzero(periods):
-        b, n = float(scene.values[i]), int(periods[i])
+        b, n = float(scene.p["b"][i]), int(periods[i])
         points = taylor.orbit(twin, n, b, taylor.attractor(twin, b, twin.start(), 400)[0])
         _, blocks, _ = taylor.strobe_jacobian(twin, np.full(n, b), points)
         sums = multiplier_logs(np.asarray(blocks, np.longdouble))
         first, second = np.sort(sums)[::-1][:2].astype(float) / (n * twin.period)
         third = divergence(twin, b, points) / (n * twin.period) - first - second
-        np.testing.assert_allclose(group.variables["exponents"].data[i], [first, second, third], atol=1e-6)
+        np.testing.assert_allclose(group["exponents"].to_numpy()[i], [first, second, third], atol=1e-6)
 
 
 def check_chaotic_spectrum(scene, twin, i, group, lanes, periods):
@@ -91,9 +90,9 @@ def check_chaotic_spectrum(scene, twin, i, group, lanes, periods):
     The mean of lanes that chaos has parted has as its bar 2.5 standard errors: those of a few lanes are rough.
     """
     starts = twin.start() + 1e-3 * np.arange(lanes)[:, None]
-    found = taylor.spectra(twin, np.full(lanes, scene.values[i]), starts, 30, periods)
+    found = taylor.spectra(twin, np.full(lanes, scene.p["b"][i]), starts, 30, periods)
     bar = 2.5 * found.std(axis=0, ddof=1) / math.sqrt(lanes)
-    ours, error = (group.variables[name].data[i] for name in ("exponents", "exponents_error"))
+    ours, error = (group[name].to_numpy()[i] for name in ("exponents", "exponents_error"))
     assert np.all(bar[0] < 0.5 * ours[0])  # else the comparison says little
     assert np.all(np.abs(found.mean(axis=0) - ours) < bar + error)
 
@@ -109,14 +108,14 @@ def test_exponents_of_chaos(case):
 def test_exponents_of_chaos_over_many_periods(case):
     """Error bars three to five times smaller."""
     scene, twin, periods, _, _ = case
-    chaotic = dataclasses.replace(scene, values=scene.values[periods == 0])
+    chaotic = scene.take(np.flatnonzero(periods == 0))
     group = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=8192), chaotic, Lanes())
     check_chaotic_spectrum(chaotic, twin, 0, group, 32, 1000)
 
 
 def test_tangents_cost_operations_only_where_asked_for():
     """Operations that XLA counts in a program: none of tangents in a diagram, fewer for one exponent than for three."""
-    scene = Scene(constant_speed(), START, np.array([2.0, 3.0]), SPLITTINGS["strang2"], 40, False, 0.0)
+    scene = scene_of(constant_speed(), START, [2.0, 3.0], SPLITTINGS["strang2"], 40)
 
     def most_operations(analyse):
         lanes = Lanes()
@@ -127,9 +126,7 @@ def test_tangents_cost_operations_only_where_asked_for():
         options = lyapunov.LyapunovOptions(transient=16, periods=16, exponents=k)
         return most_operations(lambda lanes: lyapunov.run(options, scene, lanes))
 
-    map_alone = most_operations(
-        lambda lanes: lanes(map_and_rest, (scene.strobe(),), (np.full((2, 4), 0.5), scene.values))
-    )
+    map_alone = most_operations(lambda lanes: lanes(map_and_rest, (scene.strobe(),), (np.full((2, 4), 0.5), scene.p)))
     of_diagram = most_operations(
         lambda lanes: diagram.run(diagram.DiagramOptions(transient=4, strobes=4), scene, lanes)
     )
@@ -139,10 +136,10 @@ def test_tangents_cost_operations_only_where_asked_for():
     assert one < 0.8 * three
 
 
-def map_and_rest(strobe, z, b):
-    """One period, and the velocity of the state that it leads to."""
-    state = strobe(((z[0], z[1]), (z[2], z[3])), b)
-    return state, strobe.system.velocity(0.0, state)
+def map_and_rest(strobe, z, p):
+    """One period, and the velocity of the state that it leads to, at a speed of one."""
+    state = strobe(((z[0], z[1]), (z[2], z[3])), p)
+    return state, constant_speed().velocity(0.0, state)
 
 
 def divergence(par, b, points):
@@ -176,18 +173,18 @@ def multiplier_logs(blocks):
 def test_sum_rule(case):
     """The exponents add up to the mean divergence; to 1e-8 relative on periodic orbits."""
     _, _, periods, _, group = case
-    total = group.variables["exponents"].data.sum(axis=1)
-    residual = np.abs(group.variables["sum_rule_residual"].data)
+    total = group["exponents"].to_numpy().sum(axis=1)
+    residual = np.abs(group["sum_rule_residual"].to_numpy())
     assert np.all(residual[periods > 0] < 1e-8 * np.abs(total[periods > 0]))
-    assert np.all(residual < group.variables["exponents_error"].data.sum(axis=1) + 1e-8)
-    np.testing.assert_allclose(group.variables["transverse"].data, 2 * total, atol=1e-6)
+    assert np.all(residual < group["exponents_error"].to_numpy().sum(axis=1) + 1e-8)
+    np.testing.assert_allclose(group["transverse"].to_numpy(), 2 * total, atol=1e-6)
 
 
 def test_chaos_is_positive_beyond_its_error(case):
     """Where there is no period the largest exponent is positive by more than its error bar; elsewhere negative."""
     _, _, periods, _, group = case
-    largest = group.variables["exponents"].data[:, 0]
-    error = group.variables["exponents_error"].data[:, 0]
+    largest = group["exponents"].to_numpy()[:, 0]
+    error = group["exponents_error"].to_numpy()[:, 0]
     assert np.all((largest - error > 0) == (periods == 0))
 
 
@@ -195,10 +192,10 @@ def test_one_exponent_is_the_largest_of_three(case):
     """Asked for alone, the largest exponent is the same where it converges to rounding."""
     scene, _, periods, _, group = case
     alone = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=512, exponents=1), scene, Lanes())
-    one = alone.variables["exponents"].data[:, 0]
+    one = alone["exponents"].to_numpy()[:, 0]
     real = periods > 0
-    np.testing.assert_allclose(one[real], group.variables["exponents"].data[real, 0], atol=1e-6)
-    assert alone.variables["exponents"].data.shape == (4, 1)
+    np.testing.assert_allclose(one[real], group["exponents"].to_numpy()[real, 0], atol=1e-6)
+    assert alone["exponents"].to_numpy().shape == (4, 1)
 
 
 def test_gram_schmidt_is_qr():

@@ -8,10 +8,10 @@ import sys
 import numpy as np
 import pytest
 import taylor
-from measure import SYSTEMS, apart, twin
+from measure import SYSTEMS, apart, scene_of, twin
 
 from jaxnh.analyses import diagram, portrait
-from jaxnh.analyses.base import Scene
+from jaxnh.analyses.base import LANE
 from jaxnh.analyses.diagram import DiagramOptions, random_starts, run
 from jaxnh.config.experiment import load
 from jaxnh.config.yaml_source import ConfigError
@@ -28,7 +28,7 @@ NAMES = ("x1", "x2", "y1", "y2")
 
 def scene(system, values=B, solver="sofroniou_spaletta10", steps=140):
     x, y, angle = twin(system).start().astype(float)
-    return Scene(system, ((x, y), (np.cos(angle), np.sin(angle))), values, SPLITTINGS[solver], steps, False, 0.0)
+    return scene_of(system, ((x, y), (np.cos(angle), np.sin(angle))), values, SPLITTINGS[solver], steps)
 
 
 def coarse(values=B):
@@ -37,7 +37,7 @@ def coarse(values=B):
 
 def sections(group):
     """(…, 3) section coordinates of a group at phase 0, where the speed is √c."""
-    x1, x2, y1, y2 = (group.variables[name].data for name in NAMES)
+    x1, x2, y1, y2 = (group[name].to_numpy() for name in NAMES)
     return np.stack([x1, y1, np.arctan2(y2, x2)], axis=-1)
 
 
@@ -61,12 +61,14 @@ def test_phase_of_the_strobes(phase, start):
     system = SYSTEMS["disturbed"]
     values = B if start == "fixed" else B[:1]
     options = DiagramOptions(transient=0, strobes=3, phase=phase, start=start)
-    ours = run(options, scene(system, values), Lanes()).variables
+    ours = run(options, scene(system, values), Lanes())
     path = portrait.run(
         portrait.PortraitOptions(transient=0, periods=3, samples=4), scene(system, values), Lanes()
-    ).variables
+    )
     for name in NAMES:
-        np.testing.assert_allclose(ours[name].data, path[name].data[:, round(4 * phase) :: 4], atol=TOLERANCE)
+        np.testing.assert_allclose(
+            ours[name].to_numpy(), path[name].to_numpy()[:, round(4 * phase) :: 4], atol=TOLERANCE
+        )
 
 
 @pytest.mark.parametrize(("start", "order"), [("up", [1, 3, 0, 2, 4]), ("down", [4, 2, 0, 3, 1])])
@@ -97,9 +99,7 @@ def test_up_and_down_part_where_two_attractors_live():
     points = {}
     for start in ("up", "down"):
         options = DiagramOptions(transient=200, strobes=4, start=start)
-        points[start] = (
-            run(options, scene(SYSTEMS["constant"], values, "blanes_moan6", 80), Lanes()).variables["x1"].data
-        )
+        points[start] = run(options, scene(SYSTEMS["constant"], values, "blanes_moan6", 80), Lanes())["x1"].to_numpy()
     distinct = {start: [len(np.unique(row.round(3))) for row in x] for start, x in points.items()}
     at = int(np.argmin(np.abs(values - 4.0)))
     assert distinct["up"][at] == 2
@@ -108,31 +108,31 @@ def test_up_and_down_part_where_two_attractors_live():
 
 def test_random_starts_fill_the_box_evenly_and_never_change():
     options = DiagramOptions(start="random", starts=64, box=2.5, seed=3)
-    scene = coarse()
-    (x, y), (n1, n2) = random_starts(options, scene, np.zeros(64 * 100))
+    ((x, y), (n1, n2)), _ = random_starts(options, coarse(np.zeros(100)))
     count = 64 * 100
     assert np.abs(n1**2 + n2**2 - 1).max() < 1e-15
     for values, half in ((x, 2.5), (y, 2.5), (np.arctan2(n2, n1), np.pi)):
         shares = np.histogram(values, 8, (-half, half))[0] / count
         assert shares.sum() == 1.0
         assert np.abs(shares - 1 / 8).max() < 5 * np.sqrt(1 / 8 * 7 / 8 / count)  # five standard deviations
-    again = random_starts(options, scene, np.zeros(64 * 40))
-    assert np.array_equal(again[0][0], x[: 40 * 64])
-    assert not np.array_equal(random_starts(options.model_copy(update={"seed": 4}), scene, np.zeros(64))[0][0], x[:64])
+    (again, _), _ = random_starts(options, coarse(np.zeros(40)))
+    assert np.array_equal(again[0], x[: 40 * 64])
+    (other, _), _ = random_starts(options.model_copy(update={"seed": 4}), coarse(np.zeros(1)))
+    assert not np.array_equal(other[0], x[:64])
 
 
 def test_random_starts_are_the_same_in_any_tiles():
     options = DiagramOptions(transient=0, strobes=2, start="random", starts=6)
-    one, other = (run(options, coarse(), Lanes(tile=tile)).variables for tile in (8, 32))
-    assert one["x1"].dims == ("b", "start", "strobe")
-    assert one["x1"].data.shape == (5, 6, 2)
+    one, other = (run(options, coarse(), Lanes(tile=tile)) for tile in (8, 32))
+    assert one["x1"].dims == (LANE, "start", "strobe")
+    assert one["x1"].to_numpy().shape == (5, 6, 2)
     for name in NAMES:
-        assert np.array_equal(one[name].data[..., 0], other[name].data[..., 0])
-        np.testing.assert_allclose(one[name].data[..., 1], other[name].data[..., 1], atol=1e-9)
+        assert np.array_equal(one[name].to_numpy()[..., 0], other[name].to_numpy()[..., 0])
+        np.testing.assert_allclose(one[name].to_numpy()[..., 1], other[name].to_numpy()[..., 1], atol=1e-9)
 
 
 def test_each_b_has_starts_of_its_own():
-    x1 = run(DiagramOptions(transient=0, strobes=1, start="random", starts=6), coarse(), Lanes()).variables["x1"].data
+    x1 = run(DiagramOptions(transient=0, strobes=1, start="random", starts=6), coarse(), Lanes())["x1"].to_numpy()
     assert len(np.unique(x1)) == 5 * 6
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import taylor
-from measure import SYSTEMS, twin
+import xarray as xr
+from measure import SYSTEMS, scene_of, twin
 
 from jaxnh.analyses import poincare
-from jaxnh.analyses.base import Scene, Variable
+from jaxnh.analyses.base import LANE
 from jaxnh.analyses.poincare import PoincareOptions, run
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.kicks import KickStrobe
@@ -23,7 +24,7 @@ systems = pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
 def scene(system, solver="sofroniou_spaletta10", steps=140):
     x, y, angle = twin(system).start().astype(float)
     steps = round(steps * system.period / (2 * np.pi) * np.sqrt(system.c))  # as many for the same length of path
-    return Scene(system, ((x, y), (np.cos(angle), np.sin(angle))), B, SPLITTINGS[solver], steps, False, 0.0)
+    return scene_of(system, ((x, y), (np.cos(angle), np.sin(angle))), B, SPLITTINGS[solver], steps)
 
 
 def reference(system, b, count):
@@ -48,20 +49,20 @@ def test_strobes_are_those_of_the_reference(system, transient):
         speed = np.sqrt(system.c)  # at whole periods sin t = 0
         exact = [points[:, 0], speed * np.cos(points[:, 2]), points[:, 1], speed * np.sin(points[:, 2])]
         for name, values in zip(("x1", "x2", "y1", "y2"), exact, strict=True):
-            assert np.all(np.abs(group.variables[name].data[i] - values) <= errors + 1e-15), (name, b)
+            assert np.all(np.abs(group[name].to_numpy()[i] - values) <= errors + 1e-15), (name, b)
 
 
 def test_time_counts_from_the_start():
     system = SYSTEMS["other"]
     group = run(PoincareOptions(transient=7, strobes=4), scene(system, "blanes_moan6", 20), Lanes())
-    np.testing.assert_allclose(group.variables["t"].data, system.period * np.array([7, 8, 9, 10]), rtol=1e-15)
-    assert group.variables["x1"].dims == ("b", "strobe")
-    assert np.array_equal(group.variables["b"].data, B)
+    np.testing.assert_allclose(group["t"].to_numpy(), system.period * np.array([7, 8, 9, 10]), rtol=1e-15)
+    assert group["x1"].dims == (LANE, "strobe")
+    assert group.sizes[LANE] == len(B)
 
 
 def test_the_constraint_holds_after_thousands_of_periods():
     group = run(PoincareOptions(transient=3000, strobes=2), scene(SYSTEMS["constant"], "blanes_moan6", 20), Lanes())
-    assert np.abs(group.variables["x2"].data ** 2 + group.variables["y2"].data ** 2 - 1.0).max() < 2e-15
+    assert np.abs(group["x2"].to_numpy() ** 2 + group["y2"].to_numpy() ** 2 - 1.0).max() < 2e-15
 
 
 def test_nothing_is_differentiated(monkeypatch):
@@ -74,8 +75,8 @@ def test_nothing_is_differentiated(monkeypatch):
 
 def test_trajectories_that_leave_the_numbers_are_counted():
     for data, lost in ((np.array([[0.0, 1.0], [0.0, np.nan], [np.inf, np.nan]]), 2), (np.zeros((3, 2)), 0)):
-        variables = {name: Variable(("b", "strobe"), data, name) for name in ("x1", "x2", "y1", "y2")}
-        assert poincare.count(variables) == {"trajectories": 3, "not_finite": lost}
+        found = xr.Dataset(dict.fromkeys(("x1", "x2", "y1", "y2"), ((LANE, "strobe"), data)))
+        assert poincare.count(found) == {"trajectories": 3, "not_finite": lost}
 
 
 def test_expected_work_is_the_work_done():

@@ -6,9 +6,9 @@ import jax
 import numpy as np
 import pytest
 import taylor
-from measure import SYSTEMS, twin
+from measure import SYSTEMS, scene_of, twin
 
-from jaxnh.analyses.base import Scene
+from jaxnh.analyses.base import LANE
 from jaxnh.analyses.portrait import PortraitOptions, run
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_parts, make_strobe
@@ -26,7 +26,7 @@ systems = pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
 def scene(system, solver="blanes_moan6", steps=60):
     x, y, angle = twin(system).start().astype(float)
     steps = round(steps * system.period / (2 * np.pi) * np.sqrt(system.c))  # as many for the same length of path
-    return Scene(system, ((x, y), (np.cos(angle), np.sin(angle))), B, SOLVERS[solver], steps, False, 0.0)
+    return scene_of(system, ((x, y), (np.cos(angle), np.sin(angle))), B, SOLVERS[solver], steps)
 
 
 def taylor_path(system, b, times):
@@ -51,10 +51,10 @@ def taylor_path(system, b, times):
 def test_samples_within_a_period_are_those_of_the_reference(system, solver):
     steps, tolerance = PRECISE[solver]
     group = run(PortraitOptions(transient=0, periods=1, samples=7), scene(system, solver, steps), Lanes())
-    times = group.variables["t"].data
+    times = group["t"].to_numpy()
     np.testing.assert_allclose(times, system.period * np.arange(7) / 7, rtol=1e-15)
     for i, b in enumerate(B):
-        ours = np.array([group.variables[name].data[i] for name in NAMES]).T
+        ours = np.array([group[name].to_numpy()[i] for name in NAMES]).T
         assert np.abs(ours - taylor_path(system, b, times)).max() < tolerance
 
 
@@ -62,15 +62,15 @@ def test_runge_kutta_solvers_make_parts_as_well():
     system = SYSTEMS["disturbed"]
     steps, tolerance = PRECISE["dopri8"]
     group = run(PortraitOptions(transient=0, periods=1, samples=3), scene(system, "dopri8", steps), Lanes())
-    ours = np.array([group.variables[name].data[0] for name in NAMES]).T
-    assert np.abs(ours - taylor_path(system, B[0], group.variables["t"].data)).max() < tolerance
+    ours = np.array([group[name].to_numpy()[0] for name in NAMES]).T
+    assert np.abs(ours - taylor_path(system, B[0], group["t"].to_numpy())).max() < tolerance
 
 
 @systems
 def test_every_sample_obeys_the_constraint(system):
     """x2² + y2² = c + d sin t at any accuracy: it is built in, to the rounding of the kicks of a period."""
     group = run(PortraitOptions(transient=20, periods=3, samples=50), scene(system, steps=20), Lanes())
-    x2, y2, t = (group.variables[name].data for name in ("x2", "y2", "t"))
+    x2, y2, t = (group[name].to_numpy() for name in ("x2", "y2", "t"))
     squared_speed = system.c + system.d * np.sin(t)
     assert np.abs(x2**2 + y2**2 - squared_speed).max() < 1e-13
 
@@ -79,13 +79,13 @@ def test_samples_are_counted_from_the_start_state_in_whole_periods():
     system = SYSTEMS["disturbed"]
     options = PortraitOptions(transient=0, periods=5, samples=4)
     group = run(options, scene(system), Lanes())
-    assert group.variables["x1"].dims == ("b", "time")
-    assert group.variables["x1"].data.shape == (3, 20)
-    assert [float(group.variables[name].data[1, 0]) for name in NAMES] == pytest.approx([0.1, 0.1, 0.1, np.sqrt(0.99)])
+    assert group["x1"].dims == (LANE, "time")
+    assert group["x1"].to_numpy().shape == (3, 20)
+    assert [float(group[name].to_numpy()[1, 0]) for name in NAMES] == pytest.approx([0.1, 0.1, 0.1, np.sqrt(0.99)])
     later = run(PortraitOptions(transient=2, periods=3, samples=4), scene(system), Lanes())
-    np.testing.assert_allclose(later.variables["t"].data, group.variables["t"].data[8:], rtol=1e-15)
+    np.testing.assert_allclose(later["t"].to_numpy(), group["t"].to_numpy()[8:], rtol=1e-15)
     # the transient runs by the map of whole periods, whose steps are others: both have an error of 1e-6 or so
-    np.testing.assert_allclose(later.variables["x1"].data, group.variables["x1"].data[:, 8:], atol=1e-3)
+    np.testing.assert_allclose(later["x1"].to_numpy(), group["x1"].to_numpy()[:, 8:], atol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["blanes_moan6", "dopri8"])
