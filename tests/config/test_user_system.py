@@ -258,6 +258,105 @@ def test_fault_in_the_config(tmp_path, edit, message):
     assert str(caught.value).startswith(f"{tmp_path}/own.yaml{message}")
 
 
+def test_axes_of_a_users_system(tmp_path):
+    """Parameters, coordinates and velocities in the order of the config; omega changes the clock, which lanes share."""
+    (tmp_path / "sleigh.py").write_text((ROOT / "configs" / "sleigh.py").read_text())
+    path = tmp_path / "sleigh.yaml"
+    path.write_text(
+        "system: {file: sleigh.py, mass: 2.0}\n"
+        "sweep:\n  x: {values: [0.5, 0.6]}\n  omega: {values: [0.5, 1.0]}\n  drive: {values: [1.0, 2.0, 3.0]}\n"
+        "  x_dot: {values: [0.0, 0.3]}\n  theta_dot: {values: [0.0]}\n"
+        "analyses: {lyapunov: {}}\n"
+    )
+    experiment = load(path)
+    assert [(axis.name, axis.kind, axis.long_name) for axis in experiment.axes] == [
+        ("x", "start", "coordinate x"),
+        ("omega", "shared", "parameter omega"),
+        ("drive", "lane", "parameter drive"),
+        ("x_dot", "start", "velocity x_dot"),
+        ("theta_dot", "start", "velocity theta_dot"),
+    ]
+    assert experiment.flow().period == 4 * np.pi
+    assert experiment.flow({"omega": 1.0}).period == 2 * np.pi
+    given = experiment.flow({"omega": 1.0}).parameters
+    assert (given["mass"], given["drive"], given["omega"], given["inertia"]) == (2.0, 1.0, 1.0, 0.2)
+    start = experiment.start({"x": np.array([0.5, 0.6]), "x_dot": np.array([0.0, 0.3])}, 2)
+    assert [component.tolist() for component in start.q] == [[0.5, 0.6], [0.0, 0.0], [0.0, 0.0]]
+    assert [component.tolist() for component in start.v] == [[0.0, 0.3], [0.0, 0.0], [0.0, 0.0]]
+    assert experiment.coordinates == ("x", "x_dot", "y", "y_dot", "theta", "theta_dot")
+    assert experiment.user_file is not None
+    assert experiment.user_file.path == tmp_path / "sleigh.py"
+
+
+def test_start_off_the_constraint_at_one_point_of_the_product(tmp_path):
+    """It holds at each end of both axes alone, and is looked for at their corners, however many points there are."""
+    (tmp_path / "sleigh.py").write_text((ROOT / "configs" / "sleigh.py").read_text())
+    path = tmp_path / "sleigh.yaml"
+    path.write_text(
+        "system: {file: sleigh.py}\ninitial: {theta_dot: 0.1}\n"
+        "sweep:\n  theta: {start: 0.0, stop: 0.5, count: 3001}\n  x_dot: {start: 0.0, stop: 2.0, count: 3000}\n"
+        "analyses: {lyapunov: {}}\n"
+    )
+    with pytest.raises(ConfigError) as caught:
+        load(path)
+    message = str(caught.value).removeprefix(str(path))
+    assert message.startswith(
+        ":2: initial.theta_dot: f[0] is -0.959 at the start with theta = 0.5 and x_dot = 2, and must be 0; "
+        "the nearest velocities that make it so are x_dot: 1.540302306, y_dot: 0.8414709848"
+    )
+
+
+def test_constraint_that_is_no_number_at_the_start(tmp_path):
+    text = PARTICLE.replace("- c - d * jnp.sin(t),)", "- c - d * jnp.sin(t) + jnp.log(q[0]) * 0,)")
+    with pytest.raises(ConfigError, match=r"f\[0\] is nan at the start with b = 5.3, and must be 0"):
+        load(write(tmp_path, text, CONFIG.replace("x1: 0.1", "x1: -0.1")))
+
+
+def test_system_without_parameters(tmp_path):
+    text = """
+def system():
+    return dict(T=lambda q, v, t: 0.5 * v[0] ** 2, Q=lambda q, v, t: (-q[0],), coordinates=("x",), period=1.0)
+"""
+    config = "system: {file: own.py}\nsweep: {x: {values: [0.1, 0.2]}}\nanalyses: {poincare: {}}\n"
+    (axis,) = load(write(tmp_path, text, config)).axes
+    assert (axis.name, axis.kind) == ("x", "start")
+
+
+def test_names_of_our_own_are_as_good_as_others(tmp_path):
+    """Parameters and coordinates may have names that the classes of a config use themselves."""
+    text = """
+def system(copy=1.0, model_config=2.0, flow=3.0, known=4.0, check=5.0):
+    def Q(q, v, t):
+        return -copy * model_config * q[0], -flow * known * check * q[1]
+
+    return dict(T=lambda q, v, t: 0.5 * (v[0] ** 2 + v[1] ** 2), Q=Q, coordinates=("given", "json"), period=1.0)
+"""
+    config = (
+        "system: {file: own.py, check: 0.5, flow: 0.25}\ninitial: {given: 0.1, json_dot: 0.2}\n"
+        "sweep: {copy: {values: [0.1, 0.2]}}\nanalyses: {poincare: {}}\n"
+    )
+    experiment = load(write(tmp_path, text, config))
+    expected = {"copy": 0.1, "model_config": 2.0, "flow": 0.25, "known": 4.0, "check": 0.5}
+    assert dict(experiment.flow().parameters) == expected
+    assert [float(x[0]) for x in experiment.start({}, 1).q] == [0.1, 0.0]
+
+
+def test_experiment_from_the_texts_alone(tmp_path):
+    """As a worker makes it, wherever the file was: the same hash, and the name of the file as the config has it."""
+    experiment = load(write(tmp_path))
+    again = type(experiment).from_text(experiment.text, experiment.user_file.text)
+    assert again.sha256 == experiment.sha256
+    assert str(again.user_file.path) == "own.py"
+
+
+def test_axis_called_as_a_dimension_of_results(tmp_path):
+    (tmp_path / "governor.py").write_text((ROOT / "configs" / "governor.py").read_text())
+    config = "system: {file: governor.py}\nsweep: {level: {values: [0.0]}}\nanalyses: {poincare: {}}\n"
+    message = "sweep.level: results have a dimension called level; give the parameter another name to sweep it"
+    with pytest.raises(ConfigError, match=message):
+        load(write(tmp_path, config=config))
+
+
 def test_another_file_is_another_experiment(tmp_path):
     one = load(write(tmp_path)).sha256
     assert load(write(tmp_path)).sha256 == one
@@ -295,7 +394,7 @@ def test_every_analysis(result, tmp_path):
     found = {name: store.read_variables(path, name) for name in ANALYSES}
     assert found["period"]["period"].tolist() == [2, 4, 4, 4, 0, 0]
     assert found["verdict"]["kind"].tolist() == [0, 0, 0, 0, 2, 2]
-    assert abs(found["doubling"]["b"][0] - 0.845218652286) < 1e-8
+    assert abs(found["doubling"]["drive"][0] - 0.845218652286) < 1e-8
     for name in ("portrait", "poincare", "diagram"):
         x, y_dot = found[name]["x_dot"], found[name]["y_dot"]
         assert np.abs(y_dot - 0.5 * (x**2 - 0.5)).max() < 1e-12  # every state is on f = 0
@@ -413,11 +512,20 @@ def test_configs_are_valid_by_the_schema(path):
     assert fits(read(path).data, described, described)
 
 
+@pytest.mark.parametrize("edit", ["sweep.a={values: [1.0]}", "sweep.x1={start: 0.0, stop: 1.0, count: 3}"])
+def test_several_axes_are_valid_by_the_schema(tmp_path, edit):
+    described = schema()
+    for path in (ROOT / "configs" / "table1.yaml", write(tmp_path)):
+        assert fits(read(path, [edit]).data, described, described)
+
+
 SCHEMA_FAULTS = {
     "a parameter that is text": ("system.a=much", "system.a='much'"),
     "no such key of a system of ours": ("system.mass=1", None),
-    "two sweeps": (None, "sweep.a={values: [1.0]}"),
-    "a sweep of nothing": (None, "sweep={}"),
+    "a sweep of nothing": ("sweep={}", "sweep={}"),
+    "an axis of no values": ("sweep.a={values: []}", "sweep.a={values: []}"),
+    "an axis of numbers": ("sweep.a=[1.0]", "sweep.a=[1.0]"),
+    "an axis that ours does not have": ("sweep.drive={values: [1.0]}", None),
     "a start of no coordinate of ours": ("initial.x=0.5", None),
     "a start that is text": ("initial.x1=up", "initial.x1=up"),
     "unknown section": ("accuracies={}", "accuracies={}"),
