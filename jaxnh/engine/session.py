@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
@@ -57,7 +56,7 @@ class Session:
         experiment: Experiment,
         *,
         progress: ProgressCallback | Progress | None = None,
-        devices: Sequence[jax.Device] | None = None,
+        devices: Sequence[Any] | None = None,
     ) -> None:
         """Prepare JAX, if it has not started; nothing is computed yet.
 
