@@ -1,3 +1,100 @@
-"""jaxnh: complete identification of chaos in nonlinear nonholonomic systems, on JAX and diffrax."""
+"""jaxnh: complete identification of chaos in nonlinear nonholonomic systems, and in any flow, on JAX and diffrax.
+
+    import jaxnh
+
+    experiment = jaxnh.load("configs/table1.yaml")
+    tree = jaxnh.run(experiment)
+    tree["doubling"]["b"]
+
+What stands in `__all__` is the public face; everything is loaded when it is first used, so that drawing or looking at a
+result needs no JAX.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from jaxnh.exceptions import (
+    AccuracyError,
+    ArgumentError,
+    BusyError,
+    ConfigError,
+    DamagedError,
+    InputError,
+    JaxnhError,
+    JaxnhWarning,
+    JaxStartedWarning,
+    ResultError,
+    RunError,
+    Stopped,
+    UserFileError,
+)
+
+if TYPE_CHECKING:
+    from jaxnh.config.experiment import Experiment, load
+    from jaxnh.engine.session import Session, run
+    from jaxnh.plotting.results import figure
+    from jaxnh.storage.hdf5 import open_result
+    from jaxnh.systems.free_particle import FreeParticle, free_particle
+    from jaxnh.systems.lagrangian import Lagrangian, lagrangian
+    from jaxnh.systems.particle import IsokineticParticle, constant_speed, disturbed_speed
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Experiment": "config.experiment",
+    "FreeParticle": "systems.free_particle",
+    "IsokineticParticle": "systems.particle",
+    "Lagrangian": "systems.lagrangian",
+    "Session": "engine.session",
+    "constant_speed": "systems.particle",
+    "disturbed_speed": "systems.particle",
+    "figure": "plotting.results",
+    "free_particle": "systems.free_particle",
+    "lagrangian": "systems.lagrangian",
+    "load": "config.experiment",
+    "open_result": "storage.hdf5",
+    "run": "engine.session",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module jaxnh has no attribute {name}")
+    return getattr(import_module(f"jaxnh.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+__all__ = [
+    "AccuracyError",
+    "ArgumentError",
+    "BusyError",
+    "ConfigError",
+    "DamagedError",
+    "Experiment",
+    "FreeParticle",
+    "InputError",
+    "IsokineticParticle",
+    "JaxStartedWarning",
+    "JaxnhError",
+    "JaxnhWarning",
+    "Lagrangian",
+    "ResultError",
+    "RunError",
+    "Session",
+    "Stopped",
+    "UserFileError",
+    "__version__",
+    "constant_speed",
+    "disturbed_speed",
+    "figure",
+    "free_particle",
+    "lagrangian",
+    "load",
+    "open_result",
+    "run",
+]

@@ -14,6 +14,20 @@ class InputError(JaxnhError):
     """What was asked for cannot be done: an argument, an option, a name or an output. Ask for something else."""
 
 
+class ArgumentError(InputError):
+    """An argument that cannot be used as it is; a command names it as its option.
+
+    Attributes:
+        argument: its name, as "output".
+        what: what is wrong.
+        remedy: what starting afresh would do about it, as "replaces it"; "" where it would not help.
+    """
+
+    def __init__(self, argument: str, what: str, remedy: str = "") -> None:
+        super().__init__(f"{argument}: {what}{remedy and f'; fresh=True {remedy}'}")
+        self.argument, self.what, self.remedy = argument, what, remedy
+
+
 class ConfigError(InputError):
     """A config that cannot be used. str() is the whole message, one line: where, which key, what is wrong."""
 

@@ -8,8 +8,10 @@ from typing import Annotated
 
 import typer
 
-from jaxnh.cli.exit_codes import Refused, check_output, run_app
-from jaxnh.plotting.results import FigureError, figure
+from jaxnh.cli.exit_codes import run_app
+from jaxnh.exceptions import InputError, ResultError
+from jaxnh.plotting.results import figure
+from jaxnh.storage.atomic import check_writable
 
 _DPI = 140
 _FORMATS = (".png", ".pdf", ".svg")
@@ -25,14 +27,17 @@ def plot(
     """Body of the command; the words above are what --help shows."""
     path = output or file.with_suffix(".png")
     if path.suffix.lower() not in _FORMATS:
-        raise Refused(f"command line: --output: {path} must end in one of {', '.join(_FORMATS)}")
+        raise InputError(f"command line: --output: {path} must end in one of {', '.join(_FORMATS)}")
     if not file.is_file():
-        raise Refused(f"command line: FILE: {file} is {'a folder' if file.is_dir() else 'not there'}")
+        raise InputError(f"command line: FILE: {file} is {'a folder' if file.is_dir() else 'not there'}")
     try:
         drawing = figure(file)
-    except FigureError as error:
-        raise Refused(f"command line: FILE: {' '.join(str(error).split())}") from None
-    check_output(path)
+    except ResultError as error:
+        raise InputError(f"command line: FILE: {' '.join(str(error).split())}") from error
+    try:
+        check_writable(path)
+    except ResultError as error:
+        raise InputError(f"command line: --output: {error}") from error
     drawing.savefig(path, dpi=_DPI)
     print(f"wrote {path}")
 

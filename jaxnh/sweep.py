@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import re
 import sys
-import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
-from jaxnh.cli.command import experiment_of, other_than
-from jaxnh.cli.exit_codes import Refused, Stop, check_output, run_app
-from jaxnh.config.experiment import Experiment, schema
-from jaxnh.engine import dask_workers as workers
-from jaxnh.engine.run import How, Run
-from jaxnh.storage import hdf5 as store
+from jaxnh.cli.arguments import called, experiment_of
+from jaxnh.cli.exit_codes import Stop, run_app
+from jaxnh.cli.report import report
+from jaxnh.cli.terminal import progress
+from jaxnh.config.experiment import schema
+from jaxnh.engine import dask_workers
+from jaxnh.engine.run import How, check_output, is_there, run_to_file
+from jaxnh.exceptions import ArgumentError, BusyError
 from jaxnh.storage import tiles
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -46,26 +48,27 @@ def sweep(
     if print_schema:
         print(json.dumps(schema(), indent=2, ensure_ascii=False))
         return
-    began = time.perf_counter()
-    how = How(_part(part), merge_only, dask, tile, quiet)
+    share = _part(part)
     if merge_only and (part or dask):
-        raise Refused("command line: --merge: it goes without --part and --dask")
+        raise ArgumentError("merge", "it goes without --part and --dask")
     if dask:
-        workers.check(dask)
+        dask_workers.check(dask)
     experiment = experiment_of(config, overrides)
-    path = output or Path("results") / f"{experiment.source.stem}.h5"
-    if _already_there(path, experiment, fresh):
+    path = output or Path("results") / f"{Path(experiment.label).stem}.h5"
+    if is_there(experiment, path, fresh=fresh):
         tiles.tidy(tiles.folder_of(path))
         if not quiet:
             print(f"{path}: the result of this config is there; --fresh runs it again")
         return
     check_output(path)
-    folder = tiles.folder_of(path)
+    how = How(fresh, share, merge_only, dask, tile, called("jaxnh.sweep"))
+    shown = progress(Console(stderr=True), quiet=quiet)
     try:
-        with Stop() as stop, tiles.hold(folder, how.part):
-            Run(experiment, path, how, stop, began).run(fresh)
-    except tiles.Busy as busy:
-        raise Refused(f"command line: --output: {busy}") from None
+        with Stop() as stop:
+            outcome = run_to_file(experiment, path, how, shown, stop.check)
+            report(experiment, path, outcome, share, quiet=quiet)
+    except BusyError as busy:
+        raise ArgumentError("output", str(busy)) from None
 
 
 def _part(text: str | None) -> tuple[int, int] | None:
@@ -73,25 +76,8 @@ def _part(text: str | None) -> tuple[int, int] | None:
         return None
     match = re.fullmatch(r"(\d+)/(\d+)", text)
     if not match or not 1 <= int(match[1]) <= int(match[2]):
-        raise Refused(f"command line: --part: it is K/N with K from 1 to N, not {text}")
+        raise ArgumentError("part", f"it is K/N with K from 1 to N, not {text}")
     return int(match[1]), int(match[2])
-
-
-def _already_there(path: Path, experiment: Experiment, fresh: bool) -> bool:
-    """Whether the output holds this very result. Anything else that is there is only replaced when asked for."""
-    if fresh or not path.exists():
-        return False
-    try:
-        attrs = store.read_attrs(path)
-        same = attrs["config_sha256"] == experiment.sha256
-    except (store.StoreError, KeyError):
-        raise Refused(
-            f"command line: --output: {path} is there and is no result of jaxnh; --fresh replaces it"
-        ) from None
-    if not same:
-        other = other_than(experiment, attrs.get("system_file"))
-        raise Refused(f"command line: --output: {path} holds the result of {other}; --fresh replaces it")
-    return True
 
 
 def main() -> int:

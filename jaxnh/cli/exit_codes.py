@@ -7,46 +7,22 @@ import os
 import signal
 import sys
 import threading
-from pathlib import Path
+import traceback
 from types import TracebackType
 from typing import Any
 
 import typer
 
-from jaxnh.storage import hdf5 as store
+from jaxnh.exceptions import ArgumentError, InputError, JaxnhError, Stopped
+
+GO_ON = "run the same command again to go on"
 
 RESUME = 75
 """Exit code of a run that was stopped and can go on: the temporary failure of sysexits.h."""
 
-GO_ON = "run the same command again to go on"
-
 _GRACE = 20.0  # seconds after a signal in which work in hand may come to a place to stop
 # The base of all faults of a command line, wherever typer keeps its parser.
 _UsageError: Any = typer.BadParameter.__mro__[1]
-
-
-class Refused(Exception):
-    """Bad input; the message is the line to print."""
-
-
-class Failed(Exception):
-    """A run cannot go on; the message says why, and what is kept."""
-
-
-class Unfinished(Exception):
-    """A run was stopped; the same command goes on. The message says how far it came."""
-
-
-def check_output(path: Path) -> None:
-    """Make the folder of an output.
-
-    Raises:
-        Refused: nothing can be written there.
-    """
-    try:
-        store.check_writable(path)
-    except store.StoreError as error:
-        raise Refused(f"command line: --output: {error}") from None
 
 
 class Stop:
@@ -68,10 +44,10 @@ class Stop:
         """Stop here if asked to.
 
         Raises:
-            Unfinished: a signal has come.
+            Stopped: a signal has come.
         """
         if self.signal:
-            raise Unfinished(f"stopped by {self.signal}")
+            raise Stopped(f"stopped by {self.signal}")
 
     def __enter__(self) -> Stop:
         self._reading, self._writing = os.pipe()
@@ -101,7 +77,7 @@ class Stop:
 
 
 def run_app(app: typer.Typer) -> int:
-    """Run a command; each end but the good one has one line and no traceback.
+    """Run a command; each end but the good one has one line, and with JAXNH_DEBUG=1 the traceback before it.
 
     Returns:
         0 done, 2 bad input, 75 stopped and ready to go on, 130 interrupted with nothing kept, 1 any other failure.
@@ -111,26 +87,33 @@ def run_app(app: typer.Typer) -> int:
         if isinstance(code, int) and code:
             print("interrupted; nothing was written", file=sys.stderr)
             return code
-    except Refused as refusal:
-        print(refusal, file=sys.stderr)
-        return 2
-    except _UsageError as error:
-        print(f"command line: {' '.join(str(error.format_message()).split())}", file=sys.stderr)
-        return 2
-    except Unfinished as end:
-        print(f"{end}; {GO_ON}", file=sys.stderr)
-        return RESUME
-    except Failed as end:
-        print(f"failed: {end}", file=sys.stderr)
-        return 1
-    except (KeyboardInterrupt, typer.Abort):
-        print("interrupted; nothing was written", file=sys.stderr)
-        return 130
     except BrokenPipeError:
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except (KeyboardInterrupt, typer.Abort):
+        print("interrupted; nothing was written", file=sys.stderr)
+        return 130
     except Exception as error:
-        print(f"failed: {type(error).__name__}: {' '.join(str(error).split())[:500]}", file=sys.stderr)
-        return 1
+        if os.environ.get("JAXNH_DEBUG") == "1":
+            traceback.print_exc()
+        code, line = _end(error)
+        print(line, file=sys.stderr)
+        return code
     return 0
+
+
+def _end(error: Exception) -> tuple[int, str]:
+    """Exit code and line of an end that is no good one."""
+    if isinstance(error, ArgumentError):
+        remedy = f"; --fresh {error.remedy}" if error.remedy else ""
+        return 2, f"command line: --{error.argument}: {error.what}{remedy}"
+    if isinstance(error, InputError):
+        return 2, str(error)
+    if isinstance(error, _UsageError):
+        return 2, f"command line: {' '.join(str(error.format_message()).split())}"
+    if isinstance(error, Stopped):
+        return RESUME, f"{error}; {GO_ON}"
+    if isinstance(error, JaxnhError):
+        return 1, f"failed: {error}"
+    return 1, f"failed: {type(error).__name__}: {' '.join(str(error).split())[:500]}"

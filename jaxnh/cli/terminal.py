@@ -23,7 +23,22 @@ class _Rate(ProgressColumn):
         return Text(f"{task.speed:,.0f} lane-periods/s" if task.speed and task.total else "")
 
 
-class Bar:
+class Quiet:
+    """Warnings alone."""
+
+    def start(self, label: str, total: float) -> None: ...
+
+    def advance(self, amount: float) -> None: ...
+
+    def finish(self) -> None: ...
+
+    def note(self, text: str) -> None: ...
+
+    def warn(self, text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+
+class Bar(Quiet):
     """Progress as a bar on a terminal."""
 
     def __init__(self, console: Console) -> None:
@@ -46,6 +61,9 @@ class Bar:
         if self._task is not None:
             self._progress.update(self._task, advance=amount)  # pyright: ignore[reportArgumentType]
 
+    def note(self, text: str) -> None:
+        self.warn(text)
+
     def finish(self) -> None:
         if self._task is not None:
             self._progress.remove_task(self._task)  # pyright: ignore[reportArgumentType]
@@ -53,7 +71,7 @@ class Bar:
         self._progress.stop()
 
 
-class Log:
+class Log(Quiet):
     """Progress as plain lines: one when a stage of some length begins, then one a minute."""
 
     def __init__(self) -> None:
@@ -79,11 +97,14 @@ class Log:
             flush=True,
         )
 
-    def finish(self) -> None: ...
+    def note(self, text: str) -> None:
+        self.warn(text)
 
 
-def progress(console: Console) -> Bar | Log:
-    """A bar where the console is a terminal, else plain lines."""
+def progress(console: Console, *, quiet: bool = False) -> Quiet:
+    """A bar where the console is a terminal, else plain lines; or warnings alone."""
+    if quiet:
+        return Quiet()
     return Bar(console) if console.is_terminal else Log()
 
 

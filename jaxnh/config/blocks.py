@@ -1,30 +1,69 @@
-"""Parts of a config that every system shares: what a section is, and the values of a sweep."""
+"""Blocks of a config that are the same for all systems, and what those of a system, its start and its sweep have."""
 
 from __future__ import annotations
 
+import abc
 import math
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from jaxtyping import Float
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    Tag,
+    create_model,
+    field_validator,
+    model_validator,
+)
 
-from jaxnh.config.messages import rule
+from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.base import Analysis, Options, rule
+from jaxnh.config.messages import close_match, shown
+from jaxnh.solvers import RUNGE_KUTTA, SOLVERS
+from jaxnh.systems.flow import Flow
 
-_MOST_LANES = 10_000_000
+MOST_LANES = 10_000_000
+"""Lanes that a sweep may have, the product of its axes."""
+
+_SOLVERS = tuple(SOLVERS)
 
 
-class Section(BaseModel):
+class Block(BaseModel):
     """A mapping in a config: frozen, strict about types, and a key that is not known is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class Evenly(Section):
-    """Evenly spaced values of a parameter, both ends included."""
+class OrderedBlock(Block):
+    """A block whose keys have an order that counts."""
+
+    _order: tuple[str, ...] = PrivateAttr(default=())
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _keep_order(cls, content: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        block = handler(content)
+        if isinstance(content, dict):
+            block._order = tuple(content)
+        return block
+
+
+# ---- a sweep
+
+
+class Evenly(Block):
+    """Evenly spaced values, both ends included."""
 
     start: float = Field(description="First value")
     stop: float = Field(description="Last value, above or below the first")
-    count: int = Field(ge=2, le=_MOST_LANES, description="Number of values, both ends included")
+    count: int = Field(ge=2, le=MOST_LANES, description="Number of values, both ends included")
 
     @model_validator(mode="after")
     def _check(self) -> Evenly:
@@ -34,20 +73,40 @@ class Evenly(Section):
             raise rule("start and stop are further apart than a double can say", "stop", "start")
         return self
 
-    def grid(self) -> np.ndarray:
-        """The values from start to stop, shape (count,)."""
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return self.count
+
+    @property
+    def first(self) -> float:
+        """The first value."""
+        return self.start
+
+    def grid(self) -> Float[np.ndarray, " count"]:
+        """The values from start to stop."""
         return np.linspace(self.start, self.stop, self.count)
 
 
-class Named(Section):
-    """Values of a parameter, named one by one."""
+class Named(Block):
+    """Values named one by one."""
 
     values: tuple[float, ...] = Field(
-        min_length=1, max_length=_MOST_LANES, strict=False, description="The values, in the order they are wanted"
+        min_length=1, max_length=MOST_LANES, strict=False, description="The values, in the order they are wanted"
     )
 
-    def grid(self) -> np.ndarray:
-        """The values as given, shape (count,)."""
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return len(self.values)
+
+    @property
+    def first(self) -> float:
+        """The first value."""
+        return self.values[0]
+
+    def grid(self) -> Float[np.ndarray, " count"]:
+        """The values as given."""
         return np.array(self.values, dtype=np.float64)
 
 
@@ -56,7 +115,166 @@ def _grid_kind(content: Any) -> str:
     return "values" if named else "start, stop, count"
 
 
-Grid = Annotated[
+Grid: TypeAlias = Annotated[
     Annotated[Evenly, Tag("start, stop, count")] | Annotated[Named, Tag("values")], Discriminator(_grid_kind)
 ]
-"""Values of the parameter that is swept."""
+"""Values of an axis."""
+
+
+class SweepBlock(Block, abc.ABC):
+    """The axes of a sweep: parameters, or coordinates of the start state, to their values."""
+
+    @property
+    @abc.abstractmethod
+    def grids(self) -> Mapping[str, Evenly | Named]:
+        """Name to grid, in the order of the config."""
+
+    @property
+    @abc.abstractmethod
+    def known(self) -> tuple[str, ...]:
+        """Names that there are."""
+
+    def check(self) -> None:
+        """See that there is an axis, and that the product of all can be run."""
+        if not self.grids:
+            raise rule(f"name an axis and its values, one at least of {', '.join(self.known)}", "sweep")
+        lanes = math.prod(grid.size for grid in self.grids.values())
+        if lanes > MOST_LANES:
+            keys = (f"sweep.{name}{key}" for key in ("", ".count", ".values") for name in self.grids)
+            counts = " x ".join(f"{grid.size:,}" for grid in self.grids.values())
+            raise rule(f"{counts} are {lanes:,} lanes, and {MOST_LANES:,} is the most", "sweep", *keys)
+
+
+# ---- a system and its start
+
+
+class InitialBlock(Block, abc.ABC):
+    """The start state at t = 0."""
+
+    @abc.abstractmethod
+    def coordinates(self) -> Mapping[str, float | None]:
+        """Coordinates by name; None where the config does not say and there is no default."""
+
+    @property
+    def given(self) -> frozenset[str]:
+        """Names of the coordinates that the config says."""
+        return frozenset(name for name in self.model_fields_set if self.coordinates().get(name) is not None)
+
+
+class SystemBlock(Block, abc.ABC):
+    """What moves."""
+
+    @abc.abstractmethod
+    def check(self, initial: Any, sweep: SweepBlock) -> None:
+        """See that parameters, start state and sweep go together."""
+
+    @abc.abstractmethod
+    def flow(self, parameters: Mapping[str, float]) -> Flow:
+        """The system in continuous time, with these parameters in place of its own."""
+
+    @abc.abstractmethod
+    def start(self, initial: Any) -> Mapping[str, float]:
+        """Coordinates of the start state that the flow asks for."""
+
+    def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
+        """Whether all lanes of a program must have the same of these values of a parameter."""
+        return flow.shares(name)
+
+
+# ---- accuracy, analyses, published values
+
+
+class Accuracy(Block):
+    """How accurate the map of one period is to be, or by which method and steps it is computed."""
+
+    target: float = Field(
+        default=1e-10, ge=1e-13, le=1e-2, description="Largest error of one period's map that is allowed"
+    )
+    solver: str | None = Field(
+        default=None,
+        description="Solver to use instead of the one chosen for the target; needs steps",
+        json_schema_extra={"enum": [*_SOLVERS, None]},
+    )
+    steps: int | None = Field(
+        default=None, ge=1, le=1_000_000, description="Steps a period instead of those chosen for the target"
+    )
+
+    precision: Literal["float64", "float32"] | None = Field(
+        default=None,
+        description="Arithmetic within a period: float64, or if asked for float32, with errors of 1e-5 and more",
+    )
+
+    @field_validator("solver")
+    @classmethod
+    def _known(cls, solver: str | None) -> str | None:
+        if solver is not None and solver not in _SOLVERS:
+            raise rule(f"must be one of {', '.join(_SOLVERS)}, not {shown(solver)}{close_match(solver, _SOLVERS)}")
+        return solver
+
+    @model_validator(mode="after")
+    def _check(self) -> Accuracy:
+        if (self.solver is None) != (self.steps is None):
+            given, absent = ("solver", "steps") if self.steps is None else ("steps", "solver")
+            raise rule(f"solver and steps go together; give {absent} as well", given)
+        if self.precision == "float32" and self.solver in RUNGE_KUTTA:
+            raise rule(f"float32 goes with the splittings, and {self.solver} is none", "precision", "solver")
+        return self
+
+
+class AnalysesBase(OrderedBlock):
+    """The analyses asked for, each with its options; None where an analysis is absent."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults(cls, content: Any) -> Any:
+        """A name with nothing behind it means all defaults."""
+        if content in (None, {}):
+            raise rule(f"at least one analysis is needed; known are {', '.join(ANALYSES)}")
+        if not isinstance(content, dict):
+            return content
+        return {name: {} if options is None else options for name, options in content.items()}
+
+    def requested(self) -> list[tuple[Analysis, Options]]:
+        """Each analysis with its options, in the order of the config; those that one needs come before it."""
+        order: list[str] = []
+        for name in self._order:
+            order += [need for need in (*ANALYSES[name].needs, name) if need not in order]
+        return [(ANALYSES[name], getattr(self, name) or ANALYSES[name].options()) for name in order]
+
+
+if TYPE_CHECKING:
+    Analyses = AnalysesBase
+else:
+    Analyses = create_model(
+        "Analyses",
+        __base__=AnalysesBase,
+        __doc__=AnalysesBase.__doc__,
+        **{
+            name: (
+                analysis.options | None,
+                Field(default=None, description=f"Options of {name}; nothing or {{}} for all defaults"),
+            )
+            for name, analysis in ANALYSES.items()
+        },
+    )
+
+
+def _nan_for_null(column: tuple[float | None, ...]) -> tuple[float, ...]:
+    return tuple(math.nan if number is None else number for number in column)
+
+
+Column = Annotated[tuple[float | None, ...], Field(strict=False), AfterValidator(_nan_for_null)]
+"""Published numbers of one variable; NaN where the publication has none (null in YAML)."""
+
+
+class Published(Block):
+    """Published values of an analysis: where they are from, and a list of numbers a variable."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Column] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    source: str = Field(description="Where the values are published")
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Variable name to its published values, each float64 of shape (n,)."""
+        return {name: np.array(column, dtype=np.float64) for name, column in self.__pydantic_extra__.items()}

@@ -1,174 +1,50 @@
 """The experiment: what a config says, as frozen records that are valid once they exist. Nothing below sees a raw dict.
 
-The models and their rules live here; YAML and its lines in yaml_source.py, the words for a fault in faults.py.
+The whole lives here; the blocks of all systems in blocks.py, of the particle in particle.py and of users' systems in
+user_system.py, YAML and its lines in yaml_source.py, the words for a fault in messages.py.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    ConfigDict,
-    Field,
-    ModelWrapValidatorHandler,
-    PrivateAttr,
-    ValidationError,
-    create_model,
-    field_validator,
-    model_validator,
-)
+from jaxtyping import Float
+from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
 from pydantic.json_schema import GenerateJsonSchema
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import Analysis, Options
-from jaxnh.config.blocks import Evenly, Named, Section
-from jaxnh.config.messages import Layout, close_match, first_fault, rule, shown
-from jaxnh.config.particle import (
-    ConstantSpeed,
-    DisturbedSpeed,
-    EventSection,
-    Free,
-    Initial,
-    PlanarSystem,
-    PrescribedSpeed,
-    Sweep,
-)
-from jaxnh.config.user_system import own_sections, with_own_systems
-from jaxnh.config.yaml_source import ConfigError, KeyPath, read
+from jaxnh.analyses.base import Analysis, Axis, OptionError, Options, Setting, rule
+from jaxnh.config.blocks import Accuracy, Analyses, Block, Evenly, Named, Published, SystemBlock
+from jaxnh.config.messages import Layout, close_match, first_fault
+from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, PrescribedSpeed, Sweep
+from jaxnh.config.user_system import UserInitial, UserSweep, UserSystem
+from jaxnh.config.yaml_source import Source, from_dict, from_text, read
+from jaxnh.config.yaml_tree import KeyPath
 from jaxnh.maps.section import Crossing
-from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, SPLITTINGS
-from jaxnh.systems.user_file import OwnSystem, OwnSystemError
+from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS
+from jaxnh.systems.flow import Flow, State
+from jaxnh.systems.user_file import UserFile
 
-__all__ = ["ConfigError", "Experiment", "load", "schema"]
-
-_SOLVERS = tuple(SOLVERS)
-_BY_NEWTON = ("doubling", "period")
-_ON_SECTIONS = ("lyapunov", "period", "portrait", "poincare", "diagram", "chaos01")
-
-
-# ---- accuracy, analyses, published values
-
-
-class Accuracy(Section):
-    """How accurate the map of one period is to be, or by which method and steps it is computed."""
-
-    target: float = Field(
-        default=1e-10, ge=1e-13, le=1e-2, description="Largest error of one period's map that is allowed"
-    )
-    solver: str | None = Field(
-        default=None,
-        description="Solver to use instead of the one chosen for the target; needs steps",
-        json_schema_extra={"enum": [*_SOLVERS, None]},
-    )
-    steps: int | None = Field(
-        default=None, ge=1, le=1_000_000, description="Steps a period instead of those chosen for the target"
-    )
-
-    precision: Literal["float64", "float32"] | None = Field(
-        default=None,
-        description="Arithmetic within a period: float64, or if asked for float32, with errors of 1e-5 and more",
-    )
-
-    @field_validator("solver")
-    @classmethod
-    def _known(cls, solver: str | None) -> str | None:
-        if solver is not None and solver not in _SOLVERS:
-            raise rule(f"must be one of {', '.join(_SOLVERS)}, not {shown(solver)}{close_match(solver, _SOLVERS)}")
-        return solver
-
-    @model_validator(mode="after")
-    def _check(self) -> Accuracy:
-        if (self.solver is None) != (self.steps is None):
-            given, absent = ("solver", "steps") if self.steps is None else ("steps", "solver")
-            raise rule(f"solver and steps go together; give {absent} as well", given)
-        if self.precision == "float32" and self.solver in RUNGE_KUTTA:
-            raise rule(f"float32 goes with the splittings, and {self.solver} is none", "precision", "solver")
-        return self
-
-
-class AnalysesBase(Section):
-    """The analyses asked for, each with its options; None where an analysis is absent."""
-
-    _order: tuple[str, ...] = PrivateAttr(default=())
-
-    @model_validator(mode="wrap")
-    @classmethod
-    def _defaults(cls, content: Any, handler: ModelWrapValidatorHandler[AnalysesBase]) -> AnalysesBase:
-        """A name with nothing behind it means all defaults; the order of the names is kept."""
-        if content in (None, {}):
-            raise rule(f"at least one analysis is needed; known are {', '.join(ANALYSES)}")
-        if not isinstance(content, dict):
-            return handler(content)
-        analyses = handler({name: {} if options is None else options for name, options in content.items()})
-        analyses._order = tuple(content)
-        return analyses
-
-    def requested(self) -> list[tuple[Analysis, Options]]:
-        """Each analysis with its options, in the order of the config; those that one needs come before it."""
-        order: list[str] = []
-        for name in self._order:
-            order += [need for need in (*ANALYSES[name].needs, name) if need not in order]
-        return [(ANALYSES[name], getattr(self, name) or ANALYSES[name].options()) for name in order]
-
-
-if TYPE_CHECKING:
-    Analyses = AnalysesBase
-else:
-    Analyses = create_model(
-        "Analyses",
-        __base__=AnalysesBase,
-        __doc__=AnalysesBase.__doc__,
-        **{
-            name: (
-                analysis.options | None,
-                Field(default=None, description=f"Options of {name}; nothing or {{}} for all defaults"),
-            )
-            for name, analysis in ANALYSES.items()
-        },
-    )
-
-
-def _nan_for_null(column: tuple[float | None, ...]) -> tuple[float, ...]:
-    return tuple(math.nan if number is None else number for number in column)
-
-
-Column = Annotated[tuple[float | None, ...], Field(strict=False), AfterValidator(_nan_for_null)]
-"""Published numbers of one variable; NaN where the publication has none (null in YAML)."""
-
-
-class Published(Section):
-    """Published values of an analysis: where they are from, and a list of numbers a variable."""
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Column] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
-
-    source: str = Field(description="Where the values are published")
-
-    def columns(self) -> dict[str, np.ndarray]:
-        """Variable name to its published values, each float64 of shape (n,)."""
-        return {name: np.array(column, dtype=np.float64) for name, column in self.__pydantic_extra__.items()}
-
+__all__ = ["Experiment", "load", "schema"]
 
 # ---- the whole
 
 
-class Experiment(Section):
-    """A validated config. Made by `load`, which also sets `source` and `text`."""
+class Experiment(Block):
+    """A validated config; made by `load`, `Experiment.from_dict` or `Experiment.from_text`."""
 
     title: str = Field(default="", description="What this run is, in words")
     system: ConstantSpeed | DisturbedSpeed | Free = Field(
         discriminator="constraint", description="The constraint on the speed, the parameters, and what is left out"
     )
-    initial: Initial = Field(default=Initial(), description="Start state at t = 0, the same for all lanes")
-    sweep: Sweep = Field(description="The parameter that differs from lane to lane, and its values")
-    section: EventSection | None = Field(
+    initial: Initial = Field(default=Initial(), description="Start state at t = 0, where it is not swept")
+    sweep: Sweep = Field(description="The parameters and start coordinates that differ from lane to lane: their values")
+    section: PoincareSection | None = Field(
         default=None, description="Without forcing and disturbance, the section whose crossings take the strobe's place"
     )
     accuracy: Accuracy = Field(default=Accuracy(), description="Error allowed, or solver and steps")
@@ -177,9 +53,37 @@ class Experiment(Section):
         default=None, description="Published values to show beside ours: name of the analysis to source and numbers"
     )
 
-    _source: Path = PrivateAttr(default=Path())
-    _text: str = PrivateAttr(default="")
-    _own: OwnSystem | None = PrivateAttr(default=None)
+    _origin: Source | None = PrivateAttr(default=None)
+
+    # ---- how it is made
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any], overrides: Sequence[str] = ()) -> Experiment:
+        """The experiment of a dict that says what a YAML file would say; a user's file is named from where one is.
+
+        Args:
+            content: mappings, lists, text, numbers and booleans; NumPy's arrays and numbers as well.
+            overrides: KEY=VALUE, as of `load`.
+
+        Raises:
+            ConfigError: one line, `experiment: KEY: what is wrong`.
+        """
+        return _validated(from_dict(content, overrides), Path())
+
+    @classmethod
+    def from_text(cls, text: str, user_text: str | None = None) -> Experiment:
+        """The experiment of the text of a YAML file.
+
+        Args:
+            text: such as `Experiment.text` of another one.
+            user_text: what the user's file says that the config names, in place of reading it.
+
+        Raises:
+            ConfigError: one line, `experiment:LINE: KEY: what is wrong`.
+        """
+        return _validated(from_text(text), Path(), user_text)
+
+    # ---- rules
 
     @field_validator("compare")
     @classmethod
@@ -191,176 +95,277 @@ class Experiment(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Experiment:
-        self.initial.check(self.system, self.sweep)
-        solver = self.accuracy.solver
-        if solver and solver not in RUNGE_KUTTA and not isinstance(self.system, PrescribedSpeed):
-            general = ", ".join(RUNGE_KUTTA)
-            raise rule(f"{solver} is for a particle at a prescribed speed; others are {general}", "accuracy.solver")
-        options = getattr(self.analyses, "lyapunov", None)
-        most = self.system.exponents(self.sweep)
-        if options is not None and "exponents" in options.model_fields_set and options.exponents > most:
-            raise rule(f"must be at most {most}, not {options.exponents}", "analyses.lyapunov.exponents")
-        if self.accuracy.precision == "float32" and not isinstance(self.system, PrescribedSpeed):
-            raise rule("float32 is for a particle at a prescribed speed", "accuracy.precision")
-        for analysis, _ in self.requested():
-            if self.accuracy.precision == "float32" and analysis.name in _BY_NEWTON:
-                message = f"float32 is too coarse for Newton on orbits, which {analysis.name} rests on"
-                raise rule(message, "accuracy.precision")
-        self._check_section()
+        self.sweep.check()
+        self._block.check(self.initial, self.sweep)
+        self._check_accuracy()
+        if self.section and not self.autonomous:
+            raise rule("this scene has a clock, and is seen at its strobes; leave section out", "section")
+        setting = Setting(self._in_time({}), self.autonomous, self.axes, self.precision)
+        for analysis, options in self.requested():
+            self._check_analysis(analysis, options, setting)
         return self
 
-    def _check_section(self) -> None:
-        """See that a section is asked for where there is no clock alone, and what cannot be done there is not."""
-        if not self.autonomous:
-            if self.section:
-                raise rule("this scene has a clock, and is seen at its strobes; leave section out", "section")
-            return
-        if self.accuracy.precision == "float32":
-            raise rule("float32 goes with a strobe, and this scene has no clock", "accuracy.precision")
+    def _check_accuracy(self) -> None:
+        """See that solver and precision go with the system."""
+        solver, prescribed = self.accuracy.solver, isinstance(self.system, PrescribedSpeed)
+        if solver and solver not in RUNGE_KUTTA and not prescribed:
+            general = ", ".join(RUNGE_KUTTA)
+            raise rule(f"{solver} is for a particle at a prescribed speed; others are {general}", "accuracy.solver")
         fitting = [name for name, s in SPLITTINGS.items() if not s.processed]
-        solver = self.accuracy.solver
-        if solver and isinstance(self.system, PrescribedSpeed) and solver not in fitting:
+        if solver and prescribed and self.autonomous and solver not in fitting:
             raise rule(
                 f"steps end one by one at crossings, which {solver} is not made for; others are {', '.join(fitting)}",
                 "accuracy.solver",
             )
-        for analysis, options in self.requested():
-            if analysis.name not in _ON_SECTIONS:
-                message = (
-                    f"{analysis.name} is for a scene with a clock, and this one has neither forcing nor disturbance; "
-                    f"without them there are {', '.join(_ON_SECTIONS)}"
-                )
-                raise rule(message, f"analyses.{analysis.name}", "system.without")
-            if analysis.name in ("poincare", "diagram") and not getattr(options, "transient", 1):
-                message = "must be at least 1: the start state is not on the section"
-                raise rule(message, f"analyses.{analysis.name}.transient")
-            if getattr(options, "phase", 0.0):
-                raise rule("there is no period to have a phase in; leave it out", f"analyses.{analysis.name}.phase")
+        if self.precision == "float32" and not prescribed:
+            raise rule("float32 is for a particle at a prescribed speed", "accuracy.precision")
+        if self.precision == "float32" and self.autonomous:
+            raise rule("float32 goes with a strobe, and this scene has no clock", "accuracy.precision")
+
+    def _check_analysis(self, analysis: Analysis, options: Options, setting: Setting) -> None:
+        """See that an analysis can do with the scene, and its options with scene and sweep."""
+        name = analysis.name
+        if setting.precision == "float32" and analysis.newton:
+            raise rule(f"float32 is too coarse for Newton on orbits, which {name} rests on", "accuracy.precision")
+        if setting.autonomous and analysis.clock:
+            others = ", ".join(other.name for other in ANALYSES.values() if not other.clock)
+            message = (
+                f"{name} is for a scene with a clock, and this one has neither forcing nor disturbance; "
+                f"without them there are {others}"
+            )
+            raise rule(message, f"analyses.{name}", "system.without")
+        try:
+            analysis.check(options, setting)
+        except OptionError as error:
+            key = f"analyses.{name}.{error.key}".rstrip(".")
+            raise rule(str(error), key, f"analyses.{name}", *(f"sweep.{axis}" for axis in self.sweep.grids)) from None
+
+    # ---- what is run
+
+    @property
+    def _block(self) -> SystemBlock:
+        return self.system
+
+    def _in_time(self, shared: Mapping[str, float]) -> Flow:
+        """The flow in continuous time."""
+        coordinates = self.initial.coordinates()
+        swept = {name: grid.first for name, grid in self.sweep.grids.items() if name not in coordinates}
+        return self._block.flow({**swept, **shared})
+
+    def flow(self, shared: Mapping[str, float] | None = None) -> Flow:
+        """What moves; where it has no clock, on its section.
+
+        Args:
+            shared: values of shared axes; the first value of each where it is not named.
+        """
+        flow = self._in_time(shared or {})
+        return (self.section or PoincareSection()).of(flow) if flow.autonomous else flow
+
+    def start(
+        self,
+        coordinates: Mapping[str, Float[np.ndarray, " count"]],
+        count: int,
+        shared: Mapping[str, float] | None = None,
+    ) -> State:
+        """Start states of lanes, components (count,); of a flow on a section, on their way there.
+
+        Args:
+            coordinates: coordinates of the start by name, in place of those that `initial` says.
+            count: number of lanes.
+            shared: values of shared axes, as of `flow`.
+        """
+        flow = self._in_time(shared or {})
+        given = {**self._block.start(self.initial), **coordinates}
+        state = flow.start({name: np.full(count, value, dtype=np.float64) for name, value in given.items()})
+        return Crossing(state, np.zeros(count), np.zeros(count)) if flow.autonomous else state
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Coordinates of the start state that lanes may have of their own."""
+        return tuple(self._block.start(self.initial))
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The axes of the sweep, in the order of the config; their product, in C order, is what is run.
+
+        Made anew at every call.
+        """
+        flow, coordinates, found = self._in_time({}), self.initial.coordinates(), []
+        for name, grid in self.sweep.grids.items():
+            values = grid.grid()
+            kind = "lane"
+            if name in coordinates:
+                kind = "start"
+            elif self._block.shares(name, values, flow):
+                kind = "shared"
+            found.append(Axis(name, values, flow.words(name), kind))
+        return tuple(found)
 
     @property
     def autonomous(self) -> bool:
         """Whether the scene has no clock: neither forcing nor disturbance."""
-        return isinstance(self.system, PlanarSystem) and self.system.build().autonomous
-
-    def system_and_start(self) -> tuple[Any, Any]:
-        """The system, without a clock on its section, and its start state."""
-        flow = self.system.build()
-        start = self.initial.state(flow)
-        if not self.autonomous:
-            return flow, start
-        return (self.section or EventSection()).of(flow), Crossing(start, 0.0, 0.0)
-
-    @property
-    def source(self) -> Path:
-        """The file this was read from, as the user named it."""
-        return self._source
-
-    @property
-    def text(self) -> str:
-        """The YAML as run: the file's text, with the overrides applied and the comments kept."""
-        return self._text
-
-    @property
-    def sha256(self) -> str:
-        """Hash, in hex, of what decides the numbers.
-
-        It is taken of the validated content in canonical JSON, so that formatting, comments, the order of keys and
-        defaults written out do not change it. Nor do `title` and `compare`, which change no number.
-        """
-        content = self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
-        if self.autonomous:
-            content["section"] = (self.section or EventSection()).model_dump(mode="json")
-        if self._own:
-            content["system"]["file"] = self._own.sha256
-        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(canonical.encode()).hexdigest()
+        return self._in_time({}).autonomous
 
     @property
     def precision(self) -> str:
         """Arithmetic within a period: "float64", or "float32" where it is asked for."""
         return self.accuracy.precision or "float64"
 
-    @property
-    def own(self) -> OwnSystem | None:
-        """The user's file that the system is from, if it is."""
-        return self._own
-
     def requested(self) -> list[tuple[Analysis, Options]]:
-        """The analyses asked for, each with its options, in the order of the config."""
+        """The analyses asked for, each with its options, in the order of the config; before each those it needs."""
         return self.analyses.requested()
 
+    # ---- where it is from
 
-_LAYOUT = Layout(
-    models={
-        (): Experiment,
-        ("initial",): Initial,
-        ("sweep",): Sweep,
-        ("section",): EventSection,
-        ("accuracy",): Accuracy,
-        ("analyses",): Analyses,
-        **{("analyses", name): analysis.options for name, analysis in ANALYSES.items()},
-        **{("compare", name): Published for name in ANALYSES},
-    },
-    variants={
-        ("system",): {"constant_speed": ConstantSpeed, "disturbed_speed": DisturbedSpeed, "free": Free},
-        ("sweep", "b"): {"start, stop, count": Evenly, "values": Named},
-        ("sweep", "a"): {"start, stop, count": Evenly, "values": Named},
-    },
-    selectors={("system",): "constraint", ("sweep", "b"): "values", ("sweep", "a"): "values"},
-)
+    @property
+    def source(self) -> Path | None:
+        """The file this was read from, as the user named it; None where there is none."""
+        return self._origin.path if self._origin else None
+
+    @property
+    def label(self) -> str:
+        """What messages call it: the name of the file, or "experiment"."""
+        return str(self.source or "experiment")
+
+    @property
+    def text(self) -> str:
+        """The YAML as run: a file's text, with the overrides applied and the comments kept."""
+        return self._origin.text if self._origin else ""
+
+    @property
+    def user_file(self) -> UserFile | None:
+        """The user's file that the system is from, if it is."""
+        return None
+
+    @property
+    def sha256(self) -> str:
+        """Hash, in hex, of what decides the numbers.
+
+        It is taken of the validated content in canonical JSON, so that formatting, comments, the order of keys and
+        defaults written out do not change it; the order of the axes, where there are some, does. Nor do `title` and
+        `compare`, which change no number.
+        """
+        content = self._content()
+        if len(names := tuple(self.sweep.grids)) > 1:
+            content["sweep"] = [[name, content["sweep"][name]] for name in names]
+        if self.autonomous:
+            content["section"] = (self.section or PoincareSection()).model_dump(mode="json")
+        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
+    def _content(self) -> dict[str, Any]:
+        """What decides the numbers, defaults written out."""
+        return self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
 
 
-def _of_own(own: OwnSystem) -> tuple[type[Experiment], Layout]:
-    """The experiment of a user's system: its parameters, coordinates and sweep have the places of the built-in ones."""
-    system, initial, sweep = own_sections(own)
-    fields: dict[str, Any] = {
-        "system": (system, Field(description="The user's file, and the parameters")),
-        "initial": (
-            initial,
-            Field(default_factory=initial, description="Start state at t = 0, the same for all lanes"),
-        ),
-        "sweep": (sweep, Field(description="The parameter that differs from lane to lane, and its values")),
-    }
-    model = create_model("OwnExperiment", __base__=Experiment, **fields)
-    grids: dict[KeyPath, Any] = {("sweep", name): _LAYOUT.variants["sweep", "b"] for name in own.parameters}
-    layout = Layout(
-        models={**_LAYOUT.models, (): model, ("system",): system, ("initial",): initial, ("sweep",): sweep},
-        variants=grids,
-        selectors=dict.fromkeys(grids, "values"),
+class UserExperiment(Experiment):
+    """A validated config of a user's system."""
+
+    system: UserSystem = Field(description="The user's file, and the parameters")  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    initial: UserInitial = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        default_factory=dict, validate_default=True, description="Start state at t = 0, where it is not swept"
     )
-    return model, layout
+    sweep: UserSweep = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        description="The parameters and start coordinates that differ from lane to lane: their values"
+    )
+
+    @property
+    def user_file(self) -> UserFile:
+        """The user's file that the system is from."""
+        return self.system.user_file
+
+    def _content(self) -> dict[str, Any]:
+        system = {**self.system.parameters, "file": self.user_file.sha256}
+        return {**super()._content(), "system": system, "initial": dict(self.initial.coordinates())}
 
 
-def load(path: Path, overrides: Sequence[str] = (), own_text: str | None = None) -> Experiment:
+# ---- from a source to an experiment
+
+_GRIDS: Mapping[str, type[BaseModel]] = {"start, stop, count": Evenly, "values": Named}
+_MODELS: Mapping[KeyPath, type[BaseModel]] = {
+    (): Experiment,
+    ("initial",): Initial,
+    ("sweep",): Sweep,
+    ("section",): PoincareSection,
+    ("accuracy",): Accuracy,
+    ("analyses",): Analyses,
+    **{("analyses", name): analysis.options for name, analysis in ANALYSES.items()},
+    **{("compare", name): Published for name in ANALYSES},
+}
+_SYSTEMS: Mapping[str, type[BaseModel]] = {
+    "constant_speed": ConstantSpeed,
+    "disturbed_speed": DisturbedSpeed,
+    "free": Free,
+}
+
+
+def _layout(axes: Iterable[str], user: bool = False) -> Layout:
+    """Which model stands where, of a config whose sweep has these axes."""
+    grids: dict[KeyPath, Any] = {("sweep", name): _GRIDS for name in axes}
+    models, variants, selectors = dict(_MODELS), grids, dict.fromkeys(grids, "values")
+    if user:
+        models |= {(): UserExperiment, ("system",): UserSystem, ("initial",): UserInitial, ("sweep",): UserSweep}
+    else:
+        variants, selectors = {("system",): _SYSTEMS, **grids}, {("system",): "constraint", **selectors}
+    return Layout(models, variants, selectors)
+
+
+def _validated(source: Source, folder: Path, user_text: str | None = None) -> Experiment:
+    """The experiment that a source says.
+
+    Args:
+        folder: where a user's file is named from.
+    """
+    system, sweep = source.data.get("system"), source.data.get("sweep")
+    file = system.get("file") if isinstance(system, dict) else None
+    axes = sweep if isinstance(sweep, dict) else ()
+    if not isinstance(file, str):
+        model, layout, context = Experiment, _layout(Sweep.model_fields), None
+    else:
+        if user_text is None and not (folder / file).is_file():
+            raise source.error(("system", "file"), f"there is no file {folder / file}")
+        context = UserFile(folder / file, user_text)
+        model, layout = UserExperiment, _layout(axes, user=True)
+    try:
+        experiment = model.model_validate(source.data, context=context)
+    except ValidationError as error:
+        raise first_fault(error, source, layout) from None
+    experiment._origin = source
+    return experiment
+
+
+def load(path: str | Path, overrides: Sequence[str] = (), user_text: str | None = None) -> Experiment:
     """Read, override and validate a config.
 
     Args:
         path: the YAML file.
         overrides: KEY=VALUE, KEY a dotted path into the YAML (a number for an item of a list), VALUE as in YAML.
-        own_text: what the user's file says that the config names, in place of reading it.
+        user_text: what the user's file says that the config names, in place of reading it.
 
     Raises:
         ConfigError: one line, `FILE:LINE: KEY: what is wrong`, or `command line: KEY: ...` for an override; of a
             user's system, also `ITS FILE:LINE: what is wrong`.
     """
-    source = read(path, overrides)
-    model, layout, own = Experiment, _LAYOUT, None
-    try:
-        named = source.data.get("system")
-        if isinstance(named, dict) and isinstance(named.get("file"), str):
-            if own_text is None and not (path.parent / named["file"]).is_file():
-                raise source.error(("system", "file"), f"there is no file {path.parent / named['file']}")
-            own = OwnSystem(path.parent / named["file"], own_text)
-            model, layout = _of_own(own)
-        experiment = model.model_validate(source.data)
-    except ValidationError as error:
-        raise first_fault(error, source, layout) from None
-    except OwnSystemError as error:
-        raise ConfigError(str(error)) from None
-    experiment._source, experiment._text, experiment._own = path, source.text, own
-    return experiment
+    path = Path(path)
+    return _validated(read(path, overrides), path.parent, user_text)
 
 
 def schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a config, with a description for every key: for editors."""
-    return {"$schema": GenerateJsonSchema.schema_dialect, **with_own_systems(Experiment.model_json_schema())}
+    built_in, users = Experiment.model_json_schema(), UserExperiment.model_json_schema()
+    properties = {**built_in["properties"]}
+    system = properties["system"]
+    properties["system"] = {**system, "oneOf": [*system["oneOf"], {"$ref": users["properties"]["system"]["$ref"]}]}
+    kinds = {"then": {"properties": {}}, "else": {"properties": {}}}  # which of the two is known from the system
+    for name in ("initial", "sweep"):
+        properties[name] = {"description": properties[name]["description"]}
+        for word, given in (("then", users), ("else", built_in)):
+            kinds[word]["properties"][name] = {"$ref": given["properties"][name]["$ref"]}
+    return {
+        "$schema": GenerateJsonSchema.schema_dialect,
+        **built_in,
+        "$defs": {**built_in["$defs"], **users["$defs"]},
+        "properties": properties,
+        "if": {"required": ["system"], "properties": {"system": {"required": ["file"]}}},
+        **kinds,
+    }

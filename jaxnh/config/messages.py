@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails
 
-from jaxnh.config.yaml_source import ConfigError, KeyPath, Source
+from jaxnh.config.yaml_source import Source
+from jaxnh.config.yaml_tree import KeyPath
+from jaxnh.exceptions import ConfigError
 
 _KINDS = {
     "float_type": "a number",
@@ -71,22 +73,15 @@ class _Finding:
     kind: str
 
 
-def rule(message: str, *keys: str) -> PydanticCustomError:
-    """The error a validator raises for values that do not go together.
-
-    Args:
-        message: what is wrong, and what would be right.
-        keys: dotted paths, from where the validator stands, of the values concerned, the most likely culprit first.
-    """
-    return PydanticCustomError("rule", "{message}", {"message": message, "keys": keys})
-
-
 def first_fault(error: ValidationError, source: Source, layout: Layout) -> ConfigError:
     """The fault that comes first in the file, or if the file has none, on the command line."""
     findings = [_finding(detail, layout) for detail in error.errors(include_url=False)]
     # A misspelt key is unknown, and the one that was meant is missing: the first says more.
     misspelt = {finding.keys[0][:-1] for finding in findings if finding.kind == "unknown"}
     findings = [f for f in findings if not (f.kind == "missing" and f.keys[0][:-1] in misspelt)]
+    # Pydantic counts items that are wrong as none at all.
+    parents = {finding.keys[0][:-1] for finding in findings}
+    findings = [f for f in findings if not (f.kind == "short" and f.keys[0] in parents)]
     places = [(source.blame(finding.keys), finding) for finding in findings]
     key, finding = min(places, key=lambda place: source.order(place[0]))
     message = finding.message
@@ -116,6 +111,20 @@ def shown(value: Any) -> str:
             return "a mapping"
         case _:
             return "a list"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a sentence lists them: "a", "a and b", "a, b and c"."""
+    return " and ".join((*([", ".join(words[:-1])] if len(words) > 1 else []), *words[-1:]))
+
+
+def unknown(key: str, known: Collection[str], others: Collection[str] = ()) -> str:
+    """What is wrong with a key that is not known; `others` are known where something else has been chosen."""
+    return f"unknown key{close_match(key, known) or close_match(key, others)}; {_keys(known)}"
+
+
+def _keys(known: Collection[str]) -> str:
+    return f"known keys are {', '.join(known)}" if len(known) > 1 else f"the only known key is {''.join(known)}"
 
 
 def close_match(word: object, known: Iterable[str]) -> str:
@@ -149,7 +158,7 @@ def _finding(detail: ErrorDetails, layout: Layout) -> _Finding:
             message = f"must be {context['expected']}, not {shown(value)}"
             return _Finding((path,), message, "value")
         case "too_short":
-            return _Finding((path,), f"must have at least {context['min_length']} of them, not {len(value)}", "value")
+            return _Finding((path,), f"must have at least {context['min_length']} of them, not {len(value)}", "short")
         case "value_error":
             return _Finding((path,), str(context["error"]), "value")
         case "float_type" if isinstance(value, int) and not isinstance(value, bool):
@@ -166,12 +175,11 @@ def _unknown(path: KeyPath, tag: str | None, layout: Layout) -> _Finding:
     """A key that its mapping has no place for, or that belongs to another variant of it."""
     above, key = path[:-1], str(path[-1])
     known = layout.fields(above, tag)
-    names = f"known keys are {', '.join(known)}" if len(known) > 1 else f"the only known key is {''.join(known)}"
     others = [name for model in layout.variants.get(above, {}).values() for name in model.model_fields]
     if key in others:
         selector = (*above, layout.selectors[above])
-        return _Finding((path, selector), f"{key} does not go with {tag}; {names}", "unknown")
-    return _Finding((path,), f"unknown key{close_match(key, known) or close_match(key, others)}; {names}", "unknown")
+        return _Finding((path, selector), f"{key} does not go with {tag}; {_keys(known)}", "unknown")
+    return _Finding((path,), unknown(key, known, others), "unknown")
 
 
 def _no_tag(path: KeyPath, value: Any, layout: Layout) -> _Finding:

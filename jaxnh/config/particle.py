@@ -1,33 +1,97 @@
-"""Sections of a config for the paper's particle: its constraint and parameters, start, sweep, and what is left out."""
+"""Blocks of a config for the paper's particle: its constraint and parameters, start, sweep, and what is left out."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, PrivateAttr, field_validator, model_validator
+from jaxtyping import Float
+from pydantic import ConfigDict, Field, field_validator
 
-from jaxnh.config.blocks import Grid, Section
-from jaxnh.config.messages import close_match, rule, shown
-from jaxnh.maps.section import Flow, SectionedFlow
-from jaxnh.systems.free_particle import FreeParticle, free_particle
-from jaxnh.systems.lagrangian import Motion
-from jaxnh.systems.particle import EFFECTS, IsokineticParticle, constant_speed, disturbed_speed, strobe_period
+from jaxnh.analyses.base import rule
+from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, OrderedBlock, SweepBlock, SystemBlock
+from jaxnh.config.messages import close_match, listed, shown
+from jaxnh.exceptions import InputError
+from jaxnh.maps.section import SectionedFlow
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.free_particle import free_particle
+from jaxnh.systems.particle import EFFECTS, constant_speed, disturbed_speed, strobe_period
 
 _START_Y2 = math.sqrt(0.99)  # of the paper's start, at its speed of one
-_SHARED = {"c": "the squared speed", "d": "the disturbance", "omega": "the frequency of the forcing"}
+_COORDINATES = ("x1", "x2", "y1", "y2")
+
+
+# ---- start, sweep, section
+
+
+class Initial(InitialBlock):
+    """The start state at t = 0; with a constraint y2 follows from it, as the positive root."""
+
+    x1: float = Field(default=0.1, description="Position x1")
+    x2: float = Field(default=0.1, description="Velocity of x1; its square is at most the squared speed at t = 0")
+    y1: float = Field(default=0.1, description="Position y1")
+    y2: float | None = Field(
+        default=None, description="Velocity of y1 where there is no constraint; with one it is its positive root"
+    )
+
+    def coordinates(self) -> Mapping[str, float | None]:
+        """Coordinates by name; y2 is None where it is not given."""
+        return {"x1": self.x1, "x2": self.x2, "y1": self.y1, "y2": self.y2}
+
+
+def _axis(words: str) -> Any:
+    return Field(default=None, description=f"{words}: start, stop and count, or values")
+
+
+class Sweep(OrderedBlock, SweepBlock):
+    """The axes of the sweep, whose product is what is run: parameters, and coordinates of the start state."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1})
+
+    b: Grid | None = _axis("Coupling b")
+    a: Grid | None = _axis("Stiffness a")
+    c: Grid | None = _axis("Squared speed c, or its mean, where there is a constraint")
+    omega: Grid | None = _axis("Angular frequency omega of the forcing")
+    d: Grid | None = _axis("Amplitude d of the disturbance, at disturbed speed")
+    x1: Grid | None = _axis("Position x1 of the start")
+    x2: Grid | None = _axis("Velocity x2 of the start")
+    y1: Grid | None = _axis("Position y1 of the start")
+    y2: Grid | None = _axis("Velocity y2 of the start, where there is no constraint")
+
+    @property
+    def grids(self) -> Mapping[str, Evenly | Named]:
+        """Name to grid, in the order of the config."""
+        return {name: grid for name in self._order if (grid := getattr(self, name)) is not None}
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Names that there are."""
+        return tuple(type(self).model_fields)
+
+
+class PoincareSection(Block):
+    """Where a flow without a clock is looked at: where one of its positions passes a value."""
+
+    coordinate: Literal["x1", "y1"] = Field(default="x1", description="Position that decides")
+    value: float = Field(default=0.0, description="Its value on the section")
+    direction: Literal["up", "down", "both"] = Field(default="up", description="In which it passes the value")
+
+    def of(self, flow: Flow) -> SectionedFlow:
+        """A flow on this section."""
+        return SectionedFlow(flow, self.coordinate, ("x1", "y1").index(self.coordinate), self.value, self.direction)
 
 
 # ---- system
 
 
-class PlanarSystem(Section):
+class Particle(SystemBlock):
     """A particle in the plane under the paper's forces."""
 
     constraint: str = Field(description="Constraint on the speed")
     a: float = Field(default=0.5, description="Linear stiffness of x1 and cubic stiffness of y1")
-    b: float | None = Field(default=None, description="Coupling, where a is swept")
+    b: float | None = Field(default=None, description="Coupling, where it is not swept")
     omega: float = Field(default=1.0, gt=0, description="Angular frequency of the forcing 1 + sin(omega t)")
     without: tuple[str, ...] | None = Field(
         default=None,
@@ -36,7 +100,8 @@ class PlanarSystem(Section):
         json_schema_extra={"items": {"enum": list(EFFECTS)}},
     )
 
-    _swept: str = PrivateAttr(default="b")
+    axes: ClassVar[tuple[str, ...]] = ("b", "a", "omega", "x1", "x2", "y1")
+    """What can be swept."""
 
     @field_validator("without")
     @classmethod
@@ -58,36 +123,104 @@ class PlanarSystem(Section):
         """Those named, of `systems.EFFECTS`."""
         return frozenset(self.without or ())
 
-    def prepare(self, swept: str) -> None:
-        """Take note of the parameter that is swept, and see that the others fit."""
+    def _with(self, parameters: Mapping[str, float]) -> dict[str, Any]:
+        """Its parameters with these in place of its own.
+
+        Raises:
+            InputError: it has no such parameter.
+        """
+        for name in parameters:
+            if name not in self.axes:
+                raise InputError(f"{name} does not go with {self.constraint}")
+        return {**dict(self), **parameters}
+
+    def start(self, initial: Initial) -> Mapping[str, float]:
+        """Coordinates of the start state; what the constraint decides is left out."""
+        return {"x1": initial.x1, "x2": initial.x2, "y1": initial.y1}
+
+    def check(self, initial: Initial, sweep: SweepBlock) -> None:
+        """See that parameters, start state and sweep go together."""
+        for name in sweep.grids:
+            self._check_axis(name, initial)
+        self._check_coupling(sweep)
+        for name in {"c", "omega"} & set(sweep.grids):
+            if (least := sweep.grids[name].grid().min()) <= 0:
+                raise rule(f"must be above 0, not {least:g}", f"sweep.{name}")
+        self._check_values(_Values(self, initial, sweep))
+
+    def _check_axis(self, name: str, initial: Initial) -> None:
+        """See that what is swept is there, and has no second value elsewhere."""
+        if name not in self.axes:
+            message = f"{name} does not go with {self.constraint}; what can be swept is {', '.join(self.axes)}"
+            if name == "y2":
+                message = "y2 follows from the constraint, and cannot be swept"
+            raise rule(message, f"sweep.{name}", "system.constraint")
+        for effect, parameter, other in (("coupling", "b", "; sweep a"), ("forcing", "omega", "")):
+            if name == parameter and effect in self.effects_left_out:
+                message = f"the {effect} is left out, and there is no {name} to sweep{other}"
+                raise rule(message, f"sweep.{name}", "system.without")
+        block, given = ("initial", initial.given) if name in _COORDINATES else ("system", self.model_fields_set)
+        if name in given and getattr(initial if block == "initial" else self, name) is not None:
+            raise rule(f"{name} is swept; leave it out of {block}", f"{block}.{name}", f"sweep.{name}")
+
+    def _check_coupling(self, sweep: SweepBlock) -> None:
         uncoupled = "coupling" in self.effects_left_out
-        if swept == "b" and uncoupled:
-            raise rule("the coupling is left out, and there is no b to sweep; sweep a", "sweep.b", "system.without")
-        if swept in self.model_fields_set and getattr(self, swept) is not None:
-            raise rule(f"{swept} is swept; leave it out of system", f"system.{swept}", f"sweep.{swept}")
         if uncoupled and self.b is not None:
             raise rule("the coupling is left out; leave b out as well", "system.b", "system.without")
-        if swept == "a" and not uncoupled and self.b is None:
-            raise rule("a is swept, and b must be given (Coupling b)", "system.b", "sweep.a", "system")
-        self._swept = swept
+        if not uncoupled and self.b is None and "b" not in sweep.grids:
+            names = tuple(sweep.grids)
+            verb = "is" if len(names) == 1 else "are"
+            message = f"{listed(names)} {verb} swept, and b must be given (Coupling b)"
+            raise rule(message, "system.b", *(f"sweep.{name}" for name in names), "system")
 
-    def build(self) -> Flow:
-        """The system with these parameters."""
-        raise NotImplementedError
-
-    def exponents(self, sweep: Any) -> int:
-        """How many Lyapunov exponents there are."""
-        return self.build().exponents
-
-    def _others(self) -> dict[str, Any]:
-        """What every particle at a prescribed speed has besides the paper's parameters."""
-        return {"b": self.b, "swept": self._swept, "without": self.effects_left_out - {"damping"}}
+    def _check_values(self, values: _Values) -> None:
+        """See that the values of parameters and start go together in all lanes."""
 
 
-class PrescribedSpeed(PlanarSystem):
+class _Values:
+    """Values of parameters and coordinates over a sweep, and the keys of the config that say them."""
+
+    def __init__(self, system: Particle, initial: Initial, sweep: SweepBlock) -> None:
+        self._single: dict[str, Any] = {**initial.coordinates(), **dict(system)}
+        self._grids = sweep.grids
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, " n"]:
+        return self._grids[name].grid() if self.swept(name) else np.array([self._single[name]], dtype=np.float64)
+
+    def swept(self, name: str) -> bool:
+        """Whether there is an axis of this name."""
+        return name in self._grids
+
+    def keys(self, *names: str) -> Iterator[str]:
+        """Keys that may be to blame, the most likely culprit first."""
+        for name in names:
+            yield f"{'initial' if name in _COORDINATES else 'system'}.{name}"
+            yield f"sweep.{name}"
+
+
+class PrescribedSpeed(Particle):
     """A particle at a prescribed speed: its multiplier absorbs the damping, so that leaving it out changes nothing."""
 
     c: float = Field(default=1.0, gt=0, description="Squared speed, or its mean")
+
+    axes: ClassVar[tuple[str, ...]] = ("b", "a", "c", "omega", "x1", "x2", "y1")
+
+    @property
+    def _without(self) -> frozenset[str]:
+        return self.effects_left_out - {"damping"}
+
+    def check(self, initial: Initial, sweep: SweepBlock) -> None:
+        """See that parameters, start state and sweep go together, and the speed at t = 0 is enough for x2."""
+        super().check(initial, sweep)
+        if initial.y2 is not None:
+            raise rule("y2 follows from the constraint; leave it out", "initial.y2", "system.constraint")
+
+    def _check_values(self, values: _Values) -> None:
+        c, x2 = values["c"].min(), values["x2"]
+        x2 = x2[np.argmax(np.abs(x2))]
+        if x2 * x2 > c:
+            message = f"the speed at t = 0 is {math.sqrt(c):g}, and |x2| cannot be above it; x2 is {x2:g}"
+            raise rule(message, *values.keys("x2", "c"))
 
 
 class ConstantSpeed(PrescribedSpeed):
@@ -95,9 +228,10 @@ class ConstantSpeed(PrescribedSpeed):
 
     constraint: Literal["constant_speed"] = Field(description="The squared speed is held at c")  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    def build(self) -> IsokineticParticle:
-        """The system with these parameters."""
-        return constant_speed(self.a, self.c, self.omega, **self._others())
+    def flow(self, parameters: Mapping[str, float]) -> Flow:
+        """The system in continuous time, with these parameters in place of its own."""
+        p = self._with(parameters)
+        return constant_speed(p["a"], p["c"], p["omega"], p["b"], without=self._without)
 
 
 class DisturbedSpeed(PrescribedSpeed):
@@ -108,108 +242,44 @@ class DisturbedSpeed(PrescribedSpeed):
         default=0.1, description="Amplitude of the disturbance of the squared speed, |d| < c; 0 leaves it out"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> DisturbedSpeed:
-        if abs(self.d) >= self.c:
-            raise rule(f"the speed vanishes: |d| must be below c, and d is {self.d:g}, c is {self.c:g}", "d", "c")
-        try:
-            strobe_period(self.omega, disturbed=self.d != 0 and "forcing" not in self.effects_left_out)
-        except ValueError as error:
-            raise rule(str(error), "omega", "d", "constraint") from None
-        return self
+    axes: ClassVar[tuple[str, ...]] = ("b", "a", "c", "omega", "d", "x1", "x2", "y1")
 
-    def build(self) -> IsokineticParticle:
-        """The system with these parameters."""
-        return disturbed_speed(self.a, self.c, self.d, self.omega, **self._others())
+    def _check_values(self, values: _Values) -> None:
+        c, d = values["c"].min(), values["d"]
+        worst, forced = d[np.argmax(np.abs(d))], "forcing" not in self.effects_left_out
+        if abs(worst) >= c:
+            message = f"the speed vanishes: |d| must be below c, and d is {worst:g}, c is {c:g}"
+            raise rule(message, *values.keys("d", "c"))
+        if not forced and values.swept("d") and not np.all(d):
+            message = "the forcing is left out, and there is no clock where d is 0; leave 0 out of the axis"
+            raise rule(message, "sweep.d", "system.without")
+        for omega in values["omega"] if forced and np.any(d) else ():
+            try:
+                strobe_period(float(omega), disturbed=True)
+            except ValueError as error:
+                raise rule(str(error), *values.keys("omega", "d"), "system.constraint") from None
+        super()._check_values(values)
+
+    def flow(self, parameters: Mapping[str, float]) -> Flow:
+        """The system in continuous time, with these parameters in place of its own."""
+        p = self._with(parameters)
+        if self.d == 0 and "d" not in parameters:  # no part of any program
+            return constant_speed(p["a"], p["c"], p["omega"], p["b"], without=self._without)
+        return disturbed_speed(p["a"], p["c"], p["d"], p["omega"], p["b"], without=self._without)
 
 
-class Free(PlanarSystem):
+class Free(Particle):
     """No constraint, equation (1) of the paper: the one system in which the damping counts."""
 
     constraint: Literal["free"] = Field(description="The speed is free")  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    def build(self) -> FreeParticle:
-        """The system with these parameters."""
-        return free_particle(self.a, self.b, self.omega, self._swept, self.effects_left_out)
+    axes: ClassVar[tuple[str, ...]] = ("b", "a", "omega", *_COORDINATES)
 
+    def start(self, initial: Initial) -> Mapping[str, float]:
+        """Coordinates of the start state."""
+        return {**super().start(initial), "y2": _START_Y2 if initial.y2 is None else initial.y2}
 
-# ---- start, sweep, section
-
-
-class Initial(Section):
-    """The start state at t = 0; with a constraint y2 follows from it, as the positive root."""
-
-    x1: float = Field(default=0.1, description="Position x1")
-    x2: float = Field(default=0.1, description="Velocity of x1; its square is at most the squared speed at t = 0")
-    y1: float = Field(default=0.1, description="Position y1")
-    y2: float | None = Field(
-        default=None, description="Velocity of y1 where there is no constraint; with one it is its positive root"
-    )
-
-    def state(self, system: Flow) -> Any:
-        """At t = 0 position (x1, y1) with unit vector (n1, n2) of the velocity, or with the velocity itself.
-
-        Raises:
-            ValueError: |x2| is above the speed.
-        """
-        if not isinstance(system, IsokineticParticle):
-            y2 = _START_Y2 if self.y2 is None else self.y2
-            return Motion((self.x1, self.y1), (self.x2, y2), (0.0, 0.0))
-        speed = math.sqrt(system.c)  # c + d sin t at t = 0
-        return (self.x1, self.y1), (self.x2 / speed, math.sqrt(system.c - self.x2 * self.x2) / speed)
-
-    def check(self, system: PlanarSystem, sweep: Sweep) -> None:
-        """See that the sweep fits the system, and the speed at t = 0 is enough for x2."""
-        system.prepare(sweep.swept)
-        if not isinstance(system, PrescribedSpeed):
-            return
-        if self.y2 is not None:
-            raise rule("y2 follows from the constraint; leave it out", "initial.y2", "system.constraint")
-        if self.x2 * self.x2 > system.c:
-            speed = math.sqrt(system.c)
-            message = f"the speed at t = 0 is {speed:g}, and |x2| cannot be above it; x2 is {self.x2:g}"
-            raise rule(message, "initial.x2", "system.c")
-
-
-class Sweep(Section):
-    """The parameter that differs from lane to lane: b, or a."""
-
-    b: Grid | None = Field(default=None, description="Coupling b: start, stop and count, or values")  # pyright: ignore[reportOperatorIssue]
-    a: Grid | None = Field(default=None, description="Stiffness a: start, stop and count, or values")  # pyright: ignore[reportOperatorIssue]
-
-    @model_validator(mode="before")
-    @classmethod
-    def _shared(cls, content: Any) -> Any:
-        for name, words in _SHARED.items() if isinstance(content, dict) else ():
-            if name in content:
-                raise rule(f"{name}, {words}, is the same in all lanes; what can be swept is b or a", name)
-        return content
-
-    @model_validator(mode="after")
-    def _one(self) -> Sweep:
-        if self.b is None and self.a is None:
-            raise rule("name the parameter and its values: b or a")
-        if self.b is not None and self.a is not None:
-            raise rule("one parameter is swept, and both b and a are here", "a", "b")
-        return self
-
-    @property
-    def swept(self) -> str:
-        """Name of the parameter."""
-        return "b" if self.a is None else "a"
-
-    def grid(self) -> np.ndarray:
-        """Its values in the order of the config, float64 of shape (lanes,)."""
-        return getattr(self, self.swept).grid()
-
-
-class EventSection(Section):
-    """Where a flow without a clock is looked at: where one of its positions passes a value."""
-
-    coordinate: Literal["x1", "y1"] = Field(default="x1", description="Position that decides")
-    value: float = Field(default=0.0, description="Its value on the section")
-    direction: Literal["up", "down", "both"] = Field(default="up", description="In which it passes the value")
-
-    def of(self, flow: Flow) -> SectionedFlow:
-        """A flow on this section."""
-        return SectionedFlow(flow, self.coordinate, ("x1", "y1").index(self.coordinate), self.value, self.direction)
+    def flow(self, parameters: Mapping[str, float]) -> Flow:
+        """The system in continuous time, with these parameters in place of its own."""
+        p = self._with(parameters)
+        return free_particle(p["a"], p["b"], p["omega"], self.effects_left_out)

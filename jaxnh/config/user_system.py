@@ -1,165 +1,182 @@
-"""Sections of a config for a user's system: keys are its own parameters, coordinates and velocities."""
+"""Blocks of a config for a user's system: keys are its own parameters, coordinates and velocities.
+
+Which keys there are is known from the user's file, which the blocks find in the context of their validation.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Annotated
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field, PrivateAttr, create_model, model_validator
+from jaxtyping import Float
+from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
-from jaxnh.config.blocks import Grid, Section
-from jaxnh.config.messages import rule
-from jaxnh.systems.lagrangian import Motion, NonholonomicSystem
-from jaxnh.systems.user_file import OwnSystem
+from jaxnh.analyses.base import rule
+from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, SweepBlock, SystemBlock
+from jaxnh.config.messages import listed, unknown
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.lagrangian import Lagrangian
+from jaxnh.systems.user_file import DIMENSIONS, UserFile
 
 _LARGEST_RESIDUAL = 1e-6  # of f at the start, in units of |A q̇| + 1: what the digits of a config leave
+_MOST_CHECKED = 100_000  # lanes at which f is looked at
+_MOST_CLOCKS = 1000  # values of a parameter at which the period is looked at
 
 
-class OwnParameters(Section):
-    """A user's file, and its parameters."""
+class UserBlock(Block):
+    """A block whose further keys are named in the user's file."""
 
-    file: str = Field(description="Python file with a function system, beside the config")
+    model_config = ConfigDict(extra="allow")
 
-    _own: OwnSystem | None = PrivateAttr(default=None)
-    _built: NonholonomicSystem | None = PrivateAttr(default=None)
-
-    def prepare(self, own: OwnSystem, swept: str, value: float) -> None:
-        """Build the system, once the parameter that is swept is known, at one of its values."""
-        parameters = {name: getattr(self, name) for name in own.parameters} | {swept: value}
-        self._own, self._built = own, own.system(parameters, swept)
-
-    def build(self) -> NonholonomicSystem:
-        """The system with these parameters."""
-        assert self._built is not None
-        return self._built
-
-    def exponents(self, sweep: Any) -> int:
-        """How many Lyapunov exponents there are."""
-        return self.build().exponents
-
-
-class OwnInitial(Section):
-    """The start state at t = 0: coordinates and velocities, zero where they are not given."""
-
-    def state(self, system: NonholonomicSystem) -> Motion:
-        """(q, q̇) at t = 0."""
-        q = tuple(float(getattr(self, name)) for name in system.names)
-        v = tuple(float(getattr(self, f"{name}_dot")) for name in system.names)
-        return Motion(q, v, (0.0, 0.0))
-
-    def check(self, parameters: OwnParameters, sweep: OwnSweep) -> None:
-        """Build the system, and see that its constraints hold at the start at every value of the sweep."""
-        name, values = sweep.swept, sweep.grid()
-        if name in parameters.model_fields_set:
-            raise rule(f"{name} is swept; leave it out here", f"system.{name}", f"sweep.{name}")
-        own = sweep.own()
-        parameters.prepare(own, name, float(values[0]))
-        system = parameters.build()
-        if not system.constraints:
-            return
-        state, zero = self.state(system), jnp.zeros(len(values))
-        lanes = Motion(tuple(zero + x for x in state.q), tuple(zero + x for x in state.v), (zero, zero))
-        residuals = np.stack([np.asarray(r + zero) for r in system.residuals(zero, lanes, jnp.asarray(values))])
-        limit = _LARGEST_RESIDUAL * (1.0 + np.abs(np.asarray(state.v)).max())
-        if np.all(np.abs(residuals) <= limit):
-            return
-        number, lane = np.unravel_index(np.nanargmax(np.abs(residuals)), residuals.shape)
-        point = jnp.asarray(system.section_point(state))
-        near = system.approach(point, jnp.float64(values[lane]))
-        keys = [f"{coordinate}_dot" for coordinate in system.names]
-        message = (
-            f"f[{number}] is {residuals[number, lane]:.3g} at the start with {name} = {values[lane]:g}, and must be 0"
-        )
-        if np.all(np.isfinite(np.array(near.v))):
-            nearest = ", ".join(f"{key}: {float(v):.10g}" for key, v in zip(keys, near.v, strict=True))
-            message += f"; the nearest velocities that make it so are {nearest}"
-        raise rule(message, *(f"initial.{key}" for key in (*keys, *system.names)), "initial", "system")
-
-
-class OwnSweep(Section):
-    """The parameter that differs from lane to lane."""
+    _file: UserFile = PrivateAttr()
 
     @model_validator(mode="after")
-    def _one(self) -> OwnSweep:
-        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise rule(f"name one parameter and its values; known are {', '.join(type(self).model_fields)}", *given)
+    def _check_keys(self, info: ValidationInfo) -> UserBlock:
+        """Each key must be known."""
+        assert isinstance(info.context, UserFile)
+        self._file = info.context
+        for name in self.model_extra or {}:
+            if name not in self.known:
+                raise rule(unknown(name, (*type(self).model_fields, *self.known)), name)
         return self
 
     @property
-    def swept(self) -> str:
-        """Name of the parameter."""
-        return next(name for name in type(self).model_fields if getattr(self, name) is not None)
-
-    def grid(self) -> np.ndarray:
-        """Its values in the order of the config, float64 of shape (lanes,)."""
-        return getattr(self, self.swept).grid()
-
-    @classmethod
-    def own(cls) -> OwnSystem:
-        """The file that it is a sweep of."""
+    def known(self) -> tuple[str, ...]:
+        """Names of the further keys."""
         raise NotImplementedError
 
 
-def own_sections(own: OwnSystem) -> tuple[type[OwnParameters], type[OwnInitial], type[OwnSweep]]:
-    """The sections `system`, `initial` and `sweep` of a user's system."""
-    parameters: dict[str, Any] = {
-        name: (float, Field(default=default, description=f"Parameter {name} of the system"))
-        for name, default in own.parameters.items()
-    }
-    state: dict[str, Any] = {}
-    for name in own.coordinates:
-        state[name] = (float, Field(default=0.0, description=f"Coordinate {name}"))
-        state[f"{name}_dot"] = (float, Field(default=0.0, description=f"Velocity d{name}/dt"))
-    grids: dict[str, Any] = {
-        name: (
-            Grid | None,  # pyright: ignore[reportOperatorIssue]
-            Field(default=None, description=f"Parameter {name}: start, stop and count, or values"),
-        )
-        for name in own.parameters
-    }
-    sweep = create_model("OwnSweep", __base__=OwnSweep, **grids)
-    sweep.own = classmethod(lambda cls: own)  # pyright: ignore[reportAttributeAccessIssue]
-    return (
-        create_model("OwnParameters", __base__=OwnParameters, **parameters),
-        create_model("OwnInitial", __base__=OwnInitial, **state),
-        sweep,
-    )
+class UserInitial(InitialBlock, UserBlock):
+    """The start state at t = 0 of a user's system: coordinates NAME and velocities NAME_dot, zero where not given."""
+
+    __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
+        str, Annotated[float, Field(description="A coordinate NAME, or a velocity NAME_dot")]
+    ] = Field(init=False)
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Coordinates, each with its velocity."""
+        return tuple(key for name in self._file.coordinates for key in (name, f"{name}_dot"))
+
+    def coordinates(self) -> Mapping[str, float]:
+        """Coordinates and velocities by name."""
+        return {name: self.__pydantic_extra__.get(name, 0.0) for name in self.known}
 
 
-def with_own_systems(schema: dict[str, Any]) -> dict[str, Any]:
-    """The JSON Schema of a config, with a place for users' systems: what their parameters are called is not known.
+class UserSweep(SweepBlock, UserBlock):
+    """The axes of the sweep, whose product is what is run: parameters, coordinates NAME or velocities NAME_dot."""
 
-    Args:
-        schema: that of the built-in systems.
-    """
-    properties, kinds = schema["properties"], schema["$defs"]
+    __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
+        str, Annotated[Grid, Field(description="Start, stop and count, or values")]
+    ] = Field(init=False)
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1})
 
-    def numbers(words: str, each: dict[str, Any], **more: Any) -> dict[str, Any]:
-        return {"description": words, "type": "object", "properties": {}, "additionalProperties": each, **more}
+    @property
+    def grids(self) -> Mapping[str, Evenly | Named]:
+        """Name to grid, in the order of the config."""
+        return self.__pydantic_extra__
 
-    file = {"description": OwnParameters.model_fields["file"].description, "type": "string"}
-    parameter = {"description": "A parameter of the system", "type": "number"}
-    start = {"description": "A coordinate NAME, or a velocity NAME_dot", "type": "number"}
-    values = {
-        "description": "Start, stop and count, or values",
-        "oneOf": [{"$ref": f"#/$defs/{kind}"} for kind in ("Evenly", "Named")],
-    }
-    own = {
-        "OwnSystem": numbers("A user's file, and its parameters", parameter)
-        | {"properties": {"file": file}, "required": ["file"]},
-        "OwnInitial": numbers("Start state of a user's system; what is not given is zero", start),
-        "OwnSweep": numbers("The parameter that differs from lane to lane", values, minProperties=1, maxProperties=1),
-    }
-    properties["system"]["oneOf"].append({"$ref": "#/$defs/OwnSystem"})
-    places = ("initial", "sweep")
-    built_in = {place: {"$ref": properties[place].pop("$ref")} for place in places}
-    users = {place: {"$ref": f"#/$defs/Own{place.capitalize()}"} for place in places}
-    named = {"required": ["system"], "properties": {"system": {"required": ["file"]}}}
-    return schema | {
-        "$defs": kinds | own,
-        "if": named,
-        "then": {"properties": users},
-        "else": {"properties": built_in},
-    }
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Parameters, then coordinates, each with its velocity."""
+        return (*self._file.parameters, *(k for name in self._file.coordinates for k in (name, f"{name}_dot")))
+
+
+class UserSystem(SystemBlock, UserBlock):
+    """A user's file, and its parameters."""
+
+    __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
+        str, Annotated[float, Field(description="A parameter of the system")]
+    ] = Field(init=False)
+
+    file: str = Field(description="Python file with a function system, beside the config")
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Parameters."""
+        return tuple(self._file.parameters)
+
+    @property
+    def user_file(self) -> UserFile:
+        """The file, read and tried out."""
+        return self._file
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """All parameters, with the file's defaults where the config says nothing."""
+        return {**self._file.parameters, **self.__pydantic_extra__}
+
+    def start(self, initial: UserInitial) -> Mapping[str, float]:
+        """Coordinates and velocities of the start state."""
+        return initial.coordinates()
+
+    def flow(self, parameters: Mapping[str, float]) -> Lagrangian:
+        """The system, with these parameters in place of its own."""
+        return self._file.flow({**self.parameters, **parameters})
+
+    def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
+        """Whether the strobe period depends on a parameter."""
+        picked = values[_evenly(len(values), _MOST_CLOCKS)]
+        return len({self._file.period({**dict(flow.parameters), name: float(value)}) for value in picked}) > 1
+
+    def check(self, initial: UserInitial, sweep: SweepBlock) -> None:
+        """See that no key says what an axis says, and that f = 0 holds at the start of every lane."""
+        blocks = {"system": self.__pydantic_extra__, "initial": initial.__pydantic_extra__}
+        for name in sweep.grids:
+            for block, given in blocks.items():
+                if name in given:
+                    raise rule(f"{name} is swept; leave it out of {block}", f"{block}.{name}", f"sweep.{name}")
+            if name in DIMENSIONS:
+                message = f"results have a dimension called {name}; give the parameter another name to sweep it"
+                raise rule(message, f"sweep.{name}")
+        _check_constraints(self, initial, sweep)
+
+
+# ---- f = 0 at the start
+
+
+def _check_constraints(system: UserSystem, initial: UserInitial, sweep: SweepBlock) -> None:
+    """See that the constraints hold at the start: at every point of the sweep, or if it is large at some of them."""
+    axes = _product({name: grid.grid() for name, grid in sweep.grids.items()})
+    lanes = len(next(iter(axes.values())))
+    parameters = {name: values for name, values in axes.items() if name in system.known}
+    flow = system.flow({name: float(values[0]) for name, values in parameters.items()})
+    if not flow.constraints:
+        return
+    coordinates = {name: np.full(lanes, value) for name, value in initial.coordinates().items()}
+    start = flow.start(coordinates | {name: values for name, values in axes.items() if name in coordinates})
+    found = jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)), out_axes=1)(start, parameters)
+    residuals = np.asarray(found)
+    limit = _LARGEST_RESIDUAL * (1.0 + np.abs(np.stack([np.asarray(v) for v in start.v])).max(axis=0))
+    sizes = np.where(np.isfinite(residuals), np.abs(residuals), np.inf)
+    if np.all(sizes <= limit):
+        return
+    number, lane = np.unravel_index(np.argmax(sizes), sizes.shape)
+    state, p = jax.tree.map(lambda leaf: jnp.asarray(leaf[lane]), (start, parameters))
+    near = flow.approach(flow.chart(state), p)
+    keys = [f"{coordinate}_dot" for coordinate in flow.names]
+    where = listed([f"{name} = {values[lane]:g}" for name, values in axes.items()])
+    message = f"f[{number}] is {residuals[number, lane]:.3g} at the start with {where}, and must be 0"
+    if np.all(np.isfinite(np.array(near.v))):
+        nearest = ", ".join(f"{key}: {float(v):.10g}" for key, v in zip(keys, near.v, strict=True))
+        message += f"; the nearest velocities that make it so are {nearest}"
+    swept = (f"sweep.{name}" for name in axes if name in coordinates)
+    raise rule(message, *(f"initial.{key}" for key in (*keys, *flow.names)), *swept, "initial", "system")
+
+
+def _product(axes: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.ndarray, " lanes"]]:
+    """All points of a product of axes, or of a large one some: evenly along each axis, its ends included."""
+    counts = {name: len(values) for name, values in axes.items()}
+    while np.prod([float(count) for count in counts.values()]) > _MOST_CHECKED:
+        largest = max(counts, key=lambda name: counts[name])
+        counts[largest] = -(-counts[largest] // 2)
+    picked = [values[_evenly(len(values), counts[name])] for name, values in axes.items()]
+    return dict(zip(axes, (grid.ravel() for grid in np.meshgrid(*picked, indexing="ij")), strict=True))
+
+
+def _evenly(count: int, most: int) -> np.ndarray:
+    """Numbers below a count, at most so many of them, evenly and with both ends."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 
+from jaxnh.engine.axes import Points
 from jaxnh.engine.lanes import TILE, Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.exceptions import AccuracyError
+from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.protocol import Strobe, System, swept_name
-from jaxnh.maps.section import Crossing, SectionedFlow
+from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
-from jaxnh.solvers import SPLITTINGS, Solver, dopri8, tsit5
-from jaxnh.systems.particle import IsokineticParticle, State
+from jaxnh.solvers import Solver
+from jaxnh.systems.flow import Flow, Parameters, State
 
-_SAMPLED_VALUES = 1024
+SAMPLED_LANES = 1024
+"""Lanes of a sweep that a calibration looks at, at most."""
+
 _SAMPLED_TIMES = (0, 1, 2, 5, 12, 29, 70, 169)  # periods after the start at which sample states are taken
 _SAFETY = 2.0  # the sample's largest error is taken this many times: some lane of the sweep has a larger one
-_REFERENCE = "sofroniou_spaletta10"
 _REFERENCE_STEPS = 96
 _ROUNDING = 1e-12  # references nearer to each other than this are the same
 _ROUGH = 1e-8  # references further apart than this say nothing: more steps may yet help
-_SEED_STEPS = 32
 _SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very system
 _MOST_SEED_KICKS = 1 << 16
-_GENERAL = dopri8, tsit5  # what a system of T, Q and f is integrated with
 _ROUNDS = 6
 _TABLES = 4  # that the rounding of plain sums is measured on
 _PRECISE = {"float64": 1e-6, "float32": 1e-1}  # an error below this that more steps do not halve is rounding
@@ -44,12 +45,28 @@ class Plan(NamedTuple):
     error_estimate: float
 
 
-class TargetError(Exception):
-    """The accuracy asked for cannot be had; the message says what can."""
+class _Samples(NamedTuple):
+    """Sample states of lanes, at several times, of one flow or of several.
+
+    Attributes:
+        states: components (samples,).
+        p: parameters of the lane, each (samples,).
+        row: number of the flow, (samples,).
+        where: value of every axis, each (samples,).
+    """
+
+    states: State
+    p: Parameters
+    row: Int[np.ndarray, " samples"]
+    where: Parameters
+
+    def take(self, some: Int[np.ndarray, " some"]) -> _Samples:
+        """Some of them."""
+        return jax.tree.map(lambda leaf: leaf[some], self)
 
 
 class Calibration:
-    """Errors of one period's map on sample lanes: up to 1024 values of b across the sweep, at the start and later.
+    """Errors of one period's map on sample lanes: up to 1024 lanes across the sweep, at the start and later.
 
     The error of a map is the largest difference of any component of (q, n) from a reference that is refined until it
     changes no more, over all samples, times two. The reference is in float64 whatever the `precision` of the map. Some
@@ -60,36 +77,42 @@ class Calibration:
         floor: how far apart the two finest references are: what rounding leaves, or the steps that there can be.
     """
 
-    def __init__(
-        self, system: System, start: State, values: np.ndarray, lanes: Lanes, precision: str = "float64"
-    ) -> None:
-        self._system, self._lanes, self._precision = system, lanes, precision
-        section = isinstance(system, SectionedFlow)
-        self._planar = planar = isinstance(system.flow if section else system, IsokineticParticle)
-        self._finest: Solver = SPLITTINGS[_REFERENCE] if planar else dopri8
+    def __init__(self, rows: Sequence[Points], lanes: Lanes, precision: str = "float64") -> None:
+        """Measure the reference.
+
+        Args:
+            rows: sample lanes, those of each value of the shared axes together.
+
+        Raises:
+            AccuracyError: no lane has a period that can be computed.
+        """
+        self._flows = [row.system for row in rows]
+        self._lanes, self._precision = lanes, precision
+        flow = self._flows[0]
+        self._way = way = way_of(flow)
+        section = flow is not flow.flow
         # From crossing to crossing every step starts and ends by itself: no processor around many, no sums over them.
-        splittings = tuple(s for s in SPLITTINGS.values() if not (section and s.processor[1]))
-        self._candidates: tuple[Solver, ...] = splittings if planar else _GENERAL
-        self._summations = (False, True) if planar and not section else (False,)  # plain, compensated
-        self._states, self._values = self._samples(start, values)
+        self._candidates = tuple(s for s in way.solvers if not (section and s.processor[1]))
+        self._summations = (False,) if section else way.summations
+        self._samples = self._take_samples(rows)
         self._drop_lost()
         self._reference, self._known, self._enough = self._refine()
         self.floor = float(np.max(self._known))
         self._rounding = self._rounding_of_sums()
 
     def error(self, solver: Solver, steps: int, *, compensated: bool = False) -> float:
-        """Error estimate of one period with so many steps; infinite where a lane leaves the numbers."""
+        """Error estimate of one period with so many steps; infinite where a state is not finite."""
         return float(np.max(self._errors(solver, steps, compensated)))
 
     def cheapest(self, target: float) -> Plan:
         """The splitting and steps with the fewest kicks whose error is at most the target.
 
         Raises:
-            TargetError: none meets it; the message names the smallest error measured.
+            AccuracyError: none meets it; the message names the smallest error measured.
         """
         if self.floor > target:
             raise self._refusal(target, self._known)
-        nearest = Plan(self._finest, _REFERENCE_STEPS, False, math.inf)
+        nearest = Plan(self._way.reference, _REFERENCE_STEPS, False, math.inf)
         by_order = sorted(self._candidates, key=lambda s: (abs(s.convergence_order - 8), not s.processor[1]))
         for compensated in self._summations:
             best, most = None, _MOST_KICKS
@@ -104,12 +127,13 @@ class Calibration:
                 return best
         raise self._refusal(target, self._errors(*nearest[:3]))
 
-    def _refusal(self, target: float, errors: np.ndarray) -> TargetError:
+    def _refusal(self, target: float, errors: Float[np.ndarray, " samples"]) -> AccuracyError:
         """What to say when the least errors there are exceed the target."""
-        swept = swept_name(self._system)
-        return TargetError(
+        worst = int(np.argmax(errors))
+        where = ", ".join(f"{name} = {values[worst]:.9g}" for name, values in self._samples.where.items())
+        return AccuracyError(
             f"no solver has an error of one period of {target:g} over this sweep; with up to {_MOST_KICKS:,} kicks, "
-            f"that at {swept} = {self._values[np.argmax(errors)]:.9g} comes down to {np.max(errors):.2g}"
+            f"that at {where} comes down to {np.max(errors):.2g}"
         )
 
     def _search(self, solver: Solver, target: float, most: int, compensated: bool) -> Iterator[Plan]:
@@ -135,68 +159,74 @@ class Calibration:
             if steps <= failed or met - steps <= met // 50:
                 return
 
-    def _errors(self, solver: Solver, steps: int, compensated: bool) -> np.ndarray:
+    def _errors(self, solver: Solver, steps: int, compensated: bool) -> Float[np.ndarray, " samples"]:
         """Error estimate of every sample."""
-        strobe = make_strobe(self._system, solver, steps, compensated=compensated)
-        image = self._image(in_precision(strobe, self._precision), self._states, self._values)
-        chance = 0.0 if compensated else self._rounding
-        return np.maximum(_SAFETY * np.maximum(_gaps(image, self._reference), chance), self._known)
 
-    def _samples(self, start: State, values: np.ndarray) -> tuple[State, np.ndarray]:
-        """Sample states and their b: across the sweep, and from the start towards the attractor."""
-        picked = values[np.unique(np.linspace(0, len(values) - 1, _SAMPLED_VALUES).round().astype(int))]
-        state = jax.tree.map(lambda leaf: np.full(len(picked), leaf, float), start)
-        strobe = make_strobe(self._system, self._finest, self._seed_steps(state, picked))
+        def strobe(flow: Flow) -> Strobe:
+            return in_precision(make_strobe(flow, solver, steps, compensated=compensated), self._precision)
+
+        chance = 0.0 if compensated else self._rounding
+        return np.maximum(
+            _SAFETY * np.maximum(_gaps(self._image(strobe, self._samples), self._reference), chance), self._known
+        )
+
+    def _take_samples(self, rows: Sequence[Points]) -> _Samples:
+        """Sample states across the sweep, and from the start towards the attractor."""
+        number = np.concatenate([np.full(len(jax.tree.leaves(row.start)[0]), i) for i, row in enumerate(rows)])
+        start, p, where = (
+            jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+            for parts in zip(*((row.start, dict(row.p), dict(row.where)) for row in rows), strict=True)
+        )
+        now = _Samples(start, p, number, where)
+        steps = self._seed_steps(now)
         states, before = [], 0
-        # A sweep of few values is sampled more often, up to what one tile holds at no further cost.
-        often = np.linspace(0, _SAMPLED_TIMES[-1], min(_SAMPLED_TIMES[-1] + 1, TILE // len(picked) + 1)).round()
+        # A sweep of few lanes is sampled more often, up to what one tile holds at no further cost.
+        often = np.linspace(0, _SAMPLED_TIMES[-1], min(_SAMPLED_TIMES[-1] + 1, TILE // len(number) + 1)).round()
         for periods in sorted({*_SAMPLED_TIMES, *often.astype(int).tolist()} if len(often) > 8 else _SAMPLED_TIMES):
-            passed = periods - before
-            state = self._lanes(iterate, (strobe, np.int32(passed)), (state, picked), periods=passed)
-            states.append(state)
+            now = now._replace(states=self._later(self._maps(self._way.reference, steps), now, periods - before))
+            states.append(now.states)
             before = periods
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *states), np.tile(picked, len(states))
+        repeated = jax.tree.map(lambda leaf: np.tile(leaf, len(states)), (now.p, now.row, now.where))
+        return _Samples(jax.tree.map(lambda *leaves: np.concatenate(leaves), *states), *repeated)
 
     def _drop_lost(self) -> None:
         """Leave out samples that overflow whatever the steps, as those of an absurd b: their lanes are marked failed.
 
         Raises:
-            TargetError: there are no others.
+            AccuracyError: there are no others.
         """
-        image = self._one_period(self._finest, _REFERENCE_STEPS, False, self._states, self._values)
+        image = self._image(self._maps(self._way.reference, _REFERENCE_STEPS), self._samples)
         kept = np.flatnonzero(np.all(np.isfinite(image), axis=0))
         if not len(kept):
-            raise TargetError("every lane of this sweep leaves the numbers within a period")
-        self._states, self._values = jax.tree.map(lambda leaf: leaf[kept], self._states), self._values[kept]
+            raise AccuracyError("every lane of this sweep has a non-finite state within a period")
+        self._samples = self._samples.take(kept)
 
-    def _seed_steps(self, state: State, values: np.ndarray) -> int:
+    def _seed_steps(self, samples: _Samples) -> int:
         """Steps with which the first period is roughly right."""
-        solver = self._finest
-        steps = _SEED_STEPS if self._planar else 4 * _SEED_STEPS
-        image = self._one_period(solver, steps, False, state, values)
+        solver, steps = self._way.reference, self._way.rough_steps
+        image = self._image(self._maps(solver, steps), samples)
         while 2 * steps * solver.stages <= _MOST_SEED_KICKS:
-            coarser, image = image, self._one_period(solver, 2 * steps, False, state, values)
+            coarser, image = image, self._image(self._maps(solver, 2 * steps), samples)
             gaps = _gaps(coarser, image)
             if np.all(~np.isfinite(gaps) | (gaps < _SEED_ERROR)):
                 break
             steps *= 2
         return steps
 
-    def _refine(self) -> tuple[list[np.ndarray], np.ndarray, int]:
+    def _refine(self) -> tuple[list[np.ndarray], Float[np.ndarray, " samples"], int]:
         """The finest map worth having, its distance from the one before in each sample, and its kicks a period.
 
         Each sample is refined until rounding is all that is left, most of them a few times only.
         """
-        solver, steps = self._finest, _REFERENCE_STEPS
-        finest = self._one_period(solver, steps, True, self._states, self._values)
-        gaps, before = np.full((2, len(self._values)), np.inf)
+        solver, steps = self._way.reference, _REFERENCE_STEPS
+        finest = self._image(self._maps(solver, steps, compensated=True), self._samples)
+        gaps, before = np.full((2, len(self._samples.row)), np.inf)
         while 1.5 * steps * solver.stages <= _MOST_KICKS:
             open_ = np.flatnonzero((gaps > _ROUNDING) & ((gaps < 0.5 * before) | (gaps > _ROUGH)))
             if not len(open_):
                 break
             steps = steps * 3 // 2
-            state = jax.tree.map(lambda leaf, open_=open_: leaf[open_], self._states)
-            finer = self._one_period(solver, steps, True, state, self._values[open_])
+            finer = self._image(self._maps(solver, steps, compensated=True), self._samples.take(open_))
             before[open_], gaps[open_] = gaps[open_], _gaps([leaf[open_] for leaf in finest], finer)
             for leaf, new in zip(finest, finer, strict=True):
                 leaf[open_] = new
@@ -207,25 +237,38 @@ class Calibration:
 
         The roundings of one table may happen to be small in it; those of the lanes of the sweep will not all be.
         """
-        solver, worst = self._finest, 0.0
+        solver, worst = self._way.reference, 0.0
         for steps in (max(_REFERENCE_STEPS, self._enough // (2 * solver.stages)) + i for i in range(_TABLES)):
-            plain, exact = (self._one_period(solver, steps, c, self._states, self._values) for c in (False, True))
+            plain, exact = (self._image(self._maps(solver, steps, compensated=c), self._samples) for c in (False, True))
             gaps = _gaps(plain, exact)
             worst = max(worst, float(np.max(gaps, where=np.isfinite(gaps), initial=0.0)))
         return worst
 
-    def _one_period(
-        self, solver: Solver, steps: int, compensated: bool, state: State, values: np.ndarray
-    ) -> list[np.ndarray]:
-        return self._image(make_strobe(self._system, solver, steps, compensated=compensated), state, values)
+    def _maps(self, solver: Solver, steps: int, *, compensated: bool = False) -> Callable[[Flow], Strobe]:
+        return lambda flow: make_strobe(flow, solver, steps, compensated=compensated)
 
-    def _image(self, strobe: Strobe, state: State, values: np.ndarray) -> list[np.ndarray]:
-        image = self._lanes(iterate, (strobe, np.int32(1)), (state, values), periods=1)
-        parts = (*image.state[:2], image.t) if isinstance(image, Crossing) else image[:2]
-        return [np.array(leaf) for leaf in jax.tree.leaves(parts)]
+    def _later(self, strobe: Callable[[Flow], Strobe], samples: _Samples, periods: int) -> State:
+        """States so many periods on, each under the map of its own flow."""
+        whole: Any = None
+        for k in np.unique(samples.row):
+            here = np.flatnonzero(samples.row == k)
+            part = samples.take(here)
+            arguments = (part.states, part.p)
+            states = self._lanes(iterate, (strobe(self._flows[k]), np.int32(periods)), arguments, periods=periods)
+            if len(here) == len(samples.row):
+                return states
+            whole = whole or jax.tree.map(lambda leaf: np.empty(len(samples.row), leaf.dtype), states)
+            for leaf, new in zip(jax.tree.leaves(whole), jax.tree.leaves(states), strict=True):
+                leaf[here] = new
+        return whole
+
+    def _image(self, strobe: Callable[[Flow], Strobe], samples: _Samples) -> list[np.ndarray]:
+        """What a map makes of the samples, component by component, without what flows only report."""
+        states = self._later(strobe, samples, 1)
+        return [np.array(leaf) for leaf in jax.tree.leaves(self._flows[0].compared(states))]
 
 
-def _gaps(one: list[np.ndarray], other: list[np.ndarray]) -> np.ndarray:
+def _gaps(one: list[np.ndarray], other: list[np.ndarray]) -> Float[np.ndarray, " samples"]:
     """Largest difference of any component, a lane; infinite where one is not a number."""
     largest = np.max([np.abs(a - b) for a, b in zip(one, other, strict=True)], axis=0)
     return np.where(np.isfinite(largest), largest, np.inf)

@@ -13,13 +13,14 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxnh.cli.exit_codes import Failed, Refused, Unfinished
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine import plan as work
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.plan import compute
 from jaxnh.engine.xla_options import configure
+from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
 from jaxnh.storage import tiles
-from jaxnh.storage.tiles import Damaged, Job, Piece, Receipt
+from jaxnh.storage.pieces import Job, Piece
+from jaxnh.storage.tiles import Receipt
 
 _RETRIES = 2
 _MOST_LOSSES = 10  # of workers that a piece may have been at: a lost worker is no fault of the piece
@@ -31,7 +32,7 @@ _LOCAL = re.compile(r"local(?::([1-9]\d*))?")
 _NUMBERED = re.compile(r"(?!.*://).*?(\d+)")  # names of workers, but for an address: a port says nothing of cores
 
 
-class Lost(Failed):
+class LostError(RunError):
     """A piece has lost all workers that it was at."""
 
 
@@ -39,12 +40,12 @@ def check(where: str) -> None:
     """See that a cluster is named as it can be.
 
     Raises:
-        Refused: it is not, or Dask is not installed.
+        ArgumentError: it is not, or Dask is not installed.
     """
     if not (_LOCAL.fullmatch(where) or "://" in where or Path(where).is_file()):
-        raise Refused(f"command line: --dask: {where} is neither local[:N] nor tcp://HOST:PORT nor a scheduler file")
+        raise ArgumentError("dask", f"{where} is neither local[:N] nor tcp://HOST:PORT nor a scheduler file")
     if not importlib.util.find_spec("distributed"):
-        raise Refused("command line: --dask: this needs the extra dask: pip install 'jaxnh[dask]'")
+        raise ArgumentError("dask", "this needs the extra dask: pip install 'jaxnh[dask]'")
 
 
 def run(
@@ -63,9 +64,9 @@ def run(
         finished: called with each receipt.
 
     Raises:
-        Refused: there is no such cluster.
-        Unfinished: the cluster is gone.
-        Failed: a piece failed on every try; its reason. One that loses its workers does not hold others up.
+        ArgumentError: there is no such cluster.
+        Stopped: the cluster is gone.
+        RunError: a piece failed on every try; its reason. One that loses its workers does not hold others up.
     """
     with _cluster(where) as client:
         futures = {
@@ -80,7 +81,7 @@ def run(
             ): piece
             for piece in pieces
         }
-        lost: list[Lost] = []
+        lost: list[LostError] = []
         try:
             while futures and len(lost) < _MOST_LOST:
                 heed()
@@ -88,10 +89,10 @@ def run(
                     piece = futures.pop(future)
                     try:
                         finished(_receipt(future, piece))
-                    except Lost as error:
+                    except LostError as error:
                         lost.append(error)
             if lost:
-                raise Failed("; ".join(map(str, lost))) from lost[0]
+                raise RunError("; ".join(map(str, lost))) from lost[0]
         finally:
             with contextlib.suppress(Exception):
                 client.cancel(list(futures), force=True)
@@ -105,12 +106,12 @@ def _receipt(future: Any, piece: Piece) -> Receipt:
             return future.result(timeout=_CONNECT)
         error = future.exception(timeout=_CONNECT)
     except (OSError, TimeoutError, CancelledError):
-        raise Unfinished("the Dask scheduler is gone") from None
+        raise Stopped("the Dask scheduler is gone") from None
     if error is not None:
         if type(error).__name__ == "KilledWorker":
-            raise Lost(f"tile {piece.number} has lost its worker again and again") from error
-        raise Failed(f"tile {piece.number} failed on a worker: {' '.join(str(error).split())[:500]}") from error
-    raise Unfinished("the Dask scheduler has dropped the work")
+            raise LostError(f"tile {piece.number} has lost its worker again and again") from error
+        raise RunError(f"tile {piece.number} failed on a worker: {' '.join(str(error).split())[:500]}") from error
+    raise Stopped("the Dask scheduler has dropped the work")
 
 
 def _ended(client: Any, futures: list[Any]) -> list[Any]:
@@ -120,7 +121,7 @@ def _ended(client: Any, futures: list[Any]) -> list[Any]:
     with contextlib.suppress(TimeoutError, CancelledError):
         wait(futures, timeout=_POLL, return_when="FIRST_COMPLETED")
     if client.status != "running":
-        raise Unfinished("the Dask scheduler is gone")
+        raise Stopped("the Dask scheduler is gone")
     return [future for future in futures if future.done()]
 
 
@@ -152,7 +153,7 @@ def _cluster(where: str) -> Iterator[Any]:
         try:
             client = stack.enter_context(Client(**options, timeout=_CONNECT))
         except (OSError, ValueError, TimeoutError) as error:
-            raise Refused(f"command line: --dask: no scheduler answers at {where}") from error
+            raise ArgumentError("dask", f"no scheduler answers at {where}") from error
         yield client
 
 
@@ -178,7 +179,7 @@ def _experiment(folder: Path, job_id: str) -> tuple[Experiment, Job]:
     if job is None or job.id != job_id:
         raise RuntimeError(f"{folder}, as a worker sees it, is not the folder of this run")
     origin = tiles.origin(folder)
-    return work.experiment_from(origin.config, origin.own_text), job
+    return Experiment.from_text(origin.config, origin.user_text), job
 
 
 def _piece(folder: str, job_id: str, index: int) -> Receipt:
@@ -187,7 +188,7 @@ def _piece(folder: str, job_id: str, index: int) -> Receipt:
         lanes = _lanes()
         experiment, job = _experiment(Path(folder), job_id)
         piece = job.pieces()[index]
-        with contextlib.suppress(FileNotFoundError, Damaged):
+        with contextlib.suppress(FileNotFoundError, DamagedError):
             return tiles.check(Path(folder), job, piece)
-        [done] = work.compute(experiment, job, [piece], lanes)
+        [done] = compute(experiment, experiment.axes, experiment.requested(), job, [piece], lanes)
         return tiles.write_piece(Path(folder), job, *done)

@@ -10,12 +10,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from jaxnh.engine.progress import Progress, Silent
 from jaxnh.maps.protocol import Strobe
 
 TILE = 256
@@ -23,29 +24,6 @@ TILE = 256
 
 # Two vectors in flight hide the latency of a kick's division; four no more leave registers enough for tangents. LLVM
 # ends the process at an option that it does not know, so this one is kept to releases it was tried with.
-
-
-class Progress(Protocol):
-    """Where a run says how far it is."""
-
-    def start(self, label: str, total: float) -> None:
-        """A stage begins whose work is `total` lane-periods."""
-
-    def advance(self, amount: float) -> None:
-        """So many lane-periods more are done."""
-
-    def finish(self) -> None:
-        """The stage ends."""
-
-
-class Silent:
-    """Progress that says nothing."""
-
-    def start(self, label: str, total: float) -> None: ...
-
-    def advance(self, amount: float) -> None: ...
-
-    def finish(self) -> None: ...
 
 
 class Lanes:

@@ -1,149 +1,262 @@
-"""What a process does for a sweep: decide once what holds for all of it, and compute pieces of it. No files."""
+"""What is decided once for a sweep, and pieces of it computed. No files, no processes."""
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from importlib.metadata import version
+from typing import NamedTuple
 
-import jaxnh
+import numpy as np
+import xarray as xr
+
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import Group, Options, Scene
-from jaxnh.cli.command import account, calibrate, scene_of, versions
-from jaxnh.config.experiment import Experiment, load
+from jaxnh.analyses.base import LANE, Analysis, Axis, Options, Scene
+from jaxnh.config.experiment import Experiment
+from jaxnh.engine.axes import Points, on_axes, places_of, points, sampled
+from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan
 from jaxnh.engine.lanes import TILE, Lanes
+from jaxnh.exceptions import AccuracyError
 from jaxnh.solvers import SOLVERS
-from jaxnh.storage.tiles import Job, Piece, Spent, tile_lanes
+from jaxnh.storage.pieces import Job, Piece, tile_lanes
+from jaxnh.storage.tiles import Spent
+
+Requested = Sequence[tuple[Analysis, Options]]
 
 _BATCH_BYTES = 1 << 28  # of results that are computed at once
+_VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
 
 
 class Done(NamedTuple):
-    """A piece that is computed: its groups, what is counted in each, and what it has cost."""
+    """A piece that is computed.
+
+    Attributes:
+        piece: which.
+        groups: its datasets over the axes, by analysis.
+        counts: number of lanes of each kind, by analysis.
+        spent: what it has cost.
+    """
 
     piece: Piece
-    groups: Mapping[str, Group]
+    groups: Mapping[str, xr.Dataset]
     counts: Mapping[str, Mapping[str, int]]
     spent: Spent
 
 
-def decide(experiment: Experiment, lanes: Lanes, tile: int | None) -> Job:
-    """Solver, steps and whatever else analyses choose from the whole sweep, and how it is cut.
+def versions() -> dict[str, str]:
+    """Versions of the package and of the libraries that the numbers rest on."""
+    return {name: version(name) for name in ("jaxnh", *_VERSIONS)}
 
-    Args:
-        tile: lanes a tile in place of those that the config suggests.
+
+def spent(lanes: Lanes, seconds: float) -> Spent:
+    """What a runner has spent so far, in so many seconds."""
+    device = f"{len(lanes.devices)} x {lanes.devices[0].device_kind} ({lanes.devices[0].platform})"
+    return Spent(seconds, lanes.compile_seconds, lanes.lane_periods, device)
+
+
+# ---- what is decided once
+
+
+def calibrate(experiment: Experiment, axes: Sequence[Axis], lanes: Lanes) -> Calibration:
+    """Errors of one period on sample lanes of a sweep.
 
     Raises:
-        jaxnh.exits.Refused: no solver meets the target.
+        AccuracyError: no lane has a period that can be computed.
     """
-    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
-        scene = scene_of(experiment, calibrate(experiment, lanes))
-        requested = experiment.requested()
-        split = [(analysis, options) for analysis, options in requested if analysis.splits(options)]
-        chosen = {a.name: dict(a.choose(options, scene, lanes)) for a, options in split if a.choose}
+    rows = [points(experiment, axes, places) for places in sampled(axes, SAMPLED_LANES)]
+    try:
+        return Calibration(rows, lanes, experiment.precision)
+    except AccuracyError as error:
+        raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
+
+
+def plan_of(experiment: Experiment, calibration: Calibration) -> Plan:
+    """The solver and steps asked for, or else the cheapest that meet the target.
+
+    Raises:
+        AccuracyError: nothing meets the target.
+    """
+    accuracy = experiment.accuracy
+    if accuracy.solver and accuracy.steps:
+        solver = SOLVERS[accuracy.solver]
+        return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
+    try:
+        return calibration.cheapest(accuracy.target)
+    except AccuracyError as error:
+        raise AccuracyError(f"{experiment.label}: accuracy.target: {error}") from None
+
+
+def choose(
+    experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: Lanes
+) -> dict[str, dict[str, int]]:
+    """What analyses choose from a whole sweep: of several values of the shared axes the largest."""
+    found: dict[str, dict[str, int]] = {}
+    choosing = [(a, options) for a, options in requested if a.choose and a.independent(options)]
+    for places in sampled(axes, None) if choosing else ():
+        scene = scene_of(points(experiment, axes, places), plan, experiment.precision)
+        for analysis, options in choosing:
+            assert analysis.choose is not None
+            before = found.setdefault(analysis.name, {})
+            for key, number in analysis.choose(options, scene, lanes).items():
+                before[key] = max(number, before.get(key, number))
+    return found
+
+
+def job_of(
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    plan: Plan,
+    chosen: Mapping[str, Mapping[str, int]],
+    requested: Requested,
+    tile: int | None = None,
+) -> Job:
+    """How a sweep is cut, with what has been decided for it.
+
+    Args:
+        tile: lanes a tile in place of those that the work of a lane suggests.
+    """
+    count = int(np.prod([len(axis.values) for axis in axes]))
+    split = [(analysis, options) for analysis, options in requested if analysis.independent(options)]
     return Job(
         config_sha256=experiment.sha256,
-        versions={"jaxnh": jaxnh.__version__, **versions()},
-        solver=scene.solver.name,
-        steps=scene.steps,
-        compensated=scene.compensated,
-        error_estimate=scene.error_estimate,
+        versions=versions(),
+        solver=plan.solver.name,
+        steps=plan.steps,
+        compensated=plan.compensated,
+        error_estimate=plan.error_estimate,
         chosen=chosen,
         order=tuple(analysis.name for analysis, _ in requested),
-        split=tuple(analysis.name for analysis, _ in split),
-        lanes=len(scene.values),
-        tile=tile or tile_lanes(work_of(experiment, split), numbers_of(split), len(scene.values)),
+        independent=tuple(analysis.name for analysis, _ in split),
+        axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in axes),
+        tile=tile or tile_lanes(work_of(split, count), numbers_of(split), count),
     )
 
 
-def work_of(experiment: Experiment, analyses: Sequence[tuple[Any, Options]]) -> float:
+def decide(experiment: Experiment, lanes: Lanes, tile: int | None = None) -> Job:
+    """Everything that holds for the whole sweep of an experiment.
+
+    Raises:
+        AccuracyError: no solver meets the target.
+    """
+    axes, requested = experiment.axes, experiment.requested()
+    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
+        plan = plan_of(experiment, calibrate(experiment, axes, lanes))
+        chosen = choose(experiment, axes, plan, requested, lanes)
+    return job_of(experiment, axes, plan, chosen, requested, tile)
+
+
+def work_of(analyses: Requested, lanes: int) -> float:
     """Expected lane-periods a lane."""
-    count = len(experiment.sweep.grid())
-    return sum(analysis.periods(options, count) for analysis, options in analyses) / count
+    return sum(analysis.periods(options, lanes) for analysis, options in analyses) / lanes
 
 
-def numbers_of(analyses: Sequence[tuple[Any, Options]]) -> int:
+def numbers_of(analyses: Requested) -> int:
     """About how many numbers a lane leaves."""
     return sum(analysis.numbers(options) for analysis, options in analyses)
 
 
-def scene_of_job(experiment: Experiment, job: Job) -> Scene:
-    """The scene that a job has decided on, with all values of b."""
-    return Scene(
-        *experiment.system_and_start(),
-        experiment.sweep.grid(),
-        SOLVERS[job.solver],
-        job.steps,
-        job.compensated,
-        job.error_estimate,
-        precision=experiment.precision,
-        chosen=job.chosen,
-    )
+# ---- scenes
 
 
-def batches(experiment: Experiment, job: Job, pieces: Sequence[Piece], devices: int) -> list[list[Piece]]:
-    """Pieces that are computed together: neighbouring tiles enough for all devices, one by one what is not a tile."""
-    options = {analysis.name: options for analysis, options in experiment.requested()}
-    numbers = max(1, numbers_of([(ANALYSES[name], options[name]) for name in job.split]))
+def scene_of(
+    at: Points,
+    plan: Plan,
+    precision: str,
+    chosen: Mapping[str, Mapping[str, int]] | None = None,
+    place: np.ndarray | None = None,
+    along: Axis | None = None,
+) -> Scene:
+    """Lanes with the solver and steps that were decided on."""
+    return Scene(at.system, at.start, at.p, *plan, place=place, along=along, chosen=chosen or {}, precision=precision)
+
+
+def plan_of_job(job: Job) -> Plan:
+    """The solver and steps of a job."""
+    return Plan(SOLVERS[job.solver], job.steps, job.compensated, job.error_estimate)
+
+
+# ---- pieces
+
+
+def batches(requested: Requested, job: Job, pieces: Sequence[Piece], devices: int) -> list[list[Piece]]:
+    """Pieces that are computed together: tiles in a row, of the same shared values, enough for all devices."""
+    numbers = max(1, numbers_of([(a, options) for a, options in requested if a.name in job.independent]))
     most = max(1, min(devices * TILE // job.tile, _BATCH_BYTES // (8 * numbers * job.tile)))
     found: list[list[Piece]] = []
     for piece in pieces:
         last = found[-1] if found else []
-        if last and piece.names == job.split == last[-1].names and last[-1].end == piece.first and len(last) < most:
+        follows = bool(last) and piece.number == last[-1].number + 1 and _shared(piece, job) == _shared(last[-1], job)
+        if follows and piece.names == job.independent == last[-1].names and len(last) < most:
             last.append(piece)
         else:
             found.append([piece])
     return found
 
 
-def compute(experiment: Experiment, job: Job, batch: Sequence[Piece], lanes: Lanes) -> list[Done]:
-    """The groups of neighbouring pieces, each what it is if computed alone, bit for bit."""
-    began, before = time.perf_counter(), account(lanes, 0.0)
-    scene = scene_of_job(experiment, job)
-    first, end = batch[0].first, batch[-1].end
-    scene = replace(scene, values=scene.values[first:end], first=first)
-    options = {analysis.name: options for analysis, options in experiment.requested()}
-    groups: dict[str, Group] = {}
-    for name in batch[0].names:
+def _shared(piece: Piece, job: Job) -> tuple[int, ...]:
+    """Places of a piece along the shared axes."""
+    return tuple(begin for begin, (_, _, shared) in zip(piece.begin, job.axes, strict=True) if shared)
+
+
+def compute(
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    requested: Requested,
+    job: Job,
+    batch: Sequence[Piece],
+    lanes: Lanes,
+) -> list[Done]:
+    """The datasets of pieces of the same analyses and shared values, each what it is if computed alone, bit for bit."""
+    began, before = time.perf_counter(), spent(lanes, 0.0)
+    names, line = batch[0].names, batch[0].names != job.independent
+    places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
+    at = points(experiment, axes, places)
+    scene = scene_of(at, plan_of_job(job), experiment.precision, job.chosen, places[0], axes[0] if line else None)
+    options = {analysis.name: options for analysis, options in requested}
+    groups: dict[str, xr.Dataset] = {}
+    for name in names:
         analysis = ANALYSES[name]
         needed = ({need: groups[need] for need in analysis.needs},) if analysis.needs else ()
         groups[name] = analysis.run(options[name], scene, lanes, *needed)
-    after = account(lanes, time.perf_counter() - began)
-    done = []
+    after = spent(lanes, time.perf_counter() - began)
+    done, first = [], 0
     for piece in batch:
-        share = (piece.end - piece.first) / (end - first)
-        spent = Spent(
-            after.wall_seconds * share,
+        rows = {LANE: slice(first, first + piece.lanes)}
+        first += piece.lanes
+        cut = {name: data.isel(rows, missing_dims="ignore") for name, data in groups.items()}
+        counts = {name: dict(ANALYSES[name].count(data)) for name, data in cut.items()}
+        share = piece.lanes / scene.count
+        cost = Spent(
+            after.seconds * share,
             (after.compile_seconds - before.compile_seconds) * share,
             (after.lane_periods - before.lane_periods) * share,
             after.device,
         )
-        cut = groups if len(batch) == 1 else {n: _rows(g, piece, first) for n, g in groups.items()}
-        counts = {name: dict(ANALYSES[name].count(group.variables)) for name, group in cut.items()}
-        done.append(Done(piece, cut, counts, spent))
+        done.append(Done(piece, {n: on_axes(data, piece, axes, line=line) for n, data in cut.items()}, counts, cost))
     return done
 
 
-def _rows(group: Group, piece: Piece, first: int) -> Group:
-    """The lanes of a piece of a group that begins with a lane `first`."""
-    rows = slice(piece.first - first, piece.end - first)
-    variables = {
-        name: replace(variable, data=variable.data[rows]) if variable.dims[:1] == ("b",) else variable
-        for name, variable in group.variables.items()
-    }
-    return replace(group, variables=variables)
+def count_warnings(name: str, counts: Mapping[str, int]) -> tuple[str, ...]:
+    """What is to be said of the trajectories of an analysis over the whole sweep."""
+    if not counts.get("not_finite"):
+        return ()
+    return (f"{name}: {counts['not_finite']} of {counts['trajectories']} trajectories are not finite at their end",)
 
 
-def experiment_from(text: str, own_text: str | None = None) -> Experiment:
-    """The experiment of a YAML text, and of the text of the user's file that it names, that have been valid before.
+def root_of(experiment: Experiment, axes: Sequence[Axis]) -> dict[str, object]:
+    """Root attributes of a result that the system has: its strobe period, its section, its axes.
 
-    Raises:
-        jaxnh.experiment.ConfigError: they are so no more.
+    The period is a number, or one for each value of the shared axes where it is not the same for all.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "config.yaml"
-        path.write_text(text, encoding="utf-8")
-        return load(path, own_text=own_text)
+    shared = [axis for axis in axes if axis.kind == "shared"]
+    grids = np.meshgrid(*(axis.values for axis in shared), indexing="ij")
+    flows = [
+        experiment.flow({axis.name: float(grid.ravel()[k]) for axis, grid in zip(shared, grids, strict=True)})
+        for k in range(grids[0].size if shared else 1)
+    ]
+    periods = np.array([flow.period for flow in flows])
+    found: dict[str, object] = {
+        "axes": " ".join(axis.name for axis in axes),
+        "strobe_period": periods[0] if np.all(periods == periods[0]) else periods,
+    }
+    return found | ({"section": flows[0].section} if flows[0].flow is not flows[0] else {})  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,128 +1,203 @@
-"""One run of a sweep: what is done already, what is missing, and the result once all is there."""
+"""A run of an experiment into a result file: what is done already, what is missing, and the file once all is there.
+
+Nothing is printed here: what a user should know goes to `Progress`, and what came of it is returned.
+"""
 
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from rich.console import Console
-
-import jaxnh
-from jaxnh.analyses.base import Group, Variable
-from jaxnh.cli import terminal
-from jaxnh.cli.command import Account, account, other_than, provenance, versions
-from jaxnh.cli.exit_codes import GO_ON, Failed, Refused, Stop, Unfinished
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine import dask_workers as workers
-from jaxnh.engine import plan as work
-from jaxnh.engine.lanes import Lanes, Silent
+from jaxnh.engine import dask_workers
+from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.plan import (
+    Done,
+    batches,
+    compute,
+    count_warnings,
+    decide,
+    root_of,
+    spent,
+    versions,
+    work_of,
+)
+from jaxnh.engine.progress import Heeding, Progress, Silent
 from jaxnh.engine.xla_options import configure
-from jaxnh.storage import hdf5 as store
-from jaxnh.storage import tiles
-from jaxnh.storage.merge import Extra, Unusable, merge
-from jaxnh.storage.tiles import Job, Piece, Receipt, Spent
+from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
+from jaxnh.storage import hdf5, tiles
+from jaxnh.storage.atomic import check_writable
+from jaxnh.storage.merge import DamagedPieceError, Extra, merge
+from jaxnh.storage.pieces import Job, Piece, share
+from jaxnh.storage.provenance import provenance
+from jaxnh.storage.tiles import Receipt, Spent
 
-_LOG_WIDTH = 100  # columns of a table that goes to a file
+GO_ON = "run the same command again to go on"
 
 
 class How(NamedTuple):
-    """How a sweep is to be run: part (k, n), merge alone, cluster, lanes a tile, without a word."""
+    """How a sweep is to be run.
 
-    part: tuple[int, int] | None
-    merge: bool
-    dask: str | None
-    tile: int | None
-    quiet: bool
+    Attributes:
+        fresh: drop what an earlier run has left.
+        part: k and n, to do share k of n alone.
+        merge: join what the parts have done, and compute nothing.
+        dask: where Dask workers are.
+        tile: lanes a tile.
+        command: what is run, for the history of the result.
+    """
 
-
-class _Heeding:
-    """Progress of a stage, which is also where a run comes to a place to stop."""
-
-    def __init__(self, shown: Any, heed: Callable[[], None]) -> None:
-        self.shown, self._heed = shown, heed
-
-    def start(self, label: str, total: float) -> None:
-        self._heed()
-        self.shown.start(label, total)
-
-    def advance(self, amount: float) -> None:
-        self.shown.advance(amount)
-        self._heed()
-
-    def finish(self) -> None:
-        self.shown.finish()
+    fresh: bool = False
+    part: tuple[int, int] | None = None
+    merge: bool = False
+    dask: str | None = None
+    tile: int | None = None
+    command: str = ""
 
 
-class Run:
-    """One run of the command on a folder that is held."""
+class Outcome(NamedTuple):
+    """What a run has come to.
 
-    def __init__(self, experiment: Experiment, path: Path, how: How, stop: Stop, began: float) -> None:
-        self._experiment, self._path, self._how, self._stop, self._began = experiment, path, how, stop, began
+    Attributes:
+        job: what was decided for the sweep.
+        spent: by this run and those before it.
+        seconds: of this run.
+        compile_seconds, run_seconds: of these, where this process has computed.
+        pieces: how many pieces were this run's to do, and of how many.
+        whole: whether the result is written.
+    """
+
+    job: Job
+    spent: Spent
+    seconds: float
+    compile_seconds: float
+    run_seconds: float
+    pieces: tuple[int, int]
+    whole: bool
+
+
+def run_to_file(
+    experiment: Experiment, path: Path, how: How, progress: Progress, check: Callable[[], None] = lambda: None
+) -> Outcome:
+    """Compute what is missing and write the result; the folder of the tiles is held meanwhile.
+
+    Args:
+        path: the result file.
+        check: called often; may raise `Stopped`.
+
+    Raises:
+        ArgumentError: the folder holds tiles of something else, or there is nothing to merge.
+        AccuracyError: no solver meets the target.
+        BusyError: another process is at work on the same output.
+        Stopped: `check` has raised it; what is done is kept.
+        RunError: the run cannot go on; the message says what is kept.
+    """
+    began = time.perf_counter()
+    with tiles.hold(tiles.folder_of(path), how.part):
+        return _Run(experiment, path, how, progress, check, began).run()
+
+
+def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
+    """Whether a file is the result of this very experiment. Anything else is only replaced when that is asked for.
+
+    Raises:
+        ArgumentError: the file is something else.
+    """
+    if fresh or not path.exists():
+        return False
+    try:
+        attrs = hdf5.read_attrs(path)
+        same = attrs["config_sha256"] == experiment.sha256
+    except (ResultError, KeyError):
+        raise ArgumentError("output", f"{path} is there and is no result of jaxnh", "replaces it") from None
+    if not same:
+        other = other_than(experiment, attrs.get("system_file"))
+        raise ArgumentError("output", f"{path} holds the result of {other}", "replaces it")
+    return True
+
+
+def check_output(path: Path) -> None:
+    """Make the folder of an output.
+
+    Raises:
+        ArgumentError: nothing can be written there.
+    """
+    try:
+        check_writable(path)
+    except ResultError as error:
+        raise ArgumentError("output", str(error)) from None
+
+
+class _Run:
+    """One run on a folder that is held."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        path: Path,
+        how: How,
+        progress: Progress,
+        check: Callable[[], None],
+        began: float,
+    ) -> None:
+        self._experiment, self._path, self._how, self._check, self._began = experiment, path, how, check, began
+        self._axes, self._requested = experiment.axes, experiment.requested()
         self._folder = tiles.folder_of(path)
-        self._console = Console()
-        if not self._console.is_terminal:
-            self._console = Console(width=_LOG_WIDTH)
-        self._shown = Silent() if how.quiet else terminal.progress(Console(stderr=True))
-        self._progress = _Heeding(self._shown, stop.check)
+        self._shown, self._progress = progress, Heeding(progress, check)
         self._receipts: dict[int, Receipt] = {}
         self._pieces: Sequence[Piece] = ()
         self._lanes: Lanes | None = None
         self._earlier = 0.0  # seconds that earlier runs have spent on what is there
 
-    def run(self, fresh: bool) -> None:
+    def run(self) -> Outcome:
         """Everything from what is there to the result, or to the end of the part."""
-        job = self._job(fresh)
+        job = self._job()
         every = job.pieces()
-        self._pieces = tiles.share(every, self._how.part) if self._how.part else every
+        self._pieces = share(every, self._how.part) if self._how.part else every
         self._find(job)
         self._earlier += sum(receipt.spent.seconds for receipt in self._receipts.values())
         try:
             while True:
                 self._compute(job, [piece for piece in self._pieces if piece.number not in self._receipts])
                 if self._how.part:
-                    self._say(
-                        f"part {self._how.part[0]}/{self._how.part[1]}: {len(self._pieces)} of {len(every)} tiles"
-                    )
-                    return
+                    return self._outcome(job, len(every), whole=False)
                 try:
                     self._finish(job)
-                    return
-                except Unusable as error:
+                    return self._outcome(job, len(every), whole=True)
+                except DamagedPieceError as error:
                     self._drop(error.piece, error.why)
-        except Unfinished as end:
-            raise Unfinished(f"{end} with {len(self._receipts)} of {len(self._pieces)} tiles done") from None
-        except (store.StoreError, Failed) as error:
+        except Stopped as end:
+            raise Stopped(f"{end} with {len(self._receipts)} of {len(self._pieces)} tiles done") from None
+        except (ResultError, RunError) as error:
             kept = f"; {len(self._receipts)} of {len(self._pieces)} tiles are kept: {GO_ON}"
-            raise Failed(f"{error}{kept if self._folder.is_dir() else ''}") from error
+            raise RunError(f"{error}{kept if self._folder.is_dir() else ''}") from error
 
-    def _job(self, fresh: bool) -> Job:
+    def _job(self) -> Job:
         """The job of the folder if it is of this config, else a new one."""
         job = tiles.read_job(self._folder)
         if job is not None:
-            now = {"jaxnh": jaxnh.__version__, **versions()}
             other = ""
             if job.config_sha256 != self._experiment.sha256:
-                other = f"of {other_than(self._experiment, tiles.origin(self._folder).own_text)}"
-            other = other or ("of other versions of the libraries" if dict(job.versions) != now else "")
+                other = f"of {other_than(self._experiment, tiles.origin(self._folder).user_text)}"
+            other = other or ("of other versions of the libraries" if dict(job.versions) != versions() else "")
             if not other:
                 self._earlier = tiles.origin(self._folder).spent.seconds
                 return job
-            if not fresh or self._how.part:
-                raise Refused(f"command line: --output: {self._folder} holds tiles {other}; --fresh drops them")
+            if not self._how.fresh or self._how.part:
+                raise ArgumentError("output", f"{self._folder} holds tiles {other}", "drops them")
             tiles.clear(self._folder)
         if self._how.merge:
-            raise Refused(f"command line: --merge: there are no tiles in {self._folder}")
+            raise ArgumentError("merge", f"there are no tiles in {self._folder}")
         lanes = self._make_lanes()
-        job = work.decide(self._experiment, lanes, self._how.tile)
-        self._stop.check()
-        spent = account(lanes, time.perf_counter() - self._began)
-        own = self._experiment.own
-        return tiles.publish(self._folder, job, tiles.Origin(self._experiment.text, own and own.text, Spent(*spent)))
+        job = decide(self._experiment, lanes, self._how.tile)
+        self._check()
+        cost = spent(lanes, time.perf_counter() - self._began)
+        own = self._experiment.user_file
+        return tiles.publish(self._folder, job, tiles.Origin(self._experiment.text, own and own.text, cost))
 
     def _make_lanes(self) -> Lanes:
         if self._lanes is None:
@@ -137,42 +212,39 @@ class Run:
                 self._receipts[piece.number] = tiles.check(self._folder, job, piece)
             except FileNotFoundError:
                 continue
-            except tiles.Damaged as error:
+            except DamagedError as error:
                 self._drop(piece, str(error))
-            self._stop.check()
+            self._check()
         if self._receipts:
-            self._say(f"{len(self._receipts)} of {len(self._pieces)} tiles are done; going on", err=True)
+            self._progress.note(f"{len(self._receipts)} of {len(self._pieces)} tiles are done; going on")
 
     def _drop(self, piece: Piece, why: str) -> None:
         self._receipts.pop(piece.number, None)
         path = tiles.piece_path(self._folder, piece)
         path.unlink(missing_ok=True)
-        print(f"{path}: {why}; it is computed again", file=sys.stderr)
+        self._progress.warn(f"{path}: {why}; it is computed again")
 
     def _compute(self, job: Job, missing: list[Piece]) -> None:
         if not missing:
             return
         if self._how.merge:
             lost = ", ".join(str(piece.number) for piece in missing[:8]) + (", …" if len(missing) > 8 else "")
-            raise Refused(
-                f"command line: --merge: {len(missing)} of {len(self._pieces)} tiles are missing ({lost}); "
-                "run their parts again"
+            raise ArgumentError(
+                "merge", f"{len(missing)} of {len(self._pieces)} tiles are missing ({lost}); run their parts again"
             )
-        options = {analysis.name: (analysis, options) for analysis, options in self._experiment.requested()}
-        each = {
-            names: work.work_of(self._experiment, [options[n] for n in names]) for names in {p.names for p in missing}
-        }
-        cost = {piece.number: each[piece.names] * (piece.end - piece.first) for piece in missing}
+        options = {analysis.name: (analysis, options) for analysis, options in self._requested}
+        each = {names: work_of([options[n] for n in names], job.lanes) for names in {piece.names for piece in missing}}
+        cost = {piece.number: each[piece.names] * piece.lanes for piece in missing}
         if self._how.dask:
             self._over(missing, cost, lambda: self._on_workers(job, missing, cost))
             return
         lanes = self._make_lanes()
-        batches = work.batches(self._experiment, job, missing, len(lanes.devices))
-        cut = [batch for batch in batches if batch[0].names == job.split]
+        found = batches(self._requested, job, missing, len(lanes.devices))
+        cut = [batch for batch in found if batch[0].names == job.independent]
         if len(cut) > 1:
-            batches = batches[len(cut) :]
+            found = found[len(cut) :]
             self._over([piece for batch in cut for piece in batch], cost, lambda: self._in_turn(job, cut, lanes, cost))
-        self._in_turn(job, batches, lanes, {})
+        self._in_turn(job, found, lanes, {})
 
     def _over(self, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""
@@ -185,7 +257,7 @@ class Run:
             self._progress.shown = self._shown
             self._shown.finish()
 
-    def _in_turn(self, job: Job, batches: Sequence[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
+    def _in_turn(self, job: Job, found: Sequence[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
         """Compute batches one after the other; each is written while the next is computed."""
         written: list[Future[list[Receipt]]] = []
 
@@ -196,72 +268,81 @@ class Run:
 
         with ThreadPoolExecutor(1) as writer:
             try:
-                for batch in batches:
-                    self._stop.check()
-                    computed = work.compute(self._experiment, job, batch, lanes)
+                for batch in found:
+                    self._check()
+                    computed = compute(self._experiment, self._axes, self._requested, job, batch, lanes)
                     settle()
                     written.append(writer.submit(self._write, job, computed))
             finally:
                 settle()
 
-    def _write(self, job: Job, computed: Sequence[work.Done]) -> list[Receipt]:
+    def _write(self, job: Job, computed: Sequence[Done]) -> list[Receipt]:
         return [tiles.write_piece(self._folder, job, *done) for done in computed]
 
     def _on_workers(self, job: Job, missing: list[Piece], cost: dict[int, float]) -> None:
         where = self._how.dask or ""
-        workers.run(where, self._folder, job, missing, self._stop.check, lambda receipt: self._done(receipt, cost))
+        dask_workers.run(where, self._folder, job, missing, self._check, lambda receipt: self._done(receipt, cost))
 
     def _done(self, receipt: Receipt, cost: dict[int, float]) -> None:
         self._receipts[receipt.number] = receipt
         self._shown.advance(cost.get(receipt.number, 0.0))
 
-    def _finish(self, job: Job) -> None:
-        """Merge, then remove the tiles, then show what there is."""
-        decided = tiles.origin(self._folder).spent
-        receipts = [self._receipts[piece.number] for piece in self._pieces]
-        spent = [decided, *(receipt.spent for receipt in receipts)]
-        total = Account(
+    def _spent(self) -> Spent:
+        """What all runs have spent on what is there."""
+        found = [tiles.origin(self._folder).spent, *(receipt.spent for receipt in self._receipts.values())]
+        return Spent(
             self._earlier + time.perf_counter() - self._began,
-            sum(one.compile_seconds for one in spent),
-            sum(one.lane_periods for one in spent),
-            ", ".join(dict.fromkeys(one.device for one in spent)),
+            sum(one.compile_seconds for one in found),
+            sum(one.lane_periods for one in found),
+            ", ".join(dict.fromkeys(one.device for one in found)),
         )
-        counts = {name: _counts(name, receipts) for name in job.order}
-        extras = {name: Extra(found, _warnings(name, found)) for name, found in counts.items()}
-        attrs = provenance(self._experiment, work.scene_of_job(self._experiment, job), total, "jaxnh.sweep")
-        attrs["chosen"] = json.dumps(job.chosen)
-        merge(self._path, attrs, self._folder, job, extras, self._stop.check)
+
+    def _finish(self, job: Job) -> None:
+        """Merge, then remove the tiles."""
+        counts = {name: _counts(name, [self._receipts[piece.number] for piece in self._pieces]) for name in job.order}
+        extras = {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
+        self._total = self._spent()
+        attrs = attributes(self._experiment, job, self._total, self._how.command)
+        merge(self._path, attrs, self._folder, job, extras, self._check)
         tiles.clear(self._folder)
-        self._show(job, total)
 
-    def _show(self, job: Job, total: Account) -> None:
-        for name in job.order:
-            group = _stored(self._path, name) if name in terminal.TABLES else None
-            published = (self._experiment.compare or {}).get(name)
-            columns, source = (published.columns(), published.source) if published else ({}, "")
-            if group is not None and not self._how.quiet:
-                self._console.print(terminal.TABLES[name](group, columns, source, self._experiment.sweep.swept))
-            for warning in filter(None, store.read_attrs(self._path, name).get("warnings", "").split("\n")):
-                print(f"warning: {warning}", file=sys.stderr)
-        self._say(
-            f"{job.solver} in {self._experiment.precision}, {job.steps} steps a period, "
-            f"error of one {'return' if self._experiment.autonomous else 'period'} {job.error_estimate:.1e}; "
-            f"{total.lane_periods:,.0f} lane-periods"
-        )
-        now = time.perf_counter() - self._began
+    def _outcome(self, job: Job, every: int, *, whole: bool) -> Outcome:
         lanes = self._lanes
-        if lanes is not None and lanes.run_seconds:
-            parts = f"compile {lanes.compile_seconds:.1f} s, run {lanes.run_seconds:.1f} s"
-            self._say(
-                f"{now:.1f} s: {parts}, set-up and the rest {now - lanes.compile_seconds - lanes.run_seconds:.1f} s"
-            )
-        else:
-            self._say(f"{now:.1f} s")
-        self._say(f"wrote {self._path}")
+        return Outcome(
+            job,
+            self._total if whole else self._spent(),
+            time.perf_counter() - self._began,
+            lanes.compile_seconds if lanes else 0.0,
+            lanes.run_seconds if lanes else 0.0,
+            (len(self._pieces), every),
+            whole,
+        )
 
-    def _say(self, text: str, *, err: bool = False) -> None:
-        if not self._how.quiet:
-            print(text, file=sys.stderr if err else sys.stdout)
+
+def attributes(experiment: Experiment, job: Job, total: Spent, command: str) -> dict[str, object]:
+    """Root attributes of the result of a run."""
+    own = experiment.user_file
+    found = provenance(
+        title=experiment.title,
+        config=experiment.text,
+        config_sha256=experiment.sha256,
+        versions=dict(job.versions),
+        solver=job.solver,
+        steps=job.steps,
+        compensated=job.compensated,
+        precision=experiment.precision,
+        error_estimate=job.error_estimate,
+        spent=total,
+        command=command,
+        user_file=own and (own.path, own.text, own.sha256),
+    )
+    return {**found, **root_of(experiment, experiment.axes), "chosen": json.dumps(job.chosen)}
+
+
+def other_than(experiment: Experiment, user_text: str | None) -> str:
+    """What something is of that is not of this config, made with a user's file of that text."""
+    own = experiment.user_file
+    return f"another text of {own.path}" if own and user_text not in (None, own.text) else "another config"
 
 
 def _counts(name: str, receipts: Sequence[Receipt]) -> dict[str, int]:
@@ -271,15 +352,3 @@ def _counts(name: str, receipts: Sequence[Receipt]) -> dict[str, int]:
         for key, value in receipt.counts.get(name, {}).items():
             found[key] = found.get(key, 0) + value
     return found
-
-
-def _warnings(name: str, counts: dict[str, int]) -> tuple[str, ...]:
-    if not counts.get("not_finite"):
-        return ()
-    return (f"{name}: {counts['not_finite']} of {counts['trajectories']} trajectories are not finite at their end",)
-
-
-def _stored(path: Path, name: str) -> Group:
-    """A small group as it stands in a file, for a table."""
-    variables, attrs = store.read_variables(path, name), store.read_attrs(path, name)
-    return Group({key: Variable((), data, key) for key, data in variables.items()}, attrs)

@@ -5,36 +5,38 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
+import xarray as xr
 
-from jaxnh.engine import plan as work
+from jaxnh.config.experiment import Experiment
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.plan import compute
 from jaxnh.engine.xla_options import configure
-from jaxnh.storage import hdf5 as store
-from jaxnh.storage.tiles import Job, Piece
+from jaxnh.exceptions import ResultError
+from jaxnh.storage import hdf5
+from jaxnh.storage.pieces import Job, Piece, slab
 
-_BLOCKS, _LANES = 3, 16
+_LANES = 16
 
 
 def sample(path: Path) -> dict[str, tuple[int, int]]:
     """For every analysis in a file: how many lanes were run again, and how many of them differ in any bit.
 
-    Three blocks of neighbouring lanes are taken, from both ends and the middle; none where an analysis has no lanes of
-    its own.
+    Three tiles of neighbouring lanes are taken, from both ends and the middle; none where an analysis is run along the
+    whole first axis.
 
     Raises:
-        store.StoreError: the file says too little of how it was made.
+        ResultError: the file says too little of how it was made.
+        ConfigError: its config is no longer valid.
     """
-    attrs = store.read_attrs(path)
+    attrs = hdf5.read_attrs(path)
     if "chosen" not in attrs:
-        raise store.StoreError("it does not say all that decided its numbers")
+        raise ResultError("it does not say all that decided its numbers")
     configure()
-    experiment = work.experiment_from(attrs["config"], attrs.get("system_file"))
-    split = tuple(analysis.name for analysis, options in experiment.requested() if analysis.splits(options))
-    count = len(experiment.sweep.grid())
+    experiment = Experiment.from_text(attrs["config"], attrs.get("system_file"))
+    axes, requested = experiment.axes, experiment.requested()
     job = Job(
         config_sha256=attrs["config_sha256"],
         versions={},
@@ -43,36 +45,39 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
         compensated=attrs["summation"] == "compensated",
         error_estimate=float(attrs["error_estimate"]),
         chosen=json.loads(attrs["chosen"]),
-        order=tuple(analysis.name for analysis, _ in experiment.requested()),
-        split=split,
-        lanes=count,
+        order=tuple(analysis.name for analysis, _ in requested),
+        independent=tuple(analysis.name for analysis, options in requested if analysis.independent(options)),
+        axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in axes),
         tile=_LANES,
     )
     found: dict[str, tuple[int, int]] = dict.fromkeys(job.order, (0, 0))
-    if not split:
-        return found
+    tiles = [piece for piece in job.pieces() if piece.names == job.independent]
     lanes = Lanes()
-    for first in sorted({0, max(0, count // 2 - _LANES // 2), max(0, count - _LANES)}):
-        piece = Piece(0, split, first, min(first + _LANES, count))
-        [done] = work.compute(experiment, job, [piece], lanes)
-        for name, group in done.groups.items():
-            differs = np.zeros(piece.end - piece.first, bool)
-            variables = {key: v.data for key, v in group.variables.items() if v.dims[:1] == ("b",)}
-            for ours, theirs in _pairs(path, name, variables, piece):
+    for number in sorted({0, len(tiles) // 2, len(tiles) - 1}) if job.independent else ():
+        piece = tiles[number]
+        [done] = compute(experiment, axes, requested, job, [piece], lanes)
+        for name, data in done.groups.items():
+            differs = np.zeros(piece.lanes, bool)
+            for ours, theirs in _pairs(path, name, data, piece, job):
                 differs |= np.any(ours != theirs, axis=1)
             found[name] = found[name][0] + len(differs), found[name][1] + int(differs.sum())
     return found
 
 
-def _pairs(
-    path: Path, name: str, variables: dict[str, np.ndarray], piece: Piece
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _pairs(path: Path, name: str, data: xr.Dataset, piece: Piece, job: Job) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The bytes of each lane, (lanes, bytes), as they come out now and as they stand in the file."""
     with h5py.File(path, "r") as file:
-        group: Any = file[name]
-        for key, ours in variables.items():
-            theirs = store.read(group[key], slice(piece.first, piece.end))
+        group = hdf5.groups(file)[name]
+        for key, item in data.variables.items():
+            dims = tuple(map(str, item.dims))
+            if dims[: len(job.axes)] != job.names:
+                continue
+            ours, theirs = item.values, hdf5.read(hdf5.variables(group)[str(key)], slab(dims, piece, job.names))
             if theirs.dtype != ours.dtype or theirs.shape != ours.shape:
-                yield np.zeros((len(ours), 1)), np.ones((len(ours), 1))
+                yield np.zeros((piece.lanes, 1)), np.ones((piece.lanes, 1))
             else:
-                yield tuple(np.frombuffer(a.tobytes(), np.uint8).reshape(len(a), -1) for a in (ours, theirs))  # pyright: ignore[reportReturnType]
+                yield _bytes(ours, piece.lanes), _bytes(theirs, piece.lanes)
+
+
+def _bytes(values: np.ndarray, lanes: int) -> np.ndarray:
+    return np.frombuffer(values.tobytes(), np.uint8).reshape(lanes, -1)

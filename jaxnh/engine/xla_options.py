@@ -1,32 +1,70 @@
-"""The one place that prepares JAX: double precision, devices, XLA options and the cache of compiled programs."""
+"""The one place that prepares JAX: double precision, CPU devices, XLA options and the cache of compiled programs.
+
+All of it but double precision has to be set before JAX starts, that is before its first array or device. The commands,
+`Session` and `jaxnh.run` call `configure`; where JAX has started by then, it warns, and goes on with what there is:
+results are as accurate, and come more slowly.
+"""
 
 from __future__ import annotations
 
 import os
+import warnings
 from importlib.metadata import version
 from pathlib import Path
 
 import jax
 
+from jaxnh.exceptions import JaxStartedWarning
+
 _XLA_OPTIONS = {
-    # The loop over kicks becomes one LLVM function, where each operation of it would be a call of its own.
+    # The loop over kicks becomes one LLVM function, where each operation of it would be a call of its own: 2.0 ns a
+    # kick in place of 4.0 (one core with AVX2). The operation counts of tests/costs notice where this is undone.
     "xla_cpu_small_while_loop_byte_threshold": "1000000000000",
     # Outputs of one shape share one loop, where each would compute the force anew.
     "xla_cpu_use_multi_output_fusion": "true",
 }
-
+# Two vectors in flight hide the latency of a kick's division; four no more leave registers enough for tangents. LLVM
+# ends the process at an option that it does not know, so this one is kept to releases it was tried with.
 _LLVM_OPTION, _LLVM_TRIED = "-force-vector-interleave=2", "0.10."
-
 _WIDTH = "--xla_cpu_prefer_vector_width"
 
 
 def configure(devices: int | None = None) -> None:
-    """Prepare JAX before its first use: one CPU device a core, fast loops, and compiled programs kept from run to run.
+    """Prepare JAX: double precision, one CPU device a core, fast loops, and compiled programs kept from run to run.
 
     `JAX_NUM_CPU_DEVICES`, `JAX_COMPILATION_CACHE_DIR` and options of XLA named here, where set, are left as
     they are.
+
+    Args:
+        devices: CPU devices, by default one a core.
+
+    Warns:
+        JaxStartedWarning: JAX had started without these options.
     """
-    flags = os.environ.get("XLA_FLAGS", "")
+    jax.config.update("jax_enable_x64", True)
+    wanted = _flags(os.environ.get("XLA_FLAGS", ""))
+    late = wanted != os.environ.get("XLA_FLAGS") and _started()
+    os.environ["XLA_FLAGS"] = wanted
+    os.environ.setdefault("EQX_ON_ERROR", "nan")  # no host callbacks: they keep diffrax programs out of the cache
+    if "JAX_NUM_CPU_DEVICES" not in os.environ and not _started():
+        jax.config.update("jax_num_cpu_devices", devices or len(os.sched_getaffinity(0)))
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(root / "jaxnh" / "programs"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    if late:
+        warnings.warn(
+            "JAX had started before jaxnh could set its options: it runs on "
+            f"{len(jax.devices())} device(s) and without jaxnh's XLA options, two to four times as slowly; make a "
+            "jaxnh.Session, or call jaxnh.run, before the first use of JAX",
+            JaxStartedWarning,
+            stacklevel=3,
+        )
+
+
+def _flags(given: str) -> str:
+    """XLA_FLAGS with the options of this package, where they are not named already."""
+    flags = given
     if "--xla_backend_extra_options" not in flags:
         options = [f"{name}={value}" for name, value in _XLA_OPTIONS.items()]
         if version("jaxlib").startswith(_LLVM_TRIED):
@@ -34,13 +72,15 @@ def configure(devices: int | None = None) -> None:
         flags = f"{flags} --xla_backend_extra_options={','.join(options)}".strip()
     if _WIDTH not in flags:
         flags = f"{flags} {_WIDTH}=512".strip()  # where the processor has it: vectors of eight lanes, not four
-    os.environ["XLA_FLAGS"] = flags
-    os.environ.setdefault("EQX_ON_ERROR", "nan")  # no host callbacks: they keep diffrax programs out of the cache
-    if "JAX_NUM_CPU_DEVICES" not in os.environ:
-        count = devices or len(os.sched_getaffinity(0))
-        if jax.config.jax_num_cpu_devices != count:  # pyright: ignore[reportAttributeAccessIssue]
-            jax.config.update("jax_num_cpu_devices", count)
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(root / "jaxnh" / "programs"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    return flags
+
+
+def _started() -> bool:
+    """Whether JAX has started its devices. Their number can then be changed no more, which is how this is known."""
+    before = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        jax.config.update("jax_num_cpu_devices", 2 if before == 1 else 1)
+    except RuntimeError:
+        return True
+    jax.config.update("jax_num_cpu_devices", before)
+    return False

@@ -43,10 +43,10 @@ class Way(Protocol):
         rough_steps: of the reference, for a first look at a flow.
     """
 
-    solvers: tuple[Solver, ...]
-    reference: Solver
-    summations: tuple[bool, ...]
-    rough_steps: int
+    solvers: ClassVar[tuple[Solver, ...]]
+    reference: ClassVar[Solver]
+    summations: ClassVar[tuple[bool, ...]]
+    rough_steps: ClassVar[int]
 
     def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> Strobe:
         """The map over a span of time in so many steps."""
@@ -70,10 +70,10 @@ class Way(Protocol):
 class Kicks:
     """By isokinetic splittings: kicks in a table that all lanes share."""
 
-    solvers: tuple[Solver, ...] = tuple(SPLITTINGS.values())
-    reference: Solver = SPLITTINGS["sofroniou_spaletta10"]
-    summations = (False, True)
-    rough_steps = 32
+    solvers: ClassVar[tuple[Solver, ...]] = tuple(SPLITTINGS.values())
+    reference: ClassVar[Solver] = SPLITTINGS["sofroniou_spaletta10"]
+    summations: ClassVar[tuple[bool, ...]] = (False, True)
+    rough_steps: ClassVar[int] = 32
 
     def strobe(
         self,

@@ -120,6 +120,10 @@ class SectionedFlow(Flow):
         """That of the flow, at one of its states."""
         return self.inner.divergence(t, y, p)
 
+    def compared(self, y: Crossing) -> tuple[State, Any]:
+        """What is compared of a state of the flow, and the time of the crossing."""
+        return self.inner.compared(y.state), y.t
+
     @property
     def dimension(self) -> int:
         """Coordinates of the section."""

@@ -11,6 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
+from jaxnh.plotting.groups import declared_axes
+from jaxnh.plotting.labels import symbol_of, with_units
+from jaxnh.plotting.reading import load_result
+
 _SIZE = (9.0, 5.6)  # inches
 _MICRO = 1e6
 _SPLITTINGS = {
@@ -28,7 +32,7 @@ _OTHER = "#6d4c41"
 _METHODS = {
     "period detection": ("#b3261e", "o", "detection of the period after $N$ periods"),
     "multisection": ("#3b6fb5", "s", "multisection on the orbit's multiplier"),
-    "Newton": ("#1c6e4a", "D", "Newton on orbit, $b$ and multiplier −1"),
+    "Newton": ("#1c6e4a", "D", "Newton on orbit, {} and multiplier −1"),
 }
 _SIXTH_DECIMAL = 5e-7
 
@@ -60,14 +64,15 @@ def work_precision(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """Error of a doubling point against processor time: period detection, multisection on the multiplier, Newton."""
     ax = _axes(ax)
+    symbol = _parameter(data)
+    found = f"{symbol[:-1]}^*$"
     method, effort = data["method"].to_numpy().astype(str), data["effort"].to_numpy()
     cpu, error = data["cpu_seconds"].to_numpy(), data["error"].to_numpy()
     smallest = np.min(error[error > 0], initial=1e-10) / 2
     for name, (colour, marker, label) in _METHODS.items():
         chosen = method == name
-        ax.plot(
-            cpu[chosen], np.maximum(error[chosen], smallest), color=colour, marker=marker, markersize=5, label=label
-        )
+        shown = np.maximum(error[chosen], smallest)
+        ax.plot(cpu[chosen], shown, color=colour, marker=marker, markersize=5, label=label.format(symbol))
     for x, y, transient in zip(*(leaf[method == "period detection"] for leaf in (cpu, error, effort)), strict=True):
         ax.annotate(f"$N$ = {transient:,}", (x, y), (6, 5), textcoords="offset points", fontsize=8)
     ax.axhline(_SIXTH_DECIMAL, color="0.5", linewidth=0.9, linestyle=(0, (6, 3)))
@@ -76,8 +81,9 @@ def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     n = int(data.attrs["period"])
     ax.set(xscale="log", yscale="log")
     ax.grid(which="major", color="0.9", linewidth=0.6)
-    ax.set(xlabel="processor time $t$ (s)", ylabel="error of the doubling point $|b - b^*|$ (dimensionless)")
-    ax.set_title(f"period {n} → {2 * n} at $b^*$ = {float(data.attrs['reference']):.12f}", fontsize=10)
+    distance = with_units(f"error of the doubling point $|{symbol[1:-1]} - {found[1:-1]}|$", data["error"])
+    ax.set(xlabel="processor time $t$ (s)", ylabel=distance)
+    ax.set_title(f"period {n} → {2 * n} at {found} = {float(data.attrs['reference']):.12f}", fontsize=10)
     ax.set_xlim(cpu.min() / 1.3, cpu.max() * 2.5)
     ax.legend(loc="lower right", frameon=False, fontsize=9)
     return ax
@@ -105,11 +111,12 @@ def exponent(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     cpu = data["cpu_seconds"].to_numpy()
     each = (cpu[-1] - cpu[0]) / (periods[-1] - periods[0])
     above = ax.secondary_xaxis("top", functions=(lambda n: n * each, lambda t: t / each))
-    above.set_xlabel("processor time of the average at one $b$ (s)")
-    ax.set(xlabel="averaging time $N$ (forcing periods)", ylabel="error of $λ_1$ (1/time)")
-    value, b = float(data.attrs["reference"]), float(data.attrs["b"])
-    ax.legend(loc="lower left", frameon=False, fontsize=9, title_fontsize=9, alignment="left",
-              title=f"$b$ = {b:.6g}, $λ_1$ = {value:.4f}; median of {lanes} lanes, band: 10–90%")  # fmt: skip
+    above.set_xlabel(f"processor time of the average at one {_parameter(data)} (s)")
+    ax.set(
+        xlabel=with_units("averaging time $N$", data["averaged"]), ylabel=with_units("error of $λ_1$", data["error"])
+    )
+    title = f"{_at(data)}$λ_1$ = {float(data.attrs['reference']):.4f}; median of {lanes} lanes, band: 10–90%"
+    ax.legend(loc="lower left", frameon=False, fontsize=9, title_fontsize=9, alignment="left", title=title)
     return ax
 
 
@@ -122,17 +129,33 @@ DRAWINGS: Mapping[str, tuple[str, Callable[[xr.Dataset], Axes]]] = {
 
 
 def figures(path: Path) -> dict[str, Figure]:
-    """A figure a group of a file of `jaxnh.cost`, by what is added to the picture's name."""
-    tree = xr.open_datatree(path, engine="h5netcdf").load()
+    """A figure a group of a file of `jaxnh.cost`, by what is added to the picture's name.
+
+    Raises:
+        ResultError: the file is damaged or none of ours.
+    """
+    tree = load_result(path)
+    axes = {"axes": tree.attrs["axes"]} if "axes" in tree.attrs else {}
     drawn = {}
     for name, (suffix, draw) in DRAWINGS.items():
         if name in tree.children:
-            figure = draw(tree[name].to_dataset()).get_figure()
+            figure = draw(tree[name].to_dataset().assign_attrs(axes)).get_figure()
             assert isinstance(figure, Figure)
             figure.suptitle(tree.attrs["title"], fontsize=11)
             figure.supxlabel(f"jaxnh {tree.attrs['jaxnh_version']}, {tree.attrs['device']}", fontsize=7, color="gray")
             drawn[suffix] = figure
     return drawn
+
+
+def _parameter(data: xr.Dataset) -> str:
+    """Symbol of the parameter that is swept: the first of the axes that the file names."""
+    return symbol_of(next(iter(declared_axes(data)), "p"))
+
+
+def _at(data: xr.Dataset) -> str:
+    """Where on the first axis a group is, if it says so in an attribute of that name."""
+    name = next(iter(declared_axes(data)), "")
+    return f"{symbol_of(name)} = {float(data.attrs[name]):.6g}, " if name in data.attrs else ""
 
 
 def _curve(ax: Axes, name: str, summation: str, seconds: np.ndarray, error: np.ndarray) -> None:

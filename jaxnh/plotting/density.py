@@ -1,25 +1,72 @@
-"""Strobe points as a density: the share of a column's points in every cell, where they are too many to draw."""
+"""Values over one axis as a density: the share of a column's points in every cell, where they are too many to draw."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
+import xarray as xr
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colorizer import ColorizingArtist
+from matplotlib.colors import ListedColormap, LogNorm
 
-_COLUMNS, _ROWS = 1200, 500  # a little below the pixels that a diagram gets
+from jaxnh.exceptions import ResultError
+from jaxnh.plotting.cascade import mark_doublings
+from jaxnh.plotting.frame import POINT, cell_edges, new_axes, over_axis
+from jaxnh.plotting.groups import along, label_of, shown
+from jaxnh.plotting.labels import axis_label
+
+_MARKERS = 20_000  # up to so many points are drawn one by one
+_COLUMNS, _ROWS = 1200, 500  # a little below the pixels that a panel gets
+_INK = ListedColormap(colormaps["magma_r"](np.linspace(0.22, 1.0, 24)))  # few steps: they print well, files stay small
 
 
-def density(b: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Histogram over b and a variable, each column for the same number of neighbouring values of b.
+def density(data: xr.Dataset, ax: Axes | None = None, *, cascades: Iterable[xr.Dataset] = ()) -> Axes:
+    """All values of a variable over one axis, as in a bifurcation diagram; a density unless the points are few.
+
+    The colour is the share of a column's points that fall into a cell, on a logarithmic scale: an orbit of period n has
+    n cells of 1/n each.
 
     Args:
-        b: (lanes,), in any order.
+        data: the variable (axis, ...); other axes have one point.
+        cascades: groups of doublings; those along the same axis are marked.
+
+    Raises:
+        ResultError: the variable is missing, or more than one axis has more than one point.
+    """
+    ax = new_axes(ax)
+    drawn, *more = shown(data)
+    if more:
+        raise ResultError("a density is of one variable, and panel_variables names more")
+    coordinate, drawn = along(data, drawn)
+    axis = coordinate.to_numpy()
+    values = drawn.to_numpy().reshape(len(axis), -1)
+    if values.size <= _MARKERS:
+        ax.plot(np.repeat(axis, values.shape[1]), values.ravel(), ".", color=POINT, markersize=2, markeredgewidth=0)
+    else:
+        across, up, share = column_shares(axis, values)
+        norm = LogNorm(share[share > 0].min(initial=0.5), 1.0)
+        image = ax.pcolorfast(across, up, np.ma.masked_equal(share.T, 0.0), cmap=_INK, norm=norm)
+        _key_to_colours(image, ax)
+    over_axis(data, coordinate, ax, axis_label(drawn, label_of(data)))
+    for cascade in cascades:
+        mark_doublings(cascade, ax, str(coordinate.name))
+    return ax
+
+
+def column_shares(axis: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Histogram over an axis and a variable, each column for the same number of neighbouring points of the axis.
+
+    Args:
+        axis: (lanes,), in any order.
         values: (lanes, points); what is not finite is left out.
 
     Returns:
         Edges (columns + 1,) and (rows + 1,), and the share (columns, rows) of a column's points in each cell.
     """
-    distinct, place = np.unique(b, return_inverse=True)
+    distinct, place = np.unique(axis, return_inverse=True)
     each = math.ceil(len(distinct) / _COLUMNS)
     edges = cell_edges(distinct)
     across = np.append(edges[:-1:each], edges[-1])
@@ -34,9 +81,10 @@ def density(b: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     return across, up, counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
 
 
-def cell_edges(centres: np.ndarray) -> np.ndarray:
-    """Edges (n + 1,) halfway between rising centres (n,), and as far beyond the first and the last."""
-    if len(centres) == 1:
-        return np.array([centres[0] - 0.5, centres[0] + 0.5])
-    inner = 0.5 * (centres[1:] + centres[:-1])
-    return np.concatenate([[2 * centres[0] - inner[0]], inner, [2 * centres[-1] - inner[-1]]])
+def _key_to_colours(image: ColorizingArtist, ax: Axes) -> None:
+    """A small colour bar above the axes, which keeps their width."""
+    bar = ax.figure.colorbar(image, cax=ax.inset_axes((0.7, 1.03, 0.3, 0.025)), orientation="horizontal")
+    bar.ax.xaxis.set_ticks_position("top")
+    bar.ax.tick_params(labelsize=7, pad=1)
+    label = "share of the points of a column"
+    ax.annotate(label, (0.69, 1.04), xycoords="axes fraction", ha="right", va="center", fontsize=8)

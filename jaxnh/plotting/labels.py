@@ -1,57 +1,81 @@
-"""What figures call variables: words, symbols and units, from the attributes that result files carry."""
+"""What figures call variables: words, symbols and units, from their names and attributes."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+
+import numpy as np
 import xarray as xr
 
-_SYMBOLS = {"x1": "$x_1$", "x2": "$x_2$", "y1": "$y_1$", "y2": "$y_2$", "b": "$b$"}
+_SYMBOLS = {"exponents": "λ"}  # of names that are not written as they are
+_LOWER = "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi"
+_UPPER = "Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega"
+_GREEK = frozenset([*_LOWER.split(), "omega", *_UPPER.split()])
+_INDEXED = re.compile(r"([A-Za-z]+?)_?(\d+)")
 
 
-def first_pair(data: xr.Dataset) -> tuple[str, str]:
-    """Names of the first position and its velocity, which is the one that says of what it is the rate.
-
-    The position that a section is of says nothing, as it is the same in all points.
-    """
-    for name, variable in data.data_vars.items():
-        _, rate, position = str(variable.attrs.get("long_name", "")).partition(" = d")
-        position = position.removesuffix("/dt")
-        if rate and position != data.attrs.get("section_coordinate"):
-            return str(data[position].name), str(name)
-    raise KeyError("no position and velocity")
-
-
-def symbol_of(name: str) -> str:
-    """A name as it is written in a figure."""
+def symbol_of(name: str, index: int | str = "") -> str:
+    """A name as mathematics, with a dot for a rate and with an index: "x1", "theta_dot", "drive"."""
     base = name.removesuffix("_dot")
-    letters = base if len(base) == 1 else rf"\mathrm{{{base}}}".replace("_", r"\_")
-    return _SYMBOLS.get(name) or (rf"$\dot{{{letters}}}$" if base != name else f"${letters}$")
+    letters, subscript = _letters(base) or (rf"\mathrm{{{base}}}".replace("_", r"\_"), "")
+    subscript = ",".join(part for part in (subscript, str(index)) if part)
+    whole = f"{letters}_{{{subscript}}}" if len(subscript) > 1 else f"{letters}_{subscript}" if subscript else letters
+    return rf"$\dot{{{whole}}}$" if base != name else f"${whole}$"
 
 
-def named(variable: xr.DataArray) -> tuple[str, str]:
-    """What a variable is in words, and its symbol."""
-    words, name = (
-        str(variable.attrs.get("long_name", f"parameter {variable.name}"))
-        .split(" = ")[0]
-        .split(" at the ")[0]
-        .rsplit(" ", 1)
-    )
-    return words, symbol_of(name)
+def axis_label(variable: xr.DataArray, words: str = "", symbol: str = "") -> str:
+    """What a variable is in words, its symbol where it has one, and its units.
+
+    Args:
+        words: in place of the variable's own, and of the symbol that its name makes.
+        symbol: in place of that symbol; left out where the words have one, between dollars.
+    """
+    name = str(variable.name)
+    own, named = _words(variable)
+    if not words and not symbol and (named or is_symbol(name)):
+        symbol = symbol_of(name)
+    parts = (words or own, "" if "$" in words else symbol)
+    return with_units(" ".join(filter(None, parts)), variable)
 
 
-def axis_label(variable: xr.DataArray) -> str:
-    """What a variable is in words, its symbol and its units."""
-    words, symbol = named(variable)
-    units = variable.attrs["units"]
-    return f"{words} {symbol} ({'dimensionless' if units == '1' else units})"
+def is_symbol(name: str) -> bool:
+    """Whether a name is a symbol and no word: "x1" and "theta_dot" are, "period" is not."""
+    return _letters(name.removesuffix("_dot")) is not None
 
 
-def lane_title(data: xr.Dataset, index: int) -> str:
-    """What stands above a drawing of one lane: its letter, the value of what is swept, and its section."""
-    letter = f"({chr(ord('a') + index)}) " if data.sizes["b"] <= 26 else ""
-    section = f", on {data.attrs['section']}" if "section" in data.attrs else ""
-    return f"{letter}{named(data['b'])[1]} = {float(data['b'][index]):.10g}{section}"
+def with_units(label: str, variable: xr.DataArray) -> str:
+    """A label with the units of a variable, where it has any."""
+    units = str(variable.attrs.get("units", ""))
+    return f"{label} ({'dimensionless' if units == '1' else units})" if units else label
 
 
-def same_plane(strobes: xr.Dataset, portraits: xr.Dataset) -> bool:
-    """Whether strobe points are to be drawn over portraits: of the same lanes, and in the same plane."""
-    return "section" not in strobes.attrs and strobes["b"].equals(portraits["b"])
+def title_of(data: xr.Dataset, axes: Iterable[str]) -> str:
+    """What stands above a drawing: the values of some axes that a dataset is at, and the section that it is on."""
+    parts = [f"{symbol_of(name)} = {float(np.asarray(data[name]).item()):.10g}" for name in axes]
+    if "section" in data.attrs:
+        parts.append(f"on {data.attrs['section']}")
+    return ", ".join(parts)
+
+
+def words_of(variable: xr.DataArray) -> str:
+    """What a variable is in words, without its name."""
+    return _words(variable)[0]
+
+
+def _words(variable: xr.DataArray) -> tuple[str, bool]:
+    """The long name up to the equation it may end with and without the variable's own name; whether that was there."""
+    name, words = str(variable.name), str(variable.attrs.get("long_name", "")).split(" = ")[0]
+    *before, last = words.split(" ")
+    return (" ".join(before), True) if last in (name, "") else (words, False)
+
+
+def _letters(name: str) -> tuple[str, str] | None:
+    """Letter and index of a name that is a symbol: one letter or the name of a Greek one, and a number perhaps."""
+    if name in _SYMBOLS:
+        return _SYMBOLS[name], ""
+    indexed = _INDEXED.fullmatch(name)
+    base, subscript = indexed.groups() if indexed else (name, "")
+    if base in _GREEK:
+        return f"\\{base}", subscript
+    return (base, subscript) if len(base) == 1 else None

@@ -1,1 +1,1 @@
-"""Result files and tiles on disk. No JAX, and nothing else of the package."""
+"""Result files and tiles on disk. No JAX, and of the package nothing but its exceptions."""

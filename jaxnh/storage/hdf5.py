@@ -1,27 +1,31 @@
-"""Result files: netCDF4-compatible HDF5, written whole or not at all, and sealed with checksums. No JAX.
+"""Result files: datasets as netCDF4-compatible HDF5, written whole or not at all, and sealed with checksums.
 
 Every variable carries the SHA-256 of its data, and the file that of all the rest, so that a single changed bit anywhere
 is found. Blocks of large variables have HDF5's own checksum besides.
+
+Results are read by xarray (`open_result`, `read_group`). They are written by h5py, since `Dataset.to_netcdf` and
+h5netcdf cannot do what a long run needs: replace a file in one step and survive a full disk (`atomic`), seal its
+content, and take a variable piece by piece, compressed blocks of a tile as they are (`merge`). What is larger than
+memory is read by h5py as well, in blocks (`blocks`).
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
+import itertools
 import json
 import math
-import os
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, TypeVar
 
 import h5py
 import numpy as np
+import xarray as xr
 
-if TYPE_CHECKING:
-    from jaxnh.analyses.base import Group
+from jaxnh.exceptions import DamagedError, ResultError
+from jaxnh.storage.atomic import Sink, replacing
 
 SEAL = "content_sha256"
 """Root attribute: hash of all names, shapes, dimensions and attributes, those with the hashes of the data included."""
@@ -29,232 +33,318 @@ SEAL = "content_sha256"
 DATA = "sha256"
 """Attribute of a variable: hash of its numbers as they lie in memory."""
 
+UNREADABLE = (OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryError)
+"""What HDF5, h5py and xarray raise where tables or data of a file are damaged."""
+
 _LARGE = 1 << 14  # bytes; smaller variables are stored in one piece
 _CHUNK = 1 << 20  # bytes a block of a large one
+_READ = 8 * _CHUNK  # bytes that are read at once
 _LEVEL = 1  # of gzip: digits of chaos do not compress, and higher levels take longer to find that out
 _VERSION = ("v110", "v110")  # of the file format: from this one on HDF5 keeps checksums of its own tables
 _OF_SCALES = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "_Netcdf4Dimid", "_Netcdf4Coordinates")
+_AS_STORED = {"engine": "h5netcdf", "decode_times": False, "mask_and_scale": False}  # units are words here
+
+_Item = TypeVar("_Item")
+
+Attributes = dict[str, Any]
+"""Attributes by name: text, numbers, or arrays of one dimension."""
 
 
-class StoreError(Exception):
-    """A result file cannot be read or written; the message is one sentence."""
+class Hash(Protocol):
+    """A checksum in the making."""
+
+    def update(self, data: Any, /) -> None:
+        """Add data."""
+
+    def hexdigest(self) -> str:
+        """The checksum of all data so far."""
+        ...
 
 
 # ---- writing
 
 
-class _Sink(io.RawIOBase):
-    """A file for HDF5 to write in that never says no: HDF5 cannot close one that a full disk kept it from writing.
-
-    The first error is kept in `error`, and from then on nothing is written.
-    """
-
-    def __init__(self, handle: int) -> None:
-        self.error: OSError | None = None
-        self._handle, self._at = handle, 0
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
-        base = {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: os.fstat(self._handle).st_size}[whence]
-        self._at = base + offset
-        return self._at
-
-    def tell(self) -> int:
-        return self._at
-
-    def seekable(self) -> bool:
-        return True
-
-    def readable(self) -> bool:
-        return True
-
-    def writable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any, /) -> int:
-        view = memoryview(buffer).cast("B")
-        data = os.pread(self._handle, len(view), self._at)
-        view[: len(data)] = data
-        view[len(data) :] = bytes(len(view) - len(data))
-        self._at += len(view)
-        return len(view)
-
-    def write(self, buffer: Any, /) -> int:
-        view = memoryview(buffer).cast("B")
-        done = 0
-        while self.error is None and done < len(view):
-            try:
-                done += os.pwrite(self._handle, view[done:], self._at + done)
-            except OSError as error:
-                self.error = error
-        self._at += len(view)
-        return len(view)
-
-    def truncate(self, size: int | None = None, /) -> int:
-        size = self._at if size is None else size
-        try:
-            os.ftruncate(self._handle, size)
-        except OSError as error:
-            self.error = self.error or error
-        return size
-
-    def check(self) -> None:
-        """Raise the error that a write has met."""
-        if self.error is not None:
-            raise self.error
-
-
 @contextlib.contextmanager
-def writing(path: Path, *, checked: bool = False) -> Iterator[tuple[Any, _Sink]]:
-    """A new HDF5 file under a temporary name in the same folder; at the end it is sealed, synced and renamed.
-
-    Killed at any moment, this leaves either what was there before or the whole file under the final name.
+def writing(path: Path, *, checked: bool = False) -> Iterator[tuple[h5py.File, Sink]]:
+    """A new HDF5 file that at the end is sealed, synced and gets its name; or nothing, and what was there stays.
 
     Args:
         checked: read all of it back before it gets its name.
 
     Raises:
-        StoreError: the folder or the disk refuses.
+        ResultError: the folder or the disk refuses.
     """
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-    except OSError as error:
-        raise StoreError(f"cannot write in {path.parent}: {error.strerror or error}") from error
-    temporary, sink = Path(name), _Sink(handle)
-    try:
+    with replacing(path) as sink:
         with h5py.File(sink, "w", track_order=True, libver=_VERSION) as file:
             yield file, sink
             if SEAL not in file.attrs:
-                file.attrs[SEAL] = _digest(file)
-        sink.check()
-        os.fchmod(handle, 0o666 & ~_umask())
-        os.fsync(handle)
+                file.attrs[SEAL] = digest(file)
+        sink.settle()
         if checked:
-            verify(temporary)
-        temporary.replace(path)
-        sync(path.parent)
-    except (OSError, RuntimeError) as error:
-        raise StoreError(f"cannot write {path}: {sink.error or error}") from error
-    finally:
-        os.close(handle)
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+            verify(sink.path)
 
 
-def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, Group]) -> str:
+def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, xr.Dataset]) -> str:
     """Write a result file, whole or not at all; returns its seal.
 
+    In a group the coordinates of the axes come first, then all variables in the order of their dataset, then an index
+    for every dimension without a coordinate.
+
+    Args:
+        attrs: root attributes; `axes`, if it is there, has the names of the axes in order, separated by blanks.
+        groups: by name; their attribute `warnings` is left out where it is empty.
+
     Raises:
-        StoreError: the folder or the disk refuses.
+        ResultError: the folder or the disk refuses.
     """
     with writing(path) as (file, _):
-        for key, value in attrs.items():
-            file.attrs[key] = value
-        for name, group in groups.items():
-            _write_group(file.create_group(name, track_order=True), group)
-        file.attrs[SEAL] = seal = _digest(file)
+        set_attributes(file, attrs)
+        for name, dataset in groups.items():
+            _write_group(file.create_group(name, track_order=True), dataset, str(attrs.get("axes", "")).split())
+        file.attrs[SEAL] = seal = digest(file)
     return seal
 
 
-def _write_group(target: Any, group: Group) -> None:
-    attrs = {**group.attrs, "warnings": "\n".join(group.warnings)} if group.warnings else group.attrs
+def _write_group(target: h5py.Group, dataset: xr.Dataset, axes: Sequence[str]) -> None:
+    set_attributes(target, {key: value for key, value in dataset.attrs.items() if key != "warnings" or value})
+    names = [str(name) for name in dataset.variables]
+    first = [axis for axis in axes if axis in dataset.variables and dataset.variables[axis].dims == (axis,)]
+    names = [*first, *(name for name in names if name not in first)]
+    for name in names:
+        data = as_text(np.asarray(dataset.variables[name].values))
+        item = create(target, name, data.shape, data.dtype)
+        item[...] = as_stored(data)
+        set_attributes(item, {**dataset.variables[name].attrs, **_coordinates(dataset, name)})
+        item.attrs[DATA] = checksum(data).hexdigest()
+    attach(target, {name: tuple(map(str, dataset.variables[name].dims)) for name in names})
+
+
+def with_indices(dataset: xr.Dataset) -> xr.Dataset:
+    """A dataset in which every dimension has a coordinate: 0, 1, ... where it had none."""
+    missing = [dim for dim in dataset.dims if dim not in dataset.variables]
+    return dataset.assign_coords({dim: (dim, np.arange(dataset.sizes[dim]), _index_words(str(dim))) for dim in missing})
+
+
+def _index_words(dim: str) -> dict[str, str]:
+    return {"long_name": f"index along {dim}", "units": "1"}
+
+
+def _coordinates(dataset: xr.Dataset, name: str) -> dict[str, str]:
+    """The attribute by which CF names the coordinates of a variable that are no dimensions."""
+    own = dataset.variables[name]
+    if "coordinates" in own.attrs or name in dataset.coords:
+        return {}
+    others = [
+        str(key)
+        for key, coordinate in dataset.coords.items()
+        if key not in dataset.dims and set(coordinate.dims) <= set(own.dims)
+    ]
+    return {"coordinates": " ".join(others)} if others else {}
+
+
+def set_attributes(target: h5py.File | h5py.Group | h5py.Dataset, attrs: Mapping[Any, Any]) -> None:
+    """Give a file, group or variable attributes, in their order."""
     for key, value in attrs.items():
         target.attrs[key] = value
-    for name, variable in group.variables.items():
-        data = variable.data
-        dataset = create(target, name, data.shape, data.dtype)
-        dataset[...] = data.astype(h5py.string_dtype()) if data.dtype.kind == "U" else data
-        dataset.attrs["long_name"] = variable.long_name
-        dataset.attrs["units"] = variable.units
-        for key, value in variable.attrs.items():
-            dataset.attrs[key] = value
-        dataset.attrs[DATA] = checksum(data).hexdigest()
-    attach(target, {name: variable.dims for name, variable in group.variables.items()})
 
 
-def create(target: Any, name: str, shape: tuple[int, ...], dtype: Any, rows: int = 0) -> Any:
-    """A variable still without data. A large one lies in blocks of so many whole rows, or about a megabyte of them."""
+def create(
+    target: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, chunks: tuple[int, ...] | None = None
+) -> h5py.Dataset:
+    """A variable still without data. A large one lies in blocks, of about a megabyte of whole rows unless told."""
     dtype = h5py.string_dtype() if np.dtype(dtype).kind == "U" else np.dtype(dtype)
-    size = math.prod(shape) * dtype.itemsize
-    if size <= _LARGE or h5py.check_string_dtype(dtype):
+    if math.prod(shape) * dtype.itemsize <= _LARGE or h5py.check_string_dtype(dtype):
         return target.create_dataset(name, shape, dtype)
-    rows = rows or max(1, _CHUNK * shape[0] // size)
-    rows = min(shape[0], 1 << (rows.bit_length() - 1))
-    chunks = (rows, *shape[1:])
     return target.create_dataset(
-        name, shape, dtype, chunks=chunks, shuffle=True, compression="gzip", compression_opts=_LEVEL, fletcher32=True
+        name,
+        shape,
+        dtype,
+        chunks=chunks or row_chunks(shape, dtype.itemsize),
+        shuffle=True,
+        compression="gzip",
+        compression_opts=_LEVEL,
+        fletcher32=True,
     )
 
 
-def attach(target: Any, dims: Mapping[str, tuple[str, ...]]) -> None:
+def row_chunks(shape: tuple[int, ...], itemsize: int, rows: int = 0) -> tuple[int, ...]:
+    """Blocks of about so many whole rows, a power of two, or of about a megabyte."""
+    rows = rows or max(1, _CHUNK * shape[0] // (math.prod(shape) * itemsize))
+    rows = min(shape[0], 1 << (rows.bit_length() - 1))
+    return (rows, *shape[1:])
+
+
+def slab_chunks(slab: tuple[int, ...], shape: tuple[int, ...], itemsize: int, most: int) -> tuple[int, ...]:
+    """Blocks for a variable that is written in slabs of one shape side by side: a slab, or even parts of one.
+
+    They have about a megabyte, and those that lie along the first dimensions together fit in `most` bytes where that
+    can be, so that `blocks` reads them once each.
+    """
+    chunks = list(slab)
+    for k in range(len(chunks)):
+        while chunks[k] > 1 and math.prod(chunks) * itemsize > _CHUNK:
+            chunks[k] = -(-chunks[k] // 2)
+    k = next((k for k, size in enumerate(chunks) if size > 1), len(chunks) - 1)
+    while chunks[k] > 1 and chunks[k] * math.prod(shape[k + 1 :]) * itemsize > most:
+        chunks[k] = -(-chunks[k] // 2)
+    return tuple(chunks)
+
+
+def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> None:
     """Make every axis a dimension scale, with an index where no variable has its name."""
     for name, axes in dims.items():
+        item = variable(target, name)
         for axis, dim in enumerate(axes):
             if dim not in target:
-                index = np.arange(target[name].shape[axis])
-                target.create_dataset(dim, data=index)
-                target[dim].attrs.update({"long_name": f"index along {dim}", "units": "1"})
-                target[dim].attrs[DATA] = checksum(index).hexdigest()
-            if not target[dim].is_scale:
-                target[dim].make_scale(dim)
+                index = np.arange(item.shape[axis])
+                added = target.create_dataset(dim, data=index)
+                set_attributes(added, {**_index_words(dim), DATA: checksum(index).hexdigest()})
+            scale = variable(target, dim)
+            if not scale.is_scale:
+                scale.make_scale(dim)
             if name != dim:
-                target[name].dims[axis].attach_scale(target[dim])
+                item.dims[axis].attach_scale(scale)
+
+
+def as_text(data: np.ndarray) -> np.ndarray:
+    """Text of any kind as NumPy's own; all else as it is."""
+    return data.astype(str) if data.dtype.kind in "OT" else data
+
+
+def as_stored(data: np.ndarray) -> np.ndarray:
+    """Data as h5py takes them."""
+    return data.astype(h5py.string_dtype()) if data.dtype.kind == "U" else data
 
 
 # ---- reading
 
 
-def dimensions(dataset: Any) -> tuple[str, ...]:
+def open_result(path: str | Path) -> xr.DataTree:
+    """A result file as a tree, a dataset a group; data are read from the file where they are used.
+
+    Close it, or use it in a `with`; `load()` reads all of it.
+
+    Raises:
+        ResultError: the file is not HDF5, is damaged, or is not a result of jaxnh.
+    """
+    path = Path(path)
+    read_attrs(path)
+    try:
+        return xr.open_datatree(path, **_AS_STORED)
+    except UNREADABLE as error:
+        raise DamagedError(f"{path} cannot be read: it is damaged") from error
+
+
+def read_group(path: Path, group: str) -> xr.Dataset:
+    """One group, in memory; text as NumPy's own.
+
+    Raises:
+        ResultError: the file cannot be read or has no such group.
+    """
+    try:
+        return xr.load_dataset(path, group=group, **_AS_STORED)
+    except UNREADABLE as error:
+        raise ResultError(f"{path} has no readable group {group}") from error
+
+
+def read_attrs(path: Path, group: str = "/") -> Attributes:
+    """Root attributes of a result file, or those of a group.
+
+    Raises:
+        ResultError: the file is not HDF5, is damaged, is none of ours, or has no such group.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            attrs = dict(file.attrs)
+            found = dict(file[group].attrs) if group in file else None
+    except UNREADABLE as error:
+        raise ResultError(f"{path} is not a readable HDF5 file") from error
+    if "jaxnh_version" not in attrs:
+        raise ResultError(f"{path} is an HDF5 file, but not a result of jaxnh")
+    if found is None:
+        raise ResultError(f"{path} has no group {group}")
+    return found
+
+
+def groups(file: h5py.File) -> dict[str, h5py.Group]:
+    """Groups of a file, in their order.
+
+    Raises:
+        TypeError: there is something else in it.
+    """
+    return {name: _expected(item, h5py.Group) for name, item in file.items()}
+
+
+def variables(group: h5py.Group) -> dict[str, h5py.Dataset]:
+    """Variables of a group, in their order.
+
+    Raises:
+        TypeError: there is something else in it.
+    """
+    return {name: _expected(item, h5py.Dataset) for name, item in group.items()}
+
+
+def variable(group: h5py.Group, name: str) -> h5py.Dataset:
+    """One variable of a group.
+
+    Raises:
+        KeyError: there is none.
+        TypeError: it is something else.
+    """
+    return _expected(group[name], h5py.Dataset)
+
+
+def _expected(item: object, kind: type[_Item]) -> _Item:
+    if not isinstance(item, kind):
+        raise TypeError(f"{item} is not what results of jaxnh have there")
+    return item
+
+
+def dimensions(item: h5py.Dataset) -> tuple[str, ...]:
     """Names of the dimensions of a variable."""
-    own = dataset.name.rsplit("/", 1)[1]
-    if dataset.is_scale:
-        return (own,)
-    return tuple(axis[0].name.rsplit("/", 1)[1] if len(axis) else "" for axis in dataset.dims)
+    if item.is_scale:
+        return (_last(item),)
+    return tuple(_last(axis[0]) if len(axis) else "" for axis in item.dims)
 
 
-def attributes(item: Any) -> dict[str, Any]:
+def _last(item: h5py.Dataset) -> str:
+    return str(item.name).rsplit("/", 1)[1]
+
+
+def attributes(item: h5py.File | h5py.Group | h5py.Dataset) -> Attributes:
     """Attributes of a file, group or variable, without those that HDF5's dimension scales need."""
     return {key: item.attrs[key] for key in item.attrs if key not in _OF_SCALES}
 
 
-def read_attrs(path: Path, group: str = "/") -> dict[str, Any]:
-    """Root attributes of a result file, or those of a group that is there.
+def read(item: h5py.Dataset, where: Any = ()) -> np.ndarray:
+    """Data of a variable, or those of some slices; text as an array of strings."""
+    if h5py.check_string_dtype(item.dtype):
+        return np.asarray(item.asstr()[where], object).astype(str)
+    return np.asarray(item[where])
 
-    Raises:
-        StoreError: the file is not HDF5, is damaged, or is none of ours.
+
+def blocks(item: h5py.Dataset) -> Iterator[np.ndarray]:
+    """The data of a variable in C order, some megabytes at a time.
+
+    A variable that lies in blocks is cut along the first dimension on which these have more than one place.
     """
-    try:
-        with h5py.File(path, "r") as file:
-            attrs, found = dict(file.attrs), dict(file[group].attrs)
-    except OSError as error:
-        raise StoreError(f"{path} is not a readable HDF5 file") from error
-    if "jaxnh_version" not in attrs:
-        raise StoreError(f"{path} is an HDF5 file, but not a result of jaxnh")
-    return found
-
-
-def read_variables(path: Path, group: str) -> dict[str, np.ndarray]:
-    """All arrays of one group, by name; text as an array of strings.
-
-    Raises:
-        StoreError: the file cannot be read or has no such group.
-    """
-    try:
-        with h5py.File(path, "r") as file:
-            return {name: read(item) for name, item in file.require_group(group).items()}
-    except (OSError, KeyError, ValueError, TypeError) as error:
-        raise StoreError(f"{path} has no readable group {group}") from error
-
-
-def read(dataset: Any, rows: slice = slice(None)) -> np.ndarray:
-    """Data of a variable, or some of its rows; text as an array of strings."""
-    where = rows if dataset.ndim else ()
-    return dataset.asstr()[where].astype(str) if h5py.check_string_dtype(dataset.dtype) else dataset[where]
+    if not item.ndim or not item.chunks:
+        yield read(item)
+        return
+    cut = next((k for k, size in enumerate(item.chunks) if size > 1), item.ndim - 1)
+    while cut and math.prod(item.shape[cut:]) * item.dtype.itemsize <= _READ:
+        cut -= 1
+    size = item.chunks[cut] * math.prod(item.shape[cut + 1 :]) * item.dtype.itemsize
+    many = item.chunks[cut] * max(1, _READ // max(size, 1))
+    for place in itertools.product(*(range(n) for n in item.shape[:cut])):
+        for first in range(0, item.shape[cut], many):
+            yield read(item, (*place, slice(first, first + many)))
 
 
 # ---- checksums
 
 
-def checksum(data: np.ndarray, begun: Any = None) -> Any:
+def checksum(data: np.ndarray, begun: Hash | None = None) -> Hash:
     """SHA-256 of an array, or of those before it and then this one."""
     found = begun or hashlib.sha256()
     if data.dtype.kind == "U":
@@ -264,92 +354,51 @@ def checksum(data: np.ndarray, begun: Any = None) -> Any:
     return found
 
 
-def blocks(dataset: Any) -> Iterator[np.ndarray]:
-    """The data of a variable, some megabytes of rows at a time."""
-    rows = len(dataset) if dataset.ndim else 0
-    many = max(rows, 1)
-    if dataset.chunks:
-        block = dataset.chunks[0] * dataset.nbytes // rows
-        many = dataset.chunks[0] * max(1, 8 * _CHUNK // block)
-    for first in range(0, max(rows, 1), many):
-        yield read(dataset, slice(first, first + many))
+def checksum_of(item: h5py.Dataset) -> str:
+    """SHA-256 of the data of a variable, read in blocks."""
+    found: Hash = hashlib.sha256()
+    for block in blocks(item):
+        found = checksum(block, found)
+    return found.hexdigest()
 
 
 def verify(path: Path) -> None:
     """Read all of a file, and compare with the checksums it carries.
 
     Raises:
-        StoreError: something differs or cannot be read, or there are no checksums; the message names what.
+        DamagedError: something differs or cannot be read, or there are no checksums; the message names what.
     """
     name = ""
     try:
         with h5py.File(path, "r") as file:
             if SEAL not in file.attrs:
-                raise StoreError(f"{path} has no checksums")
-            content: Any = file
-            for group in content.values():
-                for item in group.values():
-                    name, found = item.name, hashlib.sha256()
-                    for block in blocks(item):
-                        found = checksum(block, found)
-                    if found.hexdigest() != item.attrs[DATA]:
-                        raise StoreError(f"{path}: the data of {name} do not fit their checksum")
-            if file.attrs[SEAL] != _digest(file):
-                raise StoreError(f"{path}: names or attributes do not fit their checksum")
-    except StoreError:
-        raise
-    except Exception as error:  # whatever HDF5 makes of damaged tables
-        raise StoreError(f"{path}: {name or 'the file'} cannot be read: it is damaged") from error
+                raise DamagedError(f"{path} has no checksums")
+            for group in groups(file).values():
+                for item in variables(group).values():
+                    name = item.name
+                    if checksum_of(item) != item.attrs[DATA]:
+                        raise DamagedError(f"{path}: the data of {name} do not fit their checksum")
+            if file.attrs[SEAL] != digest(file):
+                raise DamagedError(f"{path}: names or attributes do not fit their checksum")
+    except UNREADABLE as error:
+        raise DamagedError(f"{path}: {name or 'the file'} cannot be read: it is damaged") from error
 
 
-def _digest(file: Any) -> str:
+def digest(file: h5py.File) -> str:
     """Hash of everything in a file but its data, for which their own hashes stand."""
     found = hashlib.sha256()
 
     def add(*content: Any) -> None:
-        found.update(json.dumps(content, default=_plain, sort_keys=True).encode())
+        found.update(json.dumps(content, default=plain, sort_keys=True).encode())
 
     add({key: value for key, value in attributes(file).items() if key != SEAL})
-    for group_name, group in file.items():
+    for group_name, group in groups(file).items():
         add(group_name, attributes(group))
-        for name, item in group.items():
+        for name, item in variables(group).items():
             add(name, item.shape, item.dtype.str, dimensions(item), attributes(item))
     return found.hexdigest()
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """An attribute as JSON takes it."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else repr(value)
-
-
-# ---- folders
-
-
-def check_writable(path: Path) -> None:
-    """Make the folder of an output and see that a file can be made in it, without leaving one.
-
-    Raises:
-        StoreError: it cannot; the message names the folder and the reason.
-    """
-    if path.is_dir():
-        raise StoreError(f"{path} is a folder, not a file to write")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        raise StoreError(f"cannot write in {path.parent}: {error.strerror or error}") from error
-
-
-def sync(path: Path) -> None:
-    """Have the content of a file or folder on the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -1,94 +1,34 @@
 """Tiles on disk: the folder beside a result in which a run keeps what it has done, until the result is whole. No JAX.
 
-A sweep is cut into tiles, contiguous shares of its values of b; what cannot be cut is one piece of work as a whole. All
-that is decided for the sweep as a whole stands in `job.json`, made once: pieces of any process fit together bit for
+All that is decided for a sweep as a whole stands in `job.json`, made once: pieces of any process fit together bit for
 bit. A piece is there whole or not at all, and says which job it is of. A lock keeps other runs away from a result; it
 belongs to a process, so that a dead one leaves none behind.
+
+Neither xarray nor h5netcdf knows locks between processes, nor of a file whether it is whole and of the same run.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
-import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import h5py
+import numpy as np
+import xarray as xr
 
-import jaxnh
+from jaxnh.exceptions import BusyError, DamagedError, ResultError
 from jaxnh.storage import hdf5 as store
-
-if TYPE_CHECKING:
-    from jaxnh.analyses.base import Group
+from jaxnh.storage.atomic import sync
+from jaxnh.storage.pieces import Job, Piece
 
 _JOB, _LOCK = "job.json", "lock"
-_WORK = 2e6  # lane-periods a tile: ten to thirty seconds on one core
-_BYTES = 1 << 26  # of results a tile
-_MOST_TILES = 1 << 14
-_FEWEST_LANES = 16
-
-
-class Busy(Exception):
-    """Another process works on the same output; the message says on what."""
-
-
-class Damaged(Exception):
-    """A piece is there and is of no use; the message says why."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """What is decided once for a sweep and holds for every process that works on it.
-
-    Attributes:
-        config_sha256: hash of the config.
-        versions: of the package and the libraries that the numbers rest on.
-        solver, steps, compensated, error_estimate: what a period is computed with.
-        chosen: what analyses have chosen from the whole sweep.
-        order: names of the analyses in the order of the result.
-        split: those whose lanes know nothing of each other; the others are pieces of work as a whole.
-        lanes: number of values of b.
-        tile: lanes a tile.
-    """
-
-    config_sha256: str
-    versions: Mapping[str, str]
-    solver: str
-    steps: int
-    compensated: bool
-    error_estimate: float
-    chosen: Mapping[str, Mapping[str, int]]
-    order: tuple[str, ...]
-    split: tuple[str, ...]
-    lanes: int
-    tile: int
-
-    @property
-    def id(self) -> str:
-        """Hash of all of it."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
-
-    def pieces(self) -> list[Piece]:
-        """All pieces of work: the tiles, then the analyses that cannot be cut."""
-        starts = range(0, self.lanes, self.tile) if self.split else ()
-        found = [Piece(k, self.split, at, min(at + self.tile, self.lanes)) for k, at in enumerate(starts)]
-        whole = [name for name in self.order if name not in self.split]
-        return found + [Piece(len(found) + k, (name,), 0, self.lanes) for k, name in enumerate(whole)]
-
-
-class Piece(NamedTuple):
-    """A piece of work: its number, the analyses in it, and the first lane and the one after the last."""
-
-    number: int
-    names: tuple[str, ...]
-    first: int
-    end: int
 
 
 class Spent(NamedTuple):
@@ -110,18 +50,6 @@ class Receipt(NamedTuple):
     counts: Mapping[str, Mapping[str, int]]
 
 
-def tile_lanes(work: float, numbers: float, lanes: int) -> int:
-    """Lanes a tile, from the config alone: a power of two for ten to thirty seconds of work and not too many bytes.
-
-    Args:
-        work: lane-periods a lane.
-        numbers: numbers that a lane leaves.
-        lanes: lanes of the sweep.
-    """
-    wanted = min(max(_WORK, work * lanes / _MOST_TILES) / max(work, 1e-9), _BYTES / (8 * max(numbers, 1)), 1 << 20)
-    return max(_FEWEST_LANES, 1 << (max(int(wanted), 1).bit_length() - 1))
-
-
 # ---- the folder, its lock and its job
 
 
@@ -137,8 +65,8 @@ def hold(folder: Path, part: tuple[int, int] | None = None) -> Iterator[None]:
     The lock goes with the process however it ends. At the end an empty folder goes as well.
 
     Raises:
-        Busy: another process is at work.
-        store.StoreError: the folder cannot be made.
+        BusyError: another process is at work.
+        ResultError: the folder cannot be made.
     """
     result = folder.name.removesuffix(".tiles")
     with contextlib.ExitStack() as held:
@@ -151,9 +79,9 @@ def hold(folder: Path, part: tuple[int, int] | None = None) -> Iterator[None]:
                     left.unlink(missing_ok=True)  # of a process that was killed while it wrote
         except BlockingIOError:
             what = f"part {part[0]}/{part[1]} of it" if part else "it"
-            raise Busy(f"another run is working on {folder.with_name(result)}, or on {what}") from None
+            raise BusyError(f"another run is working on {folder.with_name(result)}, or on {what}") from None
         except OSError as error:
-            raise store.StoreError(f"cannot write in {folder}: {error.strerror or error}") from error
+            raise ResultError(f"cannot write in {folder}: {error.strerror or error}") from error
         try:
             yield
         finally:
@@ -192,9 +120,11 @@ def read_job(folder: Path) -> Job | None:
     """The job of a folder; None where there is none, or one that is damaged."""
     try:
         content = json.loads((folder / _JOB).read_text())
-        job = Job(
-            **{**content["job"], "order": tuple(content["job"]["order"]), "split": tuple(content["job"]["split"])}
-        )
+        found = content["job"]
+        for key in ("order", "independent"):
+            found[key] = tuple(found[key])
+        found["axes"] = tuple((name, size, shared) for name, size, shared in found["axes"])
+        job = Job(**found)
         return job if content["id"] == job.id else None
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
@@ -204,7 +134,7 @@ class Origin(NamedTuple):
     """What a job was made for: the YAML, the text of the user's file if it names one, and what making it has cost."""
 
     config: str
-    own_text: str | None
+    user_text: str | None
     spent: Spent
 
 
@@ -212,7 +142,7 @@ def publish(folder: Path, job: Job, origin: Origin) -> Job:
     """Put a job and its origin in a folder, unless a sound one is there already; the one that counts.
 
     Raises:
-        store.StoreError: the folder or the disk refuses.
+        ResultError: the folder or the disk refuses.
     """
     content = {"id": job.id, "job": asdict(job), **origin._asdict()}
     try:
@@ -227,9 +157,9 @@ def publish(folder: Path, job: Job, origin: Origin) -> Job:
                 os.link(file.name, folder / _JOB)
         finally:
             os.unlink(file.name)
-        store.sync(folder)
+        sync(folder)
     except OSError as error:
-        raise store.StoreError(f"cannot write in {folder}: {error.strerror or error}") from error
+        raise ResultError(f"cannot write in {folder}: {error.strerror or error}") from error
     return read_job(folder) or job
 
 
@@ -237,13 +167,13 @@ def origin(folder: Path) -> Origin:
     """What the job of a folder was made for.
 
     Raises:
-        store.StoreError: the folder is gone.
+        ResultError: the folder is gone.
     """
     try:
         content = json.loads((folder / _JOB).read_text())
     except OSError as error:
-        raise store.StoreError(f"{folder} is gone, or what was in it") from error
-    return Origin(content["config"], content["own_text"], Spent(*content["spent"]))
+        raise ResultError(f"{folder} is gone, or what was in it") from error
+    return Origin(content["config"], content["user_text"], Spent(*content["spent"]))
 
 
 # ---- pieces
@@ -255,23 +185,32 @@ def piece_path(folder: Path, piece: Piece) -> Path:
 
 
 def write_piece(
-    folder: Path, job: Job, piece: Piece, groups: Mapping[str, Group], counts: Mapping[str, Any], spent: Spent
+    folder: Path,
+    job: Job,
+    piece: Piece,
+    groups: Mapping[str, xr.Dataset],
+    counts: Mapping[str, Mapping[str, int]],
+    spent: Spent,
 ) -> Receipt:
     """Write the groups of a piece, whole or not at all.
 
+    Args:
+        groups: by analysis; the axes are dimensions, with a place for each value of the piece.
+
     Raises:
-        store.StoreError: the folder or the disk refuses.
+        ResultError: the folder or the disk refuses.
     """
     if not folder.is_dir():
-        raise store.StoreError(f"{folder} is gone, and the tiles in it")
+        raise ResultError(f"{folder} is gone, and the tiles in it")
     attrs = {
-        "title": f"lanes {piece.first} to {piece.end - 1} of a sweep of {job.lanes}",
-        "jaxnh_version": jaxnh.__version__,
+        "title": _title(job, piece),
+        "jaxnh_version": job.versions["jaxnh"],
         "config_sha256": job.config_sha256,
         "job": job.id,
         "piece": piece.number,
-        "first": piece.first,
-        "end": piece.end,
+        "axes": " ".join(job.names),
+        "begin": np.array(piece.begin, int),
+        "end": np.array(piece.end, int),
         "counts": json.dumps(counts),
         "spent": json.dumps(spent),
     }
@@ -279,26 +218,34 @@ def write_piece(
     return Receipt(piece.number, path, store.write(path, attrs, groups), spent, counts)
 
 
+def _title(job: Job, piece: Piece) -> str:
+    places = [
+        f"{name} {begin} to {end - 1} of {size}"
+        for name, size, begin, end in zip(job.names, job.shape, piece.begin, piece.end, strict=True)
+    ]
+    return f"lanes of a sweep: {', '.join(places)}"
+
+
 def receipt(folder: Path, job: Job, piece: Piece) -> Receipt:
     """What a piece that is there says of itself.
 
     Raises:
-        Damaged: it says something that does not fit, or cannot be read.
+        DamagedError: it says something that does not fit, or cannot be read.
     """
     path = piece_path(folder, piece)
     try:
         with h5py.File(path, "r") as file:
             attrs = store.attributes(file)
-            names = set(file)
+            names = set(store.groups(file))
         counts, spent = json.loads(attrs["counts"]), Spent(*json.loads(attrs["spent"]))
-        seal, place = attrs[store.SEAL], (attrs["piece"], attrs["first"], attrs["end"])
+        seal, place = attrs[store.SEAL], (attrs["piece"], tuple(attrs["begin"]), tuple(attrs["end"]))
         same_config, same_job = attrs["config_sha256"] == job.config_sha256, attrs["job"] == job.id
-    except Exception as error:  # whatever HDF5 makes of damaged tables
-        raise Damaged("it is cut off or damaged") from error
+    except store.UNREADABLE as error:
+        raise DamagedError("it is cut off or damaged") from error
     if not same_config:
-        raise Damaged("it is of another config")
-    if not same_job or place != (piece.number, piece.first, piece.end) or names != set(piece.names):
-        raise Damaged("it is of another run of this config")
+        raise DamagedError("it is of another config")
+    if not same_job or place != (piece.number, piece.begin, piece.end) or names != set(piece.names):
+        raise DamagedError("it is of another run of this config")
     return Receipt(piece.number, path, seal, spent, counts)
 
 
@@ -307,7 +254,7 @@ def check(folder: Path, job: Job, piece: Piece) -> Receipt:
 
     Raises:
         FileNotFoundError: it is not there.
-        Damaged: it is of no use.
+        DamagedError: it is of no use.
     """
     path = piece_path(folder, piece)
     if not path.exists():
@@ -315,15 +262,9 @@ def check(folder: Path, job: Job, piece: Piece) -> Receipt:
     found = receipt(folder, job, piece)
     try:
         store.verify(path)
-    except store.StoreError as error:
-        raise Damaged(str(error).removeprefix(f"{path}: ")) from None
+    except DamagedError as error:
+        raise DamagedError(str(error).removeprefix(f"{path}: ")) from None
     return found
-
-
-def share(pieces: Sequence[Piece], part: tuple[int, int]) -> Sequence[Piece]:
-    """The pieces of part (k, n), k from 1: neighbours, and for n parts every piece in exactly one."""
-    k, n = part
-    return pieces[(k - 1) * len(pieces) // n : k * len(pieces) // n]
 
 
 def clear(folder: Path) -> None:
@@ -339,7 +280,7 @@ def tidy(folder: Path) -> None:
     """Beside a result that is there: remove what a process left that was killed between the two."""
     if not folder.is_dir():
         return
-    with contextlib.suppress(Busy, store.StoreError), hold(folder):
+    with contextlib.suppress(BusyError, ResultError), hold(folder):
         job = read_job(folder)
         if job is None or all(piece_path(folder, piece).exists() for piece in job.pieces()):
             clear(folder)

@@ -109,6 +109,10 @@ class Flow(eqx.Module):
         """The state brought back to the constraints, where there are some that a step leaves."""
         return y
 
+    def compared(self, y: State) -> State:
+        """The components of a state that an error is a difference of: all but those that only report."""
+        return y
+
     def blanked(self, y: State, kept: Any) -> State:
         """The state of a lane that is kept, and not a number of one that is not."""
         return jax.tree.map(lambda x: jnp.where(kept, x, jnp.nan), y)

@@ -302,6 +302,10 @@ class Lagrangian(Flow):
         q, v = (tuple(jnp.where(reason > 0.0, jnp.nan, x) for x in side) for side in (q, v))
         return Motion(q, v, lax.stop_gradient((drift, reason)))
 
+    def compared(self, y: Motion) -> tuple[Vector, Vector]:
+        """Coordinates and velocities."""
+        return y.q, y.v
+
     def blanked(self, y: Motion, kept: Any) -> Motion:
         """The state of a lane that is kept; of one that is not, its reports alone are numbers."""
         q, v = jax.tree.map(lambda x: jnp.where(kept, x, jnp.nan), (y.q, y.v))

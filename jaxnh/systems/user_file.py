@@ -24,19 +24,21 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
+from jax.typing import ArrayLike
 
-from jaxnh.systems.lagrangian import NonholonomicSystem, nonholonomic_system
+from jaxnh.exceptions import UserFileError
+from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 
 _NEEDED = ("T", "Q", "coordinates", "period")
 _KNOWN = (*_NEEDED, "f", "angles", "ignorable")
-_TAKEN = ("file", "constraint", "b", "t", "strobe", "time", "start", "drift", "failure")
+_KEYS = ("file", "constraint")  # of a config, beside the parameters
+_BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "failure")  # in results, beside the coordinates
+
+DIMENSIONS = ("lane", "strobe", "time", "start", "exponent", "level")
+"""Dimensions of results, which no axis of a sweep can be called."""
 
 
-class OwnSystemError(Exception):
-    """A user's file cannot be used; the message is one line, `FILE:LINE: what is wrong`."""
-
-
-class OwnSystem:
+class UserFile:
     """What a user's file says.
 
     Attributes:
@@ -54,19 +56,18 @@ class OwnSystem:
             text: what it says, where it has been read before; the file is then not looked at.
 
         Raises:
-            OwnSystemError: anything that keeps it from being a system.
+            UserFileError: anything that keeps it from being a system.
         """
         self.path = path
         try:
             self.text = path.read_text(encoding="utf-8") if text is None else text
         except (OSError, UnicodeDecodeError) as error:
-            raise OwnSystemError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+            raise UserFileError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
         self._define = self._function()
         self.parameters = self._defaults()
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
-        for swept in self.parameters:
-            self._try(swept)
+        self._try()
 
     @property
     def sha256(self) -> str:
@@ -77,7 +78,7 @@ class OwnSystem:
         """What the function returns, checked.
 
         Raises:
-            OwnSystemError: it fails, or says what is no definition.
+            UserFileError: it fails, or says what is no definition.
         """
         definition = self._guarded(lambda: self._define(**parameters))
         line = self._define.__code__.co_firstlineno
@@ -102,29 +103,22 @@ class OwnSystem:
             raise self._fault(line, f"period must be a positive number, not {period}")
         return definition
 
-    def system(self, parameters: Mapping[str, float], swept: str) -> NonholonomicSystem:
-        """The system with these parameters, lanes differing in one of them.
+    def period(self, parameters: Mapping[str, ArrayLike]) -> float:
+        """Strobe period with these parameters."""
+        return float(self.define(**parameters)["period"])
 
-        Raises:
-            OwnSystemError: the strobe period depends on the parameter that is swept.
-        """
-        periods = {
-            float(self.define(**{**parameters, swept: parameters[swept] + step})["period"]) for step in (0.0, 1.0)
-        }
-        if len(periods) > 1:
-            line = self._define.__code__.co_firstlineno
-            raise self._fault(
-                line,
-                f"period depends on {swept}, which is swept: all lanes share one clock; scale time so that it does not",
-            )
-        return nonholonomic_system(self.define, parameters, swept)
+    def flow(self, parameters: Mapping[str, float]) -> Lagrangian:
+        """The system with these parameters."""
+        return lagrangian(self.define, parameters)
 
     def _function(self) -> Callable[..., Any]:
         scope: dict[str, Any] = {"__name__": self.path.stem, "__file__": str(self.path)}
         try:
             code = compile(self.text, str(self.path), "exec")
         except (SyntaxError, ValueError) as error:
-            raise self._fault(getattr(error, "lineno", 1) or 1, f"no Python: {getattr(error, 'msg', error)}") from None
+            raise self._fault(
+                getattr(error, "lineno", 1) or 1, f"not valid Python: {getattr(error, 'msg', error)}"
+            ) from None
         self._guarded(lambda: exec(code, scope))
         if not inspect.isfunction(scope.get("system")):
             raise self._fault(1, "there is no function system(...) that returns T, Q, f, coordinates and period")
@@ -137,11 +131,9 @@ class OwnSystem:
             value = parameter.default
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise self._fault(line, f"parameter {name} of system needs a number as its default: {name}=1.0")
-            if name in _TAKEN[:2]:
+            if name in _KEYS:
                 raise self._fault(line, f"a parameter cannot be called {name}: that is a key of the config")
             defaults[name] = float(value)
-        if not defaults:
-            raise self._fault(line, "system needs a parameter at least, to be swept")
         return defaults
 
     def _check_names(self, definition: Mapping[str, Any], line: int) -> None:
@@ -149,8 +141,11 @@ class OwnSystem:
         if isinstance(names, str) or not names or not all(isinstance(n, str) and n.isidentifier() for n in names):
             raise self._fault(line, 'coordinates must be names, as in coordinates=("x", "y")')
         every = [*names, *(f"{name}_dot" for name in names)]
-        if len(set(every)) < len(every) or set(every) & set(_TAKEN):
-            raise self._fault(line, f"coordinates must differ, and not be one of {', '.join(_TAKEN)}")
+        if len(set(every)) < len(every) or set(every) & set(_BESIDE_STATES):
+            raise self._fault(line, f"coordinates must differ, and not be one of {', '.join(_BESIDE_STATES)}")
+        for name in every:
+            if name in inspect.signature(self._define).parameters:
+                raise self._fault(line, f"{name} names a parameter and a coordinate or velocity; rename one of them")
         for kind in ("angles", "ignorable"):
             for name in definition.get(kind, ()):
                 if name not in names:
@@ -158,20 +153,23 @@ class OwnSystem:
         if len(set(definition.get("ignorable", ()))) == len(names):
             raise self._fault(line, "one coordinate at least must not be ignorable")
 
-    def _try(self, swept: str) -> None:
-        """Trace T, Q and f with a parameter that a lane decides, and look at what comes out."""
+    def _try(self) -> None:
+        """Trace T, Q and f with parameters that lanes decide, and look at what comes out."""
         number = jax.ShapeDtypeStruct((), jnp.float64)
+        parameters = dict.fromkeys(self.parameters, number)
         k = len(self.coordinates)
         for name, count in (("T", None), ("Q", k), ("f", 0)):
 
-            def evaluate(b: Any, q: Any, v: Any, t: Any, name: str = name) -> Any:
-                function = self.define(**{**self.parameters, swept: b}).get(name)
+            def evaluate(p: Mapping[str, Any], q: Any, v: Any, t: Any, name: str = name) -> Any:
+                function = self.define(**p).get(name)
                 found = () if function is None else function(q, v, t)
                 if name != "T" and not isinstance(found, tuple | list) and jnp.ndim(found) != 1:
                     raise self._fault(self._line_of(name), f"{name} must return a tuple of numbers")
                 return found if name == "T" else tuple(jnp.asarray(x) for x in found)
 
-            shape = self._guarded(lambda e=evaluate: jax.eval_shape(e, number, (number,) * k, (number,) * k, number))
+            shape = self._guarded(
+                lambda e=evaluate: jax.eval_shape(e, parameters, (number,) * k, (number,) * k, number)
+            )
             leaves = jax.tree.leaves(shape)
             line = self._line_of(name)
             if any(leaf.shape for leaf in leaves) or (count is None and len(leaves) != 1):
@@ -188,7 +186,7 @@ class OwnSystem:
     def _guarded(self, body: Callable[[], Any]) -> Any:
         try:
             return body()
-        except OwnSystemError:
+        except UserFileError:
             raise
         except Exception as error:
             frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(self.path)]
@@ -196,5 +194,5 @@ class OwnSystem:
             line = (frames[-1].lineno if frames else None) or self._define.__code__.co_firstlineno
             raise self._fault(line, f"{type(error).__name__}: {said}") from None
 
-    def _fault(self, line: int, message: str) -> OwnSystemError:
-        return OwnSystemError(f"{self.path}:{line}: {message}")
+    def _fault(self, line: int, message: str) -> UserFileError:
+        return UserFileError(f"{self.path}:{line}: {message}")

@@ -9,11 +9,15 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
+from hand_made import doublings, exponents, states, tree, write
 from matplotlib.image import imread
 
 from jaxnh import plot
+from jaxnh.analyses import ANALYSES
 from jaxnh.config.experiment import load
 from jaxnh.plotting import results as figures
+from jaxnh.plotting.panels import PANELS
 
 CONFIG = """\
 title: A little of everything
@@ -26,15 +30,41 @@ analyses:
   diagram: {transient: 30, strobes: 16}
   doubling: {levels: 1}
   lyapunov: {transient: 16, periods: 32, exponents: 1}
+  period: {transient: 30, limit: 2}
+  chaos01: {transient: 30, periods: 100}
+  verdict: {}
 """
+B = (5.8, 2.5, 4.1, 5.3)
 
 
 @pytest.fixture(scope="module")
-def everything(result, tmp_path_factory):
-    """A result file with several analyses."""
-    config = tmp_path_factory.mktemp("plot") / "everything.yaml"
+def everything(tmp_path_factory):
+    """A result file with several groups."""
+    groups = {
+        "portrait": states(B, 4 * 16, "time", "trajectories"),
+        "poincare": states(B, 8, panel="points"),
+        "diagram": states(B, 16),
+        "doubling": doublings((5.52,)),
+        "lyapunov": exponents(B, 1),
+    }
+    return write(tmp_path_factory.mktemp("plot") / "everything.h5", tree(groups))
+
+
+def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
+    """A run of all of them: each group names a kind of panel, and is drawn."""
+    config = tmp_path / "everything.yaml"
     config.write_text(CONFIG)
-    return result("plot_everything", config)[0]
+    path, *_ = result("plot_everything", config)
+    groups = xr.open_datatree(path, engine="h5netcdf").children
+    assert set(groups) == set(ANALYSES)
+    assert {group.attrs["panel"] for group in groups.values()} == set(PANELS)
+    drawing = figures.figure(path)
+    assert len(drawing.axes) == 4 + 6
+    assert len(drawing.get_supxlabel().splitlines()) == 1
+    for ax in drawing.axes[:4]:
+        track, dots = ax.lines
+        assert len(track.get_xdata()) == 4 * 16
+        assert len(dots.get_xdata()) == 8
 
 
 @pytest.fixture
@@ -144,22 +174,9 @@ def test_a_bad_command_line_is_said_in_one_line(everything, command, arguments, 
     assert words.lower() in err.lower()
 
 
-def test_values_that_are_too_many_for_portraits_are_named(tmp_path, everything):
+def test_values_that_are_too_many_for_portraits_are_named(tmp_path):
     """Of 20 values of b 12 are drawn, and the picture says so."""
-    file = tmp_path / "many.h5"
-    with h5py.File(everything) as source, h5py.File(file, "w") as target:
-        target.attrs.update(source.attrs)
-        group = target.create_group("poincare")
-        for name in ("b", "x1", "x2"):
-            data = source[f"poincare/{name}"]
-            group[name] = np.repeat(data[:], 5, axis=0) if name != "b" else np.arange(20.0)
-            group[name].attrs.update({key: data.attrs[key] for key in ("long_name", "units")})
-        group["b"].make_scale("b")
-        group["strobe"] = np.arange(8)
-        group["strobe"].make_scale("strobe")
-        for name in ("x1", "x2"):
-            for axis, dim in enumerate(("b", "strobe")):
-                group[name].dims[axis].attach_scale(group[dim])
+    file = write(tmp_path / "many.h5", tree({"poincare": states(np.arange(20.0), 8, panel="points")}))
     drawing = figures.figure(file)
     assert len(drawing.axes) == 12
     assert drawing.get_supxlabel().endswith("12 of the 20 values of b are drawn")
@@ -184,7 +201,9 @@ ASKED = {
 def test_the_configs_say_what_the_paper_says(number):
     """Parameters and start of sections 2 and 3, b of each figure, and zooms that hold the table's first and last."""
     experiment = load(CONFIGS / f"fig{number:02d}.yaml")
-    system, b = experiment.system, experiment.sweep.grid()
+    system, (axis,) = experiment.system, experiment.axes
+    b = axis.values
+    assert axis.name == "b"
     assert tuple(analysis.name for analysis, _ in experiment.requested()) == ASKED[number]
     assert (system.a, system.c, system.omega, getattr(system, "d", None)) == (
         0.5,

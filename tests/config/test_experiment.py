@@ -7,15 +7,18 @@ import math
 import tempfile
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
+from conftest import ROOT
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.config.experiment import Experiment, load, schema
-from jaxnh.config.yaml_source import ConfigError, read
+from jaxnh.config.yaml_source import read
+from jaxnh.exceptions import ConfigError
 
 EXAMPLE = """\
 title: Period doubling at constant speed (Table 1)
@@ -85,9 +88,10 @@ def test_example_of_the_design(tmp_path):
     assert experiment.title == "Period doubling at constant speed (Table 1)"
     assert experiment.source == path
     assert experiment.text == EXAMPLE
-    system = experiment.system.build()
-    assert (system.a, system.c, system.d, system.omega) == (0.5, 1.0, 0.0, 1.0)
-    grid = experiment.sweep.grid()
+    assert dict(experiment.flow().parameters) == {"a": 0.5, "b": 5.6, "c": 1.0, "d": 0.0, "omega": 1.0}
+    (axis,) = experiment.axes
+    assert (axis.name, axis.long_name, axis.kind) == ("b", "coupling b", "lane")
+    grid = axis.values
     assert grid.dtype == np.float64
     assert grid.shape == (1024,)
     assert (grid[0], grid[-1]) == (5.6, 5.45)
@@ -107,9 +111,8 @@ def test_least_config_has_the_paper_s_defaults(tmp_path, behind):
         f"system: {{constraint: disturbed_speed}}\nsweep: {{b: {{values: [5, 2.5]}}}}\nanalyses:\n  doubling:{behind}\n"
     )
     experiment = load(write(tmp_path, text))
-    system = experiment.system.build()
-    assert (system.a, system.c, system.d, system.omega) == (0.5, 1.0, 0.1, 1.0)
-    assert experiment.sweep.grid().tolist() == [5.0, 2.5]
+    assert dict(experiment.flow().parameters) == {"a": 0.5, "b": 5.0, "c": 1.0, "d": 0.1, "omega": 1.0}
+    assert experiment.axes[0].values.tolist() == [5.0, 2.5]
     assert experiment.accuracy.target == 1e-10
     assert experiment.analyses.doubling == ANALYSES["doubling"].options()
 
@@ -117,11 +120,12 @@ def test_least_config_has_the_paper_s_defaults(tmp_path, behind):
 @pytest.mark.parametrize("overrides", [(), ("system.c=4", "initial.x2=-2"), ("system.c=0.3", "initial.x1=7")])
 def test_start_state_meets_the_constraint(tmp_path, overrides):
     experiment = load(write(tmp_path, EXAMPLE), overrides)
-    system = experiment.system.build()
-    q, n = experiment.initial.state(system)
+    start = experiment.start({}, 3)
+    assert {leaf.shape for leaf in jax.tree.leaves(start)} == {(3,)}
+    q, n = jax.tree.map(lambda component: float(component[1]), start)
     assert q == (experiment.initial.x1, experiment.initial.y1)
     assert math.hypot(*n) == pytest.approx(1.0, abs=4e-16)  # two roots and two quotients, each rounded once
-    assert n[0] * math.sqrt(system.c) == pytest.approx(experiment.initial.x2, rel=4e-16)
+    assert n[0] * math.sqrt(experiment.system.c) == pytest.approx(experiment.initial.x2, rel=4e-16)
     assert n[1] >= 0
 
 
@@ -157,7 +161,7 @@ def test_overrides_change_values_and_make_keys(tmp_path):
     experiment = load(path, overrides)
     assert experiment.analyses.doubling.levels == 4
     assert experiment.initial.x1 == 1e-8
-    assert experiment.sweep.grid().tolist() == [1.0, 2.5, 3.0]
+    assert experiment.axes[0].values.tolist() == [1.0, 2.5, 3.0]
 
 
 def test_last_override_wins(tmp_path):
@@ -219,6 +223,160 @@ def test_hash_is_that_of_the_content(tmp_path, text):
 def test_hash_changes_with_every_number(tmp_path, override):
     path = write(tmp_path, EXAMPLE)
     assert load(path, [override]).sha256 != load(path).sha256
+
+
+HASHES = {
+    "fig01": "0c879f8f5b64ac56cf19fa1d3be5407d729816f73df0576746bca57df1f0f50d",
+    "fig02": "05b43f07720603e6a313aa1f830b8d724eead6bc8bfa78e48b0c92212f046767",
+    "fig03": "05d99633cb249882c6c8ece4d2f28df0a2d0de407c4e2a2c12eaaccc3591a056",
+    "fig04": "b4f31b3840c5330d8db01136b47cc2de7b9ebbaf7ae0f947f0962223e4029901",
+    "fig05": "72db5291f7893aa9f804e399ba773494199c89ac278ad369ac6237d711a4e961",
+    "fig06": "f8833a2ee22d35742f0a6a22369a138d0885191a947afa3e41af51c486014457",
+    "fig07": "5e7d25c4d06768eb102586726bd79a29ab413b0864e6a8f7c8931aca40ac19ad",
+    "fig08": "a2a8cf415d38ef3252f179638d43f84567bd72fbf414d01c3f08aae83d525d25",
+    "fig09": "333f11dcf6ff7048c4027592f6a04ada373d7c53ef1d76e3ffa4d35aee82f86f",
+    "fig10": "736933c6a5f20bda7aa3d70e8541403fa0ebec26263b03fffd8472e34c14a04d",
+    "governor": "878e16bbb6f6fb636c6ee76d95d4b3eedde14cd6c1de97b5c247c42f657f189d",
+    "range_constant": "3c257922cb806838b751abd7e77829ebc7f4a5394628e69a59f5bd6aa1b18d7b",
+    "range_disturbed": "065b8214f80b8dc115abe2c06c6c182414cae0a982ae5f1ab8151a09e02df013",
+    "sleigh": "38fc075b4d9e4cb14d9fdcd4f6231cb7c08983a29610ac11f7e4093cf5aa6873",
+    "table1": "249d83eccbb588531f7461b3c041748dea5986d26f504ef87e90bbb99501777b",
+    "table2": "ee84bc3d7310df508df8936ddafc6b6a484f6ddf3db2dfaefacc89a1057e2efa",
+    "unforced": "c6ab650699a133be4b5b2d16c55f6c4659bfc3b1e8f16d802bd12957352689a5",
+}
+"""Of the configs when a sweep had one axis: results and tiles of that time are known by these."""
+
+
+@pytest.mark.parametrize("name", HASHES)
+def test_hash_of_one_axis_is_as_it_was(name):
+    path = ROOT / "configs" / f"{name}.yaml"
+    assert load(path).sha256 == HASHES[name]
+
+
+OLDER = {
+    "33249e9e0bf3b3d58d69d300ad20357df65baef7a9cbed145d055522eb70d887": "system: {constraint: constant_speed, b: 0.9}\nsweep: {a: {start: 0.4, stop: 0.8, count: 64}}\n",
+    "e4f6a5621cb0081bc6ee830e0610ae813ca292188d318a5a0d72ad54f8fdf984": "system: {constraint: constant_speed, b: 0.9, without: [forcing]}\nsweep: {a: {values: [0.4, 0.8]}}\nsection: {coordinate: y1, direction: both}\n",
+    "88d4cd1531a8364f01585a7fffd5d9610871f2f1770d0998d64c5d30f4a8e518": "system: {constraint: constant_speed, without: [forcing, damping]}\nsweep: {b: {values: [0.4, 0.8]}}\n",
+    "00e26da5576ef61d1a1ae0e03073eae9866332fd8bea4e88a01d71d9fd863f42": "system: {constraint: disturbed_speed, d: 0.2, without: [forcing]}\nsweep: {b: {values: [0.4, 0.8]}}\n",
+    "12137ed2b7846634b6742e644b0b207401aaeea8d71839dd15fcefa1245fe04f": "system: {constraint: free}\ninitial: {y2: 0.3}\nsweep: {b: {values: [0.4, 0.8]}}\naccuracy: {solver: dopri8, steps: 120}\n",
+    "4a551d416dad6bde5ecc1d0531a61eaa164180548947d6397b011e980d044633": "system: {constraint: constant_speed, without: [coupling]}\nsweep: {a: {values: [0.4, 0.8]}}\n",
+    "20dd25ab8547a1a93a9de5e3ed0aa8882d5942681f988ffb8c2fd85f0a82d054": "system: {constraint: constant_speed}\nsweep: {b: {values: [0.4, 0.8]}}\naccuracy: {precision: float32, target: 1e-4}\n",
+}
+
+
+@pytest.mark.parametrize("known", OLDER)
+def test_hash_of_other_scenes_is_as_it_was(known):
+    assert Experiment.from_text(OLDER[known] + "analyses: {poincare: {}}\n").sha256 == known
+
+
+def test_hash_knows_the_order_of_axes(tmp_path):
+    """It is the order of the results' dimensions; that of all other keys is none."""
+    axes = ("b: {values: [5, 6]}", "d: {values: [0.1, 0.2]}")
+    text = "system: {constraint: disturbed_speed}\nsweep: {%s, %s}\nanalyses: {lyapunov: {}}\n"
+    one, other = (load(write(tmp_path, text % order)) for order in (axes, axes[::-1]))
+    assert one.sha256 != other.sha256
+    assert load(write(tmp_path, text % axes)).sha256 == one.sha256
+    assert load(write(tmp_path, "\n".join(reversed((text % axes).splitlines())))).sha256 == one.sha256
+
+
+# ---- from Python
+
+CONTENT = {
+    "title": "Period doubling at constant speed (Table 1)",
+    "system": {"constraint": "constant_speed", "a": 0.5, "c": 1.0, "omega": 1.0},
+    "initial": {"x1": 0.1, "x2": 0.1, "y1": 0.1},
+    "sweep": {"b": {"start": 5.6, "stop": 5.45, "count": 1024}},
+    "accuracy": {"target": 1e-10},
+    "analyses": {"doubling": {"levels": 6}},
+}
+
+
+def test_dict_is_the_same_as_the_file(tmp_path):
+    experiment, from_file = Experiment.from_dict(CONTENT), load(write(tmp_path, EXAMPLE))
+    assert experiment.sha256 == from_file.sha256
+    assert dict(experiment) == dict(from_file)
+    assert (experiment.source, experiment.label) == (None, "experiment")
+    assert (from_file.source, from_file.label) == (tmp_path / "config.yaml", str(tmp_path / "config.yaml"))
+    again = Experiment.from_text(experiment.text)
+    assert (again.sha256, again.text) == (experiment.sha256, experiment.text)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_config_as_a_dict(path, monkeypatch):
+    monkeypatch.chdir(path.parent)  # a user's file is named from there
+    experiment = Experiment.from_dict(read(path).data)
+    assert experiment.sha256 == load(path).sha256
+    assert Experiment.from_text(experiment.text).sha256 == experiment.sha256
+
+
+def test_dict_of_numpy_and_overrides():
+    content = {
+        "system": {"constraint": "disturbed_speed", "c": np.float64(2.5)},
+        "sweep": {
+            "d": {"values": np.array([0.1, 1 / 3])},
+            "b": {"start": np.int64(5), "stop": 6, "count": np.int64(3)},
+        },
+        "analyses": {"lyapunov": None},
+    }
+    experiment = Experiment.from_dict(content, ["sweep.b.count=4", "initial.x1=7.406053969734946e23"])
+    assert [(axis.name, axis.values.tolist()) for axis in experiment.axes] == [
+        ("d", [0.1, 1 / 3]),
+        ("b", np.linspace(5, 6, 4).tolist()),
+    ]
+    assert experiment.initial.x1 == 7.406053969734946e23
+    again = Experiment.from_text(experiment.text)
+    assert (again.sha256, [axis.name for axis in again.axes]) == (experiment.sha256, ["d", "b"])
+    assert content["sweep"]["b"] == {"start": 5, "stop": 6, "count": 3}  # what was given is left as it is
+
+
+DICT_FAULTS = {
+    "unknown key": ({"titel": "A"}, "experiment: titel: unknown key (did you mean title?); known keys are title, system, initial, sweep, section, accuracy, analyses, compare"),
+    "a value": ({"sweep": {"b": {"start": 1.0, "stop": 2.0, "count": 1}}}, "experiment: sweep.b.count: must be at least 2, not 1"),
+    "nothing": ({"sweep": {"b": {"values": np.array([])}}}, "experiment: sweep.b.values: must have at least 1 of them, not 0"),
+    "text": ({"system": {"constraint": "constant_speed", "a": "0.5"}}, "experiment: system.a: must be a number, not the text '0.5'"),
+    "number as a key": ({"system": {3: 0.5}}, "experiment: system: a key must be text, not 3"),
+    "a function": ({"analyses": {"doubling": {"levels": len}}}, "experiment: analyses.doubling.levels: a config has mappings, lists, text and numbers, and no builtin_function_or_method"),
+    "not a number": ({"initial": {"x1": math.nan}}, "experiment: initial.x1: must be a finite number, not .nan"),
+    "no such file": ({"system": {"file": "nowhere.py"}}, "experiment: system.file: there is no file nowhere.py"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DICT_FAULTS)
+def test_fault_in_a_dict(name):
+    change, message = DICT_FAULTS[name]
+    with pytest.raises(ConfigError) as caught:
+        Experiment.from_dict(CONTENT | change)
+    assert str(caught.value) == message
+
+
+def test_first_fault_in_a_dict_is_reported():
+    content = {**CONTENT, "accuracy": {"target": 1}, "sweep": {"b": {"values": [True]}}}
+    with pytest.raises(ConfigError, match=r"experiment: sweep\.b\.values\.0: must be a number, not true"):
+        Experiment.from_dict(content)
+    with pytest.raises(ConfigError, match=r"experiment: system\.d: d does not go with constant_speed"):
+        Experiment.from_dict(CONTENT, ["system.d=0.1"])
+    with pytest.raises(ConfigError, match=r"experiment: system\.d: an override is KEY=VALUE"):
+        Experiment.from_dict(CONTENT, ["system.d"])
+
+
+@pytest.mark.parametrize("content", [[], "system", None, 3])
+def test_no_dict(content):
+    with pytest.raises(ConfigError, match="experiment: a config is a mapping of keys to values"):
+        Experiment.from_dict(content)
+
+
+def test_endless_dict():
+    content = dict(CONTENT)
+    content["compare"] = content
+    with pytest.raises(ConfigError, match="nested too deeply"):
+        Experiment.from_dict(content)
+
+
+def test_text_without_a_file():
+    assert Experiment.from_text(EXAMPLE).text == EXAMPLE
+    with pytest.raises(ConfigError) as caught:
+        Experiment.from_text(EXAMPLE.replace("count: 1024", "count: 1"))
+    assert str(caught.value) == "experiment:4: sweep.b.count: must be at least 2, not 1"
 
 
 # ---- faults in the file: what, where, which key
@@ -308,6 +466,10 @@ FAULTS = {
     "text among values": (
         ("start: 6.0\n    stop: 5.0\n    count: 64", "values:\n    - 1\n    - b"),
         "FILE:15: sweep.b.values.1: must be a number, not the text 'b'",
+    ),
+    "text as the only value": (
+        ("start: 6.0\n    stop: 5.0\n    count: 64", "values: [b]"),
+        "FILE:13: sweep.b.values.0: must be a number, not the text 'b'",
     ),
     "values and count": (
         ("start: 6.0\n    stop: 5.0", "values: [1]"),
@@ -546,6 +708,19 @@ def test_any_value_of_any_key(key, value):
     loads_or_says(
         "\n".join([*lines[:at], f"{lines[at].split(':')[0]}: {json.dumps(value)}", *lines[at + 1 :]]).encode(), []
     )
+
+
+@settings(deadline=None)
+@given(st.dictionaries(st.sampled_from(list(CONTENT)), JSON_VALUES))
+def test_any_dict(change):
+    message = ""
+    try:
+        experiment = Experiment.from_dict(CONTENT | change)
+    except ConfigError as error:
+        message = str(error)
+    else:
+        assert Experiment.from_text(experiment.text).sha256 == experiment.sha256
+    assert len(message.splitlines()) <= 1
 
 
 @settings(deadline=None)

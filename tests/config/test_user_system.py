@@ -1,4 +1,4 @@
-"""A system of the user's own: its file, its place in a config, its analyses beside those of the built-in systems."""
+"""A user's system: its file, its place in a config, its analyses beside those of the built-in systems."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from conftest import ROOT
 from measure import SYSTEMS
 
 from jaxnh.analyses import ANALYSES, doubling, lyapunov
-from jaxnh.analyses.base import Scene
+from jaxnh.analyses.base import Axis, Scene
 from jaxnh.config.experiment import load, schema
-from jaxnh.config.yaml_source import ConfigError, read
+from jaxnh.config.yaml_source import read
 from jaxnh.engine.lanes import Lanes
+from jaxnh.exceptions import ConfigError
 from jaxnh.maps.build import make_strobe
-from jaxnh.maps.general_flow import MarchedStrobe
+from jaxnh.maps.general_flow import GeneralStrobe
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.plotting import results as figures
 from jaxnh.solvers import SOLVERS, SPLITTINGS, Projected
@@ -61,9 +62,15 @@ def write(folder, text=PARTICLE, config=CONFIG):
 
 
 def scene(folder, values, steps=200):
-    experiment = load(write(folder))
-    system = experiment.system.build()
-    return Scene(system, experiment.initial.state(system), np.asarray(values), SOLVERS["dopri8"], steps, False, 0.0)
+    return scene_of(load(write(folder)), values, steps)
+
+
+def scene_of(experiment, values, steps):
+    """The scene of an experiment of one axis, at other values along it."""
+    (axis,), values = experiment.axes, np.asarray(values)
+    along = Axis(axis.name, values, axis.long_name)
+    start = experiment.start({}, len(values))
+    return Scene(experiment.flow(), start, {axis.name: values}, SOLVERS["dopri8"], steps, False, 0.0, along=along)
 
 
 # ---- the map
@@ -73,13 +80,13 @@ def test_map_is_diffeqsolve_with_projected_steps(tmp_path):
     """The loop of steps is the written-out solver, projected, under `diffrax.diffeqsolve`, to rounding."""
     own = scene(tmp_path, [2.0], 100)
     strobe = own.strobe()
-    assert isinstance(strobe, MarchedStrobe)
-    start = jax.tree.map(jnp.float64, own.start)
+    assert isinstance(strobe, GeneralStrobe)
+    start = jax.tree.map(lambda component: jnp.float64(component[0]), own.start)
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(own.system.vector_field), Projected(SOLVERS["dopri8"], own.system), 0.0, own.system.period,
-        own.system.period / 100, start, args=2.0, max_steps=128,
+        diffrax.ODETerm(own.system.rhs), Projected(SOLVERS["dopri8"], own.system), 0.0, own.system.period,
+        own.system.period / 100, start, args={"b": 2.0}, max_steps=128,
     )  # fmt: skip
-    moved = Lanes()(section_map, (strobe, np.int32(1)), (own.system.section_point(own.start)[None], np.array([2.0])))[0]
+    moved = Lanes()(section_map, (strobe, np.int32(1)), (own.system.section_point(own.start), own.p))[0]
     exact = np.array([float(x[-1]) for x in (*solution.ys.q, *solution.ys.v)])
     assert np.abs(moved - exact).max() < 1e-11
 
@@ -91,12 +98,12 @@ def test_map_and_its_derivatives_are_those_of_the_splitting(tmp_path):
     """
     own, planar = scene(tmp_path, [5.3, 5.6]), SYSTEMS["constant"]
     fine = make_strobe(planar, SPLITTINGS["sofroniou_spaletta10"], 200)
-    x2, y2 = own.start.v
-    lanes, one, b = Lanes(), np.int32(1), np.array([5.3, 5.6])
+    x2, y2 = (float(component[0]) for component in own.start.v)
+    lanes, one = Lanes(), np.int32(1)
     u = np.tile([0.1, 0.1, np.arctan2(y2, x2)], (2, 1))
-    exact, monodromy, slope = lanes(derivatives, (fine, one), (u, b))
-    points = np.tile(own.system.section_point(own.start), (2, 1))
-    image, whole, general_slope = lanes(derivatives, (own.strobe(), one), (points, b))
+    exact, monodromy, slope = lanes(derivatives, (fine, one), (u, own.p), static=("b",))
+    points = own.system.section_point(own.start)
+    image, whole, general_slope = lanes(derivatives, (own.strobe(), one), (points, own.p), static=("b",))
     assert np.abs(image[:, :2] - exact[:, :2]).max() < 1e-9
     assert np.abs(general_slope[:, :2] - slope[:, :2]).max() < 1e-8
     assert np.abs(whole[:, :2, :2] - monodromy[:, :2, :2]).max() < 1e-8
@@ -125,10 +132,10 @@ CASCADE = (
 @pytest.mark.slow
 def test_doublings_of_table_1(tmp_path):
     """All six doublings from T, Q and f are those of the isokinetic route in results/table1.h5, to 1e-8."""
-    general = doubling.run(doubling.DoublingOptions(levels=6), scene(tmp_path, CASCADE), Lanes()).variables
+    general = doubling.run(doubling.DoublingOptions(levels=6), scene(tmp_path, CASCADE), Lanes())
     isokinetic = store.read_variables(ROOT / "results" / "table1.h5", "doubling")
-    np.testing.assert_array_equal(general["period"].data, isokinetic["period"])
-    apart = np.abs(general["b"].data - isokinetic["b"])
+    np.testing.assert_array_equal(general["period"], isokinetic["period"])
+    apart = np.abs(general["b"].to_numpy() - isokinetic["b"])
     print(apart)
     assert apart.max() < 1e-8
 
@@ -154,25 +161,24 @@ class Governor(taylor.Parameters):
 def test_doublings_of_the_governor():
     """The first two against the Taylor reference, whose equations have no multipliers: within the errors of both."""
     values = np.linspace(0.87, 0.785, 24)
-    experiment = load(ROOT / "configs" / "governor.yaml")
-    system = experiment.system.build()
-    own = Scene(system, experiment.initial.state(system), values, SOLVERS["dopri8"], 136, False, 0.0)
-    found = doubling.run(doubling.DoublingOptions(levels=2), own, Lanes()).variables
-    assert found["period"].data.tolist() == [2, 4]
+    own = scene_of(load(ROOT / "configs" / "governor.yaml"), values, 136)
+    found = doubling.run(doubling.DoublingOptions(levels=2), own, Lanes())
+    assert found["period"].to_numpy().tolist() == [2, 4]
     exact = taylor.cascade(
         Governor(a=0.5, c=0.5, d=0.2), [0.8452, 0.7933], np.array([0.0, 0.0, 0.5]), first=2, before=0.87
     )
-    for b, error, (reference, _, info) in zip(found["b"].data, found["b_error"].data, exact, strict=True):
-        assert abs(b - float(reference)) < error + info.error
+    drives, errors = found["drive"].to_numpy(), found["drive_error"].to_numpy()
+    for drive, error, (reference, _, info) in zip(drives, errors, exact, strict=True):
+        assert abs(drive - float(reference)) < error + info.error
 
 
 @pytest.mark.slow
 def test_lyapunov_spectrum_has_its_sum(tmp_path):
     """Three exponents on the constraint, their sum the mean divergence of all four equations; none is transverse."""
     options = lyapunov.LyapunovOptions(transient=16, periods=16)
-    found = lyapunov.run(options, scene(tmp_path, [5.6]), Lanes()).variables
-    assert found["exponents"].data.shape == (1, 3)
-    assert abs(found["sum_rule_residual"].data[0]) < 1e-6
+    found = lyapunov.run(options, scene(tmp_path, [5.6]), Lanes())
+    assert found["exponents"].shape == (1, 3)
+    assert abs(float(found["sum_rule_residual"][0])) < 1e-6
     assert "transverse" not in found
 
 
@@ -191,7 +197,7 @@ def system(r=1.0):
 def test_section_leaves_out_ignorable_coordinates_and_wraps_angles(tmp_path):
     config = CONFIG.replace("initial: {x1: 0.1, x1_dot: 0.1, y1: 0.1, y1_dot: 0.99498743710662}\n", "")
     experiment = load(write(tmp_path, ROLLING, config.replace("b: {", "r: {")))
-    system = experiment.system.build()
+    system = experiment.flow()
     assert (system.dimension, system.exponents, system.constraints) == (5, 4, 1)
     state = Motion((0.5, 7.0, 4.0), (1.0, 2.0, 3.0), (0.0, 0.0))
     point = np.asarray(system.chart(jax.tree.map(jnp.float64, state)))
@@ -206,7 +212,7 @@ def test_section_leaves_out_ignorable_coordinates_and_wraps_angles(tmp_path):
 # ---- the file and the config
 
 FAULTS = {
-    "no Python": (("return 0.5", "return 0.5 *)"), "own.py:5: no Python"),
+    "not Python": (("return 0.5", "return 0.5 *)"), "own.py:5: not valid Python: "),
     "no function": (("def system(", "def machine("), "own.py:1: there is no function system"),
     "a name in Q": (("b * y,", "beta * y,"), "own.py:9: NameError: name 'beta' is not defined"),
     "math on what a lane decides": (("jnp.sin(omega * t)", "__import__('math').sin(omega * t)"), "own.py:8: "),
@@ -215,7 +221,8 @@ FAULTS = {
     "unknown key": (("f=f", "F=f"), "own.py:3: system returns 'F', which is unknown; known are T, Q"),
     "no default": (("a=0.5", "a"), "own.py:3: parameter a of system needs a number as its default"),
     "taken name": (('("x1", "y1")', '("x1", "t")'), "own.py:3: coordinates must differ, and not be one of"),
-    "a period that is swept": (("/ omega", "/ omega * (1 + b)"), "own.py:3: period depends on b, which is swept"),
+    "a parameter called as a velocity": (("omega=1.0", "omega=1.0, x1_dot=1.0"), "own.py:3: x1_dot names a parameter and a coordinate"),
+    "a period below zero": (("/ omega", "/ omega * (5.4 - b)"), "own.py:3: period must be a positive number, not -"),
 }  # fmt: skip
 
 
@@ -233,8 +240,10 @@ CONFIG_FAULTS = {
     "unknown coordinate": (("x1: 0.1", "z: 0.1"), ":2: initial.z: unknown key"),
     "unknown parameter": (("own.py}", "own.py, e: 1}"), ":1: system.e: unknown key"),
     "swept and given": (("own.py}", "own.py, b: 1}"), ":1: system.b: b is swept"),
+    "start swept and given": (("{b:", "{x1:"), ":2: initial.x1: x1 is swept; leave it out of initial"),
     "unknown sweep": (("{b:", "{bb:"), ":3: sweep.bb: unknown key"),
-    "two sweeps": (("sweep: {", "sweep: {a: {values: [1]}, "), ":3: sweep.a: name one parameter"),
+    "no sweep": (("{b: {values: [5.3, 5.6]}}", "{}"), ":3: sweep: name an axis and its values, one at least of a, b, c, d, omega, x1, x1_dot, y1, y1_dot"),
+    "off the constraint elsewhere": (("sweep: {", "sweep: {c: {values: [1.0, 2.0]}, "), ":2: initial.x1_dot: f[0] is -1 at the start with c = 2 and b = 5.3, and must be 0; the nearest velocities that make it so are x1_dot: 0.14142"),
     "no such file": (("own.py", "other.py"), ":1: system.file: there is no file"),
     "a splitting": (("dopri8", "kahan_li8"), ":4: accuracy.solver: kahan_li8 is for a particle"),
     "too many exponents": (("analyses:", "analyses:\n  lyapunov: {exponents: 4}"), ":6: analyses.lyapunov.exponents: must be at most 3"),
@@ -247,6 +256,105 @@ def test_fault_in_the_config(tmp_path, edit, message):
     with pytest.raises(ConfigError) as caught:
         load(write(tmp_path, config=CONFIG.replace(*edit)))
     assert str(caught.value).startswith(f"{tmp_path}/own.yaml{message}")
+
+
+def test_axes_of_a_users_system(tmp_path):
+    """Parameters, coordinates and velocities in the order of the config; omega changes the clock, which lanes share."""
+    (tmp_path / "sleigh.py").write_text((ROOT / "configs" / "sleigh.py").read_text())
+    path = tmp_path / "sleigh.yaml"
+    path.write_text(
+        "system: {file: sleigh.py, mass: 2.0}\n"
+        "sweep:\n  x: {values: [0.5, 0.6]}\n  omega: {values: [0.5, 1.0]}\n  drive: {values: [1.0, 2.0, 3.0]}\n"
+        "  x_dot: {values: [0.0, 0.3]}\n  theta_dot: {values: [0.0]}\n"
+        "analyses: {lyapunov: {}}\n"
+    )
+    experiment = load(path)
+    assert [(axis.name, axis.kind, axis.long_name) for axis in experiment.axes] == [
+        ("x", "start", "coordinate x"),
+        ("omega", "shared", "parameter omega"),
+        ("drive", "lane", "parameter drive"),
+        ("x_dot", "start", "velocity x_dot"),
+        ("theta_dot", "start", "velocity theta_dot"),
+    ]
+    assert experiment.flow().period == 4 * np.pi
+    assert experiment.flow({"omega": 1.0}).period == 2 * np.pi
+    given = experiment.flow({"omega": 1.0}).parameters
+    assert (given["mass"], given["drive"], given["omega"], given["inertia"]) == (2.0, 1.0, 1.0, 0.2)
+    start = experiment.start({"x": np.array([0.5, 0.6]), "x_dot": np.array([0.0, 0.3])}, 2)
+    assert [component.tolist() for component in start.q] == [[0.5, 0.6], [0.0, 0.0], [0.0, 0.0]]
+    assert [component.tolist() for component in start.v] == [[0.0, 0.3], [0.0, 0.0], [0.0, 0.0]]
+    assert experiment.coordinates == ("x", "x_dot", "y", "y_dot", "theta", "theta_dot")
+    assert experiment.user_file is not None
+    assert experiment.user_file.path == tmp_path / "sleigh.py"
+
+
+def test_start_off_the_constraint_at_one_point_of_the_product(tmp_path):
+    """It holds at each end of both axes alone, and is looked for at their corners, however many points there are."""
+    (tmp_path / "sleigh.py").write_text((ROOT / "configs" / "sleigh.py").read_text())
+    path = tmp_path / "sleigh.yaml"
+    path.write_text(
+        "system: {file: sleigh.py}\ninitial: {theta_dot: 0.1}\n"
+        "sweep:\n  theta: {start: 0.0, stop: 0.5, count: 3001}\n  x_dot: {start: 0.0, stop: 2.0, count: 3000}\n"
+        "analyses: {lyapunov: {}}\n"
+    )
+    with pytest.raises(ConfigError) as caught:
+        load(path)
+    message = str(caught.value).removeprefix(str(path))
+    assert message.startswith(
+        ":2: initial.theta_dot: f[0] is -0.959 at the start with theta = 0.5 and x_dot = 2, and must be 0; "
+        "the nearest velocities that make it so are x_dot: 1.540302306, y_dot: 0.8414709848"
+    )
+
+
+def test_constraint_that_is_no_number_at_the_start(tmp_path):
+    text = PARTICLE.replace("- c - d * jnp.sin(t),)", "- c - d * jnp.sin(t) + jnp.log(q[0]) * 0,)")
+    with pytest.raises(ConfigError, match=r"f\[0\] is nan at the start with b = 5.3, and must be 0"):
+        load(write(tmp_path, text, CONFIG.replace("x1: 0.1", "x1: -0.1")))
+
+
+def test_system_without_parameters(tmp_path):
+    text = """
+def system():
+    return dict(T=lambda q, v, t: 0.5 * v[0] ** 2, Q=lambda q, v, t: (-q[0],), coordinates=("x",), period=1.0)
+"""
+    config = "system: {file: own.py}\nsweep: {x: {values: [0.1, 0.2]}}\nanalyses: {poincare: {}}\n"
+    (axis,) = load(write(tmp_path, text, config)).axes
+    assert (axis.name, axis.kind) == ("x", "start")
+
+
+def test_names_of_our_own_are_as_good_as_others(tmp_path):
+    """Parameters and coordinates may have names that the classes of a config use themselves."""
+    text = """
+def system(copy=1.0, model_config=2.0, flow=3.0, known=4.0, check=5.0):
+    def Q(q, v, t):
+        return -copy * model_config * q[0], -flow * known * check * q[1]
+
+    return dict(T=lambda q, v, t: 0.5 * (v[0] ** 2 + v[1] ** 2), Q=Q, coordinates=("given", "json"), period=1.0)
+"""
+    config = (
+        "system: {file: own.py, check: 0.5, flow: 0.25}\ninitial: {given: 0.1, json_dot: 0.2}\n"
+        "sweep: {copy: {values: [0.1, 0.2]}}\nanalyses: {poincare: {}}\n"
+    )
+    experiment = load(write(tmp_path, text, config))
+    expected = {"copy": 0.1, "model_config": 2.0, "flow": 0.25, "known": 4.0, "check": 0.5}
+    assert dict(experiment.flow().parameters) == expected
+    assert [float(x[0]) for x in experiment.start({}, 1).q] == [0.1, 0.0]
+
+
+def test_experiment_from_the_texts_alone(tmp_path):
+    """As a worker makes it, wherever the file was: the same hash, and the name of the file as the config has it."""
+    experiment = load(write(tmp_path))
+    again = type(experiment).from_text(experiment.text, experiment.user_file.text)
+    assert again.sha256 == experiment.sha256
+    assert str(again.user_file.path) == "own.py"
+
+
+def test_axis_called_as_a_dimension_of_results(tmp_path):
+    (tmp_path / "governor.py").write_text((ROOT / "configs" / "governor.py").read_text())
+    config = "system: {file: governor.py}\nsweep: {level: {values: [0.0]}}\nanalyses: {poincare: {}}\n"
+    message = "sweep.level: results have a dimension called level; give the parameter another name to sweep it"
+    with pytest.raises(ConfigError, match=message):
+        load(write(tmp_path, config=config))
 
 
 def test_another_file_is_another_experiment(tmp_path):
@@ -286,7 +394,7 @@ def test_every_analysis(result, tmp_path):
     found = {name: store.read_variables(path, name) for name in ANALYSES}
     assert found["period"]["period"].tolist() == [2, 4, 4, 4, 0, 0]
     assert found["verdict"]["kind"].tolist() == [0, 0, 0, 0, 2, 2]
-    assert abs(found["doubling"]["b"][0] - 0.845218652286) < 1e-8
+    assert abs(found["doubling"]["drive"][0] - 0.845218652286) < 1e-8
     for name in ("portrait", "poincare", "diagram"):
         x, y_dot = found[name]["x_dot"], found[name]["y_dot"]
         assert np.abs(y_dot - 0.5 * (x**2 - 0.5)).max() < 1e-12  # every state is on f = 0
@@ -404,11 +512,20 @@ def test_configs_are_valid_by_the_schema(path):
     assert fits(read(path).data, described, described)
 
 
+@pytest.mark.parametrize("edit", ["sweep.a={values: [1.0]}", "sweep.x1={start: 0.0, stop: 1.0, count: 3}"])
+def test_several_axes_are_valid_by_the_schema(tmp_path, edit):
+    described = schema()
+    for path in (ROOT / "configs" / "table1.yaml", write(tmp_path)):
+        assert fits(read(path, [edit]).data, described, described)
+
+
 SCHEMA_FAULTS = {
     "a parameter that is text": ("system.a=much", "system.a='much'"),
     "no such key of a system of ours": ("system.mass=1", None),
-    "two sweeps": (None, "sweep.a={values: [1.0]}"),
-    "a sweep of nothing": (None, "sweep={}"),
+    "a sweep of nothing": ("sweep={}", "sweep={}"),
+    "an axis of no values": ("sweep.a={values: []}", "sweep.a={values: []}"),
+    "an axis of numbers": ("sweep.a=[1.0]", "sweep.a=[1.0]"),
+    "an axis that ours does not have": ("sweep.drive={values: [1.0]}", None),
     "a start of no coordinate of ours": ("initial.x=0.5", None),
     "a start that is text": ("initial.x1=up", "initial.x1=up"),
     "unknown section": ("accuracies={}", "accuracies={}"),

@@ -18,7 +18,6 @@ from jaxnh import cost
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, poincare
 from jaxnh.analyses.base import Scene
 from jaxnh.config.experiment import load
-from jaxnh.config.yaml_source import ConfigError
 from jaxnh.costs import effects
 from jaxnh.costs.operations import count
 from jaxnh.engine.calibration import Calibration
@@ -432,62 +431,6 @@ def config(tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_text(CONFIG, encoding="utf-8")
     return path
-
-
-BAD = {
-    "unknown effect": (["system.without=[focing]"], "system.without", "no the text 'focing' (did you mean forcing?)"),
-    "disturbance": (["system.without=[disturbance]"], "system.without", "of disturbance another key decides: d: 0"),
-    "coupling swept": (["system.without=[forcing, coupling]"], "system.without", "there is no b to sweep; sweep a"),
-    "b missing": (["sweep={a: {values: [0.5, 0.6]}}", "system={constraint: constant_speed, without: [forcing]}"], "system.b", "a is swept, and b must be given"),
-    "a given": (["sweep={a: {values: [0.5, 0.6]}}", "system.b=1.0"], "sweep.a", "a is swept; leave it out of system"),
-    "b given": (["system.b=1.0"], "system.b", "b is swept; leave it out of system"),
-    "b and coupling": (["sweep={a: {values: [1, 2]}}", "system={constraint: constant_speed, b: 1.0, without: [coupling]}"], "system", "the coupling is left out; leave b out as well"),
-    "c swept": (["sweep={c: {values: [1, 2]}}"], "sweep", "c, the squared speed, is the same in all lanes; what can be swept is b or a"),
-    "two swept": (["sweep.a={values: [1, 2]}"], "sweep.a", "one parameter is swept, and both b and a are here"),
-    "free with d": (["system={constraint: free, d: 0.1}"], "system", "d does not go with free"),
-    "section with a clock": (["system.without=[damping]", "section={value: 1.0}"], "section", "this scene has a clock"),
-    "section elsewhere": (["section.coordinate=z"], "section.coordinate", "must be 'x1' or 'y1'"),
-    "doubling": (["analyses={doubling: {}}"], "analyses", "doubling is for a scene with a clock"),
-    "verdict": (["analyses={verdict: {}}"], "analyses", "verdict is for a scene with a clock"),
-    "no transient": (["analyses.poincare.transient=0"], "analyses.poincare.transient", "must be at least 1: the start"),
-    "phase": (["analyses.diagram.phase=0.5"], "analyses.diagram.phase", "there is no period to have a phase in"),
-    "processed": (["accuracy={solver: processed6, steps: 40}"], "accuracy", "steps end one by one at crossings"),
-    "float32": (["accuracy={target: 1e-3, precision: float32}"], "accuracy", "float32 goes with a strobe"),
-    "y2": (["initial={y2: 0.3}"], "initial", "y2 follows from the constraint; leave it out"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_contradictions_are_refused(config, name):
-    overrides, key, message = BAD[name]
-    with pytest.raises(ConfigError) as caught:
-        load(config, overrides)
-    said = str(caught.value)
-    assert len(said.splitlines()) == 1
-    assert said.startswith(f"command line: {key}"), said
-    assert message in said
-
-
-def test_the_hash_of_what_is_left_out(config):
-    """Absent is absent in any order; a default section written out is the same; each effect changes the hash."""
-    plain = load(config).sha256
-    assert load(config, ["system.without=[forcing, forcing]"]).sha256 == plain
-    orders = [
-        load(config, [f"system.without={order}"]).sha256 for order in ("[damping, forcing]", "[forcing, damping]")
-    ]
-    assert orders[0] == orders[1] != plain
-    assert load(config, ["section.direction=down"]).sha256 != plain
-    clocked = ["section=null", "system.without=null"]
-    assert load(config, clocked).sha256 == load(config, ["section=null", "system.without=[]"]).sha256
-    assert load(config, ["section=null"]).sha256 == load(config, ["section={coordinate: x1}"]).sha256
-
-
-def test_damping_may_be_left_out_for_free(config):
-    """Under a constraint it is in no equation: the system is the very same."""
-    one, other = (
-        load(config, [f"system.without={names}"]).system.build() for names in ("[forcing]", "[forcing, damping]")
-    )
-    assert one == other
 
 
 def test_run_of_a_scene_without_a_clock(result, config):

@@ -1,0 +1,56 @@
+"""What `jaxnh.sweep` says at its end: tables of analyses, warnings, accuracy and cost. No numerics."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+from jaxnh.analyses import ANALYSES
+from jaxnh.cli.terminal import show
+from jaxnh.config.experiment import Experiment
+from jaxnh.engine.run import Outcome
+from jaxnh.storage.hdf5 import read_attrs, read_group
+
+_LOG_WIDTH = 100  # columns of a table that goes to a file
+
+
+def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int, int] | None, *, quiet: bool) -> None:
+    """Print what a run has come to."""
+    job, total = outcome.job, outcome.spent
+    if not outcome.whole and part:
+        if not quiet:
+            print(f"part {part[0]}/{part[1]}: {outcome.pieces[0]} of {outcome.pieces[1]} tiles")
+        return
+    for name in job.order:
+        if not quiet:
+            _show_table(experiment, path, name)
+        for warning in filter(None, str(read_attrs(path, name).get("warnings", "")).split("\n")):
+            print(f"warning: {warning}", file=sys.stderr)
+    if quiet:
+        return
+    print(
+        f"{job.solver} in {experiment.precision}, {job.steps} steps a period, "
+        f"error of one {'return' if experiment.autonomous else 'period'} {job.error_estimate:.1e}; "
+        f"{total.lane_periods:,.0f} lane-periods"
+    )
+    if outcome.run_seconds:
+        rest = outcome.seconds - outcome.compile_seconds - outcome.run_seconds
+        parts = f"compile {outcome.compile_seconds:.1f} s, run {outcome.run_seconds:.1f} s"
+        print(f"{outcome.seconds:.1f} s: {parts}, set-up and the rest {rest:.1f} s")
+    else:
+        print(f"{outcome.seconds:.1f} s")
+    print(f"wrote {path}")
+
+
+def _show_table(experiment: Experiment, path: Path, name: str) -> None:
+    """The table of an analysis that has one, beside published values; of one axis alone."""
+    draw = ANALYSES[name].table
+    if draw is None or len(experiment.axes) > 1:
+        return
+    console = Console()
+    console = console if console.is_terminal else Console(width=_LOG_WIDTH)
+    published = (experiment.compare or {}).get(name)
+    columns, source = (published.columns(), published.source) if published else ({}, "")
+    console.print(show(draw(read_group(path, name), columns, source)))

@@ -1,0 +1,122 @@
+"""A cascade of period doublings: its ratios as a panel, its points as marks on other panels."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from jaxnh.exceptions import ResultError
+from jaxnh.plotting.frame import MARK, POINT, new_axes
+from jaxnh.plotting.groups import declared_axes, fixed_axes, label_of, other_axes, shown
+from jaxnh.plotting.labels import symbol_of, title_of, with_units
+
+FEIGENBAUM = 4.669201609102990
+"""Universal ratio of successive distances between period doublings (Feigenbaum 1978)."""
+
+_PERIOD, _RATIO, _RATIO_ERROR = "period", "delta", "delta_error"  # the variables of a cascade beside its parameter
+_NARROW = 0.035  # of the width of the axes: marks nearer to each other share a label
+
+
+def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Ratios δ of successive distances between doublings, with the universal one; the ticks name the doublings.
+
+    Args:
+        data: `period`, the parameter, `delta` and `delta_error` (level,); other axes have one point.
+
+    Raises:
+        ResultError: a variable is missing, or another axis has more than one point.
+    """
+    ax = new_axes(ax)
+    found = _found(data)
+    where = found[parameter(data)]
+    level = np.arange(1, len(where) + 1) if "level" not in found else found["level"].to_numpy()
+    delta, error = found[_RATIO].to_numpy(), found[_RATIO_ERROR].to_numpy()
+    ax.axhline(FEIGENBAUM, color=MARK, linewidth=1, linestyle="--", label=f"δ = {FEIGENBAUM:.6f}… (Feigenbaum)")
+    ax.errorbar(level, delta, error, fmt="o", color=POINT, capsize=3, label="δ of three successive doublings")
+    for x, y in zip(level, delta, strict=True):
+        if np.isfinite(y):
+            ax.annotate(f"{y:.4f}", (x, y), (0, -14), textcoords="offset points", ha="center", fontsize=8)
+    doublings = zip(found[_PERIOD].to_numpy(), where.to_numpy(), strict=True)
+    ax.set_xticks(level, [f"{_doubling(n)}\n{value:.8f}" for n, value in doublings], fontsize=8)
+    ax.set(
+        xlabel=with_units(f"doubling of the period, and its {symbol_of(parameter(data))}", where),
+        ylabel=with_units(label_of(data) or "ratio δ", found[_RATIO]),
+        xlim=(level.min(initial=1) - 0.5, level.max(initial=1) + 0.5),
+    )
+    ax.set_title(title_of(data, fixed_axes(data, parameter(data))), fontsize=10, loc="left")
+    ax.margins(y=0.25)
+    ax.legend(fontsize=8, frameon=False, loc="lower right")
+    return ax
+
+
+def mark_doublings(data: xr.Dataset, ax: Axes, axis: str) -> None:
+    """A line at every doubling within axes over `axis`, labelled while there is room, then one label for the rest.
+
+    Doublings along another axis are not marked.
+    """
+    if parameter(data) != axis:
+        return
+    found = _found(data)
+    low, high = sorted(ax.get_xlim())
+    where, period = found[axis].to_numpy(), found[_PERIOD].to_numpy()
+    inside = (low <= where) & (where <= high)
+    where, period = where[inside], period[inside]
+    if not len(where):
+        return
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(bottom - 0.05 * (top - bottom), top)  # a strip for the labels
+    for x in where:
+        ax.axvline(x, color=MARK, linewidth=0.8, linestyle=(0, (4, 3)))
+    for x, side, label in _labels(where, period, _NARROW * (high - low)):
+        ax.annotate(
+            label,
+            (x, 0.01),
+            (3 * side, 0),
+            xycoords=ax.get_xaxis_transform(),
+            textcoords="offset points",
+            ha="left" if side > 0 else "right",
+            color=MARK,
+            fontsize=8,
+        )
+    mark = Line2D([], [], color=MARK, linewidth=0.8, linestyle=(0, (4, 3)), label="doubling of the period")
+    ax.legend(handles=[mark], loc="upper right", fontsize=8, framealpha=0.9)
+
+
+def parameter(data: xr.Dataset) -> str:
+    """The parameter that doublings are found along: the first axis, or else the first variable shown but the ratio.
+
+    Raises:
+        ResultError: there is none.
+    """
+    declared = declared_axes(data)
+    names = declared[:1] or [str(variable.name) for variable in shown(data) if variable.name != _RATIO]
+    if not names or names[0] not in data:
+        raise ResultError("a cascade has no variable for the points of its doublings")
+    return names[0]
+
+
+def _found(data: xr.Dataset) -> xr.Dataset:
+    """The doublings that were found, variables (level,)."""
+    if other_axes(data):
+        raise ResultError(f"a panel is of one cascade, and there is one for every point of {other_axes(data)[0]}")
+    *single, level = data[parameter(data)].dims
+    one = data.isel(dict.fromkeys(single, 0))
+    return one.isel({level: np.flatnonzero(np.isfinite(one[parameter(data)].to_numpy()))})
+
+
+def _labels(where: np.ndarray, period: np.ndarray, narrow: float) -> list[tuple[float, int, str]]:
+    """Place, side (1: right of it) and text of every label."""
+    close = np.flatnonzero(np.abs(np.diff(where)) < narrow)
+    alone = int(close[0]) + 1 if len(close) else len(where)
+    back = 1 if len(where) > 1 and where[-1] < where[0] else -1  # where the cascade comes from
+    labels = [(float(where[k]), back, _doubling(period[k])) for k in range(alone)]
+    if alone < len(where):
+        more = "… " if alone + 1 < len(where) else ""
+        labels.append((float(where[-1]), -back, f"{more}{_doubling(period[-1])}"))
+    return labels
+
+
+def _doubling(period: int) -> str:
+    return f"{period} → {2 * period}"

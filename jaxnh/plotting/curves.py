@@ -1,0 +1,190 @@
+"""Panels of numbers over one axis: curves with their errors, whole numbers, and flags as a strip of colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.patches import Patch
+
+from jaxnh.exceptions import ResultError
+from jaxnh.plotting.frame import CURVES, cell_edges, new_axes, over_axis
+from jaxnh.plotting.groups import along, label_of, shown
+from jaxnh.plotting.labels import axis_label, is_symbol, symbol_of, words_of
+
+_FEW = 48  # curves over fewer points show them
+_LONG = 30  # letters: a longer label of a low panel has its units in a second line
+_NUMBER, _NONE = "#3b6fb5", "#b8b8b8"
+_MEANINGS = {
+    "periodic": "#3b6fb5",
+    "quasiperiodic": "#e0a030",
+    "chaotic": "#b3261e",
+    "undecided": _NONE,
+    "failed": "#000000",
+}
+_OTHER_MEANINGS = ("#7a3b8f", "#1c6e4a", "#6d4c41", "#e0447c", "#4f9d73", "#f1b04c")
+
+
+class _Curve(NamedTuple):
+    """One curve (n,) over rising x (n,), its error (n,) or None with its meaning, and its name in the legend."""
+
+    x: np.ndarray
+    y: np.ndarray
+    error: np.ndarray | None
+    meaning: str
+    label: str
+
+
+def curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Curves over one axis, with a band where the variable has its error as `ancillary_variables`.
+
+    A line is drawn at each of the group's `panel_levels`, numbers separated by blanks; without the attribute at zero.
+
+    Args:
+        data: the variables (axis,) or (axis, k), of which each k is a curve; other axes have one point.
+
+    Raises:
+        ResultError: a variable is missing, or more than one axis has more than one point.
+    """
+    ax = new_axes(ax)
+    variables = shown(data)
+    for level in str(data.attrs.get("panel_levels", "0")).split():
+        ax.axhline(float(level), color="black", linewidth=0.6)
+    drawn = [curve for variable in variables for curve in _curves(data, variable)]
+    bands: dict[str, Artist] = {}
+    lines: list[Artist] = []
+    for k, curve in enumerate(drawn):
+        colour = CURVES[k % len(CURVES)]
+        if curve.error is not None:
+            low, high = curve.y - curve.error, curve.y + curve.error
+            ax.fill_between(curve.x, low, high, color=colour, alpha=0.4, linewidth=0)
+            key = colour if len(drawn) == 1 else "gray"
+            bands[curve.meaning] = Patch(color=key, alpha=0.4, linewidth=0, label=curve.meaning)
+        marker = "o" if len(curve.x) < _FEW else ""
+        lines += ax.plot(curve.x, curve.y, color=colour, linewidth=0.5, marker=marker, markersize=3, label=curve.label)
+    handles = [*(lines if len(lines) > 1 else []), *bands.values()]
+    if handles:
+        _legend_above(ax, handles, "right")
+    coordinate, first = along(data, variables[0])
+    return over_axis(data, coordinate, ax, axis_label(first, label_of(data), _common_symbol(first)))
+
+
+def integers(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Positive whole numbers, as periods are, over one axis on a logarithmic scale; points without one stand below.
+
+    Args:
+        data: one variable (axis,), 0 where there is no number; other axes have one point.
+
+    Raises:
+        ResultError: the variable is missing, or more than one axis has more than one point.
+    """
+    ax = new_axes(ax)
+    coordinate, variable = _only(data)
+    x, n = coordinate.to_numpy(), variable.to_numpy()
+    none = 0.5
+    ax.plot(x[n > 0], n[n > 0], ".", color=_NUMBER, markersize=3)
+    without = x[n <= 0]
+    ax.plot(without, np.full(without.shape, none), "|", color=_NONE, markersize=5)
+    ax.set_yscale("log", base=2)
+    highest = max(int(n.max(initial=1)), 1)
+    ticks = [2**k for k in range(highest.bit_length())]
+    ax.set_yticks([none, *ticks], ["none", *map(str, ticks)])
+    ax.set_ylim(none / 1.5, 1.5 * highest)
+    label = axis_label(variable, label_of(data))
+    return over_axis(data, coordinate, ax, label.replace(" (", "\n(") if len(label) > _LONG else label)
+
+
+def flags(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Flags as a strip of colours along one axis, with the number of points of each.
+
+    Args:
+        data: one variable (axis,) with `flag_values` and `flag_meanings`; other axes have one point.
+
+    Raises:
+        ResultError: the variable is missing, or more than one axis has more than one point.
+    """
+    ax = new_axes(ax)
+    coordinate, variable = _only(data)
+    meaning = _meanings(variable)
+    kind = variable.to_numpy()
+    values = sorted(meaning)
+    colours = ListedColormap([colour for _, colour in map(meaning.__getitem__, values)])
+    distinct, first = np.unique(coordinate.to_numpy(), return_index=True)
+    place = np.ma.masked_where(~np.isin(kind, values), np.searchsorted(values, kind))
+    norm = Normalize(-0.5, len(values) - 0.5)
+    ax.pcolorfast(cell_edges(distinct), [0.0, 1.0], place[None, first], cmap=colours, norm=norm)
+    handles: list[Artist] = [
+        Patch(color=colour, label=f"{words}: {np.sum(kind == value):,}")
+        for value, (words, colour) in meaning.items()
+        if np.any(kind == value)
+    ]
+    _legend_above(ax, handles, "center")
+    ax.set_yticks([])
+    return over_axis(data, coordinate, ax, label_of(data) or words_of(variable))
+
+
+def _only(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
+    """The axis (n,) and the one variable (n,) along it."""
+    variable, *more = shown(data)
+    coordinate, variable = along(data, variable)
+    if more or variable.ndim != 1:
+        raise ResultError(f"panel_variables has to name one variable over {coordinate.name} alone")
+    return coordinate, variable
+
+
+def _curves(data: xr.Dataset, variable: xr.DataArray) -> Iterator[_Curve]:
+    """Curves of a variable over rising values of the axis."""
+    coordinate, values = along(data, variable)
+    ancillary = str(variable.attrs.get("ancillary_variables", "")).split()
+    error = data[ancillary[0]] if ancillary and ancillary[0] in data else None
+    order = np.argsort(coordinate.to_numpy(), kind="stable")
+    columns = values.to_numpy()[order].reshape(len(order), -1)
+    errors = None if error is None else along(data, error)[1].to_numpy()[order].reshape(len(order), -1)
+    meaning = "" if error is None else str(error.attrs.get("long_name", "error"))
+    for k, label in enumerate(_curve_labels(values)):
+        band = None if errors is None else errors[:, k]
+        yield _Curve(coordinate.to_numpy()[order], columns[:, k], band, meaning, label)
+
+
+def _curve_labels(values: xr.DataArray) -> list[str]:
+    """Names in the legend of the curves of a variable (n,) or (n, k)."""
+    name = str(values.name)
+    if values.ndim > 1:
+        return [symbol_of(name, index) for index in _indices(values)]
+    return [symbol_of(name) if is_symbol(name) else words_of(values) or symbol_of(name)]
+
+
+def _common_symbol(values: xr.DataArray) -> str:
+    """Symbol of all curves of a variable with an index; "" for one without."""
+    if values.ndim == 1:
+        return ""
+    indices = _indices(values)
+    return symbol_of(str(values.name), indices[0] if len(indices) == 1 else "k")
+
+
+def _indices(values: xr.DataArray) -> list[str]:
+    """Numbers of the curves of a variable (n, k): the coordinate along k, or without one from 1."""
+    dim = values.dims[1]
+    return [str(i) for i in (values[dim].to_numpy() if dim in values.coords else range(1, values.shape[1] + 1))]
+
+
+def _meanings(variable: xr.DataArray) -> dict[int, tuple[str, str]]:
+    """Words and colour of every flag."""
+    words = str(variable.attrs.get("flag_meanings", "")).split()
+    values = np.atleast_1d(variable.attrs.get("flag_values", np.arange(len(words))))
+    others = iter(_OTHER_MEANINGS * len(words))
+    return {
+        int(value): (word.replace("_", " "), _MEANINGS.get(word) or next(others))
+        for value, word in zip(values, words, strict=True)
+    }
+
+
+def _legend_above(ax: Axes, handles: list[Artist], side: Literal["right", "center"]) -> None:
+    """A legend in one row above the axes, where it hides nothing."""
+    place, x = ("lower right", 1.0) if side == "right" else ("lower center", 0.5)
+    ax.legend(handles=handles, loc=place, bbox_to_anchor=(x, 1.0), ncols=len(handles), frameon=False, fontsize=9)

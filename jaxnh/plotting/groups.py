@@ -1,0 +1,116 @@
+"""What the attributes of a group say of its drawing: the kind of panel, what it shows, and along which axes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+
+from jaxnh.exceptions import ResultError
+
+
+def kind_of(data: xr.Dataset) -> str:
+    """The kind of panel, a key of `PANELS`; "" where the group says nothing."""
+    return str(data.attrs.get("panel", ""))
+
+
+def shown(data: xr.Dataset) -> list[xr.DataArray]:
+    """The variables that the panel is of.
+
+    Raises:
+        ResultError: none is named, or one is not there.
+    """
+    names = str(data.attrs.get("panel_variables", "")).split()
+    missing = [name for name in names if name not in data]
+    if missing or not names:
+        raise ResultError(f"there is no variable {missing[0]}" if missing else "panel_variables names nothing to draw")
+    return [data[name] for name in names]
+
+
+def label_of(data: xr.Dataset) -> str:
+    """What the panel shows in words; "" where these are the variable's own."""
+    return str(data.attrs.get("panel_label", ""))
+
+
+def declared_axes(data: xr.Dataset) -> tuple[str, ...]:
+    """The axes of the sweep in their order, as the attribute `axes` has them; without it nothing."""
+    return tuple(str(data.attrs.get("axes", "")).split())
+
+
+def axes_of(data: xr.Dataset) -> tuple[str, ...]:
+    """Dimensions that are axes of the sweep; where none are declared, the leading one of what is shown."""
+    first = shown(data)[0]
+    declared = declared_axes(data)
+    if not declared:
+        return tuple(map(str, first.dims[:1]))
+    return tuple(name for name in declared if name in first.dims)
+
+
+def long_axes(data: xr.Dataset) -> tuple[str, ...]:
+    """Axes of more than one point, or where there are none the first."""
+    axes = axes_of(data)
+    return tuple(name for name in axes if data.sizes[name] > 1) or axes[:1]
+
+
+def other_axes(data: xr.Dataset) -> tuple[str, ...]:
+    """Axes of more than one point beside the one that a panel of the whole group is over.
+
+    Where the first axis has become a variable, as in a cascade that is found along it, these are all that are left.
+    """
+    long, declared = long_axes(data), declared_axes(data)
+    if declared and declared[0] in data.data_vars:
+        return tuple(name for name in long if data.sizes[name] > 1)
+    return long[1:]
+
+
+def along(data: xr.Dataset, variable: xr.DataArray) -> tuple[xr.DataArray, xr.DataArray]:
+    """The coordinate (n,) of the one axis that a panel is over, and a variable (n, ...) along it.
+
+    Raises:
+        ResultError: there is no axis, or more than one has more than one point.
+    """
+    long = long_axes(data)
+    if len(long) != 1:
+        raise ResultError(f"a panel is over one axis, not over {' and '.join(long) or 'none'}")
+    single = {name: 0 for name in axes_of(data) if name != long[0]}
+    return data[long[0]], variable.isel(single).transpose(long[0], ...)
+
+
+def fixed_axes(data: xr.Dataset, axis: str) -> tuple[str, ...]:
+    """Axes beside the one of a panel, at one point each."""
+    return tuple(name for name in declared_axes(data) if name != axis and name in data and data[name].size == 1)
+
+
+def lane_count(data: xr.Dataset) -> int:
+    """Number of lanes: points of the product of the axes."""
+    return math.prod(data.sizes[name] for name in axes_of(data))
+
+
+def lane_of(data: xr.Dataset, lane: int) -> xr.Dataset:
+    """One lane, by its number in C order of the axes."""
+    axes = axes_of(data)
+    place = np.unravel_index(lane, [data.sizes[name] for name in axes])
+    return data.isel({name: int(i) for name, i in zip(axes, place, strict=True)})
+
+
+def places_of(data: xr.Dataset, axes: Sequence[str]) -> list[dict[str, int]]:
+    """Every point of the product of some axes, as a place along each."""
+    return [dict(zip(axes, place, strict=True)) for place in np.ndindex(*(data.sizes[name] for name in axes))]
+
+
+def at_place(data: xr.Dataset, place: Mapping[str, int]) -> xr.Dataset:
+    """The dataset at a place along some axes, which stay as coordinates without a dimension."""
+    return data.isel({name: i for name, i in place.items() if name in data.dims})
+
+
+def same_plane(points: xr.Dataset, trajectories: xr.Dataset) -> bool:
+    """Whether points are to be drawn over trajectories: of the same lanes, and in the same plane."""
+    axes = axes_of(points)
+    return (
+        "section" not in points.attrs
+        and axes == axes_of(trajectories)
+        and all(points[name].equals(trajectories[name]) for name in axes)
+        and [variable.name for variable in shown(points)] == [variable.name for variable in shown(trajectories)]
+    )

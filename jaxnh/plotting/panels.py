@@ -1,0 +1,39 @@
+"""The kinds of panels, by the name that a group gives in its attribute `panel`. Analyses are not known here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Literal, NamedTuple
+
+from matplotlib.axes import Axes
+
+from jaxnh.plotting.cascade import cascade
+from jaxnh.plotting.curves import curves, flags, integers
+from jaxnh.plotting.density import density
+from jaxnh.plotting.planes import points, trajectories
+
+
+class Kind(NamedTuple):
+    """A kind of panel.
+
+    Attributes:
+        draw: `draw(data, ax=None, ...)`, returns the axes.
+        height: in inches.
+        each: what gets a panel: a lane; a point of the axes beside the first, if these are few; or the whole group.
+    """
+
+    draw: Callable[..., Axes]
+    height: float
+    each: Literal["lane", "point", "group"]
+
+
+PANELS: Mapping[str, Kind] = {
+    "trajectories": Kind(trajectories, 3.4, "lane"),
+    "points": Kind(points, 3.4, "lane"),
+    "density": Kind(density, 4.6, "point"),
+    "cascade": Kind(cascade, 2.8, "group"),
+    "curves": Kind(curves, 4.0, "point"),
+    "integers": Kind(integers, 2.8, "group"),
+    "flags": Kind(flags, 1.4, "group"),
+}
+"""Kinds of panels by name."""

@@ -1,0 +1,73 @@
+"""Panels of one lane in a plane: trajectories, and points of maps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+
+from jaxnh.exceptions import ResultError
+from jaxnh.plotting.frame import LINE, POINT, new_axes
+from jaxnh.plotting.groups import axes_of, lane_count, lane_of, shown
+from jaxnh.plotting.labels import axis_label, title_of
+
+_DISTINCT = 256  # up to so many different points get large markers
+_LETTERS = "abcdefghijklmnopqrstuvwxyz"
+
+
+def trajectories(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0, over: Iterable[xr.Dataset] = ()) -> Axes:
+    """Trajectory of one lane in the plane of the two variables that the group names.
+
+    Args:
+        data: variables (axes, time).
+        lane: its number in C order of the axes.
+        over: groups of points of the same lanes, to be drawn over it.
+
+    Raises:
+        ResultError: the group does not name two variables that it has.
+    """
+    ax = new_axes(ax)
+    x, y = _coordinates(lane_of(data, lane))
+    ax.plot(x.to_numpy().ravel(), y.to_numpy().ravel(), color=LINE, linewidth=0.5, zorder=1)
+    for group in over:
+        _points(lane_of(group, lane), ax)
+    return _plane(data, lane, ax)
+
+
+def points(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes:
+    """Points of one lane in the plane of the two variables that the group names, as of a Poincaré map.
+
+    Args:
+        data: variables (axes, points).
+        lane: its number in C order of the axes.
+
+    Raises:
+        ResultError: the group does not name two variables that it has.
+    """
+    ax = new_axes(ax)
+    _points(lane_of(data, lane), ax)
+    return _plane(data, lane, ax)
+
+
+def _coordinates(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
+    variables = shown(data)
+    if len(variables) != 2:
+        raise ResultError(f"a plane has two coordinates, and panel_variables names {len(variables)}")
+    return variables[0], variables[1]
+
+
+def _points(data: xr.Dataset, ax: Axes) -> None:
+    """Points of one lane, large where few differ."""
+    plane = np.column_stack([variable.to_numpy().ravel() for variable in _coordinates(data)])
+    few = len(np.unique(plane.round(4), axis=0)) <= _DISTINCT
+    ax.plot(*plane.T, "o", color=POINT, markersize=5.0 if few else 1.4, markeredgewidth=0, zorder=2)
+
+
+def _plane(data: xr.Dataset, lane: int, ax: Axes) -> Axes:
+    x, y = _coordinates(data)
+    ax.set(xlabel=axis_label(x), ylabel=axis_label(y))
+    letter = f"({_LETTERS[lane]}) " if lane_count(data) <= len(_LETTERS) else ""
+    ax.set_title(letter + title_of(lane_of(data, lane), axes_of(data)), fontsize=10)
+    return ax

@@ -1,0 +1,153 @@
+"""How a sweep is cut: pieces of work over its axes, and where their variables lie in the whole. No files."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
+
+_WORK = 2e6  # lane-periods a tile: ten to thirty seconds on one core
+_BYTES = 1 << 26  # of results a tile
+_MOST_TILES = 1 << 14
+_FEWEST_LANES = 16
+
+Box = tuple[tuple[int, ...], tuple[int, ...]]
+"""Where a piece begins along each axis, and where it ends."""
+
+
+class Piece(NamedTuple):
+    """A piece of work: its number, the analyses in it, and where along each axis it begins and ends, end excluded."""
+
+    number: int
+    names: tuple[str, ...]
+    begin: tuple[int, ...]
+    end: tuple[int, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values along each axis."""
+        return tuple(end - begin for begin, end in zip(self.begin, self.end, strict=True))
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes."""
+        return math.prod(self.shape)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is decided once for a sweep and holds for every process that works on it.
+
+    Attributes:
+        config_sha256: hash of the config.
+        versions: of the package and the libraries that the numbers rest on.
+        solver, steps, compensated, error_estimate: what a period is computed with.
+        chosen: what analyses have chosen from the whole sweep.
+        order: names of the analyses in the order of the result.
+        independent: those whose lanes know nothing of each other; the others are run along the whole first axis.
+        axes: of the sweep, in the order of results: name, size, and whether all lanes of a program share its value.
+        tile: lanes a tile.
+    """
+
+    config_sha256: str
+    versions: Mapping[str, str]
+    solver: str
+    steps: int
+    compensated: bool
+    error_estimate: float
+    chosen: Mapping[str, Mapping[str, int]]
+    order: tuple[str, ...]
+    independent: tuple[str, ...]
+    axes: tuple[tuple[str, int, bool], ...]
+    tile: int
+
+    @property
+    def id(self) -> str:
+        """Hash of all of it."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return tuple(name for name, _, _ in self.axes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Sizes of the axes."""
+        return tuple(size for _, size, _ in self.axes)
+
+    @property
+    def lanes(self) -> int:
+        """Lanes of the whole sweep."""
+        return math.prod(self.shape)
+
+    def pieces(self) -> list[Piece]:
+        """All pieces of work: the tiles, then each analysis that is not independent at each point of the other axes.
+
+        For each value of the axes that lanes share the others are cut into rectangles of at most `tile` lanes.
+        """
+        found = [Piece(k, self.independent, *box) for k, box in enumerate(self._tiles() if self.independent else ())]
+        for name in self.order:
+            if name not in self.independent:
+                found += [Piece(len(found) + k, (name,), *box) for k, box in enumerate(self._lines())]
+        return found
+
+    def _tiles(self) -> Iterator[Box]:
+        own = [k for k, (_, _, shared) in enumerate(self.axes) if not shared]
+        cut = dict(zip(own, tile_shape([self.shape[k] for k in own], self.tile), strict=True))
+        for at in _corners(self.shape, {k: cut.get(k, 1) for k in range(len(self.axes))}, first=set(cut)):
+            yield at, tuple(min(b + cut.get(k, 1), self.shape[k]) for k, b in enumerate(at))
+
+    def _lines(self) -> Iterator[Box]:
+        whole = self.shape[:1]
+        for at in itertools.product(*(range(size) for size in self.shape[1:])):
+            yield (0,) * len(whole) + at, whole + tuple(place + 1 for place in at)
+
+
+def _corners(shape: Sequence[int], steps: Mapping[int, int], first: set[int]) -> Iterator[tuple[int, ...]]:
+    """Corners of rectangles in C order, those of the axes `first` within each place of all others."""
+    order = sorted(range(len(shape)), key=lambda k: k in first)
+    for place in itertools.product(*(range(0, shape[k], steps[k]) for k in order)):
+        at = dict(zip(order, place, strict=True))
+        yield tuple(at[k] for k in range(len(shape)))
+
+
+def tile_shape(sizes: Sequence[int], most: int) -> tuple[int, ...]:
+    """Size of a tile along each axis: the last axes whole while they fit, one cut, those before it one by one."""
+    shape, room = [], most
+    for size in reversed(sizes):
+        shape.append(max(1, min(size, room)))
+        room = room // size if room >= size else 0
+    return tuple(reversed(shape))
+
+
+def tile_lanes(work: float, numbers: float, lanes: int) -> int:
+    """Lanes a tile, from the config alone: a power of two for ten to thirty seconds of work and not too many bytes.
+
+    Args:
+        work: lane-periods a lane.
+        numbers: numbers that a lane leaves.
+        lanes: lanes of the sweep.
+    """
+    wanted = min(max(_WORK, work * lanes / _MOST_TILES) / max(work, 1e-9), _BYTES / (8 * max(numbers, 1)), 1 << 20)
+    return max(_FEWEST_LANES, 1 << (max(int(wanted), 1).bit_length() - 1))
+
+
+def slab(dims: Sequence[str], piece: Piece, axes: Sequence[str]) -> tuple[slice, ...]:
+    """Where a piece's variable with these dimensions lies in that of the whole; other dimensions are whole.
+
+    Args:
+        axes: names of the axes, in the order of the piece.
+    """
+    places = dict(zip(axes, zip(piece.begin, piece.end, strict=True), strict=True))
+    return tuple(slice(*places[dim]) if dim in places else slice(None) for dim in dims)
+
+
+def share(pieces: Sequence[Piece], part: tuple[int, int]) -> Sequence[Piece]:
+    """The pieces of part (k, n), k from 1: neighbours, and for n parts every piece in exactly one."""
+    k, n = part
+    return pieces[(k - 1) * len(pieces) // n : k * len(pieces) // n]

@@ -1,0 +1,117 @@
+"""Groups of results made by hand, with the attributes that say how they are drawn: for tests of figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+WORDS = {"x1": "position x1", "x2": "velocity x2 = dx1/dt", "y1": "position y1", "y2": "velocity y2 = dy1/dt"}
+ATTRS = {
+    "title": "A little of everything",
+    "jaxnh_version": "0.1.0",
+    "solver": "blanes_moan6",
+    "steps_per_period": np.int64(60),
+    "error_estimate": np.float64(1e-5),
+    "strobe_period": np.float64(2 * np.pi),
+}
+
+
+def dataset(axes, variables, **attrs):
+    """A group as the store writes it.
+
+    Args:
+        axes: name to values and words.
+        variables: name to dims, data, words, units and perhaps attributes.
+        attrs: of the group.
+    """
+    named = {
+        name: xr.Variable(dims, data, {"long_name": words, "units": units, **dict(*more)})
+        for name, (dims, data, words, units, *more) in variables.items()
+    }
+    coords = {
+        name: xr.Variable((name,), np.asarray(values, float), {"long_name": words, "units": "1"})
+        for name, (values, words) in axes.items()
+    }
+    return xr.Dataset(named, coords=coords, attrs=attrs)
+
+
+def states(b, points, dim="strobe", panel="density", seed=0):
+    """States of the paper's particle over b."""
+    rng = np.random.default_rng(seed)
+    variables = {name: (("b", dim), rng.normal(size=(len(b), points)), words, "1") for name, words in WORDS.items()}
+    shown = "x1" if panel == "density" else "x1 x2"
+    return dataset({"b": (b, "coupling b")}, variables, panel=panel, panel_variables=shown)
+
+
+def exponents(b, count):
+    values = np.random.default_rng(0).normal(size=(len(b), count))
+    error = {"ancillary_variables": "exponents_error"}
+    return dataset(
+        {"b": (b, "coupling b")},
+        {
+            "exponents": (("b", "exponent"), values, "Lyapunov exponents, natural logarithm", "1/time", error),
+            "exponents_error": (("b", "exponent"), 0.1 + 0 * values, "two standard errors", "1/time"),
+        },
+        panel="curves",
+        panel_variables="exponents",
+        panel_label="largest Lyapunov exponent" if count == 1 else "Lyapunov exponents",
+    ).assign_coords(exponent=np.arange(1, count + 1))
+
+
+def doublings(values=(5.52, 5.495, 5.489, np.nan), name="b", words="coupling b at the doubling"):
+    count = len(values)
+    level, delta = np.arange(1, count + 1), np.full(count, np.nan)
+    if count > 1:
+        delta[1] = 4.1
+    return dataset(
+        {},
+        {
+            "period": (("level",), 2 ** (level - 1), "period n of the orbit that doubles to 2n", "forcing periods"),
+            name: (("level",), np.array(values), words, "1"),
+            f"{name}_error": (("level",), 0 * delta, f"error of {name}", "1"),
+            "delta": (("level",), delta, "ratio δ of successive distances between doublings", "1"),
+            "delta_error": (("level",), 0 * delta, "error of δ", "1"),
+        },
+        panel="cascade",
+        panel_variables=f"{name} delta",
+    ).assign_coords(level=level)
+
+
+def periods(b, units="periods of the forcing"):
+    n = np.resize([0, 1, 2, 4, 24], len(b))
+    variables = {"period": (("b",), n, "least period, 0: none up to the limit", units)}
+    look = {"panel": "integers", "panel_variables": "period", "panel_label": "least period"}
+    return dataset({"b": (b, "coupling b")}, variables, **look)
+
+
+def growth_rates(b):
+    k = np.linspace(0, 1, len(b))
+    variables = {
+        "k": (("b",), k, "growth rate of the walk", "1", {"ancillary_variables": "k_error"}),
+        "k_error": (("b",), 0.2 + 0 * k, "half the distance between the quartiles", "1"),
+    }
+    look = {"panel": "curves", "panel_variables": "k", "panel_label": "0–1 test, $K$", "panel_levels": "0 1"}
+    return dataset({"b": (b, "coupling b")}, variables, **look)
+
+
+def verdicts(b):
+    meanings = {"flag_values": np.arange(4, dtype=np.int8), "flag_meanings": "periodic quasiperiodic chaotic undecided"}
+    kind = np.resize([0, 2, 0, 3], len(b)).astype(np.int8)
+    variables = {"kind": (("b",), kind, "kind of motion", "1", meanings)}
+    look = {"panel": "flags", "panel_variables": "kind", "panel_label": "verdict"}
+    return dataset({"b": (b, "coupling b")}, variables, **look)
+
+
+def tree(groups, axes="b", **attrs):
+    """A result of several groups."""
+    made = xr.DataTree.from_dict(groups)
+    made.attrs = {**ATTRS, "axes": axes, **attrs}
+    return made
+
+
+def write(path: Path, result: xr.DataTree) -> Path:
+    """A result file."""
+    result.to_netcdf(path, engine="h5netcdf")
+    return path
