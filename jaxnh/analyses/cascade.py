@@ -113,8 +113,8 @@ def follow(scene: Scene, lanes: LaneRunner, levels: int) -> Cascade:
 
 
 def _line(scene: Scene, found: Survey) -> Line:
-    """A survey of lanes along the first axis, without its holes."""
-    return Line(scene.line.values, found.period, found.u).without_holes()
+    """A survey of lanes along the first axis, at whatever values they are, without its holes."""
+    return Line(np.asarray(scene.p[scene.line.name]), found.period, found.u).without_holes()
 
 
 def _longest(found: Line) -> tuple[Line, int] | None:
