@@ -8,32 +8,49 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
+import numpy as np
 import typer
-from rich import box
+import xarray as xr
 from rich.console import Console
-from rich.table import Table
 
-from jaxnh.analyses.base import Group, Scene
-from jaxnh.cli import terminal
-from jaxnh.cli.command import account, calibrate, experiment_of, provenance, scene_of
-from jaxnh.cli.exit_codes import Refused, check_output, run_app
+from jaxnh.analyses.base import Scene
+from jaxnh.cli.arguments import called, experiment_of
+from jaxnh.cli.exit_codes import run_app
+from jaxnh.cli.terminal import progress, show
 from jaxnh.config.experiment import Experiment
-from jaxnh.config.particle import Free
-from jaxnh.costs import doubling, effects, exponent, solvers
+from jaxnh.costs import STUDIES, effects, solvers, tables
+from jaxnh.engine.axes import points
+from jaxnh.engine.calibration import Calibration, Plan
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.plan import calibrate, job_of, plan_of, scene_of, spent, work_of
+from jaxnh.engine.run import attributes, check_output
 from jaxnh.engine.xla_options import configure
+from jaxnh.exceptions import ArgumentError, ConfigError, ResultError
+from jaxnh.maps.build import way_of
 from jaxnh.plotting import costs as figures_cost
-from jaxnh.storage import hdf5 as store
+from jaxnh.solvers import IsokineticSplitting
+from jaxnh.storage import hdf5
 
 _DPI = 130
 _LOG_WIDTH = 130  # columns where the output goes to a file
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+class Bench(NamedTuple):
+    """What is priced: an experiment, its lanes along the first axis that they do not share, and a runner."""
+
+    experiment: Experiment
+    scene: Scene
+    plan: Plan
+    calibration: Calibration
+    lanes: Lanes
+    began: float
 
 
 @app.command(help="Show what accuracy costs in time on the very scene of a config, before it is run.")
@@ -53,208 +70,141 @@ def cost(
     """Body of the command; the words above are what --help shows."""
     began = time.perf_counter()
     experiment = experiment_of(config, overrides)
-    if not of_effects and (experiment.own or experiment.autonomous or isinstance(experiment.system, Free)):
-        raise Refused(
-            f"{experiment.source}: system: solvers are priced on the strobe map at a prescribed speed, and this scene "
+    if not of_effects and not _has_splittings(experiment):
+        raise ConfigError(
+            f"{experiment.label}: system: solvers are priced on the strobe map at a prescribed speed, and this scene "
             "has none; --effects prices what it has"
         )
-    path = output or Path("results") / f"{experiment.source.stem}_{'effects' if of_effects else 'cost'}.h5"
+    path = output or Path("results") / f"{Path(experiment.label).stem}_{'effects' if of_effects else 'cost'}.h5"
     _check_replaceable(path)
     check_output(path)
-    (_run_effects if of_effects else _run)(experiment, path, repeats, began)
+    (price_effects if of_effects else price_accuracy)(experiment, path, repeats, began)
+
+
+def _has_splittings(experiment: Experiment) -> bool:
+    """Whether the scene has a strobe map by splittings, with which others are compared."""
+    return not experiment.autonomous and isinstance(way_of(experiment.flow()).reference, IsokineticSplitting)
 
 
 def _check_replaceable(path: Path) -> None:
-    """A file that is there is only replaced if it is of this command, and no name of a figure is taken."""
+    """See that a file that is there is of this command, and no name of a figure is taken.
+
+    Raises:
+        ArgumentError: it is not.
+    """
     if path.suffix.lower() == ".png":
-        raise Refused(f"command line: --output: {path} is a name for a figure; those are put beside the result file")
+        raise ArgumentError("output", f"{path} is a name for a figure; those are put beside the result file")
     if not path.is_file():
         return
     try:
-        ours = "cost_of" in store.read_attrs(path)
-    except store.StoreError:
+        ours = "cost_of" in hdf5.read_attrs(path)
+    except ResultError:
         ours = False
     if not ours:
-        raise Refused(f"command line: --output: {path} is there and is no file of jaxnh.cost; name another")
+        raise ArgumentError("output", f"{path} is there and is no file of jaxnh.cost; name another")
 
 
-def _run(experiment: Experiment, path: Path, repeats: int, began: float) -> None:
-    console = Console()
-    configure()
-    lanes = Lanes(terminal.progress(Console(stderr=True)))
-    spent: dict[str, float] = {}
-    with _part("accuracy", spent), lanes.stage("accuracy: errors of one period on sample lanes", 0):
-        calibration = calibrate(experiment, lanes)
-        scene = scene_of(experiment, calibration)
-    groups: dict[str, Group] = {}
-    with _part("solvers", spent):
-        work, target = _work(experiment, scene, lanes), experiment.accuracy.target
-        groups["solvers"] = solvers.price(scene, calibration, target, work, lanes, repeats)
-    console.print(_solvers_table(groups["solvers"]))
-    groups |= _derived(experiment, scene, lanes, spent)
-    with _part("figures", spent):
-        attrs = provenance(experiment, scene, account(lanes, time.perf_counter() - began), "jaxnh.cost")
-        attrs["cost_of"] = attrs.pop("config_sha256")
-        store.write(path, attrs, groups)
+def price_accuracy(experiment: Experiment, path: Path, repeats: int, began: float) -> None:
+    """Price solvers, and the accuracy of derived quantities that the config asks for; write, draw and show them."""
+    console, times = Console(), dict[str, float]()
+    with _part("accuracy", times):
+        bench = _bench(experiment, began)
+    groups: dict[str, xr.Dataset] = {}
+    with _part("solvers", times):
+        target, work = experiment.accuracy.target, _work(bench)
+        groups["solvers"] = solvers.price(bench.scene, bench.calibration, target, work, bench.lanes, repeats)
+    console.print(show(tables.solvers(groups["solvers"])))
+    studies = _studies(bench, times)
+    groups |= {f"{name}_cost": data for name, data in studies.items()}
+    with _part("figures", times):
+        _write(bench, path, groups)
         pictures = [_save(path, suffix, figure) for suffix, figure in figures_cost.figures(path).items()]
-    for name, table in (("doubling_cost", _doubling_table), ("lyapunov_cost", _exponent_table)):
-        if name in groups:
-            console.print(table(groups[name]))
-    parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in spent.items())
-    print(f"{time.perf_counter() - began:.1f} s: {parts}; of these, compile {lanes.compile_seconds:.1f} s")
+    for name, data in studies.items():
+        console.print(show(STUDIES[name].table(data)))
+    parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in times.items())
+    print(f"{time.perf_counter() - began:.1f} s: {parts}; of these, compile {bench.lanes.compile_seconds:.1f} s")
     print("wrote " + ", ".join(map(str, (path, *pictures))))
 
 
-def _run_effects(experiment: Experiment, path: Path, repeats: int, began: float) -> None:
+def price_effects(experiment: Experiment, path: Path, repeats: int, began: float) -> None:
+    """Price every effect and analysis; write and show them."""
     console = Console()
     if not console.is_terminal:
         console = Console(width=_LOG_WIDTH)
-    configure()
-    lanes = Lanes(terminal.progress(Console(stderr=True)))
-    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
-        scene = scene_of(experiment, calibrate(experiment, lanes))
-    group = effects.price(scene, experiment.requested(), lanes, repeats)
-    attrs = provenance(experiment, scene, account(lanes, time.perf_counter() - began), "jaxnh.cost")
-    attrs["cost_of"] = attrs.pop("config_sha256")
-    store.write(path, attrs, {"effects": group})
-    console.print(_effects_table(group))
-    print(f"{time.perf_counter() - began:.1f} s; of these, compile {lanes.compile_seconds:.1f} s")
+    bench = _bench(experiment, began)
+    data = effects.price(bench.scene, experiment.requested(), bench.lanes, repeats)
+    _write(bench, path, {"effects": data})
+    console.print(show(tables.effects(data)))
+    print(f"{time.perf_counter() - began:.1f} s; of these, compile {bench.lanes.compile_seconds:.1f} s")
     print(f"wrote {path}")
 
 
+def _bench(experiment: Experiment, began: float) -> Bench:
+    """The lanes along the first axis that is not shared, at the first point of all others.
+
+    Raises:
+        AccuracyError: nothing meets the accuracy asked for.
+    """
+    configure()
+    lanes, axes = Lanes(progress(Console(stderr=True))), experiment.axes
+    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
+        calibration = calibrate(experiment, axes, lanes)
+        plan = plan_of(experiment, calibration)
+    along = next((axis for axis in axes if axis.kind != "shared"), None)
+    count = len(along.values) if along else 1
+    places = [np.arange(count) if axis is along else np.zeros(count, int) for axis in axes]
+    along = along if along and along.kind == "lane" else None
+    scene = scene_of(points(experiment, axes, places), plan, experiment.precision, along=along)
+    return Bench(experiment, scene, plan, calibration, lanes, began)
+
+
+def _work(bench: Bench) -> float:
+    """Lane-periods of the whole run; devices always get whole tiles."""
+    chunk = bench.lanes.tile * len(bench.lanes.devices)
+    padded = chunk * math.ceil(math.prod(len(axis.values) for axis in bench.experiment.axes) / chunk)
+    return padded * work_of(bench.experiment.requested(), padded)
+
+
+def _studies(bench: Bench, times: dict[str, float]) -> dict[str, xr.Dataset]:
+    """The accuracy of what the config asks for and has a study, by the name of the analysis."""
+    found: dict[str, xr.Dataset] = {}
+    for analysis, _ in bench.experiment.requested():
+        study = STUDIES.get(analysis.name)
+        if study is None:
+            continue
+        data, absent = None, "no axis is a parameter that lanes have of their own"
+        if bench.scene.along is not None:
+            absent = study.absent
+            with _part(analysis.name, times):
+                data = study.price(bench.scene, bench.lanes)
+        if data is None:
+            print(f"warning: {analysis.name}: {absent}; its cost is left out", file=sys.stderr)
+        else:
+            found[analysis.name] = data
+    return found
+
+
+def _write(bench: Bench, path: Path, groups: Mapping[str, xr.Dataset]) -> None:
+    """The file, with what decides its numbers as attributes."""
+    experiment = bench.experiment
+    job = job_of(experiment, experiment.axes, bench.plan, {}, experiment.requested())
+    total = spent(bench.lanes, time.perf_counter() - bench.began)
+    attrs = attributes(experiment, job, total, called("jaxnh.cost"))
+    attrs = {("cost_of" if name == "config_sha256" else name): value for name, value in attrs.items()}
+    hdf5.write(path, attrs, groups)
+
+
 @contextmanager
-def _part(name: str, spent: dict[str, float]) -> Iterator[None]:
+def _part(name: str, times: dict[str, float]) -> Iterator[None]:
     began = time.perf_counter()
     yield
-    spent[name] = time.perf_counter() - began
-
-
-def _work(experiment: Experiment, scene: Scene, lanes: Lanes) -> float:
-    """Lane-periods of the whole run; devices always get whole tiles."""
-    chunk = lanes.tile * len(lanes.devices)
-    padded = chunk * math.ceil(len(scene.values) / chunk)
-    return sum(analysis.periods(options, padded) for analysis, options in experiment.requested())
-
-
-def _derived(experiment: Experiment, scene: Scene, lanes: Lanes, spent: dict[str, float]) -> dict[str, Group]:
-    """What the config asks for and has a price of its own."""
-    asked = {analysis.name for analysis, _ in experiment.requested()}
-    groups: dict[str, Group] = {}
-    for name, price, absent in (
-        ("doubling", doubling.price, "the sweep has no doubling to find"),
-        ("lyapunov", exponent.price, "no value of b in the sweep has a largest exponent clearly above zero"),
-    ):
-        if name not in asked:
-            continue
-        with _part(name, spent):
-            group = price(scene, lanes)
-        if group is None:
-            print(f"warning: {name}: {absent}; its cost is left out", file=sys.stderr)
-        else:
-            groups[f"{name}_cost"] = group
-    return groups
+    times[name] = time.perf_counter() - began
 
 
 def _save(path: Path, suffix: str, figure: figures_cost.Figure) -> Path:
     picture = path.with_name(f"{path.stem}{suffix}.png")
     figure.savefig(picture, dpi=_DPI)
     return picture
-
-
-def _table(title: str, caption: str, left: tuple[str, ...], right: tuple[str, ...]) -> Table:
-    table = Table(
-        title=title, caption=caption, box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True
-    )
-    for head in left:
-        table.add_column(head, no_wrap=True)
-    for head in right:
-        table.add_column(head, justify="right", no_wrap=True)
-    return table
-
-
-def _solvers_table(group: Group) -> Table:
-    """A row a setting; the one that the engine uses is marked."""
-    columns = {name: variable.data for name, variable in group.variables.items()}
-    work = group.attrs["projected_lane_periods"]
-    table = _table(
-        "Error of one period, and its price",
-        f"µs a lane-period, of which the run has {work:,.0f}; comp.: compensated sums; ◀ picked",
-        ("solver",),
-        ("steps", "forces", "error", "µs", "whole run", ""),
-    )
-    for i, name in enumerate(columns["method"]):
-        adaptive, picked = columns["steps"][i] == 0, bool(columns["picked"][i])
-        table.add_row(
-            f"{name}, comp." if columns["summation"][i] == "compensated" else str(name),
-            f"tol {columns['tolerance'][i]:.0e}" if adaptive else str(columns["steps"][i]),
-            "–" if adaptive else f"{columns['forces'][i]:.0f}",
-            f"{columns['error'][i]:.1e}",
-            f"{1e6 * columns['seconds'][i]:.2f}",
-            _duration(columns["projected_seconds"][i]),
-            "◀" if picked else "",
-            style="bold" if picked else None,
-        )
-    return table
-
-
-def _doubling_table(group: Group) -> Table:
-    columns = {name: variable.data for name, variable in group.variables.items()}
-    n, reference = group.attrs["period"], group.attrs["reference"]
-    table = _table(
-        f"Price of the doubling {n} → {2 * n}",
-        f"processor time; b* = {reference:.13f}",
-        ("method",),
-        ("after", "b", "|b − b*|", "seconds"),
-    )
-    for i, name in enumerate(columns["method"]):
-        effort = f"{columns['effort'][i]:,}"
-        row = (f"{columns['b'][i]:.12f}", f"{columns['error'][i]:.1e}", f"{columns['cpu_seconds'][i]:.3f}")
-        table.add_row(str(name), effort, *row)
-    return table
-
-
-def _exponent_table(group: Group) -> Table:
-    columns = {name: variable.data for name, variable in group.variables.items()}
-    table = _table(
-        f"Price of λ₁ = {group.attrs['reference']:.4f} at b = {group.attrs['b']:.6g}",
-        f"medians of {group.attrs['lanes']} lanes; processor time a b",
-        (),
-        ("periods averaged", "error", "error bar", "seconds"),
-    )
-    for i, periods in enumerate(columns["averaged"]):
-        error, bar = columns["error"][i, 1], columns["error_bar"][i, 1]
-        table.add_row(f"{periods:,}", f"{error:.1e}", f"{bar:.1e}", f"{columns['cpu_seconds'][i]:.4f}")
-    return table
-
-
-def _effects_table(group: Group) -> Table:
-    columns = {name: variable.data for name, variable in group.variables.items()}
-    table = _table(
-        "What each effect and analysis costs",
-        f"operations a lane-period by {group.attrs['solver']}; time: of processors, with it over without it",
-        ("",),
-        ("with it", "without", "time", "bytes a lane"),
-    )
-    table.add_column("")
-    kind = ""
-    for i, what in enumerate(columns["what"]):
-        if kind and kind != columns["kind"][i]:
-            table.add_section()
-        kind = columns["kind"][i]
-        cells = (columns["operations"][i], columns["operations_without"][i], columns["time_ratio"][i])
-        stored = f"{columns['stored'][i]:,.0f}" if kind == "analysis" else ""
-        words = [
-            "–" if math.isnan(x) else form.format(x)
-            for x, form in zip(cells, ("{:,.0f}", "{:,.0f}", "{:.2f}"), strict=True)
-        ]
-        table.add_row(str(what), *words, stored, str(columns["note"][i]))
-    return table
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.1f} s"
-    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def main() -> int:

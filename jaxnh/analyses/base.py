@@ -161,7 +161,8 @@ class Scene:
     def take(self, lanes: slice | Int[np.ndarray, " some"]) -> Scene:
         """The scene of some of its lanes: a slice, or an array of their numbers."""
         start, p = picked((self.start, dict(self.p)), lanes)
-        return replace(self, start=start, p=p, place=self.places[lanes])
+        along = self.along and replace(self.along, values=self.along.values[lanes])
+        return replace(self, start=start, p=p, place=self.places[lanes], along=along)
 
     @property
     def line(self) -> Axis:
@@ -176,9 +177,9 @@ class Scene:
 
     def at(self, values: Float[np.ndarray, " points"]) -> Scene:
         """The scene at other values along the first axis, the start state and all else as in its first lane."""
-        name, count = self.line.name, len(values)
-        start, p = jax.tree.map(lambda leaf: np.full(count, leaf[0]), (self.start, dict(self.p)))
-        return replace(self, start=start, p={**p, name: np.asarray(values)}, place=None)
+        along = replace(self.line, values=np.asarray(values))
+        start, p = jax.tree.map(lambda leaf: np.full(len(values), leaf[0]), (self.start, dict(self.p)))
+        return replace(self, start=start, p={**p, along.name: along.values}, place=None, along=along)
 
     def strobe(self, refinement: float = 1) -> Strobe:
         """P with `refinement` times the steps that the accuracy asks for."""

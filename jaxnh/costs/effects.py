@@ -123,10 +123,10 @@ def _(flow: IsokineticParticle, scene: Scene) -> Iterator[Row]:
 
 @_effects.register
 def _(flow: FreeParticle, scene: Scene) -> Iterator[Row]:
-    base, values = _map(scene, flow), flow.values
+    base = _map(scene, flow)
 
     def less(effect: str) -> Program:
-        return _map(scene, free_particle(values["a"], values["b"], values["omega"], flow.without | {effect}))
+        return _map(scene, free_particle(**_numbers(flow), without=flow.without | {effect}))
 
     yield _effect("forcing", flow.without, base, less)
     yield Row("disturbance", "effect", None, base, note="is left out")
@@ -150,13 +150,17 @@ def _map(scene: Scene, flow: Flow) -> Program:
 
 def _general(scene: Scene, flow: IsokineticParticle, constrained: bool) -> Program:
     """A period of the same forces by the general route, with the constraint and without it."""
-    parameters = {"b": 0.0, **{name: float(np.asarray(value)) for name, value in flow.parameters.items()}}
-    made = lagrangian(definition(flow.without & frozenset(EFFECTS), constrained), parameters)
+    made = lagrangian(definition(flow.without & frozenset(EFFECTS), constrained), {"b": 0.0, **_numbers(flow)})
     scene = scene.in_time()
     velocity = tuple(np.asarray(v, float) for v in flow.velocity(np.float64(0.0), scene.start))
     still = np.zeros(scene.count)
     start = Motion(scene.start[0], velocity, (still, still))
     return map_alone(replace(scene, start=start), make_strobe(made, dopri8, _GENERAL_STEPS))
+
+
+def _numbers(flow: Flow) -> dict[str, float]:
+    """Parameters of a flow as plain numbers."""
+    return {name: float(np.asarray(value)) for name, value in flow.parameters.items()}
 
 
 @singledispatch

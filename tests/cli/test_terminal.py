@@ -7,24 +7,32 @@ import re
 
 import numpy as np
 import pytest
+import xarray as xr
 from rich.console import Console
 
-from jaxnh.analyses.base import Group, Variable
+from jaxnh.analyses import doubling
+from jaxnh.analyses.base import Axis, Table
+from jaxnh.analyses.cascade import Cascade
 from jaxnh.cli import terminal
 
 B = np.array([5.25, 5.125, np.nan])
 PUBLISHED = {"b": np.array([5.2501, 5.1249, 5.0625]), "delta": np.array([np.nan, 4.5, np.nan])}
 
 
-def group(limit=4.6692, error=0.0312):
+def dataset(limit=4.6692, error=0.0312):
+    """A cascade as a file of one axis has it: the limit of δ is an attribute."""
     columns = {
         "period": np.array([1, 2, 4]),
         "b": B,
         "b_error": np.array([2.5e-12, 1e-9, np.nan]),
         "delta": np.array([np.nan, 4.66920161, np.nan]),
     }
-    variables = {name: Variable(("level",), column, name) for name, column in columns.items()}
-    return Group(variables, {"delta_limit": limit, "delta_limit_error": error})
+    variables = {name: ("level", column) for name, column in columns.items()}
+    return xr.Dataset(variables, attrs={"along": "b", "delta_limit": limit, "delta_limit_error": error})
+
+
+def table(*arguments):
+    return terminal.show(doubling.table(*arguments))
 
 
 def shown(renderable, width=200):
@@ -44,7 +52,7 @@ def cells(text):
 
 def test_table_beside_published_values():
     """Theirs, ours with its error, theirs less ours, and both δ; a dash where there is no number."""
-    text = shown(terminal.doubling_table(group(), PUBLISHED, "paper"))
+    text = shown(table(dataset(), PUBLISHED, "paper"))
     assert cells(text) == [
         ["1 → 2", "5.250100", "5.250000000000", "2.5e-12", "+1.0e-04", "–", "–"],
         ["2 → 4", "5.124900", "5.125000000000", "1.0e-09", "-1.0e-04", "4.5000", "4.669202"],
@@ -58,7 +66,7 @@ def test_table_beside_published_values():
 
 def test_table_alone():
     """Without published values there are no columns for them, and without a limit no line about it."""
-    text = shown(terminal.doubling_table(group(np.nan, np.nan), {}, ""))
+    text = shown(table(dataset(np.nan, np.nan), {}, ""))
     assert cells(text) == [
         ["1 → 2", "5.250000000000", "2.5e-12", "–"],
         ["2 → 4", "5.125000000000", "1.0e-09", "4.669202"],
@@ -72,14 +80,43 @@ def test_table_alone():
 def test_published_values_fewer_or_more(count):
     """They go by their level: fewer leave dashes, more are left out."""
     published = {"b": np.linspace(5.3, 5.1, count)}
-    rows = cells(shown(terminal.doubling_table(group(), published, "paper")))
+    rows = cells(shown(table(dataset(), published, "paper")))
     assert [row[1] for row in rows] == [f"{b:.6f}" for b in published["b"][:3]] + ["–"] * max(0, 3 - count)
     assert [row[5] for row in rows] == ["–"] * 3
 
 
 def test_no_digit_is_lost_on_a_terminal_of_80_columns():
-    rows = cells(shown(terminal.doubling_table(group(), PUBLISHED, "paper"), width=80))
+    rows = cells(shown(table(dataset(), PUBLISHED, "paper"), width=80))
     assert [row[2] for row in rows] == ["5.250000000000", "5.125000000000", "–"]
+
+
+def test_a_table_says_how_far_its_cascade_is_found():
+    """A dataset of the analysis itself has the limit of δ as a variable, and other axes than b give other heads."""
+    found = doubling._dataset(Axis("drive", np.zeros(2), "parameter drive"), 2, Cascade(3, (), (), "nothing"))
+    drawn = doubling.table(found, {}, "")
+    assert drawn.heads == ("period", "drive", "± error", "δ")
+    assert drawn.rows == (("3 → 6", "–", "–", "–"), ("6 → 12", "–", "–", "–"))
+    assert drawn.caption is None
+
+
+def test_table_of_many_cascades():
+    """A row a point of the other axes, with the first and the last doubling of it; no more than fit a screen."""
+    ones = [dataset(limit).assign(delta_limit=limit, delta_limit_error=0.01, levels_found=found)
+            for limit, found in ((4.5, 2), (np.nan, 0))]  # fmt: skip
+    many = xr.concat([one.drop_attrs().assign_attrs(along="b") for one in ones], xr.Variable("d", [0.1, 0.2]))
+    assert doubling.table(many, {}, "").rows == (
+        ("0.1", "2", "5.250000000000", "5.125000000000", "δ → 4.5000 ± 0.01"),
+        ("0.2", "0", "–", "–", "–"),
+    )
+    assert doubling.table(many.isel(d=[0] * 100), {}, "").caption == "16 of 100 cascades"
+
+
+def test_tables_without_rules():
+    """Text on the left where it is asked for, no edge, and no cell is wrapped, however narrow the terminal."""
+    text = shown(
+        terminal.show(Table("Title", ("", "n"), (("long name of a row", "1"), ("x", "22")), left=(0,), ruled=False))
+    )
+    assert [line.rstrip() for line in text.splitlines()][-2:] == ["long name of a row   1", "x                   22"]
 
 
 # ---- progress
