@@ -36,7 +36,7 @@ class Lanes:
     """
 
     def __init__(self, progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE) -> None:
-        self.devices = jax.devices() if devices is None else devices
+        self.devices: list[Any] = jax.devices() if devices is None else devices
         self.tile = tile
         self.lane_periods = 0.0
         self.compile_seconds = 0.0

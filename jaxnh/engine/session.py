@@ -107,7 +107,7 @@ class Session:
         began = time.perf_counter()
         job, groups = self._computed(self.experiment)
         attrs = attributes(self.experiment, job, spent(self._lanes, time.perf_counter() - began))
-        return xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs), **groups})
+        return xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs), **groups})  # pyright: ignore[reportUnknownMemberType]
 
     # ---- how
 
