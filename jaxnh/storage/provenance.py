@@ -1,0 +1,111 @@
+"""How a result was made: its root attributes, from plain values. No JAX, and nothing of how a command was called."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxnh.storage.hdf5 import Attributes
+from jaxnh.storage.tiles import Spent
+
+_LIBRARIES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
+
+
+class Method(NamedTuple):
+    """What a period is computed with.
+
+    Attributes:
+        solver: its name.
+        steps: steps a period.
+        compensated: whether sums are.
+        precision: "float64" or "float32", of the arithmetic within a period.
+        error_estimate: estimated largest error of one period's map.
+    """
+
+    solver: str
+    steps: int
+    compensated: bool
+    precision: str
+    error_estimate: float
+
+
+class UserFile(NamedTuple):
+    """A user's system: the file as the config names it, its text, and the SHA-256 of that."""
+
+    path: str
+    text: str
+    sha256: str
+
+
+def versions() -> dict[str, str]:
+    """Versions of the package, under the name jaxnh, and of the libraries that the numbers rest on."""
+    return {name: version(name) for name in ("jaxnh", *_LIBRARIES)}
+
+
+def root_attributes(
+    *,
+    title: str,
+    config: str,
+    config_sha256: str,
+    versions: Mapping[str, str],
+    method: Method,
+    spent: Spent,
+    axes: Sequence[str],
+    strobe_period: float | np.ndarray,
+    command: str = "",
+    section: str = "",
+    user_file: UserFile | None = None,
+    chosen: Mapping[str, Mapping[str, int]] | None = None,
+) -> Attributes:
+    """Root attributes of a result file, in their order.
+
+    Args:
+        title: of the experiment.
+        config, config_sha256: its YAML, and the hash of what it says.
+        versions: of the package, under the name jaxnh, and of libraries (`versions`).
+        spent: on all of it.
+        axes: names of the axes of the sweep, in order.
+        strobe_period: or several, over the shared axes in C order, where these decide it.
+        command: the command that was run; "" for a call from Python.
+        section: the section in words, of a flow without a clock.
+        user_file: of a user's system.
+        chosen: what analyses have chosen from the whole sweep; None for what cannot be computed again from the file.
+    """
+    libraries = {name: number for name, number in versions.items() if name != "jaxnh"}
+    period = np.ravel(np.asarray(strobe_period, np.float64))  # netCDF has attributes of one dimension alone
+    attrs: dict[str, Any] = {
+        "title": title,
+        "Conventions": "CF-1.11",
+        "history": f"{datetime.now(UTC).isoformat(timespec='seconds')} {command or 'a call from Python'}",
+        "config": config,
+        "config_sha256": config_sha256,
+        "jaxnh_version": versions["jaxnh"],
+        "versions": json.dumps(libraries),
+        "solver": method.solver,
+        "steps_per_period": method.steps,
+        "summation": "compensated" if method.compensated else "plain",
+        "precision": method.precision,
+        "error_estimate": method.error_estimate,
+        "wall_seconds": spent.seconds,
+        "compile_seconds": spent.compile_seconds,
+        "lane_periods": spent.lane_periods,
+        "device": spent.device,
+        "strobe_period": period if np.ndim(strobe_period) else period[0],
+        "axes": " ".join(axes),
+    }
+    if section:
+        attrs["section"] = section
+    if user_file:
+        attrs |= {
+            "system_file": user_file.text,
+            "system_file_path": user_file.path,
+            "system_file_sha256": user_file.sha256,
+        }
+    if chosen is not None:
+        attrs["chosen"] = json.dumps(chosen)
+    return attrs
