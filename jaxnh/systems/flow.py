@@ -73,6 +73,11 @@ class Flow(eqx.Module):
         """The flow in continuous time: itself, or of a section the flow that it is of."""
         return self
 
+    @property
+    def section(self) -> str:
+        """Where the flow is a section of another: in words, else ""."""
+        return ""
+
     # ---- time
 
     @property

@@ -37,7 +37,7 @@ Components = Callable[[Vector, Vector, Number], Number]
 """(q, q̇, t) to a sequence of numbers."""
 
 Definition = Mapping[str, Any]
-"""What a system says of itself: `T`, `Q`, `coordinates`, `period`, and where there are some `f`, `angles`, `ignorable`."""
+"""What a system says of itself: `T`, `Q`, `coordinates`, `period`, and where it has them `f`, `angles`, `ignorable`."""
 
 FAULTS = ("none", "singular", "off_constraint", "not_finite")
 """Meanings of the codes in `Motion.watch`: why a lane has failed, 0 where it has not."""
