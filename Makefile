@@ -39,6 +39,7 @@ test: $(INSTALLED)
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check .
 	$(RUN)/basedpyright --warnings
+	$(RUN)/lint-imports --no-cache
 	$(RUN)/pytest --numprocesses 2
 
 slow: $(INSTALLED)

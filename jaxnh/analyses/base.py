@@ -131,7 +131,7 @@ class Scene:
     error_estimate: float
     place: Int[np.ndarray, " lanes"] | None = None
     along: Axis | None = None
-    chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     precision: str = "float64"
 
     @property
@@ -178,7 +178,11 @@ class Scene:
     def at(self, values: Float[np.ndarray, " points"]) -> Scene:
         """The scene at other values along the first axis, the start state and all else as in its first lane."""
         along = replace(self.line, values=np.asarray(values))
-        start, p = jax.tree.map(lambda leaf: np.full(len(values), leaf[0]), (self.start, dict(self.p)))
+
+        def repeated(leaf: np.ndarray) -> np.ndarray:
+            return np.full(len(values), leaf[0])
+
+        start, p = jax.tree.map(repeated, (self.start, dict(self.p)))
         return replace(self, start=start, p={**p, along.name: along.values}, place=None, along=along)
 
     def strobe(self, refinement: float = 1) -> Strobe:
@@ -190,12 +194,20 @@ class Scene:
 
 def picked(tree: Any, lanes: slice | Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"]) -> Any:
     """Some lanes of a pytree whose leaves have the lanes as first axis."""
-    return jax.tree.map(lambda leaf: leaf[lanes], tree)
+
+    def some(leaf: np.ndarray) -> np.ndarray:
+        return leaf[lanes]
+
+    return jax.tree.map(some, tree)
 
 
 def spread(start: State, lanes: int) -> State:
     """A start state of floats as lanes, components of shape (lanes,)."""
-    return jax.tree.map(lambda component: np.full(lanes, component, float), start)
+
+    def lane(component: float) -> np.ndarray:
+        return np.full(lanes, component, float)
+
+    return jax.tree.map(lane, start)
 
 
 def section_points(scene: Scene) -> Float[np.ndarray, "lanes dimension"]:
@@ -356,4 +368,4 @@ class Analysis:
     check: Callable[[Any, Setting], None] = _all_right
     table: Callable[[xr.Dataset, Mapping[str, np.ndarray], str], Table] | None = None
     price: Callable[[Any, Scene], Price] | None = None
-    brief: Mapping[str, int] = field(default_factory=dict)
+    brief: Mapping[str, int] = field(default_factory=dict[str, int])

@@ -61,7 +61,7 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
         "angles": _ANGLES,
         "panel": "curves",
         "panel_variables": "k",
-        "panel_label": "0–1 test",
+        "panel_label": "0–1 test, $K$",
         "panel_levels": "0 1",
     }
     return xr.Dataset(variables, attrs=attrs)

@@ -33,6 +33,9 @@ _NUMBERS = ("delta_limit", "delta_limit_error", "levels_found")  # a cascade; at
 _MOST_SHOWN = 16  # cascades in a table of many
 
 
+_OWN_NAMES = ("period", "delta", "delta_error", "delta_limit", "delta_limit_error", "levels_found")
+
+
 class DoublingOptions(Options):
     """Options of `doubling`."""
 
@@ -52,6 +55,8 @@ def independent(options: DoublingOptions) -> bool:
 def check(options: DoublingOptions, setting: Setting) -> None:
     """See that the first axis is a parameter of the lanes' own, by which the map has a derivative."""
     first = setting.axes[0]
+    if first.name in _OWN_NAMES:
+        raise OptionError(f"{first.name} is what doubling calls a number of its own; rename the parameter")
     if first.kind == "lane":
         return
     shared = first.kind == "shared"

@@ -22,7 +22,7 @@ RESUME = 75
 
 _GRACE = 20.0  # seconds after a signal in which work in hand may come to a place to stop
 # The base of all faults of a command line, wherever typer keeps its parser.
-_UsageError: Any = typer.BadParameter.__mro__[1]
+_UsageError: type[Any] = typer.BadParameter.__mro__[1]
 
 
 class Stop:
@@ -111,7 +111,7 @@ def _end(error: Exception) -> tuple[int, str]:
     if isinstance(error, InputError):
         return 2, str(error)
     if isinstance(error, _UsageError):
-        return 2, f"command line: {' '.join(str(error.format_message()).split())}"
+        return 2, f"command line: {' '.join(str(error.format_message()).split())}"  # pyright: ignore[reportAttributeAccessIssue]
     if isinstance(error, Stopped):
         return RESUME, f"{error}; {GO_ON}"
     if isinstance(error, JaxnhError):

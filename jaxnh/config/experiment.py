@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
 from pydantic.json_schema import GenerateJsonSchema
 
@@ -82,6 +83,32 @@ class Experiment(Block):
             ConfigError: one line, `experiment:LINE: KEY: what is wrong`.
         """
         return _validated(from_text(text), Path(), user_text)
+
+    def variant(
+        self, analyses: Mapping[str, Options | Mapping[str, Any] | None], axes: Mapping[str, ArrayLike]
+    ) -> Experiment:
+        """The same experiment with other analyses, and on other lanes.
+
+        Args:
+            analyses: name to options; None for those that it has here, or else all defaults.
+            axes: values of parameters or of coordinates of the start by name, in place of what the experiment says of
+                them; its other axes stay.
+
+        Raises:
+            ConfigError: one line, `experiment: KEY: what is wrong`.
+        """
+        content: dict[str, Any] = {**(self._origin.data if self._origin else {}), "compare": None}
+        for block in ("system", "initial"):
+            given = content.get(block) or {}
+            content[block] = {key: value for key, value in given.items() if key not in axes}
+        grids = {name: {"values": np.atleast_1d(np.asarray(values, float)).tolist()} for name, values in axes.items()}
+        content["sweep"] = {**content["sweep"], **grids}
+        own = content["analyses"]
+        content["analyses"] = {
+            name: own.get(name) or {} if options is None else _plain_options(options)
+            for name, options in analyses.items()
+        }
+        return _validated(from_dict(content), Path(), user_file=self.user_file)
 
     # ---- rules
 
@@ -310,11 +337,19 @@ def _layout(axes: Iterable[str], user: bool = False) -> Layout:
     return Layout(models, variants, selectors)
 
 
-def _validated(source: Source, folder: Path, user_text: str | None = None) -> Experiment:
+def _plain_options(options: Options | Mapping[str, Any]) -> dict[str, Any]:
+    return options.model_dump(exclude_unset=True) if isinstance(options, Options) else dict(options)
+
+
+def _validated(
+    source: Source, folder: Path, user_text: str | None = None, user_file: UserFile | None = None
+) -> Experiment:
     """The experiment that a source says.
 
     Args:
         folder: where a user's file is named from.
+        user_text: what that file says, in place of reading it.
+        user_file: the file, where it has been read and tried out before.
     """
     system, sweep = source.data.get("system"), source.data.get("sweep")
     file = system.get("file") if isinstance(system, dict) else None
@@ -322,9 +357,9 @@ def _validated(source: Source, folder: Path, user_text: str | None = None) -> Ex
     if not isinstance(file, str):
         model, layout, context = Experiment, _layout(Sweep.model_fields), None
     else:
-        if user_text is None and not (folder / file).is_file():
+        if user_file is None and user_text is None and not (folder / file).is_file():
             raise source.error(("system", "file"), f"there is no file {folder / file}")
-        context = UserFile(folder / file, user_text)
+        context = user_file or UserFile(folder / file, user_text)
         model, layout = UserExperiment, _layout(axes, user=True)
     try:
         experiment = model.model_validate(source.data, context=context)

@@ -95,7 +95,7 @@ def on_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool)
     """
     names = [axis.name for axis in axes]
     others = tuple(names[1:]) if line else ()
-    lane_dims = tuple(names)
+    lane_dims, shared = tuple(names), tuple(axis.name for axis in axes if axis.kind == "shared")
     attrs, content = dict(data.attrs), {}
     for name, item in data.variables.items():
         dims, values = tuple(map(str, item.dims)), item.values
@@ -105,6 +105,8 @@ def on_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool)
             content[name] = (others + dims, values.reshape((1,) * len(others) + values.shape), item.attrs)
         elif line and not dims and not others:
             attrs[str(name)] = values.item()
+        elif not line and name not in dims and shared:  # as times, which the clock decides
+            content[name] = (shared + dims, values.reshape((1,) * len(shared) + values.shape), item.attrs)
         else:
             content[name] = (dims, values, item.attrs)
     met = [axis for axis in axes if any(axis.name in dims for dims, _, _ in content.values())]

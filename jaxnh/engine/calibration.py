@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -58,7 +58,7 @@ class _Samples(NamedTuple):
     states: State
     p: Parameters
     row: Int[np.ndarray, " samples"]
-    where: Parameters
+    where: Mapping[str, Float[np.ndarray, " samples"]]
 
     def take(self, some: Int[np.ndarray, " some"]) -> _Samples:
         """Some of them."""

@@ -17,7 +17,7 @@ from jaxnh.config.experiment import Experiment
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.plan import compute
 from jaxnh.engine.xla_options import configure
-from jaxnh.exceptions import DamagedError, InputError, RunError, Stopped
+from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
 from jaxnh.storage import tiles
 from jaxnh.storage.pieces import Job, Piece
 from jaxnh.storage.tiles import Receipt

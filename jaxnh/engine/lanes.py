@@ -17,7 +17,6 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 from jaxnh.engine.progress import Progress, Silent
-from jaxnh.maps.protocol import Strobe
 
 TILE = 256
 """Lanes a tile: large enough to hide what a kernel call costs, small enough for a core's first cache."""
@@ -37,7 +36,7 @@ class Lanes:
     """
 
     def __init__(self, progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE) -> None:
-        self.devices = jax.devices() if devices is None else devices
+        self.devices: list[Any] = jax.devices() if devices is None else devices
         self.tile = tile
         self.lane_periods = 0.0
         self.compile_seconds = 0.0
@@ -108,7 +107,7 @@ class Lanes:
 
     def _tile(self, shared: tuple[Any, ...], tile: int | None) -> int:
         """Lanes a tile: as many as asked for, and no more than the maps in it are good for."""
-        most = [part.most_lanes for part in shared if isinstance(part, Strobe) and part.most_lanes]
+        most = [most for part in shared if (most := getattr(part, "most_lanes", None))]
         return min(tile or self.tile, *most) if most else tile or self.tile
 
     def _program(self, function: Callable[..., Any], static: tuple[Any, ...], shared: Any, lanes: Any) -> Any:

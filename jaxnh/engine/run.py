@@ -319,8 +319,8 @@ class _Run:
         )
 
 
-def attributes(experiment: Experiment, job: Job, total: Spent, command: str) -> dict[str, object]:
-    """Root attributes of the result of a run."""
+def attributes(experiment: Experiment, job: Job, total: Spent, command: str = "") -> dict[str, object]:
+    """Root attributes of a result; `command` is "" for a call from Python."""
     own = experiment.user_file
     found = provenance(
         title=experiment.title,

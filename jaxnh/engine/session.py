@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Float
-from pydantic import ValidationError
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import Analysis, Axis, OptionError, Options, Setting
+from jaxnh.analyses.base import Axis, Options
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers
 from jaxnh.engine.calibration import Plan
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.plan import (
-    Requested,
     batches,
     calibrate,
     choose,
@@ -28,15 +25,15 @@ from jaxnh.engine.plan import (
     count_warnings,
     job_of,
     plan_of,
-    root_of,
+    spent,
 )
 from jaxnh.engine.progress import Calling, Progress, Silent
-from jaxnh.engine.run import How, check_output, is_there, run_to_file
+from jaxnh.engine.run import How, attributes, check_output, is_there, run_to_file
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import InputError
 from jaxnh.storage.hdf5 import open_result
 from jaxnh.storage.merge import Extra, assemble
-from jaxnh.systems.flow import Flow
+from jaxnh.storage.pieces import Job
 
 ProgressCallback = Callable[[str, float, float], None]
 """(label, lane-periods done, lane-periods in all) of the stage in hand; an exception raised in it stops the call."""
@@ -57,7 +54,7 @@ class Session:
         experiment: Experiment,
         *,
         progress: ProgressCallback | Progress | None = None,
-        devices: Sequence[jax.Device] | None = None,
+        devices: Sequence[Any] | None = None,
     ) -> None:
         """Prepare JAX, if it has not started; nothing is computed yet.
 
@@ -80,7 +77,7 @@ class Session:
         Raises:
             AccuracyError: nothing meets the target.
         """
-        return self._plan_for(self.experiment.axes)
+        return self._plan_for(self.experiment, self.experiment.axes)
 
     def run(self, analysis: str, options: Mapping[str, Any] | Options | None = None, **axes: ArrayLike) -> xr.Dataset:
         """One analysis, on the experiment's lanes or on others.
@@ -98,85 +95,38 @@ class Session:
             InputError: there is no such analysis, option, parameter or coordinate, or they do not go together.
             AccuracyError: nothing meets the accuracy asked for.
         """
-        found = self._axes(axes)
-        fixed = [name for name, values in axes.items() if np.ndim(values) == 0]
-        groups = self._groups(self._requested(analysis, options), found)
-        return groups[analysis].squeeze(fixed, drop=False) if fixed else groups[analysis]
+        if analysis not in ANALYSES:
+            raise InputError(f"there is no analysis {analysis}; known are {', '.join(ANALYSES)}")
+        asked = self.experiment.variant({**dict.fromkeys(ANALYSES[analysis].needs), analysis: options}, axes)
+        _, groups = self._computed(asked)
+        fixed = [name for name, values in axes.items() if np.ndim(values) == 0 and name in groups[analysis].dims]
+        return groups[analysis].squeeze(fixed) if fixed else groups[analysis]
 
     def tree(self) -> xr.DataTree:
-        """All analyses that the experiment asks for, with the attributes that a result file has at its root."""
-        groups = self._groups(self.experiment.requested(), self.experiment.axes)
-        return xr.DataTree.from_dict({"/": xr.Dataset(attrs=self.attributes()), **groups})
-
-    def attributes(self) -> dict[str, Any]:
-        """What decides the numbers of the experiment: config, solver, steps, errors, axes."""
-        plan, experiment = self.plan, self.experiment
-        return {
-            "title": experiment.title,
-            "config": experiment.text,
-            "config_sha256": experiment.sha256,
-            "solver": plan.solver.name,
-            "steps_per_period": plan.steps,
-            "summation": "compensated" if plan.compensated else "plain",
-            "precision": experiment.precision,
-            "error_estimate": plan.error_estimate,
-            **root_of(experiment, experiment.axes),
-        }
+        """All analyses that the experiment asks for, with the root attributes of a result file."""
+        began = time.perf_counter()
+        job, groups = self._computed(self.experiment)
+        attrs = attributes(self.experiment, job, spent(self._lanes, time.perf_counter() - began))
+        return xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs), **groups})  # pyright: ignore[reportUnknownMemberType]
 
     # ---- how
 
-    def _requested(self, name: str, options: Mapping[str, Any] | Options | None) -> Requested:
-        """The analysis with its options, after those that it needs."""
-        if name not in ANALYSES:
-            raise InputError(f"there is no analysis {name}; known are {', '.join(ANALYSES)}")
-        asked = {analysis.name: given for analysis, given in self.experiment.requested()}
-        analysis = ANALYSES[name]
-        own = asked.get(name) if options is None else _options(analysis, options)
-        needed = [(ANALYSES[need], asked.get(need) or ANALYSES[need].options()) for need in analysis.needs]
-        return [*needed, (analysis, own or analysis.options())]
-
-    def _axes(self, given: Mapping[str, ArrayLike]) -> tuple[Axis, ...]:
-        """The experiment's axes with those of a call in their places."""
-        flow = self.experiment.flow()
-        own = {axis.name: axis for axis in self.experiment.axes}
-        for name, values in given.items():
-            own[name] = Axis(name, _values(name, values), *self._meaning(name, flow))
-        return tuple(own.values())
-
-    def _meaning(self, name: str, flow: Flow) -> tuple[str, Any]:
-        """Words for a parameter or coordinate, and its kind of axis."""
-        known = {axis.name: axis.kind for axis in self.experiment.axes}
-        parameters = [*flow.parameters, *(axis for axis, kind in known.items() if kind != "start")]
-        if name in parameters:
-            return flow.words(name), "shared" if flow.shares(name) else "lane"
-        if name in self.experiment.coordinates:
-            return flow.words(name), "start"
-        names = dict.fromkeys([*parameters, *self.experiment.coordinates])
-        raise InputError(f"there is no parameter or coordinate {name}; known are {', '.join(names)}")
-
-    def _plan_for(self, axes: tuple[Axis, ...]) -> Plan:
+    def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...]) -> Plan:
         """The plan of a sweep that has these lanes, calibrated if there is none yet."""
         for known, plan in self._plans:
             if _within(axes, known):
                 return plan
-        own = self.experiment.axes
-        wanted = own if _within(axes, own) else axes
+        if _within(axes, self.experiment.axes):
+            experiment, axes = self.experiment, self.experiment.axes
         with self._lanes.stage("accuracy: errors of one period on sample lanes", 0):
-            plan = plan_of(self.experiment, calibrate(self.experiment, wanted, self._lanes))
-        self._plans.append((wanted, plan))
+            plan = plan_of(experiment, calibrate(experiment, axes, self._lanes))
+        self._plans.append((axes, plan))
         return plan
 
-    def _groups(self, requested: Requested, axes: tuple[Axis, ...]) -> dict[str, xr.Dataset]:
-        """The datasets of analyses over axes."""
-        experiment, lanes = self.experiment, self._lanes
-        flow = experiment.flow()
-        setting = Setting(flow.flow, flow.autonomous, axes, experiment.precision)
-        for analysis, options in requested:
-            try:
-                analysis.check(options, setting)
-            except OptionError as error:
-                raise InputError(f"{analysis.name}{error.key and f'.{error.key}'}: {error}") from None
-        plan = self._plan_for(axes)
+    def _computed(self, experiment: Experiment) -> tuple[Job, dict[str, xr.Dataset]]:
+        """The datasets of all analyses that an experiment asks for, this one's or a variant of it."""
+        axes, requested, lanes = experiment.axes, experiment.requested(), self._lanes
+        plan = self._plan_for(experiment, axes)
         chosen = choose(experiment, axes, plan, requested, lanes)
         job = job_of(experiment, axes, plan, chosen, requested)
         parts: dict[str, list[Any]] = {name: [] for name in job.order}
@@ -191,7 +141,7 @@ class Session:
         whole = {name: assemble(parts[name], job, extras[name]) for name in job.order}
         for data in whole.values():
             data.attrs["axes"] = " ".join(job.names)
-        return whole
+        return job, whole
 
 
 def run(
@@ -240,22 +190,6 @@ def as_progress(progress: ProgressCallback | Progress | None) -> Progress:
     if progress is None:
         return Silent()
     return progress if hasattr(progress, "start") else Calling(progress)  # pyright: ignore[reportReturnType, reportArgumentType]
-
-
-def _options(analysis: Analysis, options: Mapping[str, Any] | Options) -> Options:
-    try:
-        return options if isinstance(options, Options) else analysis.options(**options)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(map(str, first["loc"]))
-        raise InputError(f"{analysis.name}{key and f'.{key}'}: {first['msg']}") from None
-
-
-def _values(name: str, values: ArrayLike) -> Float[np.ndarray, " n"]:
-    found = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    if found.ndim != 1 or not found.size or not np.all(np.isfinite(found)):
-        raise InputError(f"{name}: an axis is a number or a list of finite numbers, one after the other")
-    return found
 
 
 def _within(axes: Sequence[Axis], known: Sequence[Axis]) -> bool:

@@ -64,9 +64,7 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     return found
 
 
-def _pairs(
-    path: Path, name: str, data: xr.Dataset, piece: Piece, job: Job
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _pairs(path: Path, name: str, data: xr.Dataset, piece: Piece, job: Job) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The bytes of each lane, (lanes, bytes), as they come out now and as they stand in the file."""
     with h5py.File(path, "r") as file:
         group = hdf5.groups(file)[name]

@@ -57,6 +57,8 @@ def figure(result: xr.DataTree | xr.Dataset | Path | str) -> Figure:
                 found, said = _panels(name, data, groups)
             panels += found
             lines += [line for line in said if line not in lines]
+        if silent := [name for name, data in groups.items() if not kind_of(data)]:
+            lines.append(f"not drawn, since no attribute panel says how: {', '.join(silent)}")
         if panels:
             attrs = {str(key): value for key, value in tree.attrs.items()}
             return laid_out(panels, str(attrs.get("title", "")), [*_provenance(attrs), *lines])
@@ -81,8 +83,7 @@ def _panels(name: str, data: xr.Dataset, groups: _Groups) -> tuple[list[Panel], 
     kind = PANELS.get(kind_of(data))
     if kind is None:
         stated = kind_of(data)
-        why = f"its panel, {stated}, is of no kind known here" if stated else "it has no attribute panel that says how"
-        return [], [f"{name} is not drawn: {why}"]
+        return [], [f"{name} is not drawn: its panel, {stated}, is of no kind known here"] if stated else []
     return _of_lanes(name, data, kind, groups) if kind.each == "lane" else _over_an_axis(name, data, kind, groups)
 
 

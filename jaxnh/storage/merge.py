@@ -358,5 +358,7 @@ class _MergedGroup:
         attrs, of_first = self._common.attributes(extra), store.attributes(self._group)
         for key in of_first.keys() - attrs.keys():
             del self._group.attrs[key]
-        news = {key: value for key, value in attrs.items() if key not in of_first or _text(value) != _text(of_first[key])}
+        news = {
+            key: value for key, value in attrs.items() if key not in of_first or _text(value) != _text(of_first[key])
+        }
         store.set_attributes(self._group, news)

@@ -115,7 +115,11 @@ class Flow(eqx.Module):
 
     def blanked(self, y: State, kept: Any) -> State:
         """The state of a lane that is kept, and not a number of one that is not."""
-        return jax.tree.map(lambda x: jnp.where(kept, x, jnp.nan), y)
+
+        def component(x: Array) -> Array:
+            return jnp.where(kept, x, jnp.nan)
+
+        return jax.tree.map(component, y)
 
     # ---- section coordinates
 

@@ -205,13 +205,15 @@ def test_groups_that_do_not_say_how_are_named():
     plain = states(FEW, 5)
     old, later = plain.copy(), plain.assign_attrs(panel="hologram")
     del old.attrs["panel"]
-    drawing = figure(tree({"old": old, "later": later, "values": plain}))
+    drawing = figure(tree({"old": old, "older": old, "later": later, "values": plain}))
     assert len(drawing.axes) == 1
     assert below(drawing)[1:] == [
-        "old is not drawn: it has no attribute panel that says how",
         "later is not drawn: its panel, hologram, is of no kind known here",
+        "not drawn, since no attribute panel says how: old, older",
     ]
-    with pytest.raises(ResultError, match=r"^the result has nothing that can be drawn; old is not drawn: it has no"):
+    with pytest.raises(
+        ResultError, match=r"^the result has nothing that can be drawn; not drawn, since no attribute panel"
+    ):
         figure(tree({"old": old}))
     with pytest.raises(ResultError, match="nothing that can be drawn"):
         figure(old)
