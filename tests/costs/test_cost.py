@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import xarray as xr
 from conftest import ROOT
+from measure import scene_of
 
-from jaxnh.analyses.base import Scene
 from jaxnh.costs import exponent
 from jaxnh.engine.lanes import Lanes
 from jaxnh.solvers import SOLVERS, SPLITTINGS
@@ -174,12 +174,12 @@ def test_price_of_an_exponent(monkeypatch):
         monkeypatch.setattr(exponent, name, value)
     group = exponent.price(scene(np.linspace(5.3, 5.35, 8)), Lanes())
     assert group is not None
-    error = group.variables["error"].data[:, 1]
+    error = group["error"].to_numpy()[:, 1]
     assert group.attrs["reference_periods"] == 2560
     assert 5.3 <= group.attrs["b"] <= 5.35
     assert 0.02 < group.attrs["reference"] < 0.5
     assert 2 < error[0] / error[1] < 12
-    assert np.all(np.diff(group.variables["cpu_seconds"].data) > 0)
+    assert np.all(np.diff(group["cpu_seconds"]) > 0)
 
 
 def test_no_price_without_chaos(monkeypatch):
@@ -192,7 +192,7 @@ def test_no_price_without_chaos(monkeypatch):
 def scene(values):
     system = constant_speed()
     start = ((0.1, 0.1), (0.1, float(np.sqrt(0.99))))
-    return Scene(system, start, values, SPLITTINGS["blanes_moan6"], 60, False, 1e-5)
+    return scene_of(system, start, values, SPLITTINGS["blanes_moan6"], 60, error=1e-5)
 
 
 @pytest.mark.parametrize(
