@@ -40,7 +40,9 @@ def other_lanes(lanes, system, first, last):
     points = []
     for k, n in enumerate((0, 3, 9, 41, 100)):
         state = jax.tree.map(lambda leaf: np.full(100, leaf), START)
-        points.append(jax.vmap(chart)(lanes(iterate, (strobe, np.int32(n)), (state, {"b": b[100 * k : 100 * k + 100]}))))
+        points.append(
+            jax.vmap(chart)(lanes(iterate, (strobe, np.int32(n)), (state, {"b": b[100 * k : 100 * k + 100]})))
+        )
     return b, np.concatenate(points)
 
 
@@ -72,7 +74,9 @@ def test_estimate_on_its_own_lanes(lanes, name):
     exact = taylor.strobe(twin(system), b, point)
     calibration = calibrated(system, start, np.array([b]), lanes)
     for solver, steps in ((SPLITTINGS["blanes_moan4"], 100), (SPLITTINGS["kahan_li8"], 40)):
-        image = lanes(iterate, (make_strobe(system, solver, steps), np.int32(1)), (spread(start, 1), {"b": np.array([b])}))
+        image = lanes(
+            iterate, (make_strobe(system, solver, steps), np.int32(1)), (spread(start, 1), {"b": np.array([b])})
+        )
         (x, y), n = jax.tree.map(lambda leaf: leaf[0], image)
         end = [exact[0, 0], exact[0, 1], np.cos(exact[0, 2]), np.sin(exact[0, 2])]
         error = np.abs(np.array([x, y, *n]) - end).max()

@@ -49,7 +49,14 @@ def test_kicks_are_diffeqsolve_on_the_same_grid(lanes, system, name):
 
     def solve(u, b):
         solution = diffrax.diffeqsolve(
-            isokinetic_terms(system), solver, 0.0, system.period, None, unchart(u), args={"b": b}, stepsize_controller=grid
+            isokinetic_terms(system),
+            solver,
+            0.0,
+            system.period,
+            None,
+            unchart(u),
+            args={"b": b},
+            stepsize_controller=grid,
         )
         return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
 
@@ -194,7 +201,11 @@ def test_one_program_for_all_shared_parameters():
     """Speed and clock are data: sweeps over d, c and ω, and over splittings and steps, run through one program."""
     lanes = Lanes()
     for d in (0.0, 0.05, 0.1, -0.3):
-        lanes(iterate, (make_strobe(disturbed_speed(d=d), SPLITTINGS["blanes_moan6"], 60), np.int32(1)), (start_states(), P))
+        lanes(
+            iterate,
+            (make_strobe(disturbed_speed(d=d), SPLITTINGS["blanes_moan6"], 60), np.int32(1)),
+            (start_states(), P),
+        )
     assert len(lanes._programs) == 1
     for system in (disturbed_speed(c=1.7), disturbed_speed(omega=1.5), disturbed_speed(a=0.3)):
         lanes(iterate, (make_strobe(system, SPLITTINGS["kahan_li8"], 40), np.int32(2)), (start_states(), P))

@@ -181,7 +181,9 @@ def test_force_pullback(system, without):
     by_q, by_p = jax.vjp(lambda q, p: system.force(q, g, weight, p), q, p)[1](m)
     named = ("a",) if "coupling" in without else ("b", "a")
     rows = system.force_pullback(q, g, weight, p, m, named)
-    np.testing.assert_allclose(np.array(rows), np.array([*by_q, *(by_p[name] for name in named)]), atol=ROUNDOFF, rtol=0)
+    np.testing.assert_allclose(
+        np.array(rows), np.array([*by_q, *(by_p[name] for name in named)]), atol=ROUNDOFF, rtol=0
+    )
     assert len(system.force_pullback(q, g, weight, p, m)) == 2
 
 
