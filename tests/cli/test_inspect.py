@@ -11,9 +11,9 @@ import sys
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 from conftest import ROOT
 
-from jaxnh.analyses.base import Group, Variable
 from jaxnh.storage import hdf5 as store
 
 CONFIG = """\
@@ -86,7 +86,7 @@ def test_verify_runs_lanes_again(made, tmp_path):
         data = file["lyapunov/exponents"]
         data[3, 0] = np.nextafter(data[3, 0], 9)
         data.attrs[store.DATA] = store.checksum(data[()]).hexdigest()
-        file.attrs[store.SEAL] = store._digest(file)
+        file.attrs[store.SEAL] = store.digest(file)
     run = inspect(other, "--verify")
     assert run.returncode == 2
     assert "lyapunov: run again, 1 of 48 lanes differ" in run.stderr
@@ -106,23 +106,108 @@ def test_table(made):
     assert len(rows) == 1 + 50 * 2
 
 
+def variable(dims, data, long_name, units="1", **attrs):
+    return dims, data, {"long_name": long_name, "units": units, **attrs}
+
+
 def test_failed_lanes_have_a_reason(tmp_path):
     path = tmp_path / "failed.h5"
     b, x, failed = np.linspace(1, 2, 11), np.zeros((11, 2)), np.zeros(11, np.int8)
     x[3, 1], failed[[2, 5]] = np.nan, 1
     why, codes = {"flag_values": np.arange(3), "flag_meanings": "none singular not_finite"}, np.zeros(11, np.int8)
     codes[[4, 6, 7]] = 1, 2, 1
+    axis = {"b": variable("b", b, "b")}
     groups = {
-        "poincare": Group({"b": Variable(("b",), b, "b"), "failure": Variable(("b",), codes, "why", attrs=why)}),
-        "diagram": Group({"b": Variable(("b",), b, "b"), "x1": Variable(("b", "strobe"), x, "x1")}),
-        "period": Group({"b": Variable(("b",), b, "b"), "failed": Variable(("b",), failed, "failed")}),
+        "poincare": xr.Dataset({**axis, "failure": variable("b", codes, "why", **why)}),
+        "diagram": xr.Dataset({**axis, "x1": variable(("b", "strobe"), x, "x1")}, attrs={"panel": "density"}),
+        "period": xr.Dataset({**axis, "failed": variable("b", failed, "failed")}),
     }
-    store.write(path, {"jaxnh_version": "0"}, groups)
+    store.write(path, {"jaxnh_version": "0", "axes": "b"}, groups)
     lines = inspect(path).stdout.splitlines()
     assert "poincare: 2 of 11 lanes failed: singular, at b = 1.4, 1.7" in [line.strip() for line in lines]
     assert "poincare: 1 of 11 lanes failed: not_finite, at b = 1.6" in [line.strip() for line in lines]
-    assert "diagram: 1 of 11 lanes failed: left the numbers (x1), at b = 1.3" in [line.strip() for line in lines]
-    assert "period: 2 of 11 lanes failed: left the numbers, at b = 1.2, 1.5" in [line.strip() for line in lines]
+    assert "diagram: 1 of 11 lanes failed: non-finite state (x1), at b = 1.3" in [line.strip() for line in lines]
+    assert "period: 2 of 11 lanes failed: non-finite state, at b = 1.2, 1.5" in [line.strip() for line in lines]
+    assert not any("panel" in line for line in lines)
+
+
+@pytest.fixture
+def plane(tmp_path):
+    """A result over two axes under names of their own, one of them after the dimensions of a variable."""
+    path = tmp_path / "plane.h5"
+    rng = np.random.default_rng(5)
+    drive, omega = np.linspace(1, 2, 50), np.array([0.5, 1.0, 1.5])
+    x = rng.normal(size=(50, 3, 400))
+    x[7, 2, 399] = x[9, 0, 0] = np.nan
+    axes = {"drive": variable("drive", drive, "drive"), "omega": variable("omega", omega, "frequency omega", "1/time")}
+    codes = np.zeros((4, 3, 50), np.int8)
+    codes[2, 1, [3, 4, 5, 6, 7]] = 1
+    why = {"flag_values": np.arange(2), "flag_meanings": "none singular"}
+    diagram = {
+        "x1": variable(("drive", "omega", "strobe"), x, "position"),
+        "x2": variable(("drive", "omega", "strobe"), rng.normal(size=x.shape).astype(np.float32), "velocity"),
+        "t": variable("strobe", np.arange(400) / 3, "time"),
+        "period": variable("omega", 2 * np.pi / omega, "strobe period"),
+        "word": variable("drive", np.array(["a", 'b, "c"'] * 25), "word"),
+        "limit": variable((), np.array(1.5), "a number"),
+        "kind": variable("drive", (np.arange(50) % 3).astype(np.int8), "kind"),
+    }
+    alone = {"delta": variable((), np.array(4.669), "δ"), "levels": variable((), np.array(6), "levels")}
+    groups = {
+        "diagram": xr.Dataset(diagram, axes).set_coords("t"),
+        "poincare": xr.Dataset({"failure": variable(("start", "omega", "drive"), codes, "why", **why)}, axes),
+        "alone": xr.Dataset(alone),
+    }
+    store.write(path, {"jaxnh_version": "0", "axes": "drive omega"}, groups)
+    return path, groups
+
+
+def test_two_axes(plane):
+    path, _ = plane
+    run = inspect(path)
+    assert (run.returncode, run.stderr) == (0, "")
+    text = " ".join(run.stdout.split())
+    assert "sweep 50 values of drive, from 1 to 2 × 3 values of omega, from 0.5 to 1.5" in text
+    assert "x1 drive 50 × omega 3 × strobe 400 1" in text
+    lost = "(1.14286, 1.5), (1.18367, 0.5)"
+    assert f"diagram: 2 of 150 lanes failed: non-finite state (x1), at (drive, omega) = {lost}" in text
+    assert "poincare: 5 of 150 lanes failed: singular, at (drive, omega) = (1.06122, 1)" in text
+    assert "(1.12245, 1), …" in text
+
+
+def test_table_of_two_axes(plane):
+    """A row a place, more of them than are made at once; every number to its last bit, and text as it is."""
+    path, groups = plane
+    rows = list(csv.reader(io.StringIO(inspect(path, "--csv", "diagram").stdout)))
+    data, columns = groups["diagram"], np.array(rows[1:]).T
+    assert rows[0] == ["drive", "omega", "strobe", "x1", "x2", "t", "period", "word", "limit", "kind"]
+    assert len(rows) == 1 + 50 * 3 * 400
+    order = ("drive", "omega", "strobe")
+    for name, column in zip(rows[0], columns, strict=True):
+        values = data[name] if name in data.variables else xr.DataArray(np.arange(400), dims="strobe")
+        expected = values.broadcast_like(data["x1"]).transpose(*order).values.ravel()
+        if expected.dtype.kind == "U":
+            assert column.tolist() == expected.tolist()
+        else:
+            np.testing.assert_array_equal(column.astype(float), expected.astype(float))
+    rows = list(csv.reader(io.StringIO(inspect(path, "--csv", "alone").stdout)))
+    assert rows == [["delta", "levels"], ["4.669", "6"]]
+
+
+def test_file_without_axes(tmp_path):
+    """A result that does not say over what it goes is shown all the same."""
+    path = tmp_path / "costs.h5"
+    group = xr.Dataset(
+        {
+            "target": variable("target", np.array([1e-6, 1e-9]), "target"),
+            "time": variable("target", np.ones(2), "seconds", "s"),
+        }
+    )
+    store.write(path, {"jaxnh_version": "0", "cost_of": "c" * 64}, {"solvers": group})
+    run = inspect(path)
+    assert run.returncode == 0, run.stderr
+    assert "time target 2 s 1 … 1" in " ".join(run.stdout.split())
+    assert inspect(path, "--csv", "solvers").stdout == "target,time\n1e-06,1.0\n1e-09,1.0\n"
 
 
 def test_what_is_no_result(made, tmp_path):

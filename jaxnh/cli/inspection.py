@@ -1,0 +1,275 @@
+"""What `jaxnh.inspect` says of a result file: how it was made, what is in it, whether it is right. No JAX at import.
+
+Variables are read by h5py in blocks: a result may be larger than memory.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+import h5py
+import numpy as np
+import xarray as xr
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from jaxnh.exceptions import ConfigError, InputError, ResultError
+from jaxnh.storage import hdf5 as store
+
+_WIDTH = 110  # columns where the output goes to a file
+_NAMED = 4  # lanes that are named where some have failed
+_ROWS = 1 << 16  # rows of a table that are made at once
+
+
+# ---- what it is
+
+
+def show(path: Path, file: h5py.File) -> None:
+    """Print what a result says of itself: provenance, then every variable with its sizes and range, then notes."""
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_WIDTH)
+    attrs = store.attributes(file)
+    axes = str(attrs.get("axes", "")).split()
+    grid = Table.grid(padding=(0, 2))
+    for head, words in _facts(path, attrs, _coordinates(file, axes)):
+        grid.add_row(head, words)
+    console.print(grid, highlight=False, markup=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for head in ("variable", "dimensions", "units", "range", ""):
+        table.add_column(head, justify="right" if head == "range" else "left")
+    notes: list[str] = []
+    for name, group in store.groups(file).items():
+        table.add_row(f"[bold]{name}")
+        for key, item in store.variables(group).items():
+            if not (item.is_scale and (key in axes or _words(item).startswith("index along"))):
+                found = _range(item)
+                table.add_row(f"  {key}", _sizes(item), str(item.attrs.get("units", "")), found.words, found.note)
+        notes += [f"{name}: {note}" for note in _notes(group, axes)]
+    console.print(table)
+    for note in notes:
+        console.print(note, highlight=False, markup=False)
+
+
+def _words(item: h5py.Dataset) -> str:
+    return str(item.attrs.get("long_name", ""))
+
+
+def _coordinates(file: h5py.File, axes: Sequence[str]) -> dict[str, np.ndarray]:
+    """Values of the axes, each from the first group that has them."""
+    found: dict[str, np.ndarray] = {}
+    for group, axis in itertools.product(store.groups(file).values(), axes):
+        if axis not in found and axis in group and store.dimensions(store.variable(group, axis)) == (axis,):
+            found[axis] = store.read(store.variable(group, axis))
+    return found
+
+
+def _facts(path: Path, attrs: store.Attributes, axes: dict[str, np.ndarray]) -> Iterator[tuple[str, str]]:
+    """Heads and words of what stands above the table."""
+    size = path.stat().st_size
+    yield "file", f"{path}, {size / 1e6:,.1f} MB" if size > 1e6 else f"{path}, {size / 1e3:,.1f} kB"
+    yield "title", str(attrs.get("title", ""))
+    yield "made", str(attrs.get("history", "")).splitlines()[0] if attrs.get("history") else ""
+    libraries = json.loads(attrs.get("versions", "{}"))
+    yield "by", ", ".join([f"jaxnh {attrs['jaxnh_version']}", *(f"{name} {v}" for name, v in libraries.items())])
+    digest = attrs.get("config_sha256", attrs.get("cost_of", ""))
+    yield "config", f"{len(str(attrs.get('config', '')).splitlines())} lines, SHA-256 {str(digest)[:16]}…"
+    if "system_file" in attrs:
+        lines = len(str(attrs["system_file"]).splitlines())
+        yield "system", f"{attrs['system_file_path']}, {lines} lines, SHA-256 {attrs['system_file_sha256'][:16]}…"
+    for k, (name, values) in enumerate(axes.items()):
+        if len(values):
+            words = f"{len(values):,} values of {name}, from {values[0]:.8g} to {values[-1]:.8g}"
+            yield "" if k else "sweep", f"× {words}" if k else words
+    if "solver" in attrs:
+        yield (
+            "accuracy",
+            f"{attrs['solver']}, {attrs['steps_per_period']} steps a period, {attrs.get('summation', 'plain')} sums, "
+            f"error of one {'return' if 'section' in attrs else 'period'} {attrs['error_estimate']:.1e}",
+        )
+    wall, work = float(attrs.get("wall_seconds", math.nan)), float(attrs.get("lane_periods", math.nan))
+    compiled = float(attrs.get("compile_seconds", math.nan))
+    yield (
+        "cost",
+        f"{wall:,.1f} s, of these compiling {compiled:,.1f} s; {work:,.0f} lane-periods, {work / wall:,.0f} a second; "
+        f"{attrs.get('device', '')}",
+    )
+
+
+def _sizes(item: h5py.Dataset) -> str:
+    return " × ".join(f"{dim} {size:,}" for dim, size in zip(store.dimensions(item), item.shape, strict=True))
+
+
+class _Range(NamedTuple):
+    """Least and largest number of a variable in words, and what there is to note."""
+
+    words: str
+    note: str
+
+
+def _range(item: h5py.Dataset) -> _Range:
+    """Range of the finite numbers, block by block; of flags their meanings."""
+    if h5py.check_string_dtype(item.dtype) or not item.size:
+        return _Range("", "text" if item.size else "empty")
+    low, high, lost = math.inf, -math.inf, 0
+    meanings = str(item.attrs.get("flag_meanings", "")).split()
+    counts = np.zeros(len(meanings), int)
+    for block in store.blocks(item):
+        finite = np.isfinite(block)
+        lost += block.size - np.count_nonzero(finite)
+        if finite.any():
+            low, high = min(low, block[finite].min()), max(high, block[finite].max())
+        for k, flag in enumerate(np.atleast_1d(item.attrs.get("flag_values", []))[: len(meanings)]):
+            counts[k] += np.count_nonzero(block == flag)
+    if meanings:
+        return _Range("", ", ".join(f"{n:,} {word}" for n, word in zip(counts, meanings, strict=True) if n))
+    words = f"{low:.5g} … {high:.5g}" if low <= high else "–"
+    return _Range(words, f"{lost:,} not finite" if lost else "")
+
+
+# ---- notes on a group
+
+
+def _notes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:
+    """Attributes of a group but those that say how it is drawn, lanes that have failed, and warnings."""
+    attrs = store.attributes(group)
+    warnings = str(attrs.pop("warnings", ""))
+    attrs = {key: value for key, value in attrs.items() if not key.startswith("panel")}
+    if attrs:
+        words = {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in attrs.items()}
+        yield ", ".join(f"{key} {value}" for key, value in words.items())
+    yield from _failed_lanes(group, axes)
+    yield from filter(None, warnings.split("\n"))
+
+
+def _failed_lanes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:
+    """Lanes that have failed, and why: by a flag that says so, or by the first variable of lanes that is not finite."""
+    items = store.variables(group)
+    of_lanes = {key: item for key, item in items.items() if axes and set(axes) <= set(store.dimensions(item))}
+    reasons: list[tuple[str, np.ndarray]] = []
+    if "failure" in of_lanes:
+        meanings = str(items["failure"].attrs["flag_meanings"]).split()
+        codes = _over_lanes(items["failure"], axes, np.asarray)
+        reasons = [(why, codes == k) for k, why in enumerate(meanings) if k]
+    elif "failed" in of_lanes:
+        reasons = [("non-finite state", _over_lanes(items["failed"], axes, np.asarray) != 0)]
+    else:
+        state = next((key for key, item in of_lanes.items() if item.dtype.kind == "f" and key not in axes), None)
+        if state:
+            lost = _over_lanes(items[state], axes, lambda values: ~np.isfinite(values))
+            reasons = [(f"non-finite state ({state})", lost != 0)]
+    for why, lanes in reasons:
+        if lanes.any():
+            places = np.argwhere(lanes)[:_NAMED]
+            named = ", ".join(_place([items.get(axis) for axis in axes], place) for place in places)
+            more = ", …" if np.count_nonzero(lanes) > _NAMED else ""
+            head = axes[0] if len(axes) == 1 else f"({', '.join(axes)})"
+            yield f"{np.count_nonzero(lanes):,} of {lanes.size:,} lanes failed: {why}, at {head} = {named}{more}"
+
+
+def _over_lanes(item: h5py.Dataset, axes: Sequence[str], code: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """The largest code of each lane, 0 or more, (*axes) in their order; read block by block."""
+    dims = store.dimensions(item)
+    own = tuple(k for k, dim in enumerate(dims) if dim not in axes)
+    kept = [k for k in range(len(dims)) if k not in own]
+    found = np.zeros([item.shape[k] for k in kept], int)
+    for where in item.iter_chunks() if item.chunks else [(slice(None),) * len(dims)]:
+        place = tuple(where[k] for k in kept)
+        found[place] = np.maximum(found[place], code(store.read(item, where)).astype(int).max(axis=own, initial=0))
+    return found.transpose([[dims[k] for k in kept].index(axis) for axis in axes])
+
+
+def _place(axes: Sequence[h5py.Dataset | None], place: Sequence[int]) -> str:
+    """Where a lane lies, in values of the axes."""
+    words = [f"{k if axis is None else axis[k]:.6g}" for axis, k in zip(axes, place, strict=True)]
+    return words[0] if len(words) == 1 else f"({', '.join(words)})"
+
+
+# ---- as a table
+
+
+def write_csv(path: Path, group: str, out: TextIO) -> None:
+    """A row for every place along the dimensions of the group's largest variables; those with fewer are repeated.
+
+    Numbers are written so that they are read back to the last bit.
+    """
+    with h5py.File(path, "r") as file:
+        of = {key: store.dimensions(item) for key, item in store.variables(store.groups(file)[group]).items()}
+    dims = max(of.values(), key=len, default=())
+    keys = [*dims, *(key for key in of if key not in dims and set(of[key]) <= set(dims))]
+    with store.open_result(path) as tree:
+        data = tree[group].to_dataset()[keys]
+        if not dims:  # numbers alone: one row
+            data, dims = data.expand_dims("row"), ("row",)
+        rows = max(1, _ROWS // max(1, math.prod(data.sizes[dim] for dim in dims[1:])))
+        for first in range(0, max(data.sizes[dims[0]], 1), rows):
+            part = data.isel({dims[0]: slice(first, first + rows)}).map(_in_full)
+            frame = part.to_dataframe(dim_order=list(dims)).reset_index()[keys]
+            frame.to_csv(out, header=first == 0, index=False, na_rep="nan", lineterminator="\n")
+
+
+def _in_full(variable: xr.DataArray) -> xr.DataArray:
+    """Numbers of single precision as doubles, which have the digits that a reader of doubles needs."""
+    return variable.astype(np.float64) if variable.dtype == np.float32 else variable
+
+
+# ---- is it right
+
+
+def check_file(path: Path) -> None:
+    """Compare a result with its checksums and say so.
+
+    Raises:
+        InputError: something does not fit.
+    """
+    try:
+        store.verify(path)
+    except ResultError as error:
+        raise InputError(f"command line: FILE: {error}") from None
+    print("all data, names and attributes fit their checksums")
+
+
+def run_again(path: Path) -> None:
+    """Compute a sample of the lanes of a result anew, compare bit for bit, and print the outcome of each analysis.
+
+    Raises:
+        InputError: something differs, or the file says too little of how it was made.
+    """
+    attrs = store.read_attrs(path)
+    if "system_file" in attrs:
+        print(_state_of(Path(attrs["system_file_path"]), attrs["system_file"]))
+    from jaxnh.engine import verification  # the only thing here that needs JAX, which takes a second to start
+
+    try:
+        found = verification.sample(path)
+    except (ResultError, ConfigError) as error:
+        words = " ".join(str(error).split())[:200]
+        raise InputError(f"command line: FILE: {path} cannot be run again: {words}") from None
+    for name, (lanes, differing) in found.items():
+        if differing:
+            raise InputError(
+                f"command line: FILE: {path}: {name}: run again, {differing} of {lanes} lanes differ; "
+                f"the file was made on {attrs['device']}"
+            )
+        print(
+            f"{name}: {lanes} lanes run again are equal bit for bit"
+            if lanes
+            else f"{name}: runs as a whole, not lane by lane"
+        )
+
+
+def _state_of(path: Path, text: str) -> str:
+    """A user's file beside what a result says it was."""
+    try:
+        if path.read_text(encoding="utf-8") == text:
+            return f"{path} is as it was"
+        now = "has changed since"
+    except (OSError, UnicodeDecodeError):
+        now = "is not there"
+    return f"{path} {now}; lanes are run again by its text in the result"
