@@ -30,11 +30,11 @@ from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting
-from jaxnh.systems.particle import IsokineticParticle
+from jaxnh.systems.particle import disturbed_speed
 from sweeps.peers_heyoka import true_scene
 from sweeps.peers_scene import Scene
 
-_SYSTEMS = {d: IsokineticParticle(a=0.5, c=1.0, d=d, omega=1.0) for d in (0.0, 0.1)}
+_SYSTEMS = {d: disturbed_speed(d=d) for d in (0.0, 0.1)}
 _PROBES, _PROBE_STAGES, _PROBE_ERROR = 45, 14, 3e-8
 _WEIGHTS = ((0.01, 10.0, 0.3), (0.1, 100.0, 0.1), (1.0, 1e4, 0.05), (1.0, 1e6, 0.03))
 """Stages of the search: weights of r7, of r3 and r5, and of the coefficients themselves."""
@@ -151,7 +151,7 @@ def errors(lanes: Lanes, scene: Scene, solver: IsokineticSplitting, steps: int) 
     """Signed errors of one period, (lanes, 4)."""
     x, y, n1, n2 = scene.unit_states.T
     strobe = make_strobe(_SYSTEMS[scene.d], solver, steps)
-    (x, y), (n1, n2) = lanes(iterate, (strobe, np.int32(1)), (((x, y), (n1, n2)), scene.b), periods=1)
+    (x, y), (n1, n2) = lanes(iterate, (strobe, np.int32(1)), (((x, y), (n1, n2)), {"b": scene.b}), periods=1)
     return (np.stack([x, y, n1, n2], axis=-1) - scene.ends).astype(float)
 
 

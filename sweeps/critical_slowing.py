@@ -18,15 +18,13 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.markdown import Markdown
-from ruamel.yaml import YAML
 
+import jaxnh
 from jaxnh.cli import terminal
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_strobe
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.storage import hdf5 as store
 from sweeps.critical_slowing_page import figure, page
 from sweeps.critical_slowing_study import SOLVER, STEPS, TABLES, Cascade, study_cascade
 
@@ -46,21 +44,22 @@ def read_cascade(path: Path) -> Cascade:
     if not path.exists():
         raise Missing(f"{path} is not there: run `make {' '.join(TABLES)}` first")
     try:
-        attrs, doubling = store.read_attrs(path), store.read_variables(path, "doubling")
-    except store.StoreError as error:
-        raise Missing(str(error)) from None
-    experiment = Experiment.model_validate(YAML(typ="safe").load(attrs["config"]))
+        with jaxnh.open_result(path) as tree:
+            experiment = jaxnh.Experiment.from_text(tree.attrs["config"])
+            doubling = tree["doubling"].to_dataset().load()
+    except (jaxnh.ResultError, jaxnh.ConfigError, KeyError) as error:
+        raise Missing(f"{path} is no table of doublings: {error}") from None
     compare = (experiment.compare or {}).get("doubling")
-    found = np.isfinite(doubling["b"])
+    found = np.isfinite(doubling["b"].to_numpy())
     if compare is None or found.sum() < 3:
         raise Missing(f"{path} has fewer than three doublings, or no published ones to compare with")
-    b, gaps = doubling["b"][found], np.diff(doubling["b"][found])
+    b = doubling["b"].to_numpy()[found]
+    gaps = np.diff(b)
     ahead = np.append(gaps, gaps[-1] ** 2 / gaps[-2])
     published = np.append(compare.columns()["b"], np.full(len(b), np.nan))[: len(b)]
-    system = experiment.system.build()
-    strobe = make_strobe(system, SPLITTINGS[SOLVER], STEPS)
-    start = jax.tree.map(float, experiment.initial.state(system))
-    n = doubling["period"][found].astype(int)
+    strobe = make_strobe(experiment.flow(), SPLITTINGS[SOLVER], STEPS)
+    start = jax.tree.map(lambda leaf: float(leaf[0]), experiment.start({}, 1))
+    n = doubling["period"].to_numpy()[found].astype(int)
     return Cascade(experiment.title, strobe, start, n, b, ahead, published, compare.source)
 
 

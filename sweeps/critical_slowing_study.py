@@ -6,12 +6,14 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.newton import Orbit, find_orbit
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.particle import State, chart, unchart
 
 TABLES = ("table1", "table2")
@@ -96,9 +98,9 @@ class Study(NamedTuple):
 # ---- the plain detection
 
 
-def strobe_points(strobe: Strobe, transient: Any, start: State, b: Any, count: int) -> Array:
+def strobe_points(strobe: Strobe, transient: ArrayLike, start: State, p: Parameters, count: int) -> Array:
     """x1 at `count` strobes after a transient, of one lane, (count,)."""
-    return record(strobe, iterate(strobe, transient, start, b), b, count)[1][0][0]
+    return record(strobe, iterate(strobe, transient, start, p), p, count)[1][0][0]
 
 
 def detected_period(x1: np.ndarray, threshold: np.ndarray) -> np.ndarray:
@@ -131,7 +133,7 @@ def detect(cascade: Cascade, lanes: Lanes, transients: np.ndarray) -> np.ndarray
         shared = (cascade.strobe, np.int32(transient), cascade.start)
 
         def doubled(b: np.ndarray, job: np.ndarray, shared: Any = shared) -> np.ndarray:
-            x1 = lanes(strobe_points, shared, (b,), periods=shared[1] + count, tile=_TILE, static=(count,))
+            x1 = lanes(strobe_points, shared, ({"b": b},), periods=shared[1] + count, tile=_TILE, static=(count,))
             period = detected_period(x1, threshold[job])
             return (period == 0) | (period > n[job])
 
@@ -177,9 +179,9 @@ def _multisect(
 # ---- the prediction
 
 
-def section(strobe: Strobe, transient: Any, start: State, b: Any) -> Array:
+def section(strobe: Strobe, transient: ArrayLike, start: State, p: Parameters) -> Array:
     """Section coordinates of one lane after a transient, (3,)."""
-    return chart(iterate(strobe, transient, start, b))
+    return chart(iterate(strobe, transient, start, p))
 
 
 def measure_law(cascade: Cascade, lanes: Lanes) -> Law:
@@ -188,7 +190,7 @@ def measure_law(cascade: Cascade, lanes: Lanes) -> Law:
     beyond = cascade.b + _SPLIT * ahead
     shared = (strobe, np.int32(_SETTLED), cascade.start)
     b = np.concatenate([cascade.b - _BESIDE * ahead, beyond])
-    single, double = np.split(lanes(section, shared, (b,), periods=_SETTLED, tile=_TILE), 2)
+    single, double = np.split(lanes(section, shared, ({"b": b},), periods=_SETTLED, tile=_TILE), 2)
     kappa, gamma, shift = (np.empty(len(ahead)) for _ in range(3))
     for k, n in enumerate(cascade.n):
         h = _CENTRED * ahead[k]
@@ -198,14 +200,14 @@ def measure_law(cascade: Cascade, lanes: Lanes) -> Law:
         shift[k] = (mu[1] + 1.0) / kappa[k]
         at = beyond[k : k + 1]
         start = unchart(_orbits(lanes, strobe, double[k], at, 2 * n).u.T)
-        x1 = lanes(strobe_points, (strobe, np.int32(0)), (start, at), tile=8, static=(2 * int(n),))[0]
+        x1 = lanes(strobe_points, (strobe, np.int32(0)), (start, {"b": at}), tile=8, static=(2 * int(n),))[0]
         gamma[k] = kappa[k] * _SPLIT * abs(ahead[k]) / np.max(np.abs(x1[n:] - x1[:n])) ** 2
     return Law(kappa, gamma, shift)
 
 
 def _orbits(lanes: Lanes, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
     """Orbits of period n at values of b, all from one start point."""
-    orbit = lanes(find_orbit, (strobe, np.int32(n)), (np.broadcast_to(u, (len(b), 3)), b), tile=8)
+    orbit = lanes(find_orbit, (strobe, np.int32(n)), (np.broadcast_to(u, (len(b), 3)), {"b": b}), tile=8)
     if not np.all(orbit.residual < _CONVERGED):
         raise RuntimeError(f"no orbit of period {n} was found near b = {b[0]:.9g}")
     return orbit

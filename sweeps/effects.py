@@ -16,7 +16,7 @@ from typing import Annotated
 
 import typer
 
-from jaxnh.storage import hdf5 as store
+import jaxnh
 
 SCENES = ("table1", "fig01", "range_constant", "table2", "fig06", "range_disturbed", "unforced", "sleigh")
 
@@ -43,15 +43,19 @@ def page(folder: Path) -> str:
     """The page from the files of all scenes in a folder.
 
     Raises:
-        store.StoreError: one of them is not there, or is none of jaxnh.cost.
+        jaxnh.ResultError: one of them is not there, or is none of jaxnh.cost.
     """
     parts: list[str] = []
     device, repeats = "", 0
     for name in SCENES:
         path = folder / f"{name}_effects.h5"
-        attrs, group = store.read_attrs(path), store.read_attrs(path, "effects")
+        with jaxnh.open_result(path) as tree:
+            if "effects" not in tree:
+                raise jaxnh.ResultError(f"{path} has no prices of effects")
+            attrs, rows = tree.attrs, tree["effects"].to_dataset().load()
+        group = rows.attrs
         device, repeats = str(attrs["device"]), int(group["repeats"])
-        columns = store.read_variables(path, "effects")
+        columns = {name: rows[name].to_numpy() for name in _COLUMNS}
         parts += [
             f"## {attrs['title']}",
             "",
@@ -96,7 +100,7 @@ def main(
     """Write results/effects.md from the files of `jaxnh.cost --effects`."""
     try:
         text = page(results)
-    except store.StoreError as error:
+    except jaxnh.ResultError as error:
         print(f"{error}: run `make effects`", file=sys.stderr)
         raise typer.Exit(2) from None
     path = results / "effects.md"

@@ -13,7 +13,7 @@ from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import Strobe
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.systems.particle import IsokineticParticle, State
+from jaxnh.systems.particle import State, disturbed_speed
 from sweeps.peers_scene import VALUES, Errors, Scene, Setting, least_effort
 
 _PERIODS = 64
@@ -31,7 +31,7 @@ class Splittings(Generic[SceneT]):
     def __init__(self, scene: SceneT) -> None:
         configure()
         self.scene = scene
-        self.system = IsokineticParticle(a=scene.a, c=scene.c, d=scene.d, omega=1.0)
+        self.system = disturbed_speed(scene.a, scene.c, scene.d)
         self.lanes = Lanes()
 
     def errors(self, strobe: Strobe) -> Errors:
@@ -86,5 +86,5 @@ class Contestant(Splittings[Scene]):
 
     def _iterate(self, pool: Lanes, strobe: Strobe, lanes: np.ndarray, periods: int) -> State:
         x, y, n1, n2 = self.scene.unit_states[lanes].T
-        start = ((x, y), (n1, n2)), self.scene.b[lanes]
+        start = ((x, y), (n1, n2)), {"b": self.scene.b[lanes]}
         return pool(iterate, (strobe, np.int32(periods)), start, periods=periods)

@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import jax
 import numpy as np
 
 from jaxnh.analyses import lyapunov
 from jaxnh.analyses.base import Scene as AnalysisScene
-from jaxnh.maps.build import make_strobe
+from jaxnh.analyses.base import spread
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import Strobe
 from jaxnh.solvers import SPLITTINGS
@@ -34,24 +33,23 @@ class Contestant(Splittings[TangentScene]):
 
     def errors(self, strobe: Strobe) -> Errors:
         lanes = self.scene.timed()
-        start = self.scene.states[lanes], self.scene.b[lanes]
+        start = self.scene.states[lanes], {"b": self.scene.b[lanes]}
         return self.scene.derivative_errors(self.lanes(derivatives, (strobe, np.int32(1)), start)[1])
 
     def program(self, setting: Setting) -> Callable[[], int]:
         """The analysis over all values from the paper's start, or for no exponent as many periods of the map."""
         steps, solver = int(setting.knob), SPLITTINGS[setting.form]
         x, y, n1, n2 = unit(self.scene.states[:1])[0].tolist()
-        start = (x, y), (n1, n2)
+        start = spread(((x, y), (n1, n2)), len(VALUES))
         exponents = _EXPONENTS[setting.peer]
-        scene = AnalysisScene(self.system, start, VALUES, solver, steps, False, setting.errors.max)
+        scene = AnalysisScene(self.system, start, {"b": VALUES}, solver, steps, False, setting.errors.max)
 
         def run() -> int:
             if exponents:
                 options = lyapunov.LyapunovOptions(transient=0, periods=_PERIODS, exponents=exponents)
                 lyapunov.run(options, scene, self.lanes)
             else:
-                state = jax.tree.map(lambda leaf: np.full(len(VALUES), leaf), start)
-                self.lanes(iterate, (make_strobe(self.system, solver, steps), np.int32(_PERIODS)), (state, VALUES))
+                self.lanes(iterate, (scene.strobe(), np.int32(_PERIODS)), scene.lanes)
             return len(VALUES) * _PERIODS
 
         return run

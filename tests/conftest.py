@@ -1,13 +1,17 @@
-"""Strict numerics for all tests, and the command as users run it, run once for all workers."""
+"""Strict numerics for all tests, and the command `jaxnh.sweep`, within this process and as users start it."""
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
+import io
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
@@ -28,14 +32,49 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
+from jaxnh.engine.lanes import Lanes  # noqa: E402
+from jaxnh.sweep import main  # noqa: E402
+
 pytest_plugins = ["battery"]
 
 Command = Callable[..., subprocess.CompletedProcess]
 
 
+_PROGRAMS: dict = {}
+
+
+def _lanes_with_kept_programs(*arguments: object) -> Lanes:
+    """Lanes on all devices that find the programs of earlier runs in this process; their keys say all there is."""
+    lanes = Lanes(*arguments)
+    lanes._programs = _PROGRAMS
+    return lanes
+
+
+def run_here(*arguments: object, cwd: Path = ROOT) -> subprocess.CompletedProcess:
+    """`python -m jaxnh.sweep ARGUMENTS` in a folder, without a process of its own: JAX has started already."""
+    assert threading.current_thread() is threading.main_thread()  # as signals need it
+    out, err = io.StringIO(), io.StringIO()
+    argv = ["jaxnh.sweep", *map(str, arguments)]
+    with (
+        contextlib.chdir(cwd),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        mock.patch.object(sys, "argv", argv),
+        mock.patch("jaxnh.engine.run.Lanes", _lanes_with_kept_programs),
+    ):
+        code = main()
+    return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())
+
+
 @pytest.fixture(scope="session")
 def sweep() -> Command:
-    """`python -m jaxnh.sweep ARGUMENTS`, run to its end in a folder."""
+    """`python -m jaxnh.sweep ARGUMENTS`, run to its end in a folder, within this process."""
+    return run_here
+
+
+@pytest.fixture(scope="session")
+def sweep_process() -> Command:
+    """The same as a process of its own."""
 
     def run(*arguments: object, cwd: Path = ROOT) -> subprocess.CompletedProcess:
         command = [sys.executable, "-m", "jaxnh.sweep", *map(str, arguments)]

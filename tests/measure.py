@@ -10,6 +10,8 @@ import numpy as np
 import taylor
 
 from jaxnh.analyses.base import Axis, Scene, spread
+from jaxnh.engine.axes import Points
+from jaxnh.engine.calibration import Calibration
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
 from jaxnh.solvers import IsokineticSplitting, isokinetic_terms
@@ -38,6 +40,12 @@ def scene_of(system, start, values, solver, steps, compensated=False, error=0.0,
     return Scene(
         system, spread(start, len(values)), {name: values}, solver, steps, compensated, error, along=axis, **others
     )
+
+
+def calibrated(system, start, values, lanes, precision="float64", *, name="b"):
+    """The calibration of lanes along one axis, all of them samples and all from the same start state of floats."""
+    p = {name: np.asarray(values, float)}
+    return Calibration([Points(system, spread(start, len(values)), p, p)], lanes, precision)
 
 
 def apart(one, other):

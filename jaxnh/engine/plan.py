@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, Analysis, Axis, Options, Scene
@@ -19,12 +19,12 @@ from jaxnh.engine.lanes import TILE, Lanes
 from jaxnh.exceptions import AccuracyError
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece, tile_lanes
+from jaxnh.storage.provenance import versions
 from jaxnh.storage.tiles import Spent
 
 Requested = Sequence[tuple[Analysis, Options]]
 
 _BATCH_BYTES = 1 << 28  # of results that are computed at once
-_VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
 
 
 class Done(NamedTuple):
@@ -41,11 +41,6 @@ class Done(NamedTuple):
     groups: Mapping[str, xr.Dataset]
     counts: Mapping[str, Mapping[str, int]]
     spent: Spent
-
-
-def versions() -> dict[str, str]:
-    """Versions of the package and of the libraries that the numbers rest on."""
-    return {name: version(name) for name in ("jaxnh", *_VERSIONS)}
 
 
 def spent(lanes: Lanes, seconds: float) -> Spent:
@@ -243,11 +238,20 @@ def count_warnings(name: str, counts: Mapping[str, int]) -> tuple[str, ...]:
     return (f"{name}: {counts['not_finite']} of {counts['trajectories']} trajectories are not finite at their end",)
 
 
-def root_of(experiment: Experiment, axes: Sequence[Axis]) -> dict[str, object]:
-    """Root attributes of a result that the system has: its strobe period, its section, its axes.
+class Clock(NamedTuple):
+    """What the lanes of a sweep are strobed by.
 
-    The period is a number, or one for each value of the shared axes where it is not the same for all.
+    Attributes:
+        period: strobe period, or one for each value of the shared axes, in C order, where it is not the same for all.
+        section: where there is no clock, the section in words, else "".
     """
+
+    period: float | Float[np.ndarray, " rows"]
+    section: str
+
+
+def clock_of(experiment: Experiment, axes: Sequence[Axis]) -> Clock:
+    """The clock of a sweep."""
     shared = [axis for axis in axes if axis.kind == "shared"]
     grids = np.meshgrid(*(axis.values for axis in shared), indexing="ij")
     flows = [
@@ -255,8 +259,4 @@ def root_of(experiment: Experiment, axes: Sequence[Axis]) -> dict[str, object]:
         for k in range(grids[0].size if shared else 1)
     ]
     periods = np.array([flow.period for flow in flows])
-    found: dict[str, object] = {
-        "axes": " ".join(axis.name for axis in axes),
-        "strobe_period": periods[0] if np.all(periods == periods[0]) else periods,
-    }
-    return found | ({"section": flows[0].section} if flows[0].flow is not flows[0] else {})  # pyright: ignore[reportAttributeAccessIssue]
+    return Clock(float(periods[0]) if np.all(periods == periods[0]) else periods, flows[0].section)

@@ -5,7 +5,6 @@ Nothing is printed here: what a user should know goes to `Progress`, and what ca
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,12 +17,11 @@ from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.plan import (
     Done,
     batches,
+    clock_of,
     compute,
     count_warnings,
     decide,
-    root_of,
     spent,
-    versions,
     work_of,
 )
 from jaxnh.engine.progress import Heeding, Progress, Silent
@@ -33,7 +31,7 @@ from jaxnh.storage import hdf5, tiles
 from jaxnh.storage.atomic import check_writable
 from jaxnh.storage.merge import DamagedPieceError, Extra, merge
 from jaxnh.storage.pieces import Job, Piece, share
-from jaxnh.storage.provenance import provenance
+from jaxnh.storage.provenance import Method, UserFile, root_attributes, versions
 from jaxnh.storage.tiles import Receipt, Spent
 
 GO_ON = "run the same command again to go on"
@@ -321,22 +319,21 @@ class _Run:
 
 def attributes(experiment: Experiment, job: Job, total: Spent, command: str = "") -> dict[str, object]:
     """Root attributes of a result; `command` is "" for a call from Python."""
-    own = experiment.user_file
-    found = provenance(
+    own, clock = experiment.user_file, clock_of(experiment, experiment.axes)
+    return root_attributes(
         title=experiment.title,
         config=experiment.text,
         config_sha256=experiment.sha256,
-        versions=dict(job.versions),
-        solver=job.solver,
-        steps=job.steps,
-        compensated=job.compensated,
-        precision=experiment.precision,
-        error_estimate=job.error_estimate,
+        versions=job.versions,
+        method=Method(job.solver, job.steps, job.compensated, experiment.precision, job.error_estimate),
         spent=total,
+        axes=job.names,
+        strobe_period=clock.period,
         command=command,
-        user_file=own and (own.path, own.text, own.sha256),
+        section=clock.section,
+        user_file=UserFile(str(own.path), own.text, own.sha256) if own else None,
+        chosen=job.chosen,
     )
-    return {**found, **root_of(experiment, experiment.axes), "chosen": json.dumps(job.chosen)}
 
 
 def other_than(experiment: Experiment, user_text: str | None) -> str:

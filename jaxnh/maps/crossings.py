@@ -8,7 +8,7 @@ Physica D 5 (1982) 412), of no larger error, whose length Newton finds.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,9 @@ _ON_SECTION = 1e-9  # a state as near as this is on the section, and leaves it
 _GUESSES = 6  # Newton steps on the cubic through the ends of a step
 _SETTLED = 1e-9  # a step of Newton below this, as a share of the step, leaves its square
 _MOST_SHOTS = 40
+
+Carried = State | Pushed
+"""What goes from step to step: a state, alone or with tangents."""
 
 
 class SteppedStrobe(Strobe):
@@ -70,7 +73,7 @@ class _Search(NamedTuple):
         lost: whether the state has left the numbers.
     """
 
-    carried: Any
+    carried: Carried
     side: Array
     steps: Array
     low: Array
@@ -133,7 +136,11 @@ class EventStrobe(Strobe):
         return self.unit.stretched(self.step * share)
 
     def _search(
-        self, begun: Any, p: Parameters, advance: Callable[[Strobe, Any], Any], state_of: Callable[[Any], Any]
+        self,
+        begun: Carried,
+        p: Parameters,
+        advance: Callable[[Strobe, Carried], Carried],
+        state_of: Callable[[Carried], State],
     ) -> _Search:
         """Steps until the next one has a crossing, or there is no hope of one."""
         whole = self._partly(1.0)
@@ -164,7 +171,7 @@ class EventStrobe(Strobe):
         first = _Search(begun, side, jnp.int32(0), zero, zero + 1.0, jnp.bool_(False), ~_finite(state))
         return lax.while_loop(unfinished, step, first)
 
-    def _between(self, before: Any, side: Array, after: Any, p: Parameters) -> tuple[Array, Array, Array, Array]:
+    def _between(self, before: State, side: Array, after: State, p: Parameters) -> tuple[Array, Array, Array, Array]:
         """The side after a step, the part of it that has a crossing, and whether there is one."""
         ends = self._ends(before, after, p)
         now = jnp.where(ends[2] >= 0.0, 1.0, -1.0)
@@ -180,13 +187,13 @@ class EventStrobe(Strobe):
             return now, low, high, (crossed & (side < 0.0)) | touched
         return now, low, high, crossed | touched
 
-    def _ends(self, before: Any, after: Any, p: Parameters) -> tuple[Array, Array, Array, Array]:
+    def _ends(self, before: State, after: State, p: Parameters) -> tuple[Array, Array, Array, Array]:
         """Heights and their rates a step at both ends of it."""
         heights = self.system.height(before), self.system.height(after)
         rates = self.system.rate(before, p) * self.step, self.system.rate(after, p) * self.step
         return heights[0], rates[0], heights[1], rates[1]
 
-    def _locate(self, before: Any, search: _Search, p: Parameters) -> Array:
+    def _locate(self, before: State, search: _Search, p: Parameters) -> Array:
         """The share of a step after which the state is on the section, to rounding."""
         rising = jnp.ones_like(search.side) if self.system.direction != "both" else -search.side
 
@@ -215,7 +222,7 @@ class EventStrobe(Strobe):
         begun = (share, search.low, search.high, jnp.ones_like(share), jnp.int32(0))
         return lax.while_loop(unsettled, shoot, begun)[0]
 
-    def _arrived(self, start: Crossing, search: _Search, state: Any, share: Array) -> Crossing:
+    def _arrived(self, start: Crossing, search: _Search, state: State, share: Array) -> Crossing:
         """The crossing, or a lane that has failed and says why."""
         why = jnp.where(search.lost, 1.0 * NOT_FINITE, 1.0 * NO_RETURN)
         reason = jnp.where(search.found, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
@@ -230,7 +237,7 @@ def _pushed_on(one: Strobe, pushed: Pushed, p: Parameters) -> Pushed:
     return after._replace(volume=pushed.volume * after.volume)
 
 
-def _finite(state: Any) -> Array:
+def _finite(state: State) -> Array:
     return jnp.isfinite(sum(x * x for component in state[:2] for x in component))
 
 

@@ -9,7 +9,7 @@ Any composition of both keeps |n| = 1 by construction. Compositions of high orde
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxnh.systems.flow import Parameters, Vector
+from jaxnh.systems.flow import Number, Parameters, Vector
 from jaxnh.systems.particle import IsokineticParticle, State
 
 
@@ -26,13 +26,13 @@ class DriftTerm(diffrax.AbstractTerm):
 
     system: IsokineticParticle
 
-    def vf(self, t: Any, y: Vector, args: Any) -> Vector:
+    def vf(self, t: Number, y: Vector, args: Parameters) -> Vector:
         return y
 
-    def contr(self, t0: Any, t1: Any, **kwargs: Any) -> Array:
+    def contr(self, t0: Number, t1: Number, **kwargs: Parameters) -> Array:
         return self.system.path_length(jnp.asarray(t0), jnp.asarray(t1))
 
-    def prod(self, vf: Vector, control: Any) -> Vector:
+    def prod(self, vf: Vector, control: Number) -> Vector:
         return tuple(control * v for v in vf)
 
 
@@ -41,14 +41,14 @@ class KickTerm(diffrax.AbstractTerm):
 
     system: IsokineticParticle
 
-    def vf(self, t: Any, y: Vector, args: Parameters) -> Vector:
+    def vf(self, t: Number, y: Vector, args: Parameters) -> Vector:
         weight = 1.0 / self.system.speed(t)
         return self.system.force(y, self.system.forcing(t) * weight, weight, args)
 
-    def contr(self, t0: Any, t1: Any, **kwargs: Any) -> Any:
+    def contr(self, t0: Number, t1: Number, **kwargs: Parameters) -> Number:
         return t1 - t0
 
-    def prod(self, vf: Vector, control: Any) -> Vector:
+    def prod(self, vf: Vector, control: Number) -> Vector:
         return tuple(control * v for v in vf)
 
 
@@ -66,12 +66,12 @@ class Schedule(NamedTuple):
         forcing: (..., stages) g h b_i / s.
     """
 
-    drift: Any
-    weight: Any
-    forcing: Any
+    drift: Number
+    weight: Number
+    forcing: Number
 
 
-def half_turn(z: Any) -> tuple[Any, Any]:
+def half_turn(z: Number) -> tuple[Number, Number]:
     """N and D with N/D = τ(z) = tanh(√z/2)/√z to a relative 1e-10 z⁵: the Padé approximant [5/4] of tanh.
 
     With z of the order of h² its error is of order eleven in the step, below that of every splitting here.
@@ -79,7 +79,7 @@ def half_turn(z: Any) -> tuple[Any, Any]:
     return 15120.0 + z * (420.0 + z), 30240.0 + z * (3360.0 + z * 30.0)
 
 
-def exact_half_turn(z: Any) -> tuple[Any, Any]:
+def exact_half_turn(z: Number) -> tuple[Number, Number]:
     """N and D with N/D = tanh(√z/2)/√z to rounding, for any z ≥ 0 that is a number: nothing overflows or cancels."""
     root = jnp.sqrt(jnp.maximum(z, 1.0))
     small = 135135.0 + z * (17325.0 / 4 + z * (378.0 / 16 + z * (1.0 / 64)))
@@ -88,7 +88,7 @@ def exact_half_turn(z: Any) -> tuple[Any, Any]:
     return jnp.where(near, small / over, jnp.tanh(0.5 * root) / root), jnp.ones_like(root)
 
 
-def kick(n: Vector, f: Vector, tau: Callable[[Any], tuple[Any, Any]] = exact_half_turn) -> Vector:
+def kick(n: Vector, f: Vector, tau: Callable[[Number], tuple[Number, Number]] = exact_half_turn) -> Vector:
     """Exact turn of n under a frozen force f = F h / s, in any dimension; components of shape (...,).
 
     n' = f − (f·n) n carries n to its mirror image 2 (n·m) m / (m·m) − n in the bisector m = n + τ f of the turn. This
@@ -132,7 +132,7 @@ class IsokineticSplitting(diffrax.AbstractSolver):
         """Kicks, that is forces, a step."""
         return len(self.kicks)
 
-    def order(self, terms: Any) -> int:
+    def order(self, terms: tuple[DriftTerm, KickTerm]) -> int:
         return 2 if self.processor[1] else self.convergence_order
 
     @property
@@ -159,19 +159,19 @@ class IsokineticSplitting(diffrax.AbstractSolver):
         places = [before, at.ravel(), steps + before[::-1]]
         return np.concatenate(places), np.concatenate([kicks, np.tile(self.kicks, steps), -kicks[::-1]])
 
-    def init(self, terms: Any, t0: Any, t1: Any, y0: State, args: Any) -> None:
+    def init(self, terms: tuple[DriftTerm, KickTerm], t0: Number, t1: Number, y0: State, args: Parameters) -> None:
         return None
 
-    def func(self, terms: Any, t0: Any, y0: State, args: Any) -> State:
+    def func(self, terms: tuple[DriftTerm, KickTerm], t0: Number, y0: State, args: Parameters) -> State:
         drift, kick = terms
         return drift.vf(t0, y0[1], args), kick.vf(t0, y0[0], args)
 
-    def nodes(self, t0: Any, t1: Any) -> Any:
+    def nodes(self, t0: Number, t1: Number) -> Number:
         """Ends of the drifts of a step from t0 to t1; (...,) in, (..., stages + 2) out. Kicks are at the inner ones."""
         fractions = np.concatenate([[0.0], np.cumsum(self.drifts)[:-1], [1.0]])
         return t0[..., None] + (t1 - t0)[..., None] * fractions
 
-    def schedule(self, system: IsokineticParticle, t0: Any, t1: Any) -> Schedule:
+    def schedule(self, system: IsokineticParticle, t0: Number, t1: Number) -> Schedule:
         """The shared table of the steps from t0 to t1; arrays (...,) in, (..., stages) out, NumPy or JAX alike."""
         nodes = self.nodes(t0, t1)
         weight = (t1 - t0)[..., None] * np.asarray(self.kicks) / system.speed(nodes[..., 1:-1])
@@ -179,7 +179,14 @@ class IsokineticSplitting(diffrax.AbstractSolver):
         return Schedule(system.path_length(nodes[..., :-1], nodes[..., 1:]), weight, forcing)
 
     def step(
-        self, terms: Any, t0: Any, t1: Any, y0: State, args: Any, solver_state: Any, made_jump: Any
+        self,
+        terms: tuple[DriftTerm, KickTerm],
+        t0: Number,
+        t1: Number,
+        y0: State,
+        args: Parameters,
+        solver_state: None,
+        made_jump: Number,
     ) -> tuple[State, None, dict[str, State], None, diffrax.RESULTS]:
         """One step of every lane."""
         del solver_state, made_jump

@@ -242,6 +242,9 @@ def read_group(path: Path, group: str) -> xr.Dataset:
         ResultError: the file cannot be read or has no such group.
     """
     try:
+        h5py.File(
+            path, "r"
+        ).close()  # h5netcdf leaves a half-made object behind where this fails, with words of its own
         return xr.load_dataset(path, group=group, **_AS_STORED)
     except UNREADABLE as error:
         raise ResultError(f"{path} has no readable group {group}") from error

@@ -355,10 +355,8 @@ class _MergedGroup:
         for name, target in self._targets.items():
             store.variable(self._group, name).attrs[store.DATA] = target.finish()
         store.attach(self._group, {name: whole.dims for name, whole in self._whole.items()})
-        attrs, of_first = self._common.attributes(extra), store.attributes(self._group)
-        for key in of_first.keys() - attrs.keys():
+        attrs, first = self._common.attributes(extra), store.attributes(self._group)
+        for key in first.keys() - attrs.keys():
             del self._group.attrs[key]
-        news = {
-            key: value for key, value in attrs.items() if key not in of_first or _text(value) != _text(of_first[key])
-        }
-        store.set_attributes(self._group, news)
+        changed = {key: value for key, value in attrs.items() if key not in first or _text(value) != _text(first[key])}
+        store.set_attributes(self._group, changed)

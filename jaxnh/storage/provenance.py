@@ -1,55 +1,111 @@
-"""Root attributes of what is written: how it was made, by which versions, and at what cost."""
+"""How a result was made: its root attributes, from plain values. No JAX, and nothing of how a command was called."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from pathlib import Path
+from importlib.metadata import version
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from jaxnh.storage.hdf5 import Attributes
 from jaxnh.storage.tiles import Spent
 
+_LIBRARIES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
 
-def provenance(
+
+class Method(NamedTuple):
+    """What a period is computed with.
+
+    Attributes:
+        solver: its name.
+        steps: steps a period.
+        compensated: whether sums are.
+        precision: "float64" or "float32", of the arithmetic within a period.
+        error_estimate: estimated largest error of one period's map.
+    """
+
+    solver: str
+    steps: int
+    compensated: bool
+    precision: str
+    error_estimate: float
+
+
+class UserFile(NamedTuple):
+    """A user's system: the file as the config names it, its text, and the SHA-256 of that."""
+
+    path: str
+    text: str
+    sha256: str
+
+
+def versions() -> dict[str, str]:
+    """Versions of the package, under the name jaxnh, and of the libraries that the numbers rest on."""
+    return {name: version(name) for name in ("jaxnh", *_LIBRARIES)}
+
+
+def root_attributes(
     *,
     title: str,
     config: str,
     config_sha256: str,
     versions: Mapping[str, str],
-    solver: str,
-    steps: int,
-    compensated: bool,
-    precision: str,
-    error_estimate: float,
+    method: Method,
     spent: Spent,
+    axes: Sequence[str],
+    strobe_period: float | np.ndarray,
     command: str = "",
-    user_file: tuple[Path, str, str] | None = None,
-) -> dict[str, object]:
-    """Root attributes of a result.
+    section: str = "",
+    user_file: UserFile | None = None,
+    chosen: Mapping[str, Mapping[str, int]] | None = None,
+) -> Attributes:
+    """Root attributes of a result file, in their order.
 
     Args:
-        versions: of the package, as "jaxnh", and of the libraries that the numbers rest on.
-        command: what was run; "" for a call from Python.
-        user_file: path, text and SHA-256 of the user's file that the system is from.
+        title: of the experiment.
+        config, config_sha256: its YAML, and the hash of what it says.
+        versions: of the package, under the name jaxnh, and of libraries (`versions`).
+        spent: on all of it.
+        axes: names of the axes of the sweep, in order.
+        strobe_period: or several, over the shared axes in C order, where these decide it.
+        command: the command that was run; "" for a call from Python.
+        section: the section in words, of a flow without a clock.
+        user_file: of a user's system.
+        chosen: what analyses have chosen from the whole sweep; None for what cannot be computed again from the file.
     """
-    made = datetime.now(UTC).isoformat(timespec="seconds")
-    path, text, digest = user_file or (None, "", "")
-    return {
+    libraries = {name: number for name, number in versions.items() if name != "jaxnh"}
+    period = np.ravel(np.asarray(strobe_period, np.float64))  # netCDF has attributes of one dimension alone
+    attrs: dict[str, Any] = {
         "title": title,
         "Conventions": "CF-1.11",
-        "history": f"{made} {command or 'jaxnh.run'}",
+        "history": f"{datetime.now(UTC).isoformat(timespec='seconds')} {command or 'a call from Python'}",
         "config": config,
         "config_sha256": config_sha256,
         "jaxnh_version": versions["jaxnh"],
-        "versions": json.dumps({name: number for name, number in versions.items() if name != "jaxnh"}),
-        "solver": solver,
-        "steps_per_period": steps,
-        "summation": "compensated" if compensated else "plain",
-        "precision": precision,
-        "error_estimate": error_estimate,
+        "versions": json.dumps(libraries),
+        "solver": method.solver,
+        "steps_per_period": method.steps,
+        "summation": "compensated" if method.compensated else "plain",
+        "precision": method.precision,
+        "error_estimate": method.error_estimate,
         "wall_seconds": spent.seconds,
         "compile_seconds": spent.compile_seconds,
         "lane_periods": spent.lane_periods,
         "device": spent.device,
-        **({"system_file": text, "system_file_path": str(path), "system_file_sha256": digest} if path else {}),
+        "strobe_period": period if np.ndim(strobe_period) else period[0],
+        "axes": " ".join(axes),
     }
+    if section:
+        attrs["section"] = section
+    if user_file:
+        attrs |= {
+            "system_file": user_file.text,
+            "system_file_path": user_file.path,
+            "system_file_sha256": user_file.sha256,
+        }
+    if chosen is not None:
+        attrs["chosen"] = json.dumps(chosen)
+    return attrs

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from jaxnh.systems.flow import Number
 
-def eliminate(matrix: list[list[Any]], rights: list[list[Any]], ordered: int = 0) -> tuple[list[list[Any]], Any]:
+
+def eliminate(
+    matrix: list[list[Number]], rights: list[list[Number]], ordered: int = 0
+) -> tuple[list[list[Number]], Number]:
     """Solutions of a linear system for several right sides, by Gauss with partial pivoting, components of any shape.
 
     Rows change places by selection, lane by lane, so that the program has no branch and no indexing. Entries that are
@@ -45,7 +48,7 @@ def eliminate(matrix: list[list[Any]], rights: list[list[Any]], ordered: int = 0
             rows[r][c + 1 :] = [minus(x, times(factor, y)) for x, y in below]
     solutions = []
     for s in range(n, n + len(rights)):
-        solution: list[Any] = [None] * n
+        solution: list[Number] = [None] * n
         for c in reversed(range(n)):
             solution[c] = rows[c][s]
             for j in range(c + 1, n):
@@ -57,12 +60,12 @@ def eliminate(matrix: list[list[Any]], rights: list[list[Any]], ordered: int = 0
     return solutions, smallest / largest
 
 
-def known(x: Any) -> Any:
+def known(x: Number) -> Number:
     """A component as a float where it is known while the program is traced, else as it is."""
     return x if isinstance(x, Tracer) or jnp.ndim(x) else float(x)
 
 
-def is_zero(x: Any) -> bool:
+def is_zero(x: Number) -> bool:
     """Whether a component is known to vanish."""
     return isinstance(x, float) and x == 0.0
 
@@ -71,26 +74,26 @@ def _inverse(x: float) -> float:
     return 1.0 / x if x else math.inf
 
 
-def times(x: Any, y: Any) -> Any:
+def times(x: Number, y: Number) -> Number:
     """x y, nothing where one of them is known to vanish."""
     return 0.0 if is_zero(x) or is_zero(y) else x * y
 
 
-def minus(x: Any, y: Any) -> Any:
+def minus(x: Number, y: Number) -> Number:
     """x − y, without what is known to vanish."""
     if is_zero(y):
         return x
     return -y if is_zero(x) else x - y
 
 
-def definite(mass: list[list[Any]]) -> bool:
+def definite(mass: list[list[Number]]) -> bool:
     """Whether a mass matrix is known, and positive definite."""
     if not all(isinstance(entry, float) for row in mass for entry in row):
         return False
     return bool(np.linalg.eigvalsh(np.array(mass)).min() > 1e-8 * np.abs(mass).max())
 
 
-def largest_of(values: list[Any]) -> Any:
+def largest_of(values: list[Number]) -> Number:
     """Largest modulus of some components."""
     largest = jnp.abs(values[0])
     for value in values[1:]:

@@ -17,8 +17,14 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-Vector = tuple[Any, ...]
-"""Cartesian components, each of shape (...,): JAX arrays in lanes, NumPy arrays or floats on the host."""
+Number = Any
+"""A number, or many of any one shape (...,): a JAX array in a lane, a NumPy array or a float on the host.
+
+Python has no type for what arithmetic takes of all three; this name says what is meant.
+"""
+
+Vector = tuple[Number, ...]
+"""Cartesian components."""
 
 State = Any
 """A pytree of components of shape (...,): (q, n) of a particle at a prescribed speed, `Motion`, `Crossing`."""
@@ -30,7 +36,7 @@ Parameters = Mapping[str, ArrayLike]
 class Output(NamedTuple):
     """A named coordinate of states as results have it: numbers, words for it, and attributes."""
 
-    data: Any
+    data: Number
     long_name: str
     attrs: Mapping[str, Any] = {}
 
@@ -67,6 +73,11 @@ class Flow(eqx.Module):
         """The flow in continuous time: itself, or of a section the flow that it is of."""
         return self
 
+    @property
+    def section(self) -> str:
+        """Where the flow is a section of another: in words, else ""."""
+        return ""
+
     # ---- time
 
     @property
@@ -94,7 +105,7 @@ class Flow(eqx.Module):
         """Time derivative of a state; components (...,) in and out."""
 
     @abc.abstractmethod
-    def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Any:
+    def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Number:
         """Divergence of the flow; its mean is the sum of the Lyapunov exponents."""
 
     @property
@@ -113,7 +124,7 @@ class Flow(eqx.Module):
         """The components of a state that an error is a difference of: all but those that only report."""
         return y
 
-    def blanked(self, y: State, kept: Any) -> State:
+    def blanked(self, y: State, kept: Number) -> State:
         """The state of a lane that is kept, and not a number of one that is not."""
 
         def component(x: Array) -> Array:
@@ -142,7 +153,7 @@ class Flow(eqx.Module):
         """The state with section coordinates."""
 
     @abc.abstractmethod
-    def wrap(self, difference: Any) -> Any:
+    def wrap(self, difference: Number) -> Number:
         """A difference of section coordinates (..., dimension), its angles in [−π, π)."""
 
     @abc.abstractmethod
@@ -150,7 +161,7 @@ class Flow(eqx.Module):
         """Largest difference of positions between section points (..., dimension): (...,)."""
 
     @abc.abstractmethod
-    def signal(self, y: State) -> Any:
+    def signal(self, y: State) -> Number:
         """The position that stands for a motion where one is enough."""
 
     # ---- tangents

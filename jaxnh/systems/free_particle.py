@@ -9,15 +9,14 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Collection, Mapping
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxnh.systems.flow import Output, Parameters
-from jaxnh.systems.lagrangian import Lagrangian, Motion, lagrangian
+from jaxnh.systems.flow import Number, Output, Parameters
+from jaxnh.systems.lagrangian import Definition, Lagrangian, Motion, lagrangian
 from jaxnh.systems.particle import WORDS
 
 
@@ -75,14 +74,14 @@ class FreeParticle(Lagrangian):
 
 
 @functools.cache
-def definition(without: frozenset[str], constrained: bool = False) -> Callable[..., Mapping[str, Any]]:
+def definition(without: frozenset[str], constrained: bool = False) -> Callable[..., Definition]:
     """Parameters a, b, c, d and ω to T, Q and, if constrained, f of the particle without some of `particle.EFFECTS`."""
 
-    def system(a: Any, b: Any, c: Any, d: Any, omega: Any) -> Mapping[str, Any]:
-        def kinetic(q: Any, v: Any, t: Any) -> Any:
+    def system(a: Number, b: Number, c: Number, d: Number, omega: Number) -> Definition:
+        def kinetic(q: Number, v: Number, t: Number) -> Number:
             return 0.5 * (v[0] ** 2 + v[1] ** 2)
 
-        def forces(q: Any, v: Any, t: Any) -> tuple[Any, Any]:
+        def forces(q: Number, v: Number, t: Number) -> tuple[Number, Number]:
             (x, y), (x2, y2) = q, v
             springs = a * x, y
             if "cubic_stiffness" not in without:
@@ -94,7 +93,7 @@ def definition(without: frozenset[str], constrained: bool = False) -> Callable[.
             drags = (0.0, 0.0) if "damping" in without else (a * x2, a * y2)
             return pulls[0] - springs[0] - drags[0], pulls[1] - springs[1] - drags[1]
 
-        def speed(q: Any, v: Any, t: Any) -> tuple[Any]:
+        def speed(q: Number, v: Number, t: Number) -> tuple[Number]:
             return (v[0] ** 2 + v[1] ** 2 - c - d * jnp.sin(t),)
 
         found = {"T": kinetic, "Q": forces, "coordinates": ("x1", "y1"), "period": 2 * math.pi / omega}

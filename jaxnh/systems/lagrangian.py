@@ -29,12 +29,15 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxnh.systems.elimination import definite, eliminate, known, largest_of, minus
-from jaxnh.systems.flow import Flow, Output, Parameters, Vector
+from jaxnh.systems.flow import Flow, Number, Output, Parameters, Vector
 
-Energy = Callable[[Vector, Vector, Any], Any]
+Energy = Callable[[Vector, Vector, Number], Number]
 """(q, q̇, t) to a number."""
-Components = Callable[[Vector, Vector, Any], Any]
+Components = Callable[[Vector, Vector, Number], Number]
 """(q, q̇, t) to a sequence of numbers."""
+
+Definition = Mapping[str, Any]
+"""What a system says of itself: `T`, `Q`, `coordinates`, `period`, and where it has them `f`, `angles`, `ignorable`."""
 
 FAULTS = ("none", "singular", "off_constraint", "not_finite")
 """Meanings of the codes in `Motion.watch`: why a lane has failed, 0 where it has not."""
@@ -85,25 +88,25 @@ class Accelerations(NamedTuple):
 
     a: Vector
     multipliers: Vector
-    singular: Any
+    singular: Number
 
 
-def slope(function: Callable[..., Any], at: Vector, i: int) -> Any:
+def slope(function: Callable[..., Number], at: Vector, i: int) -> Number:
     """∂function/∂at[i] at components `at`, the others being constants of the program."""
     one = jnp.ones_like(at[i])
     return jax.jvp(lambda x: function(*at[:i], x, *at[i + 1 :]), (at[i],), (one,))[1]
 
 
-def _flat(function: Callable[[Vector, Vector, Any], Any], k: int) -> Callable[..., Any]:
+def _flat(function: Callable[[Vector, Vector, Number], Number], k: int) -> Callable[..., Number]:
     """The same function of its 2k + 1 components."""
     return lambda *at: function(at[:k], at[k : 2 * k], at[2 * k])
 
 
-def _along_motion(function: Callable[..., Any], at: Vector, k: int) -> Any:
+def _along_motion(function: Callable[..., Number], at: Vector, k: int) -> Number:
     """(∂/∂q) q̇ + ∂/∂t of a function at components `at` = (q, q̇, t)."""
     v = at[k : 2 * k]
 
-    def moved(*q_and_t: Any) -> Any:
+    def moved(*q_and_t: Number) -> Number:
         return function(*q_and_t[:k], *v, q_and_t[k])
 
     return jax.jvp(moved, (*at[:k], at[2 * k]), (*v, jnp.ones_like(at[2 * k])))[1]
@@ -115,11 +118,11 @@ def _constraints(equations: Equations, k: int) -> Callable[..., Vector]:
     return (lambda *at: ()) if f is None else (lambda *at: tuple(f(at[:k], at[k : 2 * k], at[2 * k])))
 
 
-def mass_matrix(equations: Equations, at: Vector, k: int) -> list[list[Any]]:
+def mass_matrix(equations: Equations, at: Vector, k: int) -> list[list[Number]]:
     """M = ∂²T/∂q̇², k rows of k, at components (q, q̇, t)."""
     energy = _flat(equations.T, k)
 
-    def momentum(j: int) -> Callable[..., Any]:
+    def momentum(j: int) -> Callable[..., Number]:
         return lambda *at: slope(energy, at, k + j)
 
     upper = {(i, j): slope(momentum(j), at, k + i) for j in range(k) for i in range(j + 1)}
@@ -133,7 +136,7 @@ def constraint_slopes(equations: Equations, at: Vector, k: int) -> list[Vector]:
     return [tuple(column[i] for column in columns) for i in range(len(columns[0]))]
 
 
-def accelerations(equations: Equations, q: Vector, v: Vector, t: Any) -> Accelerations:
+def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Accelerations:
     """q̈ and λ at a state by one bordered solve; components of any one shape.
 
     The multipliers are those of (6): the reaction on coordinate i is Σ_j λ_j ∂f_j/∂q̇_i.
@@ -154,19 +157,19 @@ def accelerations(equations: Equations, q: Vector, v: Vector, t: Any) -> Acceler
     return Accelerations(tuple(solution[:k]), tuple(solution[k:]), smallest <= _SMALLEST_PIVOT)
 
 
-def _matrices(equations: Equations, at: Vector, k: int) -> tuple[list[list[Any]], list[list[Any]]]:
+def _matrices(equations: Equations, at: Vector, k: int) -> tuple[list[list[Number]], list[list[Number]]]:
     """M and A at components (q, q̇, t), floats where they are known while the program is traced."""
     with jax.ensure_compile_time_eval():
         mass, slopes = mass_matrix(equations, at, k), constraint_slopes(equations, at, k)
         return [[_read(x, at) for x in row] for row in mass], [[_read(x, at) for x in row] for row in slopes]
 
 
-def _read(x: Any, at: Vector) -> Any:
+def _read(x: Number, at: Vector) -> Number:
     """`known` while a program is traced; outside of one everything is known, and nothing is to be kept of it."""
     return known(x) if isinstance(at[0], Tracer) else x
 
 
-def _bordered(mass: list[list[Any]], slopes: list[list[Any]]) -> list[list[Any]]:
+def _bordered(mass: list[list[Number]], slopes: list[list[Number]]) -> list[list[Number]]:
     """[M, −Aᵀ; A, 0]."""
     m = len(slopes)
     top = [[*row, *(minus(0.0, a[i]) for a in slopes)] for i, row in enumerate(mass)]
@@ -188,7 +191,7 @@ class Lagrangian(Flow):
         ignorable: for each, whether nothing depends on it: such coordinates are left out of the section.
     """
 
-    define: Callable[..., Mapping[str, Any]] = eqx.field(static=True)
+    define: Callable[..., Definition] = eqx.field(static=True)
     values: dict[str, ArrayLike]
     names: tuple[str, ...] = eqx.field(static=True)
     constraints: int = eqx.field(static=True)
@@ -252,11 +255,11 @@ class Lagrangian(Flow):
         zero = jnp.zeros_like(y.q[0])
         return Motion(y.v, solved.a, (zero, jnp.where(solved.singular, jnp.nan, zero)))
 
-    def divergence(self, t: ArrayLike, y: Motion, p: Parameters) -> Any:
+    def divergence(self, t: ArrayLike, y: Motion, p: Parameters) -> Number:
         """Σ ∂q̈_i/∂q̇_i; its mean is the sum of the 2k − m Lyapunov exponents, as those across f = 0 are zero."""
         equations, k = self.equations(p), len(y.q)
 
-        def acceleration(i: int) -> Callable[..., Any]:
+        def acceleration(i: int) -> Callable[..., Number]:
             return lambda *v: accelerations(equations, y.q, v, t).a[i]
 
         return sum(slope(acceleration(i), tuple(y.v), i) for i in range(k))
@@ -306,7 +309,7 @@ class Lagrangian(Flow):
         """Coordinates and velocities."""
         return y.q, y.v
 
-    def blanked(self, y: Motion, kept: Any) -> Motion:
+    def blanked(self, y: Motion, kept: Number) -> Motion:
         """The state of a lane that is kept; of one that is not, its reports alone are numbers."""
         q, v = jax.tree.map(lambda x: jnp.where(kept, x, jnp.nan), (y.q, y.v))
         return Motion(q, v, y.watch)
@@ -318,7 +321,7 @@ class Lagrangian(Flow):
         """Numbers of the coordinates that the section has."""
         return tuple(i for i, left_out in enumerate(self.ignorable) if not left_out)
 
-    def signal(self, y: Motion) -> Any:
+    def signal(self, y: Motion) -> Number:
         """The first coordinate of the section."""
         return y.q[self.kept[0]]
 
@@ -337,7 +340,7 @@ class Lagrangian(Flow):
         q = [_turned(y.q[i]) if self.angles[i] else y.q[i] for i in self.kept]
         return jnp.stack([*q, *y.v])
 
-    def unchart(self, u: Any) -> Motion:
+    def unchart(self, u: Number) -> Motion:
         """The state with section coordinates (dimension,), ignorable coordinates zero."""
         zero = jnp.zeros_like(u[0])
         q = [zero] * len(self.names)
@@ -345,7 +348,7 @@ class Lagrangian(Flow):
             q[i] = u[j]
         return Motion(tuple(q), tuple(u[len(self.kept) + i] for i in range(len(q))), (zero, zero))
 
-    def wrap(self, difference: Any) -> Any:
+    def wrap(self, difference: Number) -> Number:
         """A difference of section coordinates (..., dimension), its angles in [−π, π)."""
         xp = np if isinstance(difference, np.ndarray) else jnp
         turns = [j for j, i in enumerate(self.kept) if self.angles[i]]
@@ -390,11 +393,11 @@ class Lagrangian(Flow):
             np.asarray, jax.vmap(self.approach)(jnp.asarray(draws * scale), jax.tree.map(jnp.asarray, dict(p)))
         )
 
-    def approach(self, u: Any, p: Parameters) -> Motion:
+    def approach(self, u: Number, p: Parameters) -> Motion:
         """The state near section coordinates u that is on the constraints at t = 0, by many projections."""
         zero = jnp.zeros_like(u[0])
 
-        def again(_: Any, state: Motion) -> Motion:
+        def again(_: Number, state: Motion) -> Motion:
             q, v, (drift, _) = state
             moved = self.project(zero, Motion(q, v, (drift, zero)), p, trust=False)
             return Motion(q, moved.v, (drift, zero))
@@ -419,12 +422,12 @@ class Lagrangian(Flow):
         }
 
 
-def _turned(angle: Any) -> Any:
+def _turned(angle: Number) -> Number:
     """An angle in [−π, π)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-def lagrangian(define: Callable[..., Mapping[str, Any]], parameters: Mapping[str, float]) -> Lagrangian:
+def lagrangian(define: Callable[..., Definition], parameters: Mapping[str, float]) -> Lagrangian:
     """The system that a function of its parameters defines.
 
     Args:

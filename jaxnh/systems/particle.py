@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from fractions import Fraction
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -20,7 +19,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxnh.systems.flow import Flow, Output, Parameters, Vector
+from jaxnh.systems.flow import Flow, Number, Output, Parameters, Vector
 
 State = tuple[Vector, Vector]
 """(q, n): position (x1, y1) and unit vector of the velocity (n1, n2)."""
@@ -56,7 +55,7 @@ def unchart(u: Float[Array, " 3"]) -> State:
     return (u[0], u[1]), (jnp.cos(u[2]), jnp.sin(u[2]))
 
 
-def wrap(difference: Any) -> Any:
+def wrap(difference: Number) -> Number:
     """A difference of section coordinates (..., 3) with its angle brought into [−π, π)."""
     xp = np if isinstance(difference, np.ndarray) else jnp
     angle = (difference[..., 2] + np.pi) % (2 * np.pi) - np.pi
@@ -80,9 +79,9 @@ class IsokineticParticle(Flow):
     """
 
     a: ArrayLike
-    c: Any
-    d: Any
-    omega: Any
+    c: Number
+    d: Number
+    omega: Number
     b: ArrayLike | None = None
     without: frozenset[str] = eqx.field(static=True, default=frozenset())
 
@@ -147,18 +146,18 @@ class IsokineticParticle(Flow):
         """
         return (self.forcing(t) + 0.1) ** 0.3 / self.speed(t)
 
-    def forcing(self, t: Any) -> Any:
+    def forcing(self, t: Number) -> Number:
         """g(t) = 1 + sin ωt, any shape; 1 without forcing."""
         return 1.0 + _namespace(t).sin(self.omega * t) if self.forced else _namespace(t).ones_like(t)
 
-    def speed(self, t: Any) -> Any:
+    def speed(self, t: Number) -> Number:
         """s(t) = √(c + d sin t), any shape."""
         xp = _namespace(t)
         if self.disturbed and not _vanishes(self.d):
             return xp.sqrt(self.c + self.d * xp.sin(t))
         return xp.full_like(t, _root(self.c))
 
-    def path_length(self, t0: Any, t1: Any) -> Any:
+    def path_length(self, t0: Number, t1: Number) -> Number:
         """∫ s dt from t0 to t1, any shape: exact at constant speed, else by twelve Gauss–Legendre nodes."""
         if not self.disturbed or _vanishes(self.d):
             return _root(self.c) * (t1 - t0)
@@ -179,7 +178,7 @@ class IsokineticParticle(Flow):
         """
         a, b = self._stiffness_and_coupling(p)
 
-        def along(z: Any, other: Any, stiffness: Callable[[], Any]) -> Any:
+        def along(z: Number, other: Number, stiffness: Callable[[], Number]) -> Number:
             pull = None if b is None else weight * (b * other) if self.forced else b * other
             spring = g * z if self.forced else z
             if (k := stiffness()) is not None:
@@ -201,7 +200,7 @@ class IsokineticParticle(Flow):
         scale, cubic = g if self.forced else weight, "cubic_stiffness" not in self.without
         xx, ayy = (x * x, a * (y * y)) if cubic else (0.0, 0.0)
 
-        def along(i: int, k: Any, square: Any) -> Any:
+        def along(i: int, k: Number, square: Number) -> Number:
             pull = None if b is None else weight * (b * m[1 - i])
             slope = k + square + (square + square) if cubic else k
             spring = m[i] * (scale if slope is None else scale * slope)
@@ -214,7 +213,7 @@ class IsokineticParticle(Flow):
         }
         return by_x, by_y, *(rows[name]() for name in names)
 
-    def _stiffness_and_coupling(self, p: Parameters) -> tuple[Any, Any]:
+    def _stiffness_and_coupling(self, p: Parameters) -> tuple[Number, Number]:
         """a and b of a lane; b is None without coupling."""
         return p.get("a", self.a), None if "coupling" in self.without else p.get("b", self.b)
 
@@ -265,7 +264,7 @@ class IsokineticParticle(Flow):
         """The state with section coordinates."""
         return unchart(u)
 
-    def wrap(self, difference: Any) -> Any:
+    def wrap(self, difference: Number) -> Number:
         """A difference of section coordinates (..., 3), its angle in [−π, π)."""
         return wrap(difference)
 
@@ -273,7 +272,7 @@ class IsokineticParticle(Flow):
         """Largest difference of positions between section points (..., 3): (...,)."""
         return np.max(np.abs(one[..., :2] - other[..., :2]), axis=-1)
 
-    def signal(self, y: State) -> Any:
+    def signal(self, y: State) -> Number:
         """The position x1."""
         return y[0][0]
 
@@ -323,17 +322,17 @@ class IsokineticParticle(Flow):
         }
 
 
-def _namespace(t: Any) -> Any:
+def _namespace(t: Number) -> Number:
     """NumPy for NumPy arrays, whose tables are made once on the host; jax.numpy for everything else."""
     return np if isinstance(t, np.ndarray) else jnp
 
 
-def _vanishes(x: Any) -> bool:
+def _vanishes(x: Number) -> bool:
     """Whether a number is known, and zero."""
     return isinstance(x, float | int) and x == 0
 
 
-def _root(c: Any) -> Any:
+def _root(c: Number) -> Number:
     """√c, of a number or a traced one."""
     return math.sqrt(c) if isinstance(c, float | int) else jnp.sqrt(c)
 
@@ -378,7 +377,7 @@ def disturbed_speed(
     return IsokineticParticle(a, c, d, omega, b, frozenset(without) - {"damping"})
 
 
-def constrained_field(system: IsokineticParticle, t: ArrayLike, y: Vector, p: Parameters) -> tuple[Any, Any, Any, Any]:
+def constrained_field(system: IsokineticParticle, t: ArrayLike, y: Vector, p: Parameters) -> Vector:
     """The paper's own four equations (12)/(22), with (13)/(23), in y = (x1, x2, y1, y2).
 
     For comparison only: off the constraint they are ill-posed, a speed error grows as exp(−2 ∫ n·F/s dt).

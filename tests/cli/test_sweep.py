@@ -31,6 +31,7 @@ analyses:
   doubling:
     levels: 1
 """
+QUICK = "analyses={diagram: {transient: 1, strobes: 1}}"  # where any analysis will do
 DISTURBED = CONFIG.replace("constant_speed", "disturbed_speed\n  d: 0.1")
 
 
@@ -194,7 +195,8 @@ def test_fresh_replaces(sweep, done):
     assert run.returncode == 0
     with h5py.File(path) as file:
         np.testing.assert_array_equal(file["doubling/b"][()], first)
-    run = sweep(config.name, "title=Changed", "sweep.b.count=48", "--output", path.name, "--fresh", cwd=config.parent)
+    overrides = ("title=Changed", "sweep.b.count=48", QUICK)
+    run = sweep(config.name, *overrides, "--output", path.name, "--fresh", cwd=config.parent)
     assert run.returncode == 0
     with h5py.File(path) as file:
         assert file.attrs["title"] == "Changed"
@@ -204,7 +206,7 @@ def test_fresh_replaces(sweep, done):
 
 def test_result_goes_by_the_name_of_the_config(sweep, config):
     """Without --output to results/NAME.h5 below the folder it is run in."""
-    run = sweep(config.name, cwd=config.parent)
+    run = sweep(config.name, QUICK, cwd=config.parent)
     assert run.returncode == 0
     assert run.stdout.splitlines()[-1] == "wrote results/small.h5"
     assert set(tree(config.parent)) == {config, config.parent / "results" / "small.h5"}
@@ -232,14 +234,13 @@ def test_coarse_accuracy(sweep, config, exact):
         assert abs(file["doubling/b"][0] - exact) <= file["doubling/b_error"][0]
 
 
-def test_compiled_programs_are_kept(sweep, config, monkeypatch):
+def test_compiled_programs_are_kept(sweep_process, config, monkeypatch):
     """A run leaves its programs in the cache, and the same run again finds every one: it adds none."""
     cache = config.parent / "cache"
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(cache))
-    analyses = "analyses={diagram: {transient: 4, strobes: 4}}"
     kept = []
     for _ in range(2):
-        assert sweep(config.name, analyses, "--output", "kept.h5", "--fresh", cwd=config.parent).returncode == 0
+        assert sweep_process(config.name, QUICK, "--output", "kept.h5", "--fresh", cwd=config.parent).returncode == 0
         kept.append({path.name for path in cache.iterdir() if path.name.endswith("-cache")})
     assert kept[0] == kept[1]
     assert len(kept[0]) > 1

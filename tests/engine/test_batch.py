@@ -14,13 +14,15 @@ import signal
 import subprocess
 import sys
 import time
+from unittest import mock
 
 import h5py
 import numpy as np
 import psutil
 import pytest
-from conftest import ROOT
+from conftest import ROOT, run_here
 
+from jaxnh.engine import plan as work
 from jaxnh.storage import hdf5 as store
 
 # Chaotic, so that a bit that differs grows as large as the attractor; 12 tiles of 256 lanes; about a second's work.
@@ -62,11 +64,17 @@ class Job:
         )
 
     def run(self, *arguments, **options):
-        """Run it to its end: exit code, lines of output, lines of errors."""
+        """A process of it to its end: exit code, lines of output, lines of errors."""
         process = self.start(*arguments, **options)
         out, err = process.communicate(timeout=300)
         assert "Traceback" not in err, err
         return process.returncode, out.splitlines(), err.splitlines()
+
+    def run_here(self, *arguments):
+        """The same within this process, where another one would show no more."""
+        done = run_here("job.yaml", "--output", "job.h5", *self.tile, *arguments, cwd=self.folder)
+        assert "Traceback" not in done.stderr, done.stderr
+        return done.returncode, done.stdout.splitlines(), done.stderr.splitlines()
 
     def done(self):
         """Tiles that are there."""
@@ -110,14 +118,14 @@ def whole(tmp_path_factory, worker_id):
         fcntl.flock(lock, fcntl.LOCK_EX)
         job = Job(folder, tile=None)
         if not job.output.exists():
-            code, _, err = job.run()
+            code, _, err = job.run_here()
             assert code == 0, err
     return content(job.output)
 
 
 def finish(job, whole, *arguments, code=0):
     """Run to the end, and compare with an undisturbed run; what was said on the way."""
-    found, out, err = job.run(*arguments)
+    found, out, err = job.run_here(*arguments)
     assert found == code, err
     assert content(job.output) == whole
     assert job.left() == {"job.h5"}
@@ -144,9 +152,12 @@ def test_one_core(job, whole):
 
 
 def test_four_parts_at_once(job, whole):
-    """Four processes on one folder, then the join."""
-    processes = [job.start("--part", f"{k}/4") for k in (1, 2, 3, 4)]
-    for k, process in enumerate(processes, 1):
+    """On one folder: two processes, and two parts here meanwhile; then the join."""
+    processes = {k: job.start("--part", f"{k}/4") for k in (1, 3)}
+    for k in (2, 4):
+        code, out, err = job.run_here("--part", f"{k}/4")
+        assert (code, out) == (0, [f"part {k}/4: 3 of {TILES} tiles"]), err
+    for k, process in processes.items():
         out, err = process.communicate(timeout=300)
         assert process.returncode == 0, err
         assert out == f"part {k}/4: 3 of {TILES} tiles\n"
@@ -176,10 +187,10 @@ import os, sys
 if "--multiprocessing-fork" in sys.argv:  # a worker
     import jaxnh.engine.plan as work
     compute = work.compute
-    def deadly(experiment, job, batch, lanes):
+    def deadly(experiment, axes, requested, job, batch, lanes):
         if batch[0].number == 5:
             os.kill(os.getpid(), 9)
-        return compute(experiment, job, batch, lanes)
+        return compute(experiment, axes, requested, job, batch, lanes)
     work.compute = deadly
 """
 
@@ -305,14 +316,14 @@ def test_second_run_is_refused(job, whole):
     process = job.start(head=head)
     job.until(process, 1)
     for arguments in ((), ("--part", "1/2")):
-        code, out, err = job.run(*arguments)
+        code, out, err = job.run_here(*arguments)
         assert (code, out) == (2, [])
         assert len(err) == 1
         assert err[0].startswith("command line: --output: another run is working on job.h5")
     process.kill()
     process.communicate()
     assert (job.tiles / "lock").exists()
-    code, _, err = job.run("--merge")
+    code, _, err = job.run_here("--merge")
     assert code == 2
     assert re.fullmatch(r"command line: --merge: \d+ of 12 tiles are missing \(\d.*\); run their parts again", err[-1])
     finish(job, whole)
@@ -332,10 +343,7 @@ def test_damaged_tiles_are_computed_again(job, whole):
 
     The plan of the run is damaged too: it is made anew, comes out the same, and the sound tiles still count.
     """
-    process = job.start()
-    job.until(process, 6)
-    process.kill()
-    process.communicate()
+    assert job.run_here("--part", "1/2")[0] == 0
     tiles = job.done()
     with h5py.File(tiles[0]) as file:
         data = file["diagram/x1"].id
@@ -360,12 +368,9 @@ def test_damaged_tiles_are_computed_again(job, whole):
 
 def test_tiles_of_another_config_are_not_replaced(job, whole):
     """A job begun with other values stays, and one line says what to do; --fresh drops it."""
-    process = job.start("sweep.b.stop=5.44")
-    job.until(process, 1)
-    process.kill()
-    process.communicate()
+    assert job.run_here("sweep.b.stop=5.44", "--part", "1/12")[0] == 0
     before = {path: path.read_bytes() for path in job.done()}
-    code, _, err = job.run()
+    code, _, err = job.run_here()
     assert code == 2
     assert err == ["command line: --output: job.h5.tiles holds tiles of another config; --fresh drops them"]
     assert {path: path.read_bytes() for path in job.done()} == before
@@ -375,9 +380,15 @@ def test_tiles_of_another_config_are_not_replaced(job, whole):
 # ---- disks and folders
 
 
+@contextlib.contextmanager
 def limited(limit):
-    """Python to run first: no file may grow beyond so many bytes, as where a disk is full."""
-    return f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, resource.RLIM_INFINITY))"
+    """No file may grow beyond so many bytes, as where a disk is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_full_disk(job, whole):
@@ -385,10 +396,12 @@ def test_full_disk(job, whole):
 
     Programs come from the cache, which the limit would keep from growing.
     """
-    code, _, err = job.run(head=limited(20_000))  # a tile has 60 kB
+    with limited(20_000):  # a tile has 60 kB
+        code, _, err = job.run_here()
     assert code == 1
     assert err[-1].startswith("failed: cannot write job.h5.tiles/000000.h5: [Errno 27] File too large; 0 of 12 tiles")
-    code, _, err = job.run(head=limited(200_000))
+    with limited(200_000):
+        code, _, err = job.run_here()
     assert code == 1
     assert err[-1] == f"failed: cannot write job.h5: [Errno 27] File too large; 12 of 12 tiles are kept: {GO_ON}"
     assert job.left() == {"job.h5.tiles"}
@@ -405,7 +418,7 @@ def test_full_disk_as_a_mount(job, whole):
         pytest.skip("mounts are not allowed here")
     try:
         small = Job(mount)
-        code, _, err = small.run()
+        code, _, err = small.run_here()
         assert code == 1
         assert "No space left on device" in err[-1]
         assert err[-1].endswith(f"tiles are kept: {GO_ON}")
@@ -428,29 +441,31 @@ def forbid(folder, forbidden):
     return bool(shutil.which("chattr")) and not subprocess.run(command, capture_output=True, check=False).returncode
 
 
-@pytest.mark.parametrize("how", ["removed", pytest.param("a file", marks=pytest.mark.slow), "read-only"])
+@pytest.mark.parametrize("how", ["removed", "a file", "read-only"])
 def test_folder_taken_away(job, whole, how):
     """While the run is on: a sentence, no traceback; with the folder back, the same command has its result."""
     if how == "read-only" and not forbid(job.tiles.parent, True):
         pytest.skip("root may write in a folder that is read-only, and the file system has no other way")
     forbid(job.tiles.parent, False)
-    process = job.start(
-        head="import jaxnh.engine.plan as w, time; c = w.compute; w.compute = lambda *a: (time.sleep(0.3), c(*a))[1]"
-    )
-    job.until(process, 1)
-    away = job.folder / "away"
-    if how == "read-only":
-        forbid(job.tiles, True)
-    else:
-        job.tiles.rename(away)
-        if how == "a file":
-            job.tiles.write_text("in the way")
-    _, err = process.communicate(timeout=120)
+    away, calls = job.folder / "away", iter(range(TILES))
+
+    def take_away(*arguments):
+        if next(calls) == 2:
+            assert job.done()
+            if how == "read-only":
+                forbid(job.tiles, True)
+            else:
+                job.tiles.rename(away)
+                if how == "a file":
+                    job.tiles.write_text("in the way")
+        return work.compute(*arguments)
+
+    with mock.patch("jaxnh.engine.run.compute", take_away):
+        code, _, err = job.run_here()
     if how == "read-only":
         forbid(job.tiles, False)
-    assert process.returncode == 1, err
-    assert "Traceback" not in err
-    last = err.splitlines()[-1]
+    assert code == 1, err
+    last = err[-1]
     assert "job.h5.tiles" in last
     assert last.startswith("failed: ")
     assert not job.output.exists()
@@ -462,15 +477,13 @@ def test_folder_taken_away(job, whole, how):
 
 def test_clock_set_back(job, whole):
     """Each look at the clock finds it a day earlier, and the tiles of a first run are of tomorrow."""
-    process = job.start()
-    job.until(process, 2)
-    process.kill()
-    process.communicate()
+    assert job.run_here("--part", "1/6")[0] == 0
     tomorrow = time.time() + 86400
     for path in job.tiles.iterdir():
         os.utime(path, (tomorrow, tomorrow))
-    head = "import time; now, looks = time.time, iter(range(10**9)); time.time = lambda: now() - 86400 * next(looks)"
-    code, _, err = job.run(head=head)
+    now, looks = time.time, iter(range(10**9))
+    with mock.patch("time.time", lambda: now() - 86400 * next(looks)):
+        code, _, err = job.run_here()
     assert code == 0, err
     assert content(job.output) == whole
 
@@ -501,7 +514,7 @@ def test_killed_between_result_and_tiles(job, whole):
     ],
 )
 def test_bad_command_line(job, arguments, said):
-    code, out, err = job.run(*arguments)
+    code, out, err = job.run_here(*arguments)
     assert (code, out, err) == (2, [], [f"command line: {said}"])
     assert job.left() == set()
 
@@ -622,8 +635,8 @@ def test_hundred_thousand_lanes_by_two_processes(tmp_path):
     for process in processes:
         _, err = process.communicate(timeout=600)
         assert process.returncode == 0, err
-    assert parts.run("--merge")[0] == 0
-    assert alone.run()[0] == 0
+    assert parts.run_here("--merge")[0] == 0
+    assert alone.run_here()[0] == 0
     assert content(alone.output) == content(parts.output)
 
 

@@ -8,10 +8,11 @@ import jax
 import numpy as np
 import pytest
 import taylor
-from measure import SYSTEMS, UNIT, apart, twin
+from measure import SYSTEMS, UNIT, apart, calibrated, twin
 
-from jaxnh.engine.calibration import Calibration, TargetError
+from jaxnh.analyses.base import spread
 from jaxnh.engine.lanes import Lanes
+from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate, section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
@@ -39,7 +40,9 @@ def other_lanes(lanes, system, first, last):
     points = []
     for k, n in enumerate((0, 3, 9, 41, 100)):
         state = jax.tree.map(lambda leaf: np.full(100, leaf), START)
-        points.append(jax.vmap(chart)(lanes(iterate, (strobe, np.int32(n)), (state, b[100 * k : 100 * k + 100]))))
+        points.append(
+            jax.vmap(chart)(lanes(iterate, (strobe, np.int32(n)), (state, {"b": b[100 * k : 100 * k + 100]})))
+        )
     return b, np.concatenate(points)
 
 
@@ -48,14 +51,14 @@ def test_estimate_is_honest(lanes, name, first, last):
     """On lanes on the way and on the attractors the true error is below three times the estimate, which is below the
     target; and with every digit asked for there are more kicks."""
     system = SYSTEMS[name]
-    calibration = Calibration(system, START, np.linspace(first, last, 1000), lanes)
+    calibration = calibrated(system, START, np.linspace(first, last, 1000), lanes)
     b, u = other_lanes(lanes, system, first, last)
     exact = taylor.strobe(twin(system), b, u)
     kicks = []
     for target in (1e-4, 1e-6, 1e-8, 1e-10):
         plan = calibration.cheapest(target)
         strobe = make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated)
-        error = apart(lanes(section_map, (strobe, np.int32(1)), (u, b)), exact).max()
+        error = apart(lanes(section_map, (strobe, np.int32(1)), (u, {"b": b})), exact).max()
         assert error < 3 * plan.error_estimate <= 3 * target
         kicks.append(plan.steps * plan.solver.stages)
     assert kicks == sorted(set(kicks))
@@ -69,23 +72,21 @@ def test_estimate_on_its_own_lanes(lanes, name):
     point = taylor.attractor(twin(system), b, twin(system).start(), 400)[0]
     start = ((point[0], point[1]), (math.cos(point[2]), math.sin(point[2])))
     exact = taylor.strobe(twin(system), b, point)
-    calibration = Calibration(system, start, np.array([b]), lanes)
+    calibration = calibrated(system, start, np.array([b]), lanes)
     for solver, steps in ((SPLITTINGS["blanes_moan4"], 100), (SPLITTINGS["kahan_li8"], 40)):
-        image = lanes(iterate, (make_strobe(system, solver, steps), np.int32(1)), (start_of(start), np.array([b])))
+        image = lanes(
+            iterate, (make_strobe(system, solver, steps), np.int32(1)), (spread(start, 1), {"b": np.array([b])})
+        )
         (x, y), n = jax.tree.map(lambda leaf: leaf[0], image)
         end = [exact[0, 0], exact[0, 1], np.cos(exact[0, 2]), np.sin(exact[0, 2])]
         error = np.abs(np.array([x, y, *n]) - end).max()
         assert error < calibration.error(solver, steps) < 5 * error
 
 
-def start_of(state):
-    return jax.tree.map(lambda leaf: np.full(1, leaf), state)
-
-
 def test_target_out_of_reach(lanes):
     """No plan comes out, but the smallest error there is: above the target, and about the rounding of one period."""
-    calibration = Calibration(SYSTEMS["constant"], START, np.linspace(5.45, 5.6, 8), lanes)
-    with pytest.raises(TargetError, match="1e-18") as caught:
+    calibration = calibrated(SYSTEMS["constant"], START, np.linspace(5.45, 5.6, 8), lanes)
+    with pytest.raises(AccuracyError, match="1e-18") as caught:
         calibration.cheapest(1e-18)
     smallest = float(str(caught.value).rsplit(" ", 1)[1])
     assert UNIT < smallest < 1e-11
@@ -93,7 +94,7 @@ def test_target_out_of_reach(lanes):
 
 def test_lane_that_leaves_the_numbers_has_no_estimate(lanes):
     """Two Runge–Kutta steps a period overflow for large b: an infinite error, never a small one."""
-    calibration = Calibration(SYSTEMS["constant"], START, np.linspace(5, 6, 10), lanes)
+    calibration = calibrated(SYSTEMS["constant"], START, np.linspace(5, 6, 10), lanes)
     assert calibration.error(SOLVERS["tsit5"], 2) > 1
 
 
@@ -109,9 +110,9 @@ def test_rounding_floor(lanes, name):
     plain, compensated = (
         make_strobe(system, SPLITTINGS["sofroniou_spaletta10"], 250, compensated=c) for c in (False, True)
     )
-    u = np.concatenate([start, lanes(section_map, (plain, np.int32(30)), (start, b))])
+    u = np.concatenate([start, lanes(section_map, (plain, np.int32(30)), (start, {"b": b}))])
     b = np.tile(b, 2)
     exact = taylor.strobe(twin(system), b, u)
-    errors = [apart(lanes(section_map, (m, np.int32(1)), (u, b)), exact) for m in (plain, compensated)]
+    errors = [apart(lanes(section_map, (m, np.int32(1)), (u, {"b": b})), exact) for m in (plain, compensated)]
     assert np.quantile(errors[0], 0.98) < 5e-12
     assert errors[1].max() < 5e-12

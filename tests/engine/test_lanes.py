@@ -21,7 +21,7 @@ from jaxnh.solvers import SPLITTINGS
 
 MANY = 1000
 STATE = (np.full(MANY, 0.1), np.full(MANY, 0.1)), (np.full(MANY, 0.1), np.full(MANY, math.sqrt(0.99)))
-CHAOTIC = np.linspace(5.2, 5.45, MANY)  # below the accumulation of doublings of table 1
+CHAOTIC = {"b": np.linspace(5.2, 5.45, MANY)}  # below the accumulation of doublings of table 1
 PERIODS = 200
 COUNTS = [1, 7, TILE, TILE + 44, 2 * TILE + 1, MANY]
 
@@ -54,7 +54,7 @@ def chaos(runners):
 
 def test_lanes_are_chaotic(runners, chaos):
     """What the tests here rest on: a change in the last bit of b alone has long become as large as the attractor."""
-    nudged = runners[2](iterate, (strobe(), np.int32(PERIODS)), (STATE, np.nextafter(CHAOTIC, 6)))
+    nudged = runners[2](iterate, (strobe(), np.int32(PERIODS)), (STATE, {"b": np.nextafter(CHAOTIC["b"], 6)}))
     assert np.median(np.abs(nudged[0][0] - chaos[0][0])) > 0.01
 
 
@@ -63,7 +63,7 @@ def test_lanes_are_chaotic(runners, chaos):
 def test_same_bits_for_any_number_of_lanes_and_devices(runners, chaos, count, devices):
     """Chaos would blow a single bit up; the last lanes are asked for as well as the first, at other places of a tile."""
     for part in (slice(0, count), slice(MANY - count, MANY)):
-        few = runners[devices](iterate, (strobe(), np.int32(PERIODS)), (lane(part, STATE), CHAOTIC[part]))
+        few = runners[devices](iterate, (strobe(), np.int32(PERIODS)), lane(part, (STATE, CHAOTIC)))
         same(few, lane(part, chaos))
 
 
@@ -72,15 +72,15 @@ def test_same_bits_of_derivatives(runners, count):
     """Of another program with more outputs, and tiles of another size."""
     u = np.random.default_rng(4).uniform(-1, 1, (MANY, 3))
     shared = strobe(), np.int32(5)
-    one, two = (runners[n](derivatives, shared, (u[:count], CHAOTIC[:count]), tile=64) for n in (1, 2))
+    one, two = (runners[n](derivatives, shared, lane(slice(0, count), (u, CHAOTIC)), tile=64, static=("b",)) for n in (1, 2))
     same(one, two)
-    same(one, lane(slice(0, count), runners[2](derivatives, shared, (u, CHAOTIC), tile=64)))
+    same(one, lane(slice(0, count), runners[2](derivatives, shared, (u, CHAOTIC), tile=64, static=("b",))))
 
 
 def test_same_bits_in_any_order(runners, chaos):
     """A lane does not depend on its place, nor on its neighbours."""
     order = np.random.default_rng(6).permutation(MANY)
-    shuffled = runners[2](iterate, (strobe(), np.int32(PERIODS)), (lane(order, STATE), CHAOTIC[order]))
+    shuffled = runners[2](iterate, (strobe(), np.int32(PERIODS)), lane(order, (STATE, CHAOTIC)))
     same(shuffled, lane(order, chaos))
 
 
@@ -88,10 +88,11 @@ def test_same_bits_in_any_order(runners, chaos):
 def test_lane_that_is_not_a_number(runners, bad):
     """Its results are not numbers, and those of all other lanes are the same bits; as the last lane it pads a tile."""
     count = 700
-    b = CHAOTIC[:count].copy()
-    good = runners[2](iterate, (strobe(), np.int32(3)), (lane(slice(0, count), STATE), b))
+    state, p = lane(slice(0, count), (STATE, CHAOTIC))
+    good = runners[2](iterate, (strobe(), np.int32(3)), (state, p))
+    b = p["b"].copy()
     b[bad] = math.nan
-    result = runners[2](iterate, (strobe(), np.int32(3)), (lane(slice(0, count), STATE), b))
+    result = runners[2](iterate, (strobe(), np.int32(3)), (state, {"b": b}))
     others = np.arange(count) != bad
     same(lane(others, result), lane(others, good))
     assert all(math.isnan(leaf[bad]) for leaf in jax.tree.leaves(result))
@@ -172,7 +173,7 @@ def test_stage_ends_when_something_fails():
 def test_configure(number, set_before, devices):
     """So many devices as asked for, unless the environment says otherwise, and all of them at work."""
     code = (
-        f"from jaxnh.engine.lanes import configure, Lanes; configure({number}); import jax, numpy as np;"
+        f"from jaxnh.engine.xla_options import configure; from jaxnh.engine.lanes import Lanes; configure({number}); import jax, numpy as np;"
         "r = Lanes()(abs, (), (np.linspace(-1, 0, 10),)); print(len(jax.devices()), r.sum())"
     )
     environment = {**os.environ, **set_before}

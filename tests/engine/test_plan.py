@@ -6,15 +6,19 @@ import h5py
 import jax
 import numpy as np
 import pytest
+import xarray as xr
 
 from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.base import variable
+from jaxnh.config.experiment import Experiment
 from jaxnh.engine import plan as work
 from jaxnh.engine.lanes import Lanes
-from jaxnh.engine.plan import experiment_from
+from jaxnh.exceptions import BusyError, DamagedError
 from jaxnh.storage import hdf5 as store
-from jaxnh.storage import merge, tiles
+from jaxnh.storage import merge, pieces, tiles
 from jaxnh.storage.merge import Extra
-from jaxnh.storage.tiles import Busy, Damaged, Job, Piece, Spent
+from jaxnh.storage.pieces import Job, Piece
+from jaxnh.storage.tiles import Spent
 
 COUNT = 600
 HEAD = f"""\
@@ -34,8 +38,14 @@ OPTIONS = {
 SPENT = Spent(1.0, 0.5, 100.0, "1 x cpu (cpu)")
 
 
-def job_of(experiment, lanes, tile):
-    return work.decide(experiment, lanes, tile)
+def decided(text, lanes, tile):
+    """An experiment and the job of its sweep."""
+    experiment = Experiment.from_text(text)
+    return experiment, work.decide(experiment, lanes, tile)
+
+
+def compute(experiment, job, batch, lanes):
+    return work.compute(experiment, experiment.axes, experiment.requested(), job, batch, lanes)
 
 
 @pytest.fixture(scope="module")
@@ -49,44 +59,43 @@ def test_pieces_are_rows_of_the_whole(runners, name):
 
     All criteria together are compiled for two devices alone, which takes long enough.
     """
-    experiment = experiment_from(f"{HEAD}  {name}: {OPTIONS[name]}\n")
-    job = job_of(experiment, runners[2], 1 << 20)
-    [whole] = work.compute(experiment, job, job.pieces(), runners[2])
-    assert set(whole.groups) == set(job.split)
+    experiment, job = decided(f"{HEAD}  {name}: {OPTIONS[name]}\n", runners[2], 1 << 20)
+    [whole] = compute(experiment, job, job.pieces(), runners[2])
+    assert set(whole.groups) == set(job.independent)
     for first, end in ((0, 1), (37, 300), (COUNT - 2, COUNT)):
         runner = runners[2 if name == "verdict" else 1]
-        [done] = work.compute(experiment, job, [Piece(0, job.split, first, end)], runner)
+        [done] = compute(experiment, job, [Piece(0, job.independent, (first,), (end,))], runner)
         for key, group in done.groups.items():
-            for variable_name, variable in group.variables.items():
+            assert set(group.variables) == set(whole.groups[key].variables)
+            for variable_name, item in group.variables.items():
                 expected = whole.groups[key].variables[variable_name]
-                rows = expected.data[first:end] if expected.dims[0] == "b" else expected.data
-                assert variable.data.tobytes() == np.ascontiguousarray(rows).tobytes(), (key, variable_name)
-                assert variable.dims == expected.dims
+                rows = expected.values[first:end] if expected.dims[0] == "b" else expected.values
+                assert item.values.tobytes() == np.ascontiguousarray(rows).tobytes(), (key, variable_name)
+                assert item.dims == expected.dims
 
 
 def test_pieces_computed_together_are_those_computed_alone(runners):
     """Neighbouring tiles as one call, cut afterwards; what is counted is counted in each."""
-    experiment = experiment_from(f"{HEAD}  verdict: {OPTIONS['verdict']}\n")
-    job = job_of(experiment, runners[2], 100)
-    pieces = job.pieces()[1:4]
-    together = work.compute(experiment, job, pieces, runners[2])
-    for piece, one in zip(pieces, together, strict=True):
-        [alone] = work.compute(experiment, job, [piece], runners[2])
+    experiment, job = decided(f"{HEAD}  verdict: {OPTIONS['verdict']}\n", runners[2], 100)
+    neighbours = job.pieces()[1:4]
+    together = compute(experiment, job, neighbours, runners[2])
+    for piece, one in zip(neighbours, together, strict=True):
+        [alone] = compute(experiment, job, [piece], runners[2])
         assert one.counts == alone.counts
         assert sum(one.counts["verdict"].values()) == 100
         for key, group in alone.groups.items():
-            for name, variable in group.variables.items():
-                np.testing.assert_array_equal(one.groups[key].variables[name].data, variable.data)
+            for name, item in group.variables.items():
+                np.testing.assert_array_equal(one.groups[key].variables[name].values, item.values)
     assert sum(one.spent.lane_periods for one in together) > 300 * 100
 
 
-def test_every_analysis_says_whether_it_splits():
-    """What carries something from lane to lane is a piece of work as a whole."""
-    whole = {name for name, a in ANALYSES.items() if not a.splits(a.options())}
+def test_every_analysis_says_whether_its_lanes_are_independent():
+    """What carries something from lane to lane is run along the whole first axis."""
+    whole = {name for name, a in ANALYSES.items() if not a.independent(a.options())}
     assert whole == {"doubling"}
-    for start, splits in (("fixed", True), ("random", True), ("up", False), ("down", False)):
+    for start, independent in (("fixed", True), ("random", True), ("up", False), ("down", False)):
         options = ANALYSES["diagram"].options(start=start)
-        assert ANALYSES["diagram"].splits(options) == splits
+        assert ANALYSES["diagram"].independent(options) == independent
 
 
 # ---- how a sweep is cut
@@ -103,27 +112,27 @@ def test_every_analysis_says_whether_it_splits():
     ],
 )
 def test_lanes_a_tile(periods, numbers, lanes, tile):
-    assert tiles.tile_lanes(periods, numbers, lanes) == tile
+    assert pieces.tile_lanes(periods, numbers, lanes) == tile
 
 
-def job(lanes=10, tile=4, order=("diagram", "doubling"), split=("diagram",)):
-    return Job(
-        "c" * 64, {"jaxnh": "0"}, "blanes_moan6", 40, False, 1e-6, {"lyapunov": {"parts": 4}}, order, split, lanes, tile
-    )
+def job(lanes=10, tile=4, order=("diagram", "doubling"), independent=("diagram",)):
+    decided = ("blanes_moan6", 40, False, 1e-6, {"lyapunov": {"parts": 4}})
+    return Job("c" * 64, {"jaxnh": "0"}, *decided, order, independent, (("b", lanes, False),), tile)
 
 
 def test_pieces_cover_the_sweep():
     found = job().pieces()
-    assert [(piece.first, piece.end) for piece in found] == [(0, 4), (4, 8), (8, 10), (0, 10)]
+    assert [(piece.begin[0], piece.end[0]) for piece in found] == [(0, 4), (4, 8), (8, 10), (0, 10)]
     assert [piece.names for piece in found] == [("diagram",)] * 3 + [("doubling",)]
-    assert job(split=()).pieces() == [Piece(0, ("diagram",), 0, 10), Piece(1, ("doubling",), 0, 10)]
+    lines = [Piece(0, ("diagram",), (0,), (10,)), Piece(1, ("doubling",), (0,), (10,))]
+    assert job(independent=()).pieces() == lines
 
 
 @pytest.mark.parametrize("parts", [1, 2, 3, 7, 50])
 def test_parts_share_all_pieces(parts):
-    pieces = job(lanes=100).pieces()
-    shares = [tiles.share(pieces, (k, parts)) for k in range(1, parts + 1)]
-    assert [piece for share in shares for piece in share] == pieces
+    every = job(lanes=100).pieces()
+    shares = [pieces.share(every, (k, parts)) for k in range(1, parts + 1)]
+    assert [piece for share in shares for piece in share] == every
     assert max(map(len, shares)) - min(map(len, shares)) <= 1
 
 
@@ -146,17 +155,17 @@ def test_of_two_processes_the_first_decides(tmp_path):
 def test_locks(tmp_path):
     """The whole keeps all others out, a part keeps out the whole and itself; the folder goes if nothing is in it."""
     folder = tmp_path / "result.h5.tiles"
-    with tiles.hold(folder), pytest.raises(Busy), tiles.hold(folder):
+    with tiles.hold(folder), pytest.raises(BusyError), tiles.hold(folder):
         pass
     assert not folder.exists()
     with tiles.hold(folder):
         for part in ((1, 2), (2, 2)):
-            with pytest.raises(Busy, match=f"result.h5, or on part {part[0]}/2"), tiles.hold(folder, part):
+            with pytest.raises(BusyError, match=f"result.h5, or on part {part[0]}/2"), tiles.hold(folder, part):
                 pass
     with tiles.hold(folder, (1, 2)), tiles.hold(folder, (2, 2)):
-        with pytest.raises(Busy), tiles.hold(folder):
+        with pytest.raises(BusyError), tiles.hold(folder):
             pass
-        with pytest.raises(Busy), tiles.hold(folder, (2, 2)):
+        with pytest.raises(BusyError), tiles.hold(folder, (2, 2)):
             pass
     with tiles.hold(folder):
         (folder / "job.json").write_text("")
@@ -166,20 +175,20 @@ def test_locks(tmp_path):
 # ---- merging
 
 
-def written(folder, first, end, width, seed=3):
+def written(first, end, width, seed=3):
     """A group of lanes as an analysis leaves it: variables over b of several kinds, and one without b."""
-    from jaxnh.analyses.base import Group, Variable
-
     x = np.random.default_rng(seed).normal(size=(10_000, width))
     x[7, 0] = np.nan
-    return Group(
+    return xr.Dataset(
         {
-            "b": Variable(("b",), np.linspace(1, 2, 10_000)[first:end], "coupling b"),
-            "t": Variable(("strobe",), np.arange(width) / 3, "time"),
-            "x1": Variable(("b", "strobe"), x[first:end], "position"),
-            "kind": Variable(("b",), (np.arange(10_000) % 3).astype(np.int8)[first:end], "kind"),
+            "x1": variable(("b", "strobe"), x[first:end], "position"),
+            "kind": variable("b", (np.arange(10_000) % 3).astype(np.int8)[first:end], "kind"),
         },
-        {"start": "fixed"},
+        coords={
+            "b": variable("b", np.linspace(1, 2, 10_000)[first:end], "coupling b"),
+            "t": variable("strobe", np.arange(width) / 3, "time"),
+        },
+        attrs={"start": "fixed"},
     )
 
 
@@ -189,22 +198,21 @@ def test_merged_file_is_the_file_written_at_once(tmp_path, tile, width):
     plan = job(10_000, tile, ("diagram",))
     for piece in plan.pieces():
         tiles.write_piece(
-            tmp_path, plan, piece, {"diagram": written(tmp_path, piece.first, piece.end, width)}, {}, SPENT
+            tmp_path, plan, piece, {"diagram": written(piece.begin[0], piece.end[0], width)}, {}, SPENT
         )
     merged, plain = tmp_path / "merged.h5", tmp_path / "plain.h5"
-    attrs = {"title": "t", "jaxnh_version": "0"}
+    attrs = {"title": "t", "jaxnh_version": "0", "axes": "b"}
     merge.merge(merged, attrs, tmp_path, plan, {"diagram": Extra({"not_finite": 1}, ("one is lost",))})
-    store.write(plain, attrs, {"diagram": written(tmp_path, 0, 10_000, width)})
+    store.write(plain, attrs, {"diagram": written(0, 10_000, width)})
     store.verify(merged)
-    ours, expected = store.read_variables(merged, "diagram"), store.read_variables(plain, "diagram")
-    assert list(ours) == list(expected)
-    for name, data in expected.items():
-        assert (ours[name].dtype, ours[name].tobytes()) == (data.dtype, data.tobytes())
     with h5py.File(merged) as one, h5py.File(plain) as other:
-        for name in expected:
+        ours, expected = store.variables(one["diagram"]), store.variables(other["diagram"])
+        assert list(ours) == list(expected)
+        for name, item in expected.items():
+            assert (ours[name].dtype, ours[name][()].tobytes()) == (item.dtype, item[()].tobytes())
             assert store.attributes(one["diagram"][name]) == store.attributes(other["diagram"][name])
             assert store.dimensions(one["diagram"][name]) == store.dimensions(other["diagram"][name])
-        assert dict(one["diagram"].attrs) == {"start": "fixed", "not_finite": 1, "warnings": "one is lost"}
+        assert store.attributes(one["diagram"]) == {"start": "fixed", "not_finite": 1, "warnings": "one is lost"}
         assert one["diagram/x1"].fletcher32
         assert one["diagram/x1"].shuffle
         assert one["diagram/x1"].compression == "gzip"
@@ -213,7 +221,7 @@ def test_merged_file_is_the_file_written_at_once(tmp_path, tile, width):
 def test_damaged_piece_is_named_while_merging(tmp_path):
     plan = job(3000, 1024, ("diagram",))
     for piece in plan.pieces():
-        tiles.write_piece(tmp_path, plan, piece, {"diagram": written(tmp_path, piece.first, piece.end, 40)}, {}, SPENT)
+        tiles.write_piece(tmp_path, plan, piece, {"diagram": written(piece.begin[0], piece.end[0], 40)}, {}, SPENT)
     bad = plan.pieces()[1]
     path = tiles.piece_path(tmp_path, bad)
     with h5py.File(path) as file:
@@ -221,9 +229,9 @@ def test_damaged_piece_is_named_while_merging(tmp_path):
     content = bytearray(path.read_bytes())
     content[chunk.byte_offset + chunk.size // 2] ^= 16
     path.write_bytes(content)
-    with pytest.raises(Damaged):
+    with pytest.raises(DamagedError):
         tiles.check(tmp_path, plan, bad)
-    with pytest.raises(merge.Unusable) as caught:
+    with pytest.raises(merge.DamagedPieceError) as caught:
         merge.merge(tmp_path / "merged.h5", {}, tmp_path, plan, {"diagram": Extra({}, ())})
     assert caught.value.piece == bad
     assert not (tmp_path / "merged.h5").exists()

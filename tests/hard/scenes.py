@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 import taylor
-from measure import apart, twin
+from measure import apart, calibrated, twin
 
-from jaxnh.config.experiment import Initial
-from jaxnh.engine.calibration import Calibration, Plan, TargetError
+from jaxnh.engine.calibration import Plan
+from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
 
@@ -29,23 +29,23 @@ class Held(NamedTuple):
 def hold(lanes, system, start, values, target, count=24):
     """Calibrate a scene and measure one period on `count` lanes, a third each after 0, 3 and 20 periods."""
     try:
-        plan = Calibration(system, start, values, lanes).cheapest(target)
-    except TargetError as refusal:
+        plan = calibrated(system, start, values, lanes).cheapest(target)
+    except AccuracyError as refusal:
         return Held(None, np.inf, str(refusal))
     strobe = make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated)
     b = np.random.default_rng(11).choice(values, count)
     u = np.tile(system.section_point(start), (count, 1))
     for k, n in enumerate((0, 3, 20)):
         part = slice(k * count // 3, (k + 1) * count // 3)
-        u[part] = lanes(section_map, (strobe, np.int32(n)), (u[part], b[part]))
-    image = lanes(section_map, (strobe, np.int32(1)), (u, b))
+        u[part] = lanes(section_map, (strobe, np.int32(n)), (u[part], {"b": b[part]}))
+    image = lanes(section_map, (strobe, np.int32(1)), (u, {"b": b}))
     exact = taylor.settled_strobe(twin(system), b, u, 0.1 * plan.error_estimate)
     return Held(plan, float(apart(image, exact).max()), "")
 
 
 def start_at(system, x1=0.1, y1=0.1):
     """The paper's start direction (x2 a tenth of the speed) at a position."""
-    return Initial(x1=x1, x2=0.1 * system.c**0.5, y1=y1).state(system)
+    return system.start({"x1": x1, "x2": 0.1 * system.c**0.5, "y1": y1})
 
 
 def show(battery, what, held, target):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -11,17 +12,16 @@ import pytest
 import taylor
 from battery import worst
 from matplotlib.figure import Figure
-from measure import twin
+from measure import calibrated, scene_of, twin
 from test_batch import Job, content
 from test_cascade_depth import iterated
 from test_criteria import divergence
 
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
-from jaxnh.analyses.base import Scene
+from jaxnh.analyses.base import LANE
 from jaxnh.config.experiment import load
-from jaxnh.config.yaml_source import ConfigError
-from jaxnh.engine.calibration import Calibration, TargetError
 from jaxnh.engine.lanes import Lanes
+from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.orbits.shooting import close_orbit, segment
@@ -31,8 +31,10 @@ from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, uncha
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 
 
-def scene_of(system, values, steps=128, solver="blanes_moan6", compensated=False):
-    return Scene(system, START, np.array(values, float), SPLITTINGS[solver], steps, compensated, math.nan)
+def scene_at(values, steps=128, solver="blanes_moan6", system=None, start=START):
+    """Lanes at values of b, all from one start state, at constant speed unless a system is named."""
+    system = constant_speed() if system is None else system
+    return scene_of(system, start, values, SPLITTINGS[solver], steps, error=math.nan)
 
 
 @pytest.fixture(scope="module")
@@ -55,19 +57,21 @@ def test_strong_contraction(battery, lanes):
     for c, b in wanted:
         system = constant_speed(c=c)
         par = twin(system)
-        scene = scene_of(system, [b], 600, "kahan_li8")
-        found = period.survey(scene, lanes, scene.values, np.array([[1.0, 1.0, 0.3]]), 16, "hard", 400)
+        scene = scene_at([b], 600, "kahan_li8", system)
+        found = period.survey(scene, lanes, np.array([[1.0, 1.0, 0.3]]), 16, "hard", 400)
         n = int(found.period[0])
         assert n > 0
         strobe = scene.strobe()
         orbit = close_orbit(
-            lambda *a, strobe=strobe: lanes(segment, (strobe,), a, tile=32), walk(lanes, scene, found.u[0], n), b
+            lambda u, w, b, strobe=strobe: lanes(segment, (strobe,), (u, w, {"b": b}), tile=32, static=("b",)),
+            walk(lanes, scene, found.u[0], n),
+            b,
         )
         options = lyapunov.LyapunovOptions(transient=128, periods=512 if battery.full else 128)
         x, y, theta = found.u[0]
-        scene = Scene(system, ((x, y), (math.cos(theta), math.sin(theta))), *list(vars(scene).values())[2:])
-        ours = lyapunov.run(options, scene, lanes).variables
-        exponents = ours["exponents"].data[0]
+        scene = scene_at([b], 600, "kahan_li8", system, ((x, y), (math.cos(theta), math.sin(theta))))
+        ours = lyapunov.run(options, scene, lanes)
+        exponents = ours["exponents"].to_numpy()[0]
         mean = divergence(par, b, orbit.points) / (n * float(par.period))
         logs = iterated(taylor.strobe_jacobian(par, np.full(n, b), orbit.points)[1]) / (n * float(par.period))
         exact = [logs[0], logs[1], mean - logs[0] - logs[1]]
@@ -77,14 +81,18 @@ def test_strong_contraction(battery, lanes):
             1e-6,
             "error",
         )
-        battery.row(f"c = {c:g}, b = {b:g}: sum rule", worst(np.abs(ours["sum_rule_residual"].data)), 1e-6, "residual")
+        battery.row(
+            f"c = {c:g}, b = {b:g}: sum rule", worst(np.abs(ours["sum_rule_residual"].to_numpy())), 1e-6, "residual"
+        )
 
 
 def walk(lanes, scene, u, n):
     """The n points of an orbit, (n, 3)."""
     points = [u]
     for _ in range(n - 1):
-        end = lanes(iterate, (scene.strobe(), np.int32(1)), (unchart(points[-1][:, None]), scene.values), tile=32)
+        end = lanes(
+            iterate, (scene.strobe(), np.int32(1)), (unchart(points[-1][:, None]), scene.take(slice(1)).p), tile=32
+        )
         points.append(np.array(chart(jax.tree.map(lambda leaf: leaf[0], end))))
     return np.array(points)
 
@@ -92,11 +100,11 @@ def walk(lanes, scene, u, n):
 # ---- long chaos
 
 
-def means(lanes, strobe, state, b, periods):
+def means(lanes, strobe, state, p, periods):
     """States `periods` on, and each lane's means of x1, y1, n1, n2 at the strobes until then, (4, lanes)."""
-    total, block = np.zeros((4, len(b))), min(periods, 400)
+    total, block = np.zeros((4, len(p["b"]))), min(periods, 400)
     for _ in range(periods // block):
-        state, met = lanes(record, (strobe,), (state, b), periods=block, static=(block,))
+        state, met = lanes(record, (strobe,), (state, p), periods=block, static=(block,))
         total += [leaf.sum(axis=1) for leaf in jax.tree.leaves(met)]
     return state, total / (periods // block * block)
 
@@ -105,12 +113,12 @@ def means(lanes, strobe, state, b, periods):
 def test_long_chaos(battery, lanes):
     """An attractor that is its own mirror image: odd means vanish within their error, over lanes that forgot their start."""
     count, periods = (4096, 100_000) if battery.full else (256, 400)
-    plan = Calibration(constant_speed(), START, np.array([5.3]), lanes).cheapest(1e-4)
+    plan = calibrated(constant_speed(), START, [5.3], lanes).cheapest(1e-4)
     strobe = make_strobe(constant_speed(), plan.solver, plan.steps, compensated=plan.compensated)
     state = jax.tree.map(np.array, unchart(random_points(count).T))
-    b = np.full(count, 5.3)
-    state = lanes(iterate, (strobe, np.int32(200)), (state, b), periods=200)
-    end, averages = means(lanes, strobe, state, b, periods)
+    p = {"b": np.full(count, 5.3)}
+    state = lanes(iterate, (strobe, np.int32(200)), (state, p), periods=200)
+    end, averages = means(lanes, strobe, state, p, periods)
     score = [abs(m.mean()) / (m.std(ddof=1) / math.sqrt(count)) for m in averages]
     battery.row(
         f"b = 5.3, {count:,} lanes, {periods:,} periods: means of x1, y1, n1, n2",
@@ -121,10 +129,10 @@ def test_long_chaos(battery, lanes):
     off = np.abs(np.hypot(*end[1]) - 1)
     battery.row("the same lanes at their end", worst(off), 1e-14, "largest \\|\\|n\\| − 1\\|")
     few, shorter = slice(count // 2 - 37, count // 2 + 26), min(periods, 2000)
-    start = jax.tree.map(lambda leaf: leaf[few], state)
+    start = jax.tree.map(lambda leaf: leaf[few], (state, p))
     one = Lanes(devices=jax.devices()[:1])
-    alone = one(iterate, (strobe, np.int32(shorter)), (start, b[few]))
-    among = lanes(iterate, (strobe, np.int32(shorter)), (state, b))
+    alone = one(iterate, (strobe, np.int32(shorter)), start)
+    among = lanes(iterate, (strobe, np.int32(shorter)), (state, p))
     differing = sum(
         int(np.sum(x != y[few])) for x, y in zip(jax.tree.leaves(alone), jax.tree.leaves(among), strict=True)
     )
@@ -134,15 +142,15 @@ def test_long_chaos(battery, lanes):
         0,
         "numbers that differ:",
     )
-    scene = scene_of(constant_speed(), np.linspace(5.2, 5.8, 300 if battery.full else 20), 110)
+    scene = scene_at(np.linspace(5.2, 5.8, 300 if battery.full else 20), 110)
     on_one, on_two = everything(scene, Lanes(devices=jax.devices()[:1])), everything(scene, lanes)
     differing = sum(
-        int(np.sum(~same(v.data, on_two[name].variables[key].data)))
+        int(np.sum(~same(v.values, on_two[name].variables[key].values)))
         for name, group in on_one.items()
         for key, v in group.variables.items()
     )
     battery.row(
-        f"five analyses at {len(scene.values)} b on one device and on {len(lanes.devices)}",
+        f"five analyses at {scene.count} b on one device and on {len(lanes.devices)}",
         differing,
         0,
         "numbers that differ:",
@@ -151,8 +159,8 @@ def test_long_chaos(battery, lanes):
         ((constant_speed(), 5.3), (disturbed_speed(), 5.6)) if battery.full else ((constant_speed(), 5.3),)
     ):
         options = lyapunov.LyapunovOptions(transient=256, periods=4096 if battery.full else 64)
-        found = lyapunov.run(options, scene_of(system, b + 1e-6 * np.arange(32)), lanes).variables
-        share = np.abs(found["sum_rule_residual"].data) / found["exponents_error"].data.sum(axis=1)
+        found = lyapunov.run(options, scene_at(b + 1e-6 * np.arange(32), system=system), lanes)
+        share = np.abs(found["sum_rule_residual"].to_numpy()) / found["exponents_error"].to_numpy().sum(axis=1)
         battery.row(
             f"d = {system.d:g}, b = {b}, {options.periods:,} periods: sum rule",
             worst(share),
@@ -209,12 +217,12 @@ def test_coexisting_attractors(battery, lanes):
     picture = Figure(figsize=(12, 4.4), layout="constrained")
     chosen = (4.0, 5.51, 4.52, 5.475) if battery.full else (4.0,)
     for axes, b in zip(np.atleast_1d(picture.subplots(1, len(chosen))), chosen, strict=True):
-        scene = scene_of(constant_speed(), np.full(count, b), 240, "kahan_li8")
+        scene = scene_at(np.full(count, b), 240, "kahan_li8")
         starts = random_points(count)
-        found = period.survey(scene, lanes, scene.values, starts, 16, "hard", 512)
+        found = period.survey(scene, lanes, starts, 16, "hard", 512)
         again = np.flatnonzero(found.period == 0)
         if len(again):  # slow ones get more time
-            later = period.survey(scene, lanes, scene.values[again], found.u[again], 16, "hard", 4000)
+            later = period.survey(scene.take(again), lanes, found.u[again], 16, "hard", 4000)
             for leaf, new in zip(found[1:], later[1:], strict=True):
                 leaf[again] = new
         settled, chaotic = np.flatnonzero(found.period > 0), np.flatnonzero(found.period == 0)
@@ -256,8 +264,7 @@ def test_coexisting_attractors(battery, lanes):
 
 
 def orbit_of(lanes, scene, u, n):
-    one = Scene(scene.system, scene.start, scene.values[:1], *list(vars(scene).values())[3:])
-    return walk(lanes, one, u, n)
+    return walk(lanes, scene, u, n)
 
 
 def mirror_of(u):
@@ -272,9 +279,9 @@ def same_orbit(lanes, scene, u, n, other):
 
 def proven_chaotic(lanes, scene, u):
     """Which lanes, from section points (lanes, 3), have a largest exponent above twice its error bar."""
-    there = Scene(scene.system, unchart(u.T), scene.values[: len(u)], *list(vars(scene).values())[3:])
-    found = lyapunov.run(lyapunov.LyapunovOptions(transient=64, periods=2048, exponents=1), there, lanes).variables
-    return found["exponents"].data[:, 0] > 2 * found["exponents_error"].data[:, 0]
+    there = replace(scene.take(slice(len(u))), start=jax.tree.map(np.asarray, unchart(u.T)))
+    found = lyapunov.run(lyapunov.LyapunovOptions(transient=64, periods=2048, exponents=1), there, lanes)
+    return found["exponents"].to_numpy()[:, 0] > 2 * found["exponents_error"].to_numpy()[:, 0]
 
 
 def attractors(lanes, scene, found, left):
@@ -299,19 +306,19 @@ def test_poisoned_lane(battery, lanes, tmp_path):
     """Not a number, infinite, or so large that the force overflows: that lane is marked failed, the others keep their bits."""
     count = 600 if battery.full else 40
     values = np.linspace(5.2, 5.8, count)
-    scene = scene_of(constant_speed(), values, 110)
+    scene = scene_at(values, 110)
     clean = everything(scene, lanes)
     place = count // 2
     others = np.arange(count) != place
     for poison in (math.nan, math.inf, -1e200) if battery.full else (-1e200,):
         bad = values.copy()
         bad[place] = poison
-        groups = everything(scene_of(constant_speed(), bad, 110), lanes)
+        groups = everything(scene_at(bad, 110), lanes)
         differing = sum(
-            int(np.sum(~same(clean[name].variables[v].data[others], groups[name].variables[v].data[others])))
+            int(np.sum(~same(clean[name].variables[v].values[others], found.values[others])))
             for name in groups
-            for v in groups[name].variables
-            if groups[name].variables[v].dims[0] == "b"
+            for v, found in groups[name].variables.items()
+            if found.dims[:1] == (LANE,)
         )
         battery.row(
             f"b = {poison:g} in lane {place} of {count}: all other lanes of 5 analyses",
@@ -319,13 +326,13 @@ def test_poisoned_lane(battery, lanes, tmp_path):
             0,
             "numbers that differ:",
         )
-        assert groups["period"].variables["failed"].data[place] == 1
-        assert np.sum(groups["period"].variables["failed"].data) == 1
-        assert verdict.KINDS[groups["verdict"].variables["kind"].data[place]] == "failed"
-        assert math.isnan(groups["diagram"].variables["x1"].data[place, -1])
+        assert groups["period"]["failed"].to_numpy()[place] == 1
+        assert np.sum(groups["period"]["failed"].to_numpy()) == 1
+        assert verdict.KINDS[groups["verdict"]["kind"].to_numpy()[place]] == "failed"
+        assert math.isnan(groups["diagram"]["x1"].to_numpy()[place, -1])
     # A finite b that no steps can follow is no poison: it is refused by its value before anything runs.
-    with pytest.raises(TargetError, match="b = 1000000") as refusal:
-        Calibration(constant_speed(), START, np.append(values, 1e6), lanes).cheapest(1e-8)
+    with pytest.raises(AccuracyError, match="b = 1000000") as refusal:
+        calibrated(constant_speed(), START, np.append(values, 1e6), lanes).cheapest(1e-8)
     battery.refused(f"b = 1e6 beside {count} others", str(refusal.value))
     path = tmp_path / "poisoned.yaml"
     for word in (".nan", ".inf"):

@@ -9,10 +9,9 @@ import pytest
 import taylor
 from battery import worst
 from matplotlib.figure import Figure
-from measure import turned
+from measure import scene_of, turned
 
 from jaxnh.analyses import chaos01, lyapunov, period, verdict
-from jaxnh.analyses.base import Scene
 from jaxnh.engine.lanes import Lanes
 from jaxnh.orbits.newton import find_orbit
 from jaxnh.orbits.shooting import close_orbit, log_volume, multiplier_logs, refine_doubling, segment
@@ -20,7 +19,7 @@ from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, wrap
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
-SCENE = Scene(constant_speed(), START, np.array([5.54]), SPLITTINGS["kahan_li8"], 320, True, 1e-11)
+SCENE = scene_of(constant_speed(), START, [5.54], SPLITTINGS["kahan_li8"], 320, True, 1e-11)
 FEIGENBAUM = 4.669201609102990
 
 
@@ -33,7 +32,7 @@ def lanes():
 @pytest.fixture(scope="module")
 def segments(lanes):
     strobe = SCENE.strobe()
-    return lambda u, w, b: lanes(segment, (strobe,), (u, w, b), tile=32)
+    return lambda u, w, b: lanes(segment, (strobe,), (u, w, {"b": b}), tile=32, static=("b",))
 
 
 def dominant(blocks):
@@ -52,7 +51,7 @@ def dominant(blocks):
 @pytest.fixture(scope="module")
 def first(lanes, segments):
     """The doubling 1 → 2."""
-    start = period.survey(SCENE, lanes, SCENE.values, constant_speed().section_point(START)[None], 2, "hard", 300)
+    start = period.survey(SCENE, lanes, constant_speed().section_point(START)[None], 2, "hard", 300)
     orbit = close_orbit(segments, start.u, 5.525)
     return refine_doubling(segments, orbit.points, dominant(orbit.blocks), 5.525)
 
@@ -63,16 +62,16 @@ def climb(segments, first, levels):
     gap, size = -0.0241, 0.1
     for _ in range(1, levels):
         last, n = points[-1], len(points[-1].orbit)
-        b = last.b + 0.5 * gap
+        b = last.value + 0.5 * gap
         for guess in size / 2.5 ** np.arange(8):  # the branches are √(b − b_k) apart, with an unknown factor
             moved = 0.5 * guess * last.vector / np.abs(last.vector).max()
             found = close_orbit(segments, np.concatenate([last.orbit + moved, last.orbit - moved]), b)
             apart = np.abs(wrap(found.points[:n] - found.points[n:])).max()
             if found.residual < 1e-9 and 0.1 * guess < apart < 10 * guess:  # neither n's own orbit nor another's
                 break
-        ahead = close_orbit(segments, found.points, last.b + 0.9 * gap)
-        points.append(refine_doubling(segments, ahead.points, dominant(ahead.blocks), last.b + gap))
-        gap = (points[-1].b - last.b) / (4.6 if len(points) < 4 else FEIGENBAUM)
+        ahead = close_orbit(segments, found.points, last.value + 0.9 * gap)
+        points.append(refine_doubling(segments, ahead.points, dominant(ahead.blocks), last.value + gap))
+        gap = (points[-1].value - last.value) / (4.6 if len(points) < 4 else FEIGENBAUM)
         size = apart / 2.5  # Feigenbaum's α
     return points
 
@@ -89,16 +88,22 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
         "curvature 1e-11 in μ, turns verdicts about at \\|1 + μ\\| = 1e-12."
     )
     par = taylor.Parameters()
-    exact, _, info = taylor.doubling_point(par, 1, first.b, first.orbit[0])
-    battery.row("doubling 1 → 2, by Taylor with Newton", abs(float(first.b - exact)), 1e-11 + info.error, "error of b")
+    exact, _, info = taylor.doubling_point(par, 1, first.value, first.orbit[0])
+    battery.row(
+        "doubling 1 → 2, by Taylor with Newton", abs(float(first.value - exact)), 1e-11 + info.error, "error of b"
+    )
     h = 1e-5
-    near = lanes(find_orbit, (SCENE.strobe(), np.int32(1)), (np.tile(first.orbit, (2, 1)), first.b + np.array([-h, h])))
+    near = lanes(
+        find_orbit,
+        (SCENE.strobe(), np.int32(1)),
+        (np.tile(first.orbit, (2, 1)), {"b": first.value + np.array([-h, h])}),
+    )
     low, high = (np.linalg.eigvals(m).real.min() for m in near.monodromy)
     kappa = (high - low) / (2 * h)
     edge = 10.0**-n_edges
-    b = np.concatenate([first.b + edge / kappa, first.b - edge / kappa])
+    b = np.concatenate([first.value + edge / kappa, first.value - edge / kappa])
     start = np.tile(constant_speed().section_point(START), (len(b), 1))
-    found = period.survey(SCENE, lanes, b, start, 16, "hard", 512)
+    found = period.survey(SCENE.at(b), lanes, start, 16, "hard", 512)
     wanted = np.repeat([1, 2], len(edge))
     wrong = int(np.sum(found.period != wanted))
     battery.row("\\|1 + μ\\| = 1e-2 … 1e-12 on both sides: periods 1 and 2", wrong, 0, "wrong periods:")
@@ -112,7 +117,9 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     off = np.abs(reference - found.multiplier[: len(edge)])
     battery.row("multiplier of period 1, by Taylor's monodromy matrix", worst(off), 1e-9, "error")
     steps = [
-        lanes(find_orbit, (SCENE.strobe(), np.int32(1)), (np.tile(first.orbit + 0.01, (len(edge), 1)), side)).steps
+        lanes(
+            find_orbit, (SCENE.strobe(), np.int32(1)), (np.tile(first.orbit + 0.01, (len(edge), 1)), {"b": side})
+        ).steps
         for side in np.split(b, 2)
     ]
     battery.row("Newton steps to the orbit of period 1", int(np.max(steps)), int(np.min(steps)) + 1, "largest number")
@@ -126,16 +133,12 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     axes.legend()
     battery.picture(picture, "edge", "Multipliers on both sides of a doubling")
     if battery.full:
-        scene = Scene(SCENE.system, START, b, *plan_of(SCENE))
+        scene = SCENE.at(b)
         done = {"period": period.run(period.PeriodOptions(limit=16), scene, lanes)}
         done["lyapunov"] = lyapunov.run(lyapunov.LyapunovOptions(transient=512, periods=1024), scene, lanes)
         done["chaos01"] = chaos01.run(chaos01.Chaos01Options(transient=512), scene, lanes)
-        kind = verdict.run(verdict.VerdictOptions(), scene, lanes, done).variables["kind"].data
+        kind = verdict.run(verdict.VerdictOptions(), scene, lanes, done)["kind"].to_numpy()
         battery.row("verdict of these 22 b, all of them periodic", int(np.sum(kind != 0)), 0, "other verdicts:")
-
-
-def plan_of(scene):
-    return scene.solver, scene.steps, scene.compensated, scene.error_estimate
 
 
 # ---- deep in the cascade
@@ -148,7 +151,7 @@ def test_deep_in_the_cascade(battery, lanes, segments, first):
     points = climb(segments, first, deepest)
     assert all(point.converged for point in points)
     assert [len(point.orbit) for point in points] == [2**k for k in range(deepest)]
-    b = np.array([point.b for point in points])
+    b = np.array([point.value for point in points])
     par = taylor.Parameters()
     checked = range(1, 5 if battery.full else 2)
     exact = [float(taylor.doubling_point(par, 2**k, b[k], points[k].orbit[0])[0]) for k in checked]
@@ -172,13 +175,13 @@ def test_deep_in_the_cascade(battery, lanes, segments, first):
     for k in (6, 8, 10) if battery.full else (6,):
         n, last = 2**k, points[k]
         # Midway between two doublings, from the orbit at the second.
-        at = 0.5 * (points[k - 1].b + last.b)
+        at = 0.5 * (points[k - 1].value + last.value)
         orbit = close_orbit(segments, last.orbit, at)
         closing.append(orbit.residual)
         battery.row(f"period {n} at b = {at:.12f}: closed", orbit.residual, 1e-10, "largest gap")
         half = np.abs(wrap(orbit.points - np.roll(orbit.points, n // 2, 0))).max()
         assert half > 1e-7  # not the orbit of half the period
-        volume = lanes(log_volume, (SCENE.strobe(),), (orbit.points, np.full(n, at)), tile=32).sum()
+        volume = lanes(log_volume, (SCENE.strobe(),), (orbit.points, {"b": np.full(n, at)}), tile=32).sum()
         ours = multiplier_logs(orbit.blocks, volume)
         assert ours[0] < 0  # stable
         blocks = taylor.strobe_jacobian(par, np.full(n, at), orbit.points)[1]

@@ -11,15 +11,14 @@ import taylor
 from battery import worst
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from measure import apart, twin
+from measure import apart, scene_of, twin
 from scenes import PAPER_B, SPREAD, hold, show, start_at
 
 from jaxnh.analyses import lyapunov
-from jaxnh.analyses.base import Scene
-from jaxnh.analyses.poincare import spread
+from jaxnh.analyses.base import spread
 from jaxnh.config.experiment import load
-from jaxnh.config.yaml_source import ConfigError
 from jaxnh.engine.lanes import Lanes
+from jaxnh.exceptions import ConfigError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS
@@ -46,11 +45,11 @@ def test_speed_nearly_vanishing(battery, lanes):
         held = hold(lanes, system, start, values, 1e-8, 48 if battery.full else 12)
         show(battery, f"d/c = {ratio:g}, b in [0.1, 6]", held, 1e-8)
         assert held.plan is not None
-        scene = Scene(system, start, np.array([2.5, 4.1, 5.6]), *held.plan)
+        scene = scene_of(system, start, [2.5, 4.1, 5.6], *held.plan)
         options = lyapunov.LyapunovOptions(transient=64, periods=512 if battery.full else 32)
-        found = lyapunov.run(options, scene, lanes).variables
-        scale = np.abs(found["exponents"].data).sum(axis=1)
-        residual = np.abs(found["sum_rule_residual"].data) / scale
+        found = lyapunov.run(options, scene, lanes)
+        scale = np.abs(found["exponents"].to_numpy()).sum(axis=1)
+        residual = np.abs(found["sum_rule_residual"].to_numpy()) / scale
         battery.row(f"d/c = {ratio:g}: spectra at three b", worst(residual), 1e-8, "sum rule, relative,")
 
 
@@ -92,7 +91,7 @@ def test_strong_force(battery, lanes):
         for solver, steps in (("kahan_li8", 100), ("strang2", 4), ("sofroniou_spaletta10", 100)):
             state = spread(start, len(values))
             strobe = make_strobe(system, SPLITTINGS[solver], steps)
-            (x, y), (n1, n2) = lanes(iterate, (strobe, np.int32(100)), (state, values))
+            (x, y), (n1, n2) = lanes(iterate, (strobe, np.int32(100)), (state, {"b": values}))
             path = 100 * system.period * math.sqrt(c)  # nothing travels further, whatever the steps
             assert np.all(np.hypot(x - start[0][0], y - start[0][1]) <= path * (1 + 1e-9))
             assert np.abs(np.hypot(n1, n2) - 1).max() < 1e-14

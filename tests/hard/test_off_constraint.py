@@ -35,7 +35,7 @@ def speed_error(system, t, y):
     return (y[1] ** 2 + y[3] ** 2) / (system.c + system.d * jnp.sin(t)) - 1.0
 
 
-def runge_kutta_4(system, y, b, steps, periods, parts, t0=0.0):
+def runge_kutta_4(system, y, p, steps, periods, parts, t0=0.0):
     """|speed error| of one lane at `parts` moments of each period from t0, and the growth there predicted, by RK4.
 
     Off the constraint the error ε obeys d ln ε/dt = −2 (n·F)/s exactly, with n·F/s = F·v/s² along the orbit: a fifth
@@ -44,9 +44,9 @@ def runge_kutta_4(system, y, b, steps, periods, parts, t0=0.0):
 
     def field(t, z):
         x1, x2, y1, y2 = z[:4]
-        f1, f2 = system.force((x1, y1), system.forcing(t), 1.0, b)
+        f1, f2 = system.force((x1, y1), system.forcing(t), 1.0, p)
         rate = -2.0 * (f1 * x2 + f2 * y2) / (system.c + system.d * jnp.sin(t))
-        return (*constrained_field(system, t, z[:4], b), rate)
+        return (*constrained_field(system, t, z[:4], p), rate)
 
     h = system.period / steps
 
@@ -71,23 +71,23 @@ def runge_kutta_4(system, y, b, steps, periods, parts, t0=0.0):
     return lax.scan(part, start, jnp.arange(parts * periods))[1]
 
 
-def rk4(system, y, b, periods):
+def rk4(system, y, p, periods):
     """|speed error| of one lane after each period, under RK4 with 2000 steps a period."""
-    return runge_kutta_4(system, y, b, 2000, periods, 1)[0]
+    return runge_kutta_4(system, y, p, 2000, periods, 1)[0]
 
 
-def adaptive_dopri8(system, y, b, periods):
+def adaptive_dopri8(system, y, p, periods):
     """|speed error| of one lane after each period, under diffrax's own Dopri8 with rtol = atol = 1e-9."""
 
     def period(y, _):
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, y, b: constrained_field(system, t, y, b)),
+            diffrax.ODETerm(lambda t, y, p: constrained_field(system, t, y, p)),
             diffrax.Dopri8(),
             0.0,
             system.period,
             1e-3,
             y,
-            args=b,
+            args=p,
             stepsize_controller=diffrax.PIDController(rtol=1e-9, atol=1e-9),
             max_steps=4000,
             throw=False,
@@ -105,14 +105,16 @@ def test_growth_of_a_speed_error(battery, lanes):
     for name, system in SYSTEMS.items():
         state = jax.tree.map(lambda leaf: np.full(count, leaf), START)
         solver = SPLITTINGS["kahan_li8"]
-        state = lanes(iterate, (make_strobe(system, solver, 240), np.int32(50)), (state, b), tile=32)
+        state = lanes(iterate, (make_strobe(system, solver, 240), np.int32(50)), (state, {"b": b}), tile=32)
         grown, predicted = [], []
         for t0 in system.period * np.arange(1, 8) / 8:
-            here = lanes(iterate, (make_strobe(system, solver, 240, span=(0.0, t0)), np.int32(1)), (state, b), tile=32)
+            here = lanes(
+                iterate, (make_strobe(system, solver, 240, span=(0.0, t0)), np.int32(1)), (state, {"b": b}), tile=32
+            )
             s = math.sqrt((system.c + system.d * math.sin(t0)) * (1 + put_in))
             (x, y), (n1, n2) = here
-            flow = jax.jit(jax.vmap(lambda y, b, system=system, t0=t0: runge_kutta_4(system, y, b, 16000, 1, 64, t0)))
-            error, expected = (np.asarray(v) for v in flow((x, s * n1, y, s * n2), b))
+            flow = jax.jit(jax.vmap(lambda y, p, system=system, t0=t0: runge_kutta_4(system, y, p, 16000, 1, 64, t0)))
+            error, expected = (np.asarray(v) for v in flow((x, s * n1, y, s * n2), {"b": b}))
             # Nothing to compare once it was damped down to what RK4 makes by itself, or has outgrown small.
             clear = (np.minimum.accumulate(expected, axis=1) > -4) & np.isfinite(error)
             clear &= np.maximum.accumulate(expected, axis=1) < math.log(1e-3 / put_in)
@@ -143,7 +145,7 @@ def test_which_die(battery, lanes):
         )
         deaths = 0
         for label, mark, periods, follow in equations:
-            error = jax.jit(jax.vmap(lambda b, s=system, n=periods, follow=follow: follow(s, y, b, n)))(b)
+            error = jax.jit(jax.vmap(lambda p, s=system, n=periods, follow=follow: follow(s, y, p, n)))({"b": b})
             error = np.abs(np.asarray(error))
             alive = np.all(np.isfinite(error) & (error < 1), axis=1)
             largest = np.max(np.where(np.isfinite(error), error, np.inf), axis=1)
@@ -174,10 +176,10 @@ def hold_speed(battery, lanes, name, system, b):
     blocks, periods = (100, 1000) if battery.full else (10, 100)
     strobe = make_strobe(system, SPLITTINGS["blanes_moan6"], 120)
     state = jax.tree.map(lambda leaf: np.full(len(b), leaf), START)
-    state = lanes(iterate, (strobe, np.int32(200)), (state, b), tile=32)
+    state = lanes(iterate, (strobe, np.int32(200)), (state, {"b": b}), tile=32)
     off, far = np.zeros((2, blocks, len(b)))
     for k in range(blocks):
-        state, off[k], far[k] = lanes(watched, (strobe, np.int32(periods)), (state, b), periods=periods, tile=32)
+        state, off[k], far[k] = lanes(watched, (strobe, np.int32(periods)), (state, {"b": b}), periods=periods, tile=32)
     shown = f"{name}, jaxnh, {len(b)} b, {blocks * periods:,} periods"
     battery.row(shown, worst(off.max(axis=0)), 1e-14, "largest \\|\\|n\\| − 1\\|")
     # On an attractor the means of blocks are alike, early and late. Five standard errors: 6e-7 by chance, a lane.
@@ -188,12 +190,12 @@ def hold_speed(battery, lanes, name, system, b):
     return off.max(axis=0)
 
 
-def watched(strobe, n, state, b):
+def watched(strobe, n, state, p):
     """A state n periods on, the largest ||n| − 1| met at strobes, and the sum of |q|."""
 
     def step(_, carry):
         z, off, far = carry
-        z = strobe(z, b)
+        z = strobe(z, p)
         (x, y), (n1, n2) = z
         return z, jnp.maximum(off, jnp.abs(jnp.sqrt(n1 * n1 + n2 * n2) - 1.0)), far + jnp.hypot(x, y)
 

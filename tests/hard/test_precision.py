@@ -10,13 +10,12 @@ import jax
 import numpy as np
 import pytest
 import taylor
-from measure import apart, twin
+from measure import apart, calibrated, twin
 from scenes import SPREAD, start_at
 
 from jaxnh.config.experiment import load
-from jaxnh.config.yaml_source import ConfigError
-from jaxnh.engine.calibration import Calibration, TargetError
 from jaxnh.engine.lanes import Lanes
+from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate, section_map
 from jaxnh.maps.single_precision import in_precision
@@ -44,7 +43,7 @@ def test_error_and_gain(battery, lanes):
     for system in (constant_speed(), disturbed_speed()) if battery.full else (constant_speed(),):
         values = np.linspace(4, 6, 256 if battery.full else 16)
         start = start_at(system)
-        calibration = Calibration(system, start, values, lanes, "float32")
+        calibration = calibrated(system, start, values, lanes, "float32")
         plan = calibration.cheapest(TARGET)
         count = 48 if battery.full else 12
         b = np.random.default_rng(3).choice(values, count)
@@ -55,9 +54,9 @@ def test_error_and_gain(battery, lanes):
             )
             for precision in ("float64", "float32")
         }
-        u = lanes(section_map, (maps["float64"], np.int32(7)), (u, b))
+        u = lanes(section_map, (maps["float64"], np.int32(7)), (u, {"b": b}))
         exact = taylor.strobe(twin(system), b, u)
-        errors = {p: apart(lanes(section_map, (m, np.int32(1)), (u, b)), exact).max() for p, m in maps.items()}
+        errors = {p: apart(lanes(section_map, (m, np.int32(1)), (u, {"b": b})), exact).max() for p, m in maps.items()}
         kicks = plan.solver.total_kicks(plan.steps)
         battery.row(
             f"d = {system.d:g}, b in [4, 6], target {TARGET:g}: {plan.solver.name}, {kicks} kicks, estimate {plan.error_estimate:.1e} "
@@ -66,7 +65,7 @@ def test_error_and_gain(battery, lanes):
             SPREAD * plan.error_estimate,
             "error by Taylor",
         )
-        with pytest.raises(TargetError) as refusal:
+        with pytest.raises(AccuracyError) as refusal:
             calibration.cheapest(1e-8)
         battery.refused(f"d = {system.d:g}, float32 with target 1e-8", str(refusal.value))
         if battery.full:
@@ -85,7 +84,7 @@ def seconds(lanes, maps, start):
     for _ in range(6):
         for precision, strobe in maps.items():
             began = time.perf_counter()
-            lanes(iterate, (strobe, np.int32(20)), (state, b))
+            lanes(iterate, (strobe, np.int32(20)), (state, {"b": b}))
             best[precision] = min(best[precision], time.perf_counter() - began)
     return best
 

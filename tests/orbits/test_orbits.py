@@ -60,7 +60,7 @@ def test_find_orbit(lanes, strobes, name, b, n):
     """From a hundredth off: the point and the monodromy matrix of the reference, up to the error of the map."""
     points = attractor(name, b, n)
     starts = points[:1] + 0.01 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, -1], [1, -1, 1]]) / (4 ** (n - 1))
-    orbit = lanes(find_orbit, (strobes[name], np.int32(n)), (starts, np.full(4, b)), tile=64)
+    orbit = lanes(find_orbit, (strobes[name], np.int32(n)), (starts, {"b": np.full(4, b)}), tile=64)
     exact = monodromy_of(name, b, points)
     spread = n * max(1.0, np.linalg.norm(exact, 2)) * np.linalg.norm(np.linalg.inv(exact - np.eye(3)), 2)
     assert spread < 1e3
@@ -76,7 +76,7 @@ def test_map_is_fine_enough(lanes, strobes, name):
     u = np.concatenate([attractor(name, b, n) for b, n in ORBITS[name]])
     b = np.concatenate([np.full(n, b) for b, n in ORBITS[name]])
     w = np.random.default_rng(2).normal(size=u.shape)
-    ours = lanes(segment, (strobes[name],), (u, w, b), tile=64)
+    ours = lanes(segment, (strobes[name],), (u, w, {"b": b}), tile=64, static=("b",))
     end, first, second = taylor.strobe_hessian(twin(SYSTEMS[name]), b, u)
     bent = np.einsum("nijk,nj->nik", second[:, :, :3, :], w.astype(taylor.REAL))
     assert np.max(apart(ours.image, end)) < MAP_ERROR
@@ -93,7 +93,7 @@ def test_orbit_need_not_be_stable(lanes, strobes):
     b, start = 5.5, attractor("constant", 5.58, 1)
     for value in np.linspace(5.58, b, 9):
         start = taylor.periodic_orbit(twin(SYSTEMS["constant"]), 1, value, start)
-    orbit = lanes(find_orbit, (strobes["constant"], np.int32(1)), (start + 0.005, np.array([b])), tile=64)
+    orbit = lanes(find_orbit, (strobes["constant"], np.int32(1)), (start + 0.005, {"b": np.array([b])}), tile=64)
     exact = np.linalg.eigvals(monodromy_of("constant", b, start))
     assert apart(orbit.u[0], start[0]) < 1e-9
     assert exact.real.min() < -1
@@ -105,7 +105,7 @@ def test_lane_that_finds_nothing_says_so(lanes, strobes):
     """Far from any orbit, and not a number: a residual that is not small, and other lanes are found all the same."""
     point = attractor("constant", 5.58, 1)[0]
     starts = np.array([point + 0.01, [50.0, -80.0, 1.0], [math.nan] * 3, point - 0.01])
-    orbit = lanes(find_orbit, (strobes["constant"], np.int32(1)), (starts, np.full(4, 5.58)), tile=64)
+    orbit = lanes(find_orbit, (strobes["constant"], np.int32(1)), (starts, {"b": np.full(4, 5.58)}), tile=64)
     assert np.all(apart(orbit.u[[0, 3]], point) < 1e-8)
     assert not np.any(orbit.residual[1:3] < 1e-7)
 
@@ -187,17 +187,17 @@ def test_refine_doubling(lanes, strobes, name, level):
     vectors = taylor.eigenvector(taylor.strobe_jacobian(twin(SYSTEMS[name]), guess, points, real=np.float64)[1])[1]
 
     def segments(u, w, b):
-        return lanes(segment, (strobes[name],), (u, w, b), tile=64)
+        return lanes(segment, (strobes[name],), (u, w, {"b": b}), tile=64, static=("b",))
 
     found = refine_doubling(segments, points, vectors.astype(float), guess)
     assert found.converged
     sensitivity = info.error / (64 * np.finfo(taylor.REAL).eps)  # of b to the shooting equations, or a little more
-    assert abs(found.b - exact) < MAP_ERROR * sensitivity
+    assert abs(found.value - exact) < MAP_ERROR * sensitivity
     assert np.max(apart(found.orbit, info.points)) < 1e-8
     assert abs(np.linalg.norm(found.vector[0]) - 1) < 1e-12
     along = np.abs((found.vector * info.vectors).sum()) / np.linalg.norm(found.vector) / np.linalg.norm(info.vectors)
     assert abs(along - 1) < 1e-12
-    end = monodromy_of(name, found.b, found.orbit) @ found.vector[0]
+    end = monodromy_of(name, found.value, found.orbit) @ found.vector[0]
     assert np.abs(end + found.vector[0]).max() < 1e-7
 
 
@@ -206,11 +206,11 @@ def test_refine_doubling_that_is_not_there(lanes, strobes):
     points = attractor("constant", 5.58, 1)
 
     def segments(u, w, b):
-        return lanes(segment, (strobes["constant"],), (u, w, b), tile=64)
+        return lanes(segment, (strobes["constant"],), (u, w, {"b": b}), tile=64, static=("b",))
 
     found = refine_doubling(segments, points + 0.5, np.array([[0.0, 0.0, 1.0]]), 3.0)
     assert not found.converged or has_multiplier_minus_one("constant", found)
 
 
 def has_multiplier_minus_one(name, found):
-    return np.abs(np.linalg.eigvals(monodromy_of(name, found.b, found.orbit)) + 1).min() < 1e-6
+    return np.abs(np.linalg.eigvals(monodromy_of(name, found.value, found.orbit)) + 1).min() < 1e-6

@@ -170,8 +170,8 @@ def test_step_is_symmetric_in_time(system, solver):
     terms = isokinetic_terms(system)
 
     def there_and_back(u, b, t, h):
-        there = solver.step(terms, t, t + h, unchart(u), b, None, False)[0]
-        return there, solver.step(terms, t + h, t, there, b, None, False)[0]
+        there = solver.step(terms, t, t + h, unchart(u), {"b": b}, None, False)[0]
+        return there, solver.step(terms, t + h, t, there, {"b": b}, None, False)[0]
 
     t = np.linspace(0, system.period, LANES)
     there, back = jax.vmap(there_and_back)(STATES, B, t, np.full(LANES, 2 * np.pi / 50))  # compiling takes longer
@@ -198,7 +198,7 @@ def test_unit_vector_stays_one(system, solver):
     count, periods, steps = 256, 1000, max(1, 1000 // solver.stages)
     start = (np.full(count, 0.1),) * 2, (np.full(count, 0.1), np.full(count, math.sqrt(0.99)))
     _, n = Lanes()(
-        iterate, (make_strobe(system, solver, steps), np.int32(periods)), (start, np.linspace(0.1, 6, count))
+        iterate, (make_strobe(system, solver, steps), np.int32(periods)), (start, {"b": np.linspace(0.1, 6, count)})
     )
     length = np.hypot(*(np.asarray(component, np.longdouble) for component in n))
     assert np.abs(length - 1).max() < 6 * 2 * UNIT * math.sqrt(periods * steps * solver.stages)

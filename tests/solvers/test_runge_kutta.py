@@ -32,13 +32,13 @@ def test_order_under_diffrax(system, solver):
 @methods
 def test_step_is_that_of_diffrax(solver):
     """State and error estimate of one step, to the rounding of a sum over stages in another order."""
-    term = diffrax.ODETerm(SYSTEMS["disturbed"].vector_field)
+    term = diffrax.ODETerm(SYSTEMS["disturbed"].rhs)
     own = diffrax_s_own(solver)
 
     def step(solver, u, b):
         state = unchart(u)
-        memory = solver.init(term, 0.3, 0.5, state, b)
-        end, error, *_ = solver.step(term, 0.3, 0.5, state, b, memory, False)
+        memory = solver.init(term, 0.3, 0.5, state, {"b": b})
+        end, error, *_ = solver.step(term, 0.3, 0.5, state, {"b": b}, memory, False)
         return end, error
 
     ours = jax.jit(jax.vmap(lambda u, b: step(solver, u, b)))(STATES, B)
@@ -70,13 +70,13 @@ def test_adaptive_steps(name):
 
     def solve(solver, u, b):
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(system.vector_field),
+            diffrax.ODETerm(system.rhs),
             solver,
             0.0,
             system.period,
             0.01,
             unchart(u),
-            args=b,
+            args={"b": b},
             stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         )
         return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys)), solution.stats["num_accepted_steps"]

@@ -17,16 +17,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from jaxnh.analyses.base import Group, Variable
+from jaxnh.exceptions import DamagedError, ResultError
+from jaxnh.storage.atomic import check_writable
 from jaxnh.storage.hdf5 import (
     SEAL,
-    StoreError,
     attributes,
-    check_writable,
+    blocks,
     dimensions,
+    open_result,
     read,
     read_attrs,
-    read_variables,
+    read_group,
+    slab_chunks,
     verify,
     write,
 )
@@ -41,17 +43,21 @@ ENGINES = [
 ]
 
 
+def variable(dims, data, long_name, units="1", **attrs):
+    return dims, data, {"long_name": long_name, "units": units, **attrs}
+
+
 def group():
     """Two dimensions, one of them without a coordinate of its own; an array large enough to be compressed."""
     b, x = np.linspace(1, 2, 7), np.random.default_rng(8).normal(size=(7, 900))
     flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "periodic chaotic"}
     variables = {
-        "b": Variable(("b",), b, "coupling b"),
-        "x1": Variable(("b", "strobe"), x, "position x1", "length"),
-        "residual": Variable(("b",), np.array([np.nan, *b[1:]]), "residual"),
-        "kind": Variable(("b",), np.arange(7, dtype=np.int8) % 2, "kind of motion", attrs=flags),
+        "b": variable("b", b, "coupling b"),
+        "x1": variable(("b", "strobe"), x, "position x1", "length"),
+        "residual": variable("b", np.array([np.nan, *b[1:]]), "residual"),
+        "kind": variable("b", np.arange(7, dtype=np.int8) % 2, "kind of motion", **flags),
     }
-    return Group(variables, {"levels_found": 3, "delta_limit": np.nan}, ("one", "two"))
+    return xr.Dataset(variables, attrs={"levels_found": 3, "delta_limit": np.nan, "warnings": "one\ntwo"})
 
 
 def write_group(path):
@@ -74,10 +80,10 @@ def test_file_opens_as_a_data_tree(tmp_path, engine):
             assert dict(data.sizes) == {"b": 7, "strobe": 900}
             for name, variable in ours.variables.items():
                 assert data[name].dims == variable.dims
-                assert data[name].attrs["long_name"] == variable.long_name
-                assert data[name].attrs["units"] == variable.units
-                np.testing.assert_array_equal(data[name].values, variable.data)
-                assert data[name].dtype == variable.data.dtype
+                assert data[name].attrs["long_name"] == variable.attrs["long_name"]
+                assert data[name].attrs["units"] == variable.attrs["units"]
+                np.testing.assert_array_equal(data[name].values, variable.values)
+                assert data[name].dtype == variable.dtype
             assert set(data.coords) == {"b", "strobe"}
             np.testing.assert_array_equal(data["strobe"].values, np.arange(900))
             assert data["strobe"].attrs["units"] == "1"
@@ -102,6 +108,41 @@ def test_every_axis_is_a_dimension_scale(tmp_path):
         assert list(file["diagram"])[:4] == ["b", "x1", "residual", "kind"]  # in the order they were given
 
 
+def test_text_scalars_and_coordinates(tmp_path):
+    """Text, a number without dimensions, int8, and a coordinate that is no dimension, named as CF has it."""
+    path = tmp_path / "result.h5"
+    data = xr.Dataset(
+        {
+            "x1": variable(("b", "time"), np.ones((2, 3)), "position"),
+            "word": variable("word", np.array(["δ", "long word"]), "words"),
+            "limit": variable((), np.array(4.669), "limit of δ"),
+            "kind": variable("b", np.array([1, -1], np.int8), "kind"),
+        },
+        {"t": variable("time", np.arange(3.0), "time"), "b": variable("b", np.arange(2.0), "coupling b")},
+    )
+    write(path, {**ATTRS, "axes": "b"}, {"one": data, "empty": xr.Dataset(attrs={"warnings": ""})})
+    verify(path)
+    with open_result(path) as tree:
+        found = tree["one"].to_dataset().load()
+        assert tree["empty"].attrs == {}
+    xr.testing.assert_equal(found.drop_vars("time"), data)
+    assert found["x1"].encoding["coordinates"] == "t"
+    assert {name: found[name].dtype for name in data.variables} == {name: data[name].dtype for name in data.variables}
+    xr.testing.assert_identical(read_group(path, "one"), found)
+    with h5py.File(path) as file:
+        assert list(file["one"]) == ["b", "x1", "word", "limit", "kind", "t", "time"]  # the axis first
+
+
+def test_opened_result_reads_where_it_is_used(tmp_path):
+    """Nothing is in memory before, and the file that was opened is read even where another takes its place."""
+    path = tmp_path / "result.h5"
+    write_group(path)
+    with open_result(str(path)) as tree:
+        assert not tree["diagram"]["x1"].variable._in_memory
+        path.unlink()
+        np.testing.assert_array_equal(tree["diagram"]["x1"], group()["x1"])
+
+
 @settings(deadline=None, max_examples=30)
 @given(
     arrays.arrays(
@@ -112,8 +153,8 @@ def test_every_axis_is_a_dimension_scale(tmp_path):
 def test_every_array_comes_back_bit_for_bit(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("any") / "result.h5"
     dims = ("u", "v", "w")[: data.ndim]
-    write(path, ATTRS, {"any": Group({"data": Variable(dims, data, "anything")})})
-    back = read_variables(path, "any")["data"]
+    write(path, ATTRS, {"any": xr.Dataset({"data": variable(dims, data, "anything")})})
+    back = read_group(path, "any")["data"].values
     assert back.dtype == data.dtype
     assert back.tobytes() == data.tobytes()
     assert {name: value for name, value in read_attrs(path).items() if name != SEAL} == ATTRS
@@ -140,12 +181,17 @@ def test_files_that_are_no_results(tmp_path):
     with h5py.File(other, "w") as file:
         file.attrs["title"] = "something else"
     for path, said in ((text, "not a readable"), (cut, "not a readable"), (other, "not a result of jaxnh")):
-        with pytest.raises(StoreError, match=said):
-            read_attrs(path)
-    with pytest.raises(StoreError, match="not a readable"):
+        for look in (read_attrs, open_result):
+            with pytest.raises(ResultError, match=said):
+                look(path)
+    with pytest.raises(ResultError, match="not a readable"):
         read_attrs(tmp_path / "absent.h5")
-    with pytest.raises(StoreError, match="no readable group lyapunov"):
-        read_variables(ours, "lyapunov")
+    with pytest.raises(ResultError, match="not a readable"):
+        open_result(tmp_path / "absent.h5")
+    with pytest.raises(ResultError, match="no group lyapunov"):
+        read_attrs(ours, "lyapunov")
+    with pytest.raises(ResultError, match="no readable group lyapunov"):
+        read_group(ours, "lyapunov")
 
 
 def test_damaged_data_is_not_read_as_numbers(tmp_path):
@@ -157,8 +203,8 @@ def test_damaged_data_is_not_read_as_numbers(tmp_path):
     content = bytearray(path.read_bytes())
     content[chunk.byte_offset + chunk.size // 2] ^= 1
     path.write_bytes(content)
-    with pytest.raises(StoreError, match="no readable group diagram"):
-        read_variables(path, "diagram")
+    with pytest.raises(ResultError, match="no readable group diagram"):
+        read_group(path, "diagram")
 
 
 # ---- checksums
@@ -195,11 +241,38 @@ def test_any_flipped_bit_is_found(tmp_path):
         path.write_bytes(content)
         try:
             verify(path)
-        except StoreError:
+        except ResultError:
             found += 1
         else:
             assert everything(path) == seen
     assert found > 300
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.data())
+def test_blocks_are_the_data_in_their_order(tmp_path_factory, data):
+    """However a variable is laid out in blocks, also such as hold several rows and part of what lies along others."""
+    shape = tuple(data.draw(st.lists(st.integers(1, 9), min_size=1, max_size=4), label="shape"))
+    slab = tuple(data.draw(st.integers(1, size), label="slab") for size in shape)
+    numbers = np.arange(np.prod(shape)).reshape(shape)
+    path = tmp_path_factory.mktemp("blocks") / "any.h5"
+    with h5py.File(path, "w") as file:
+        item = file.create_dataset("data", data=numbers, chunks=slab_chunks(slab, shape, 8, 1 << 20))
+        np.testing.assert_array_equal(np.concatenate([block.ravel() for block in blocks(item)]), numbers.ravel())
+
+
+def test_blocks_of_large_variables_are_read_once_each(tmp_path):
+    """Two axes of which the second is cut: no block of some megabytes is read for a part of it alone."""
+    shape = (40, 3000, 50)
+    chunks = slab_chunks((1, 1024, 50), shape, 8, 1 << 26)
+    assert chunks == (1, 1024, 50)
+    assert slab_chunks((1, 4096, 50), (40, 8192, 50), 8, 1 << 26) == (1, 2048, 50)
+    assert slab_chunks((4096, 1, 50), (8192, 4000, 50), 8, 1 << 26) == (32, 1, 50)  # 32 rows of 1.6 MB
+    with h5py.File(tmp_path / "large.h5", "w") as file:
+        item = file.create_dataset("x", shape, "f8", chunks=chunks)
+        found = [block.shape for block in blocks(item)]
+    assert sum(np.prod(size) for size in found) == np.prod(shape)
+    assert max(np.prod(size) for size in found) * 8 <= 1 << 23
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.9, 0.999])
@@ -207,7 +280,7 @@ def test_file_cut_short_is_found(tmp_path, share):
     path = tmp_path / "result.h5"
     write_group(path)
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
-    with pytest.raises(StoreError, match="cannot be read: it is damaged"):
+    with pytest.raises(DamagedError, match="cannot be read: it is damaged"):
         verify(path)
 
 
@@ -223,7 +296,7 @@ def test_changed_name_or_attribute_is_found(tmp_path):
         write_group(path)
         with h5py.File(path, "r+") as file:
             change(file)
-        with pytest.raises(StoreError, match="names or attributes do not fit their checksum"):
+        with pytest.raises(DamagedError, match="names or attributes do not fit their checksum"):
             verify(path)
 
 
@@ -244,17 +317,17 @@ def test_folder_that_cannot_be_written(tmp_path, where):
     """Below a regular file, and in /proc, not even root can write: one sentence with the folder, nothing left."""
     (tmp_path / "file").write_text("a file")
     path = tmp_path / where
-    with pytest.raises(StoreError, match=f"cannot write in {path.parent}: "):
+    with pytest.raises(ResultError, match=f"cannot write in {path.parent}: "):
         check_writable(path)
-    with pytest.raises(StoreError, match=f"cannot write in {path.parent}: "):
+    with pytest.raises(ResultError, match=f"cannot write in {path.parent}: "):
         write_group(path)
     assert (tmp_path / "file").read_text() == "a file"
 
 
 def test_folder_as_the_file(tmp_path):
-    with pytest.raises(StoreError, match="is a folder"):
+    with pytest.raises(ResultError, match="is a folder"):
         check_writable(tmp_path)
-    with pytest.raises(StoreError, match="cannot write"):
+    with pytest.raises(ResultError, match="cannot write"):
         write_group(tmp_path)
     assert list(tmp_path.iterdir()) == []
     assert not list(tmp_path.parent.glob(f".{tmp_path.name}*"))
@@ -269,7 +342,7 @@ def test_check_makes_the_folder_and_leaves_nothing_in_it(tmp_path):
 
 def run(code, *arguments):
     """Python code in a process of its own, that may import this file; what it prints, as JSON."""
-    head = f"import sys; sys.path.insert(0, {str(ROOT / 'tests' / 'storage')!r})\n"
+    head = f"import sys; sys.path[:0] = {[str(ROOT / 'tests'), str(ROOT / 'tests' / 'storage')]!r}\n"
     command = [sys.executable, "-W", "ignore", "-c", head + code, *map(str, arguments)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
@@ -280,7 +353,7 @@ LIMITED = """
 import json, os, resource
 from pathlib import Path
 from test_hdf5 import write_group
-from jaxnh.storage.hdf5 import StoreError
+from jaxnh.storage.hdf5 import ResultError
 
 path, limit = Path(sys.argv[1]), int(sys.argv[2])
 reading, writing = os.pipe()
@@ -290,7 +363,7 @@ if not child:
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
     try:
         write_group(path)
-    except StoreError as error:
+    except ResultError as error:
         print(error, flush=True)
     sys.exit()
 os.close(writing)
@@ -328,10 +401,10 @@ KILLED = """
 import json, os, random, signal, time
 from pathlib import Path
 from test_hdf5 import ATTRS, group
-from jaxnh.storage.hdf5 import read_attrs, read_variables, write
+from jaxnh.storage.hdf5 import read_attrs, read_group, write
 
 folder, trials = Path(sys.argv[1]), int(sys.argv[2])
-expected = group().variables["x1"].data
+expected = group()["x1"].values
 began = time.perf_counter()
 for _ in range(5):
     write(folder / "timing.h5", ATTRS, {"diagram": group(), "second": group()})
@@ -351,7 +424,7 @@ for trial in range(trials):
     if path.exists():
         read_attrs(path)
         for name in ("diagram", "second"):
-            assert (read_variables(path, name)["x1"] == expected).all()
+            assert (read_group(path, name)["x1"] == expected).all()
         whole += 1
     else:
         absent += 1

@@ -10,13 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from measure import SYSTEMS, UNIT
+from measure import SYSTEMS
 
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.solvers.isokinetic import DriftTerm, KickTerm
 from jaxnh.solvers.projected import Projected
-from jaxnh.systems.elimination import eliminate
-from jaxnh.systems.lagrangian import FAULTS, Equations, Motion, accelerations, nonholonomic_system
+from jaxnh.systems.lagrangian import FAULTS, Equations, Motion, accelerations, lagrangian
 from jaxnh.systems.particle import constrained_field
 
 MOMENTS = 200
@@ -78,7 +77,7 @@ def test_held_particle_is_12_and_22(system):
     v = on_the_constraint(system)
     a, (multiplier,), singular = solved(system, v, system.c, system.d)
     assert not singular.any()
-    _, ax, _, ay = (np.asarray(rate) for rate in constrained_field(system, T, (X, v[0], Y, v[1]), B))
+    _, ax, _, ay = (np.asarray(rate) for rate in constrained_field(system, T, (X, v[0], Y, v[1]), {"b": B}))
     assert np.abs(a[0] - ax).max() < EXACT
     assert np.abs(a[1] - ay).max() < EXACT
     assert np.abs(multiplier - multiplier_of_21(system, v, +1)).max() < EXACT
@@ -104,19 +103,6 @@ def multiplier_of_21(system, v, sign):
 # ---- the bordered solve
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 5])
-def test_elimination(n):
-    """Solutions of random systems, some of which need an exchange of rows, against LAPACK."""
-    matrix, right = RNG.normal(size=(MOMENTS, n, n)), RNG.normal(size=(MOMENTS, n, 2))
-    matrix[::3, 0, 0] = 0.0 if n > 1 else 1.0
-    components = [[matrix[:, i, j] for j in range(n)] for i in range(n)]
-    solutions, smallest = eliminate(components, [[right[:, i, s] for i in range(n)] for s in range(2)])
-    found = np.stack([np.stack(s, axis=-1) for s in solutions], axis=-1)
-    condition = np.linalg.cond(matrix)[:, None, None]
-    assert np.all(np.abs(found - np.linalg.solve(matrix, right)) < 100 * UNIT * condition * np.abs(found).max())
-    assert np.all(np.asarray(smallest) > 0)
-
-
 def test_reduced_mass():
     """A bead on a wire y = x²: with M and the constraint ẏ = 2xẋ, (1 + 4x²) ẍ = −4xẋ² − 2gx, g = 9."""
     bead = Equations(
@@ -138,17 +124,17 @@ def test_energy_that_depends_on_place_and_time():
 # ---- trajectories
 
 
-def march(system, state, t1, steps, b=0.0, solver="dopri8", project=True):
+def march(system, state, t1, steps, p=None, solver="dopri8", project=True):
     """State at t1 from t = 0 by constant steps."""
     solver = Projected(SOLVERS[solver], system) if project else SOLVERS[solver]
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(system.vector_field),
+        diffrax.ODETerm(system.rhs),
         solver,
         0.0,
         t1,
         t1 / steps,
         state,
-        args=b,
+        args=p or {},
         max_steps=steps + 1,
         throw=False,
     )
@@ -182,11 +168,11 @@ def test_chaplygin_sleigh():
     The angle is (k/l) times the Gudermannian of τ. The sleigh turns round once and runs away along its stable way.
     """
     mass, inertia, length = 1.3, 0.4, 0.6
-    system = nonholonomic_system(sleigh, {"mass": mass, "inertia": inertia, "length": length}, "mass")
+    system = lagrangian(sleigh, {"mass": mass, "inertia": inertia, "length": length})
     k = math.sqrt(length**2 + inertia / mass)
     speed, phase, t1 = 1.5, -2.0, 4.0
     start = motion((0, 0, 0), (speed * math.tanh(phase), 0, speed / k / math.cosh(phase)))
-    end = march(system, start, t1, 200, mass)
+    end = march(system, start, t1, 200, {"mass": mass})
     tau = length * speed * t1 / k**2 + phase
     theta = k / length * (2 * math.atan(math.tanh(tau / 2)) - 2 * math.atan(math.tanh(phase / 2)))
     u = end.v[0] * math.cos(theta) + end.v[1] * math.sin(theta)
@@ -219,23 +205,23 @@ def test_appell_hamel_machine():
     The motion is quadratic in time, so that any method from order two on follows it to rounding.
     """
     ratio, gravity, t1 = 0.7, 9.0, 2.0
-    system = nonholonomic_system(appell_hamel, {"ratio": ratio, "gravity": gravity, "stiffness": 0.0}, "ratio")
+    system = lagrangian(appell_hamel, {"ratio": ratio, "gravity": gravity, "stiffness": 0.0})
     along, fall = np.array([0.6, 0.8]), gravity / (1 + ratio**2)
     start = motion((0, 0, 0), (*(ratio * along), -1))
-    end = march(system, start, t1, 10, ratio)
+    end = march(system, start, t1, 10, {"ratio": ratio})
     expected = (*(ratio * along * (t1 + fall * t1**2 / 2)), -(t1 + fall * t1**2 / 2))
     assert np.abs(np.subtract(end.q, expected)).max() < 1e-12
-    (multiplier,) = system.multipliers(0.0, start, ratio)
+    (multiplier,) = system.multipliers(0.0, start, {"ratio": ratio})
     assert abs(float(multiplier) - fall / 2) < 1e-12
 
 
 def test_energy_of_the_appell_hamel_machine_in_springs():
     """f is homogeneous in the velocities, so its reaction does no work: the energy stays to the error of the method."""
     parameters = {"ratio": 0.7, "gravity": 0.0, "stiffness": 1.0}
-    system = nonholonomic_system(appell_hamel, parameters, "ratio")
+    system = lagrangian(appell_hamel, parameters)
     start = motion((0.3, -0.2, 0), (0.42, 0.56, -1))
     energies = []
-    for state in (start, *(march(system, start, 2.0, steps, 0.7) for steps in (25, 50))):
+    for state in (start, *(march(system, start, 2.0, steps, {"ratio": 0.7}) for steps in (25, 50))):
         (x, y, _), v = state.q, state.v
         energies.append(float(0.5 * sum(u * u for u in v) + 0.5 * x**2 + y**2))
     coarse, fine = np.abs(np.subtract(energies[1:], energies[0]))
@@ -248,10 +234,10 @@ def test_energy_of_the_appell_hamel_machine_in_springs():
 
 def test_projection_is_orthogonal_and_its_drift_is_kept():
     """One coarse step leaves f = 0 by its error; the projection moves v along M⁻¹Aᵀ alone, and keeps that |f|."""
-    system = nonholonomic_system(sleigh, {"mass": 1.3, "inertia": 0.4, "length": 0.6}, "mass")
+    system = lagrangian(sleigh, {"mass": 1.3, "inertia": 0.4, "length": 0.6})
     start = motion((0, 0, 0.3), (math.cos(0.3), math.sin(0.3), 2.0))
-    before, after = (march(system, start, 0.3, 1, 1.3, "tsit5", project) for project in (False, True))
-    (drift,), (left,) = (system.residuals(0.3, state, 1.3) for state in (before, after))
+    before, after = (march(system, start, 0.3, 1, {"mass": 1.3}, "tsit5", project) for project in (False, True))
+    (drift,), (left,) = (system.residuals(0.3, state, {"mass": 1.3}) for state in (before, after))
     assert abs(float(drift)) > 1e-6
     assert abs(float(left)) < 1e-15
     assert abs(after.watch[0] - abs(float(drift))) < 1e-15
@@ -265,20 +251,20 @@ def test_projection_is_orthogonal_and_its_drift_is_kept():
 
 def test_projection_of_a_nonlinear_constraint():
     """Two Newton steps bring a drift of a hundredth down to its cube, and a drift beyond measure is a failure."""
-    system = nonholonomic_system(appell_hamel, {"ratio": 1.0, "gravity": 9.0, "stiffness": 0.0}, "ratio")
-    small = system.project(0.0, motion((0, 0, 0), (0.6, 0.8, -1.0001)), 1.0)
-    assert abs(float(system.residuals(0.0, small, 1.0)[0])) < 1e-11
+    system = lagrangian(appell_hamel, {"ratio": 1.0, "gravity": 9.0, "stiffness": 0.0})
+    small = system.project(0.0, motion((0, 0, 0), (0.6, 0.8, -1.0001)), {"ratio": 1.0})
+    assert abs(float(system.residuals(0.0, small, {"ratio": 1.0})[0])) < 1e-11
     assert FAULTS[int(small.watch[1])] == "none"
-    large = system.project(0.0, motion((0, 0, 0), (0.6, 0.8, -9.0)), 1.0)
+    large = system.project(0.0, motion((0, 0, 0), (0.6, 0.8, -9.0)), {"ratio": 1.0})
     assert FAULTS[int(large.watch[1])] == "off_constraint"
     assert not np.isfinite(large.v).any()
 
 
 def test_singular_lanes_fail_alone():
     """At rest the wheel may go anywhere, ∂f/∂q̇ = 0: that lane fails with its reason, its neighbour goes on."""
-    system = nonholonomic_system(appell_hamel, {"ratio": 1.0, "gravity": 9.0, "stiffness": 0.0}, "ratio")
+    system = lagrangian(appell_hamel, {"ratio": 1.0, "gravity": 9.0, "stiffness": 0.0})
     states = jax.tree.map(lambda *x: jnp.stack(x), motion((0, 0, 0), (0, 0, 0)), motion((0, 0, 0), (0.6, 0.8, -1)))
-    end = jax.vmap(lambda state: march_traced(system, state, 1.0, 1.0, 5))(states)
+    end = jax.vmap(lambda state: march_traced(system, state, {"ratio": 1.0}, 1.0, 5))(states)
     assert [FAULTS[int(code)] for code in np.asarray(end.watch[1])] == ["singular", "none"]
     assert np.isfinite(np.asarray(end.v)).all(axis=0).tolist() == [False, True]
 
@@ -290,17 +276,78 @@ def test_redundant_constraints_are_singular():
         machine = appell_hamel(ratio)
         return machine | {"f": lambda q, v, t: machine["f"](q, v, t) * 2}
 
-    system = nonholonomic_system(twice, {"ratio": 1.0}, "ratio")
+    system = lagrangian(twice, {"ratio": 1.0})
     assert system.constraints == 2
-    end = march_traced(system, motion((0, 0, 0), (0.6, 0.8, -1)), 1.0, 1.0, 5)
+    end = march_traced(system, motion((0, 0, 0), (0.6, 0.8, -1)), {"ratio": 1.0}, 1.0, 5)
     assert FAULTS[int(end.watch[1])] == "singular"
 
 
-def march_traced(system, state, b, t1, steps):
+def march_traced(system, state, p, t1, steps):
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(system.vector_field), Projected(SOLVERS["dopri5"], system), 0.0, t1, t1 / steps, state, args=b
+        diffrax.ODETerm(system.rhs), Projected(SOLVERS["dopri5"], system), 0.0, t1, t1 / steps, state, args=p
     )
     return jax.tree.map(lambda leaf: leaf[-1], solution.ys)
+
+
+# ---- names, start states, section points
+
+
+def pendulum(length=1.0, omega=2.0, push=0.3):
+    """A pendulum on a carriage that nothing but its own place holds: an angle, and a coordinate that is ignorable."""
+    return {
+        "T": lambda q, v, t: 0.5 * (v[1] ** 2 + (length * v[0]) ** 2) + length * v[0] * v[1] * jnp.cos(q[0]),
+        "Q": lambda q, v, t: (-length * jnp.sin(q[0]), push * jnp.cos(omega * t)),
+        "coordinates": ("angle", "place"),
+        "period": 2 * math.pi / omega,
+        "angles": ("angle",),
+        "ignorable": ("place",),
+    }
+
+
+PENDULUM = lagrangian(pendulum, {"length": 1.0, "omega": 2.0, "push": 0.3})
+
+
+def test_names():
+    """Coordinates with their velocities, parameters with their values; those that the period depends on are shared."""
+    assert PENDULUM.coordinates == ("angle", "angle_dot", "place", "place_dot")
+    assert dict(PENDULUM.parameters) == {"length": 1.0, "omega": 2.0, "push": 0.3}
+    assert [name for name in (*PENDULUM.parameters, "angle") if PENDULUM.shares(name)] == ["omega"]
+    words = [PENDULUM.words(name) for name in ("angle", "angle_dot", "place", "push")]
+    assert words == ["angle angle", "velocity angle_dot", "coordinate place", "parameter push"]
+    assert PENDULUM.plane == ("angle", "angle_dot")
+    assert PENDULUM.period == math.pi
+    assert PENDULUM.dimension == PENDULUM.exponents == 3
+
+
+def test_start_and_section_points():
+    """Lanes side by side: coordinates by name, and section points without what is ignorable, as the chart has them."""
+    theta, rate = np.linspace(-3, 3, 7), np.linspace(0, 1, 7)
+    start = PENDULUM.start({"angle": theta, "angle_dot": rate, "place": 0.5, "place_dot": -1.0})
+    assert start.q[1] == 0.5
+    np.testing.assert_array_equal(start.watch[0], np.zeros(7))
+    points = PENDULUM.section_point(start)
+    np.testing.assert_array_equal(points, np.stack([theta, rate, np.full(7, -1.0)], axis=-1))
+    whole = jax.tree.map(lambda leaf: jnp.asarray(np.broadcast_to(leaf, 7)), start)
+    np.testing.assert_allclose(points, jax.vmap(PENDULUM.chart)(whole), rtol=0, atol=1e-15)
+    again = PENDULUM.section_point(jax.tree.map(np.asarray, jax.vmap(PENDULUM.unchart)(jnp.asarray(points))))
+    np.testing.assert_array_equal(again, points)
+
+
+def test_parameters_of_a_lane_replace_those_of_the_flow():
+    """Two at once as one after the other, in rates and divergence."""
+    state = jax.tree.map(jnp.float64, Motion((0.4, 0.1), (1.1, -0.3), (0.0, 0.0)))
+    t = jnp.float64(0.7)
+    for p in ({"length": 0.7, "push": 2.0}, {"push": 2.0}, {"length": 0.7, "push": 2.0, "omega": 1.3}):
+        own = lagrangian(pendulum, {**PENDULUM.values, **p})
+        for one, other in zip(PENDULUM.rhs(t, state, p).v, own.rhs(t, state, {}).v, strict=True):
+            assert one == other
+        assert PENDULUM.divergence(t, state, p) == own.divergence(t, state, {})
+    # (M q̈)_place: place'' + length (angle'' cos − angle'² sin) = push cos ωt; (M q̈)_angle likewise, divided by length
+    length, push = 0.7, 2.0
+    q, v = (0.4, 0.1), (1.1, -0.3)
+    a = PENDULUM.rhs(t, state, {"length": length, "push": push}).v
+    assert abs(a[1] + length * (a[0] * math.cos(q[0]) - v[0] ** 2 * math.sin(q[0])) - push * math.cos(1.4)) < 1e-14
+    assert abs(length * a[0] + a[1] * math.cos(q[0]) + math.sin(q[0])) < 1e-14
 
 
 # ---- three dimensions
@@ -320,8 +367,8 @@ class Isokinetic3(eqx.Module):
     def path_length(self, t0, t1):
         return t1 - t0
 
-    def force(self, q, g, weight, b):
-        return oscillators(q, g, weight * b)
+    def force(self, q, g, weight, p):
+        return oscillators(q, g, weight * p["b"])
 
 
 def oscillators(q, g, coupling):
@@ -346,8 +393,8 @@ def test_three_dimensions():
     start = jax.tree.map(jnp.asarray, (q, n))
     split = diffrax.diffeqsolve(
         (DriftTerm(particle), KickTerm(particle)), SPLITTINGS["sofroniou_spaletta10"], 0.0, 2 * math.pi, math.pi / 60,
-        start, args=b, max_steps=200,
+        start, args={"b": b}, max_steps=200,
     )  # fmt: skip
-    general = march(nonholonomic_system(define, {"b": b}, "b"), motion(q, n), 2 * math.pi, 400, b)
+    general = march(lagrangian(define, {"b": b}), motion(q, n), 2 * math.pi, 400, {"b": b})
     for one, other in zip((*split.ys[0], *split.ys[1]), (*general.q, *general.v), strict=True):
         assert abs(float(one[-1]) - float(other)) < 1e-11

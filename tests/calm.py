@@ -1,0 +1,76 @@
+"""The strobe map on calm systems, where errors are small and known: lanes, images, derivatives against the reference."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import taylor
+from measure import CALM, CALM_B, CALM_STATES, apart, twin
+
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import derivatives, section_map
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.systems.particle import unchart
+
+# Roundings of some 2000 kicks add up at random to 1e-14, and the calm flow enlarges them up to ten times: with ten
+# times that to spare,
+ROUNDOFF = 1e-12
+FINEST = max(SPLITTINGS.values(), key=lambda solver: solver.convergence_order)
+P = {"b": CALM_B}
+
+systems = pytest.mark.parametrize("system", CALM.values(), ids=CALM)
+
+
+def image(lanes, strobe, n=1):
+    """Pⁿ of the calm lanes."""
+    return lanes(section_map, (strobe, np.int32(n)), (CALM_STATES, P))
+
+
+def start_states():
+    """The states of the calm lanes, components (lanes,)."""
+    return jax.tree.map(np.asarray, jax.vmap(unchart)(jnp.asarray(CALM_STATES)))
+
+
+def one_lane():
+    """The state and parameters of the first of them."""
+    return unchart(jnp.asarray(CALM_STATES[0])), {"b": jnp.asarray(CALM_B[0])}
+
+
+def check_convergence(lanes, system, solver):
+    """With twice the steps a method of order p has 2⁻ᵖ of the error; twice that is left for the terms that follow.
+
+    Errors are geometric means over lanes, as some lanes are late to follow the law and others cross zero.
+    """
+    steps = 600 // solver.stages
+    coarse, fine = (image(lanes, make_strobe(system, solver, n)) for n in (steps, 2 * steps))
+    moved = math.exp(np.log(apart(fine, coarse)).mean())
+    error = math.exp(np.log(apart(fine, taylor.strobe(twin(system), CALM_B, CALM_STATES))).mean())
+    assert moved > 10 * ROUNDOFF
+    assert error < moved * 2.0 ** (1 - solver.convergence_order) + ROUNDOFF
+
+
+def check_derivatives(lanes, strobe, system, error):
+    """Against the derivatives of the reference, to the error of the map; those of M and of the slope relative to it."""
+    found = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",))
+    u, monodromy, slope = found
+    exact, exact_monodromy, exact_slope = taylor.strobe_jacobian(twin(system), CALM_B, CALM_STATES)
+    assert np.max(apart(u, exact)) < error
+    check_equal_derivatives((monodromy, slope), (exact_monodromy, exact_slope), error)
+    return found
+
+
+def check_equal_derivatives(one, other, error):
+    """To an error relative to the largest; more in lanes that enlarge errors, and with them this one, over tenfold."""
+    largest = size(*other)
+    allowed = error * largest * np.maximum(1.0, largest / 10)
+    assert np.max(np.abs(one[0] - other[0]).max(axis=(1, 2)) / allowed) < 1
+    assert np.max(np.abs(one[1] - other[1]).max(axis=1) / allowed) < 1
+
+
+def size(monodromy, slope):
+    """Largest derivative of each lane."""
+    return np.maximum(np.abs(monodromy).max(axis=(1, 2)), np.abs(slope).max(axis=1))

@@ -1,0 +1,36 @@
+"""Maps over a part of the period, and of a period cut into parts; and which flows go which way."""
+
+from __future__ import annotations
+
+import jax
+import pytest
+import taylor
+from calm import ROUNDOFF, one_lane
+from measure import CALM, CALM_B, CALM_STATES, apart, twin
+
+from jaxnh.maps.build import cut_strobe, make_strobe
+from jaxnh.solvers import SOLVERS, SPLITTINGS
+from jaxnh.systems.particle import chart
+
+
+@pytest.mark.parametrize("name", ["blanes_moan6", "processed6"])
+def test_map_over_a_part_of_the_period(name):
+    """From 0 to t and from t to the end is the whole period, up to the error of the method at either number of steps."""
+    system, solver = CALM["disturbed"], SPLITTINGS[name]
+    state, p = one_lane()
+    exact = taylor.strobe(twin(system), CALM_B[0], CALM_STATES[0])[0]
+    errors = []
+    for steps in (50, 100):
+        first, second = (make_strobe(system, solver, steps, span=span) for span in ((0.0, 2.0), (2.0, system.period)))
+        errors.append(apart(chart(second(first(state, p), p)), exact))
+    assert errors[1] < errors[0] * 2.0 ** (1 - solver.convergence_order) < 1e-6
+
+
+@pytest.mark.parametrize("name", ["blanes_moan6", "processed6", "tsit5"])
+def test_map_cut_into_parts(name):
+    """Seven parts, one after the other, are the map of the next number of steps that seven divides."""
+    system, solver = CALM["disturbed"], SOLVERS[name]
+    parts = cut_strobe(system, solver, 93, 7)
+    state, p = one_lane()
+    end, _ = jax.lax.scan(lambda state, part: (part(state, p), None), state, parts)
+    assert apart(chart(end), chart(make_strobe(system, solver, 98)(state, p))) < ROUNDOFF

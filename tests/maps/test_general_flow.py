@@ -1,0 +1,131 @@
+"""Steps of any flow against plain diffrax with projected steps, rolled and written out, and the Taylor reference."""
+
+from __future__ import annotations
+
+import math
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from calm import check_convergence, check_derivatives, image
+from measure import CALM, UNIT, apart
+
+from jaxnh.analyses.base import spread
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.general_flow import general_strobe
+from jaxnh.maps.iterate import derivatives, iterate, section_map
+from jaxnh.maps.step_grids import step_grid
+from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, Projected, dopri8, tsit5
+from jaxnh.systems.free_particle import definition, free_particle
+from jaxnh.systems.lagrangian import Motion, lagrangian
+from jaxnh.systems.particle import disturbed_speed
+
+PARAMETERS = {"a": 0.5, "b": 5.2, "c": 1.0, "d": 0.1, "omega": 1.0}
+MOTION = Motion((0.1, 0.1), (0.1, math.sqrt(0.99)), (0.0, 0.0))
+FLOWS = {
+    "constrained": (lagrangian(definition(frozenset(), constrained=True), PARAMETERS), MOTION),
+    "free": (free_particle(0.5, 5.2, 1.0), MOTION),
+    "particle": (disturbed_speed(b=5.2), ((0.1, 0.1), (0.1, math.sqrt(0.99)))),
+}
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """One runner, so that equal programs are compiled once."""
+    return Lanes()
+
+
+def test_runge_kutta_converges_to_the_reference(lanes):
+    check_convergence(lanes, CALM["disturbed"], SOLVERS["tsit5"])
+
+
+def test_derivatives_of_runge_kutta(lanes):
+    """The error of 200 steps of order five is measured by doubling them."""
+    system = CALM["constant"]
+    coarse, fine = (make_strobe(system, SOLVERS["tsit5"], steps) for steps in (100, 200))
+    check_derivatives(lanes, fine, system, apart(image(lanes, fine), image(lanes, coarse)).max())
+
+
+@pytest.mark.parametrize("rolled", [True, False], ids=["rolled", "written out"])
+@pytest.mark.parametrize("flow", FLOWS)
+@pytest.mark.parametrize("name", ["dopri8", "tsit5"])
+def test_steps_are_diffeqsolve_with_projected_steps(name, flow, rolled):
+    """The loop of steps is the written-out solver, projected, under `diffrax.diffeqsolve`, to rounding.
+
+    A hundred steps of some 15 sums each, which the flow of one period enlarges a hundredfold at most.
+    """
+    (system, start), solver = FLOWS[flow], RUNGE_KUTTA[name]
+    start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
+    grid = step_grid(system, 100, (0.0, system.period))
+    strobe = general_strobe(system, solver, grid, rolled=rolled)
+    assert strobe.turns == ((100.0, float(solver.stages)) if rolled else (100.0,))
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(system.rhs), Projected(solver, system), 0.0, system.period, None, start, args=p,
+        stepsize_controller=diffrax.StepTo(grid), max_steps=128,
+    )  # fmt: skip
+    exact = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
+    for one, other in zip(jax.tree.leaves(strobe(start, p)), jax.tree.leaves(exact), strict=True):
+        assert abs(float(one) - float(other)) < 1e-12
+
+
+def test_rolled_steps_are_those_written_out():
+    """Of one step the sums over stages are taken in another order, and no more."""
+    system, start = FLOWS["constrained"]
+    start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
+    for solver in RUNGE_KUTTA.values():
+        rolled, written_out = (
+            general_strobe(system, solver, np.array([0.0, 0.1]), rolled=rolled)(start, p) for rolled in (True, False)
+        )
+        for one, other in zip(jax.tree.leaves(rolled), jax.tree.leaves(written_out), strict=True):
+            assert abs(float(one) - float(other)) < 2 * 15 * 40 * UNIT
+
+
+def test_solver_of_diffrax_itself():
+    """Any diffrax solver of one term runs under `diffeqsolve`: its own Dopri8 makes the steps of ours."""
+    system, start = FLOWS["free"]
+    start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
+    grid = step_grid(system, 100, (0.0, system.period))
+    ours, theirs = (general_strobe(system, solver, grid)(start, p) for solver in (dopri8, diffrax.Dopri8()))
+    for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        assert abs(float(one) - float(other)) < 1e-12
+
+
+def test_parameters_in_the_flow_and_in_the_lane(lanes):
+    """Values of the lane take the place of the flow's: all lanes at one a are those of a flow that has it."""
+    b = np.array([4.9, 5.2])
+    start = spread(MOTION, 2)
+
+    def end(a, p):
+        flow = free_particle(a, None, 1.0)
+        return lanes(iterate, (make_strobe(flow, dopri8, 100), np.int32(1)), (start, p))
+
+    both, one = end(0.5, {"a": np.full(2, 0.7), "b": b}), end(0.7, {"b": b})
+    for x, y in zip(jax.tree.leaves(both), jax.tree.leaves(one), strict=True):
+        assert np.abs(x - y).max() < 1e-12
+
+
+def test_one_program_for_all_values_of_the_flow():
+    """Parameters of the flow are data, and so are steps; the particle's c, d and ω here as well."""
+    lanes = Lanes()
+    start = spread(FLOWS["particle"][1], 2)
+    for c, d, omega, steps in ((1.0, 0.1, 1.0, 80), (1.3, 0.0, 1.5, 60), (0.7, -0.2, 2.0, 100)):
+        strobe = make_strobe(disturbed_speed(c=c, d=d, omega=omega), tsit5, steps)
+        lanes(iterate, (strobe, np.int32(1)), (start, {"b": np.array([4.9, 5.2])}))
+    assert len(lanes._programs) == 1
+
+
+def test_derivatives_of_a_system_of_its_own_parameters(lanes):
+    """∂P/∂a of T, Q and f is that of jacfwd of the map."""
+    system, start = FLOWS["constrained"]
+    p = {"a": np.array([0.5, 0.6]), "b": np.array([4.9, 5.2])}
+    u, strobe = system.section_point(spread(start, 2)), make_strobe(system, dopri8, 120)
+    image, monodromy, slope = lanes(derivatives, (strobe, np.int32(1)), (u, p), static=("a",))
+    assert np.all(np.isfinite(image))
+    by_state, by_p = jax.vmap(lambda u, p: jax.jacfwd(lambda u, p: section_map(strobe, 1, u, p), argnums=(0, 1))(u, p))(
+        u, p
+    )
+    assert np.abs(monodromy - by_state).max() < 1e-10 * np.abs(monodromy).max()
+    assert np.abs(slope - by_p["a"]).max() < 1e-10 * np.abs(slope).max()

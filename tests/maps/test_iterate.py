@@ -1,0 +1,56 @@
+"""Iterates of a map, their records and their derivatives, by identities."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+from calm import ROUNDOFF, P, image, size, start_states
+from measure import CALM, CALM_B, CALM_STATES, SYSTEMS, apart
+
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import derivatives, iterate, record
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.systems.particle import chart
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """One runner, so that equal programs are compiled once."""
+    return Lanes()
+
+
+def test_iterates_add_up(lanes):
+    """Pⁿ is P n times, bit for bit: n is data of one program, and the clock starts anew each period."""
+    strobe = make_strobe(SYSTEMS["disturbed"], SPLITTINGS["blanes_moan6"], 50)
+    state = start_states()
+    five = lanes(iterate, (strobe, np.int32(5)), (state, {"b": CALM_B + 5}))
+    for n in (1, 3, 0, 1):
+        state = lanes(iterate, (strobe, np.int32(n)), (state, {"b": CALM_B + 5}))
+    for one, other in zip(jax.tree.leaves(five), jax.tree.leaves(state), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_record_is_every_iterate(lanes):
+    """The states after 1, 2, 3 periods, and the last of them once more; to the rounding of another program."""
+    strobe = make_strobe(CALM["constant"], SPLITTINGS["blanes_moan6"], 100)
+    last, states = lanes(record, (strobe,), (start_states(), P), static=(3,))
+    recorded = np.asarray(jax.vmap(jax.vmap(chart))(states))
+    for n in (1, 2, 3):
+        assert np.max(apart(recorded[:, n - 1], image(lanes, strobe, n))) < 10**n * ROUNDOFF  # the flow of n periods
+    assert np.max(apart(recorded[:, 2], jax.vmap(chart)(last))) == 0
+
+
+def test_derivatives_over_periods_by_the_chain_rule(lanes):
+    """M of P² is the product of two monodromy matrices, and ∂P²/∂b = M ∂P/∂b + ∂P/∂b at the image."""
+    strobe = make_strobe(CALM["disturbed"], SPLITTINGS["blanes_moan6"], 100)
+    u, first, slope = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",))
+    end, second, second_slope = lanes(derivatives, (strobe, np.int32(1)), (u, P), static=("b",))
+    both = lanes(derivatives, (strobe, np.int32(2)), (CALM_STATES, P), static=("b",))
+    product = second @ first
+    chained = np.einsum("lij,lj->li", second, slope) + second_slope
+    largest = 3 * size(second, second_slope) * np.maximum(size(first, slope), 1)
+    assert np.max(apart(both[0], end)) < ROUNDOFF
+    assert np.max(np.abs(both[1] - product).max(axis=(1, 2)) / largest) < ROUNDOFF
+    assert np.max(np.abs(both[2] - chained).max(axis=1) / largest) < ROUNDOFF

@@ -1,0 +1,215 @@
+"""The loop over kicks against plain diffrax, the Taylor reference and jacfwd; its parameters one by one and together."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import diffrax
+import jax
+import numpy as np
+import pytest
+import taylor
+from calm import (
+    FINEST,
+    ROUNDOFF,
+    P,
+    check_convergence,
+    check_derivatives,
+    check_equal_derivatives,
+    image,
+    one_lane,
+    start_states,
+    systems,
+)
+from measure import CALM, CALM_B, CALM_STATES, apart, twin
+
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import derivatives, iterate, section_map
+from jaxnh.maps.step_grids import step_grid
+from jaxnh.solvers import SPLITTINGS, isokinetic_terms
+from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """One runner, so that equal programs are compiled once."""
+    return Lanes()
+
+
+# ---- one period
+
+
+@systems
+@pytest.mark.parametrize("name", ["strang2", "blanes_moan6"])  # the table is made alike for all; compiling more is slow
+def test_kicks_are_diffeqsolve_on_the_same_grid(lanes, system, name):
+    """The loop over the table of kicks is `IsokineticSplitting.step` under `diffeqsolve`, to rounding."""
+    solver, steps = SPLITTINGS[name], 200
+    grid = diffrax.StepTo(step_grid(system, steps, (0.0, system.period)))
+
+    def solve(u, b):
+        solution = diffrax.diffeqsolve(
+            isokinetic_terms(system),
+            solver,
+            0.0,
+            system.period,
+            None,
+            unchart(u),
+            args={"b": b},
+            stepsize_controller=grid,
+        )
+        return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
+
+    solved = jax.jit(jax.vmap(solve))(CALM_STATES, CALM_B)
+    assert apart(image(lanes, make_strobe(system, solver, steps)), solved).max() < ROUNDOFF
+
+
+@systems
+@pytest.mark.parametrize("solver", SPLITTINGS.values(), ids=SPLITTINGS)
+def test_splittings_converge_to_the_reference(lanes, system, solver):
+    check_convergence(lanes, system, solver)
+
+
+@systems
+def test_compensated_sums(lanes, system):
+    """Without the roundings of the sums, those of one kick's turn remain: a tenth at most of the error of plain sums."""
+    exact = taylor.strobe(twin(system), CALM_B, CALM_STATES)
+    plain, compensated = (
+        apart(image(lanes, make_strobe(system, FINEST, 100, compensated=c)), exact) for c in (False, True)
+    )
+    assert np.median(compensated) < 0.1 * np.median(plain)
+    assert plain.max() < ROUNDOFF
+
+
+def test_strobe_that_is_part_of_the_program():
+    """Called by itself, inside another program, or handed over as an argument: the same map."""
+    strobe = make_strobe(CALM["disturbed"], SPLITTINGS["blanes_moan6"], 100)
+    state, p = jax.tree.map(np.asarray, one_lane())
+    images = (
+        strobe(state, p),
+        jax.jit(lambda state, p: strobe(state, p))(state, p),
+        jax.jit(lambda strobe, state, p: strobe(state, p))(strobe, state, p),
+    )
+    for one in images:
+        assert apart(chart(one), chart(images[0])) < ROUNDOFF
+
+
+# ---- derivatives
+
+
+def jacfwd(strobe, u, p):
+    by_state, by_p = jax.jacfwd(lambda u, p: section_map(strobe, 1, u, p), argnums=(0, 1))(u, p)
+    return section_map(strobe, 1, u, p), by_state, by_p
+
+
+@systems
+@pytest.mark.parametrize("compensated", [False, True])
+def test_derivatives_of_kicks(lanes, system, compensated):
+    """At a hundred steps of order ten the calm map has come down to its roundings. And they are those of jacfwd."""
+    strobe = make_strobe(system, FINEST, 100, compensated=compensated)
+    u, monodromy, slope = check_derivatives(lanes, strobe, system, ROUNDOFF)
+    whole, by_state, by_p = lanes(jacfwd, (strobe,), (CALM_STATES, P))
+    assert np.max(apart(u, whole)) < ROUNDOFF
+    check_equal_derivatives((monodromy, slope), (by_state, by_p["b"]), ROUNDOFF)
+
+
+@systems
+@pytest.mark.parametrize("compensated", [False, True])
+def test_derivatives_in_the_stiffness(lanes, system, compensated):
+    """∂P/∂a in closed form is that of jacfwd, and that of the reference by differences.
+
+    The reference is in long double, and its differences of fourth order in h leave h⁴ beside rounding over h.
+    """
+    strobe, a = make_strobe(system, FINEST, 100, compensated=compensated), np.full(len(CALM_B), system.a)
+    p = {**P, "a": a}
+    u, monodromy, slope = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, p), static=("a",))
+    whole, by_state, by_p = lanes(jacfwd, (strobe,), (CALM_STATES, p))
+    assert np.max(apart(u, whole)) < ROUNDOFF
+    check_equal_derivatives((monodromy, slope), (by_state, by_p["a"]), ROUNDOFF)
+    h = taylor.REAL(1e-4)
+
+    def moved(k):
+        return taylor.strobe(dataclasses.replace(twin(system), a=taylor.REAL(system.a) + k * h), CALM_B, CALM_STATES)
+
+    near, far = moved(1) - moved(-1), moved(2) - moved(-2)
+    differences = ((8 * near - far) / (12 * h)).astype(float)
+    check_equal_derivatives((monodromy, slope), (by_state, differences), ROUNDOFF + 1e-10)
+
+
+def test_only_the_derivative_asked_for(lanes):
+    """Without a name no derivative in a parameter; the other two are the same, to the rounding of another program."""
+    strobe = make_strobe(CALM["disturbed"], FINEST, 100)
+    with_it = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",))
+    without = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P))
+    assert without.by_parameter is None
+    assert np.max(apart(with_it.image, without.image)) < ROUNDOFF
+    assert np.abs(with_it.monodromy - without.monodromy).max() < ROUNDOFF * np.abs(with_it.monodromy).max()
+
+
+# ---- several parameters
+
+
+def same_bits(one, other):
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("build", [constant_speed, disturbed_speed])
+@pytest.mark.parametrize("compensated", [False, True])
+def test_two_parameters_of_a_lane(lanes, build, compensated):
+    """Lanes with an a and a b of their own are, bit for bit, those of systems that have one of them."""
+    a, b = np.linspace(0.2, 1.2, 4), np.linspace(0.3, 5.7, len(CALM_B))
+    solver, start, one = SPLITTINGS["blanes_moan6"], start_states(), np.int32(3)
+
+    def end(system, p):
+        return lanes(iterate, (make_strobe(system, solver, 60, compensated=compensated), one), (start, p))
+
+    for value in a:
+        both = end(build(), {"a": np.full(len(b), value), "b": b})
+        same_bits(both, end(build(a=value), {"b": b}))
+    pairs = end(build(), {"a": np.resize(a, len(b)), "b": np.full(len(b), 5.2)})
+    same_bits(pairs, end(build(b=5.2), {"a": np.resize(a, len(b))}))
+
+
+@systems
+def test_two_parameters_against_the_reference(lanes, system):
+    """One period of lanes that differ in a and b both, each against its own twin."""
+    a = np.linspace(0.2, 1.2, len(CALM_B))
+    found = lanes(section_map, (make_strobe(system, FINEST, 100), np.int32(1)), (CALM_STATES, {**P, "a": a}))
+    exact = [
+        taylor.strobe(dataclasses.replace(twin(system), a=own), b, u)[0]
+        for own, b, u in zip(a.tolist(), CALM_B, CALM_STATES, strict=True)
+    ]
+    assert apart(found, np.array(exact)).max() < ROUNDOFF
+
+
+@pytest.mark.parametrize("name", ["blanes_moan6", "processed6"])
+@pytest.mark.parametrize("compensated", [False, True])
+def test_no_disturbance_is_constant_speed(lanes, name, compensated):
+    """d = 0 has the table of constant speed and its states, bit for bit, derivatives as well."""
+    still, constant = (
+        make_strobe(system, SPLITTINGS[name], 60, compensated=compensated)
+        for system in (disturbed_speed(d=0.0), constant_speed())
+    )
+    same_bits((still.table, still.kicks, still.rest), (constant.table, constant.kicks, constant.rest))
+    for function, static in ((section_map, ()), (derivatives, ("b",))):
+        one, other = (lanes(function, (s, np.int32(2)), (CALM_STATES, P), static=static) for s in (still, constant))
+        same_bits(one, other)
+
+
+def test_one_program_for_all_shared_parameters():
+    """Speed and clock are data: sweeps over d, c and ω, and over splittings and steps, run through one program."""
+    lanes = Lanes()
+    for d in (0.0, 0.05, 0.1, -0.3):
+        lanes(
+            iterate,
+            (make_strobe(disturbed_speed(d=d), SPLITTINGS["blanes_moan6"], 60), np.int32(1)),
+            (start_states(), P),
+        )
+    assert len(lanes._programs) == 1
+    for system in (disturbed_speed(c=1.7), disturbed_speed(omega=1.5), disturbed_speed(a=0.3)):
+        lanes(iterate, (make_strobe(system, SPLITTINGS["kahan_li8"], 40), np.int32(2)), (start_states(), P))
+    assert len(lanes._programs) == 1
+    spent = lanes.compile_seconds
+    lanes(iterate, (make_strobe(disturbed_speed(d=0.2), SPLITTINGS["strang2"], 900), np.int32(1)), (start_states(), P))
+    assert lanes.compile_seconds == spent

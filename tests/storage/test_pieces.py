@@ -1,0 +1,159 @@
+"""How a sweep over any axes is cut: every lane in one tile, every line along the first axis in one piece."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxnh.storage.pieces import Job, Piece, share, slab, tile_lanes, tile_shape
+
+
+def job(axes=(("b", 10, False),), tile=4, order=("diagram", "doubling"), independent=("diagram",)):
+    return Job(
+        "c" * 64,
+        {"jaxnh": "0"},
+        "blanes_moan6",
+        40,
+        False,
+        1e-6,
+        {"lyapunov": {"parts": 4}},
+        order,
+        independent,
+        tuple(axes),
+        tile,
+    )
+
+
+@pytest.mark.parametrize(
+    ("periods", "numbers", "lanes", "tile"),
+    [
+        (20, 32, 10**6, 65536),  # 2e6 lane-periods are 100,000 lanes
+        (640, 512, 4096, 2048),
+        (10_000, 64, 10**5, 128),
+        (528, 16 * 65536 * 4, 10**5, 16),  # a lane of 34 MB
+        (1e6, 64, 10**7, 512),  # no more than 16,384 tiles: 610 lanes each
+    ],
+)
+def test_lanes_a_tile(periods, numbers, lanes, tile):
+    assert tile_lanes(periods, numbers, lanes) == tile
+
+
+def test_pieces_cover_the_sweep():
+    found = job().pieces()
+    assert [(piece.begin, piece.end) for piece in found] == [((0,), (4,)), ((4,), (8,)), ((8,), (10,)), ((0,), (10,))]
+    assert [piece.names for piece in found] == [("diagram",)] * 3 + [("doubling",)]
+    assert job(independent=()).pieces() == [Piece(0, ("diagram",), (0,), (10,)), Piece(1, ("doubling",), (0,), (10,))]
+    assert found[0].shape == (4,)
+    assert found[0].lanes == 4
+
+
+@pytest.mark.parametrize(
+    ("sizes", "most", "shape"),
+    [
+        ((10,), 4, (4,)),
+        ((10,), 40, (10,)),
+        ((1024, 512), 4096, (8, 512)),
+        ((1024, 512), 512, (1, 512)),
+        ((1024, 512), 100, (1, 100)),
+        ((3, 1024, 512), 1000, (1, 1, 512)),
+        ((3, 7, 5), 50, (1, 7, 5)),
+        ((3, 7, 5), 70, (2, 7, 5)),
+        ((), 5, ()),
+    ],
+)
+def test_shape_of_a_tile(sizes, most, shape):
+    assert tile_shape(sizes, most) == shape
+
+
+def test_two_axes_of_lanes():
+    """The second whole, the first cut; doubling along the first at each point of the second."""
+    found = job((("b", 5, False), ("a", 3, False)), tile=6).pieces()
+    assert [(piece.begin, piece.end) for piece in found] == [
+        ((0, 0), (2, 3)),
+        ((2, 0), (4, 3)),
+        ((4, 0), (5, 3)),
+        ((0, 0), (5, 1)),
+        ((0, 1), (5, 2)),
+        ((0, 2), (5, 3)),
+    ]
+    assert [piece.names for piece in found] == [("diagram",)] * 3 + [("doubling",)] * 3
+    assert [piece.number for piece in found] == list(range(6))
+    assert found[0].lanes == 6
+
+
+@pytest.mark.parametrize("first", [False, True], ids=["second is shared", "first is shared"])
+def test_shared_axis(first):
+    """Whatever its place, it is constant along a tile, and all tiles of a value of it come one after the other."""
+    axes = (("d", 2, True), ("b", 5, False)) if first else (("b", 5, False), ("d", 2, True))
+    found = job(axes, tile=3, order=("diagram",)).pieces()
+    rows = [(0, 0, 3), (0, 3, 5), (1, 0, 3), (1, 3, 5)]
+    assert [(piece.begin, piece.end) for piece in found] == [
+        ((d, begin), (d + 1, end)) if first else ((begin, d), (end, d + 1)) for d, begin, end in rows
+    ]
+
+
+AXES = st.lists(st.tuples(st.integers(1, 6), st.booleans()), min_size=1, max_size=4).map(
+    lambda drawn: tuple((f"axis{k}", size, shared) for k, (size, shared) in enumerate(drawn))
+)
+
+
+@settings(deadline=None, max_examples=300)
+@given(AXES, st.integers(1, 40))
+def test_every_lane_is_in_one_tile_and_in_one_line(axes, tile):
+    whole = job(axes, tile, ("diagram", "doubling", "lyapunov"), ("diagram", "lyapunov"))
+    pieces = whole.pieces()
+    assert [piece.number for piece in pieces] == list(range(len(pieces)))
+    for names in (("diagram", "lyapunov"), ("doubling",)):
+        covered = np.zeros(whole.shape, int)
+        for piece in pieces:
+            if piece.names == names:
+                covered[slab(whole.names, piece, whole.names)] += 1
+        assert (covered == 1).all()
+    for piece in pieces:
+        assert piece.lanes == np.prod(piece.shape)
+        if piece.names == ("doubling",):
+            assert piece.shape == (axes[0][1],) + (1,) * (len(axes) - 1)
+        else:
+            assert piece.lanes <= tile
+            assert all(size == 1 for size, (_, _, shared) in zip(piece.shape, axes, strict=True) if shared)
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.integers(1, 50), st.integers(1, 60))
+def test_one_axis_is_cut_at_multiples_of_a_tile(size, tile):
+    found = job((("drive", size, False),), tile, ("diagram",)).pieces()
+    assert found == [
+        Piece(k, ("diagram",), (at,), (min(at + tile, size),)) for k, at in enumerate(range(0, size, tile))
+    ]
+
+
+def test_slabs():
+    """Where a variable lies: along axes in any place, with dimensions of its own, without an axis, without any."""
+    piece = Piece(0, ("diagram",), (2, 5), (4, 6))
+    whole = slice(None)
+    assert slab(("b", "d", "strobe"), piece, ("b", "d")) == (slice(2, 4), slice(5, 6), whole)
+    assert slab(("d", "level"), piece, ("b", "d")) == (slice(5, 6), whole)
+    assert slab(("strobe",), piece, ("b", "d")) == (whole,)
+    assert slab((), piece, ("b", "d")) == ()
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3, 7, 50])
+def test_parts_share_all_pieces(parts):
+    pieces = job((("b", 100, False),)).pieces()
+    shares = [share(pieces, (k, parts)) for k in range(1, parts + 1)]
+    assert [piece for share in shares for piece in share] == pieces
+    assert max(map(len, shares)) - min(map(len, shares)) <= 1
+
+
+def test_job_is_known_by_all_of_it():
+    """Axes, their order and which are shared are part of what a job is; JSON keeps it."""
+    one = job((("b", 3, False), ("d", 4, True)))
+    others = [job((("d", 4, True), ("b", 3, False))), job((("b", 3, False), ("d", 4, False))), job(tile=5)]
+    assert len({one.id, *(other.id for other in others)}) == 4
+    assert one.lanes == 12
+    assert json.loads(json.dumps(dataclasses.asdict(one)))["axes"] == [["b", 3, False], ["d", 4, True]]
