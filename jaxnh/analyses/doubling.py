@@ -30,10 +30,8 @@ from jaxnh.analyses.cascade import SEGMENT_TILE, TRANSIENT, Cascade, follow
 from jaxnh.orbits.shooting import segment
 
 _NUMBERS = ("delta_limit", "delta_limit_error", "levels_found")  # a cascade; attributes of the only one of a file
+_OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
 _MOST_SHOWN = 16  # cascades in a table of many
-
-
-_OWN_NAMES = ("period", "delta", "delta_error", "delta_limit", "delta_limit_error", "levels_found")
 
 
 class DoublingOptions(Options):

@@ -62,9 +62,7 @@ def test_phase_of_the_strobes(phase, start):
     values = B if start == "fixed" else B[:1]
     options = DiagramOptions(transient=0, strobes=3, phase=phase, start=start)
     ours = run(options, scene(system, values), Lanes())
-    path = portrait.run(
-        portrait.PortraitOptions(transient=0, periods=3, samples=4), scene(system, values), Lanes()
-    )
+    path = portrait.run(portrait.PortraitOptions(transient=0, periods=3, samples=4), scene(system, values), Lanes())
     for name in NAMES:
         np.testing.assert_allclose(
             ours[name].to_numpy(), path[name].to_numpy()[:, round(4 * phase) :: 4], atol=TOLERANCE
