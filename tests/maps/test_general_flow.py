@@ -67,7 +67,7 @@ def test_steps_are_diffeqsolve_with_projected_steps(name, flow, rolled):
         stepsize_controller=diffrax.StepTo(grid), max_steps=128,
     )  # fmt: skip
     exact = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
-    for one, other in zip(jax.tree.leaves(strobe(start, p)), jax.tree.leaves(exact), strict=True):
+    for one, other in zip(jax.tree.leaves(jax.jit(strobe)(start, p)), jax.tree.leaves(exact), strict=True):
         assert abs(float(one) - float(other)) < 1e-12
 
 
@@ -77,7 +77,8 @@ def test_rolled_steps_are_those_written_out():
     start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
     for solver in RUNGE_KUTTA.values():
         rolled, written_out = (
-            general_strobe(system, solver, np.array([0.0, 0.1]), rolled=rolled)(start, p) for rolled in (True, False)
+            jax.jit(general_strobe(system, solver, np.array([0.0, 0.1]), rolled=rolled))(start, p)
+            for rolled in (True, False)
         )
         for one, other in zip(jax.tree.leaves(rolled), jax.tree.leaves(written_out), strict=True):
             assert abs(float(one) - float(other)) < 2 * 15 * 40 * UNIT
@@ -88,7 +89,7 @@ def test_solver_of_diffrax_itself():
     system, start = FLOWS["free"]
     start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
     grid = step_grid(system, 100, (0.0, system.period))
-    ours, theirs = (general_strobe(system, solver, grid)(start, p) for solver in (dopri8, diffrax.Dopri8()))
+    ours, theirs = (jax.jit(general_strobe(system, solver, grid))(start, p) for solver in (dopri8, diffrax.Dopri8()))
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         assert abs(float(one) - float(other)) < 1e-12
 
@@ -117,6 +118,10 @@ def test_one_program_for_all_values_of_the_flow():
     assert len(lanes._programs) == 1
 
 
+def jacfwd(strobe, u, p):
+    return jax.jacfwd(lambda u, p: section_map(strobe, 1, u, p), argnums=(0, 1))(u, p)
+
+
 def test_derivatives_of_a_system_of_its_own_parameters(lanes):
     """∂P/∂a of T, Q and f is that of jacfwd of the map."""
     system, start = FLOWS["constrained"]
@@ -124,8 +129,6 @@ def test_derivatives_of_a_system_of_its_own_parameters(lanes):
     u, strobe = system.section_point(spread(start, 2)), make_strobe(system, dopri8, 120)
     image, monodromy, slope = lanes(derivatives, (strobe, np.int32(1)), (u, p), static=("a",))
     assert np.all(np.isfinite(image))
-    by_state, by_p = jax.vmap(lambda u, p: jax.jacfwd(lambda u, p: section_map(strobe, 1, u, p), argnums=(0, 1))(u, p))(
-        u, p
-    )
+    by_state, by_p = lanes(jacfwd, (strobe,), (u, p))
     assert np.abs(monodromy - by_state).max() < 1e-10 * np.abs(monodromy).max()
     assert np.abs(slope - by_p["a"]).max() < 1e-10 * np.abs(slope).max()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import jax
@@ -15,7 +14,7 @@ from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.particle import EFFECTS
 
-WITHOUT = [names for count in range(3) for names in itertools.combinations(EFFECTS, count)]
+WITHOUT = [(), *((name,) for name in EFFECTS), EFFECTS]
 A, B, OMEGA = 0.4, 1.1, 1.3
 
 
