@@ -92,7 +92,7 @@ def test_target_out_of_reach(lanes):
     assert UNIT < smallest < 1e-11
 
 
-def test_lane_that_leaves_the_numbers_has_no_estimate(lanes):
+def test_overflow_has_no_estimate(lanes):
     """Two Runge–Kutta steps a period overflow for large b: an infinite error, never a small one."""
     calibration = calibrated(SYSTEMS["constant"], START, np.linspace(5, 6, 10), lanes)
     assert calibration.error(SOLVERS["tsit5"], 2) > 1

@@ -15,7 +15,7 @@ from jaxnh.maps.iterate import section_map
 
 PAPER_B = np.linspace(0.1, 6.0, 48)
 SPREAD = 3.0
-"""A lane that was not among the samples may err this many times as much as the estimate says (tests/test_accuracy)."""
+"""A lane that was not among the samples may err this many times as much as the estimate says (tests/engine/test_calibration.py)."""
 
 
 class Held(NamedTuple):
