@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import taylor
@@ -20,16 +18,14 @@ from jaxnh.analyses import base, chaos01, diagram, lyapunov, period, poincare
 from jaxnh.analyses.base import LANE
 from jaxnh.config.experiment import load
 from jaxnh.costs.operations import count
-from jaxnh.engine.axes import Points
-from jaxnh.engine.calibration import Calibration
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
-from jaxnh.maps.iterate import derivatives, iterate, record
+from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, SectionedFlow
-from jaxnh.solvers import SPLITTINGS, dopri8, tsit5
-from jaxnh.systems.free_particle import definition, free_particle
-from jaxnh.systems.lagrangian import Motion, lagrangian
-from jaxnh.systems.particle import constant_speed, disturbed_speed, unchart
+from jaxnh.solvers import SPLITTINGS, tsit5
+from jaxnh.systems.free_particle import free_particle
+from jaxnh.systems.lagrangian import Motion
+from jaxnh.systems.particle import constant_speed, disturbed_speed
 from sweeps import effects as page_of_effects
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
@@ -100,200 +96,6 @@ def test_operations_fall_with_every_effect(lanes, left_out, saved):
     kicks = SPLITTINGS["blanes_moan6"].total_kicks(40)
     ends = 39 * 11 if "forcing" in left_out else 0
     assert operations(lanes, constant_speed()) - operations(lanes, without(*left_out)) == kicks * saved - ends
-
-
-def test_tables_have_no_forcing_that_is_left_out():
-    """Without forcing a disturbed speed has a clock and kicks of two numbers; a constant one has neither."""
-    still = disturbed_speed(without=("forcing",), omega=math.sqrt(2))
-    assert still.period == 2 * math.pi
-    assert make_strobe(still, SPLITTING, 40).table.shape[-1] == 2
-    free_running = make_strobe(without("forcing"), SPLITTING, 40)
-    assert free_running.one.table.shape == (64, 2)  # the coefficients of one step, and no more
-    assert (free_running.steps, int(free_running.one.kicks)) == (40, 17)
-
-
-def test_map_without_forcing_is_diffeqsolve(lanes):
-    """A disturbed speed without forcing, against the general route by another method, to the error of either."""
-    system = disturbed_speed(without=("forcing",))
-    other = lagrangian(
-        definition(system.without, constrained=True), {"a": 0.5, "b": 0.0, "c": 1.0, "d": 0.1, "omega": 1.0}
-    )
-    (x, y), (n1, n2) = lanes(iterate, (make_strobe(system, SPLITTING, 200), np.int32(1)), (spread(START), P))
-    motion = Motion(START[0], START[1], (0.0, 0.0))
-    there = lanes(iterate, (make_strobe(other, dopri8, 400), np.int32(1)), (spread(motion), P))
-    np.testing.assert_allclose([x, y, n1, n2], [*there.q, *there.v], atol=1e-9)
-
-
-@pytest.mark.parametrize("names", [(), ("forcing", "cubic_stiffness")])
-def test_sweep_over_a(lanes, names):
-    """Lanes that differ in a are the lanes of their own a and one b, and so is ∂P/∂a by differences."""
-    values = np.array([0.3, 0.5, 0.8])
-    swept = make_strobe(without(*names, b=0.7), SPLITTING, 60)
-    u = np.tile(ANGLE, (3, 1))
-    _, monodromy, slope = lanes(derivatives, (swept, np.int32(1)), (u, {"a": values}), static=("a",))
-    (x, y), (n1, n2) = lanes(iterate, (swept, np.int32(1)), (spread(START, 3), {"a": values}))
-    for i, a in enumerate(values):
-        own = make_strobe(without(*names, a=a), SPLITTING, 60)
-        one = lanes(iterate, (own, np.int32(1)), (spread(START, 1), {"b": np.array([0.7])}))
-        np.testing.assert_allclose([x[i], y[i], n1[i], n2[i]], np.array([*one[0], *one[1]])[:, 0], atol=1e-12)
-    h = 1e-5
-    for found, step_u, step_a in ((slope, 0.0, h), (monodromy[..., 0], h * np.eye(3)[0], 0.0)):
-        ends = [
-            lanes(derivatives, (swept, np.int32(1)), (u + s * step_u, {"a": values + s * step_a})).image
-            for s in (1, -1)
-        ]
-        np.testing.assert_allclose(found, (ends[0] - ends[1]) / (2 * h), atol=1e-6)  # h², and rounding over h
-
-
-# ---- crossings
-
-
-SECTIONS = {
-    "up": (SectionedFlow(without("forcing"), "y1", 1, 0.0, "up"), 1),
-    "down": (SectionedFlow(without("forcing"), "x1", 0, 0.0, "down"), -1),
-    "both": (SectionedFlow(without("forcing"), "y1", 1, 0.0, "both"), 0),
-}
-
-
-def difference(crossing, exact):
-    """Largest difference of states and times of crossings, lanes and counts first, from the reference."""
-    (x, y), (n1, n2) = crossing.state
-    found = np.stack([x, y, np.arctan2(n2, n1), crossing.t], axis=-1)
-    gap = found - exact
-    gap[..., 2] -= taylor.turns(gap[..., 2])
-    return np.abs(gap).max(axis=-1).astype(float)
-
-
-def exact_crossings(name, b):
-    system, direction = SECTIONS[name]
-    return np.array([taylor.crossings(ANGLE, value, system.number, 4, direction=direction) for value in b])
-
-
-def test_crossings_meet_the_target(lanes):
-    """The plan that calibration chooses for a target keeps it at the first crossing, against Taylor in long double.
-
-    States and times of the next ones go on with no more than what the flow makes of such an error: a hundredfold in
-    these calm lanes.
-    """
-    system, _ = SECTIONS["up"]
-    start = spread(Crossing(START, 0.0, 0.0))
-    target = 1e-8
-    plan = Calibration([Points(system, start, P, P)], lanes).cheapest(target)
-    _, found = lanes(record, (make_strobe(system, plan.solver, plan.steps),), (start, P), static=(4,))
-    gap = difference(found, exact_crossings("up", B))
-    assert gap[:, 0].max() < target
-    assert np.median(gap[:, 0]) > 1e-5 * target  # the cheapest plan, and not by far too fine a one
-    assert gap.max() < 100 * target
-
-
-@pytest.mark.parametrize("name", SECTIONS)
-def test_crossings_converge_at_the_order(lanes, name):
-    """With twice the steps an eighth-order step leaves 2⁻⁸ of the error of a crossing, partial step and all.
-
-    Twice that is left for the terms that follow, and 1e-13 for rounding; the section is met to rounding.
-    """
-    system, _ = SECTIONS[name]
-    exact, start = exact_crossings(name, B), spread(Crossing(START, 0.0, 0.0))
-    errors = []
-    for steps in (40, 80):
-        _, found = lanes(record, (make_strobe(system, SPLITTING, steps),), (start, P), static=(4,))
-        errors.append(math.exp(np.log(difference(found, exact)[:, 0]).mean()))
-        assert np.abs(found.state[0][system.number]).max() < 1e-14
-        assert np.all(found.reason == 0)
-    assert errors[1] < 2.0**-7 * errors[0] + 1e-13 < 1e-6
-
-
-def test_crossings_of_a_free_particle(lanes):
-    """The same by the general route, with damping, whose energy only falls."""
-    flow = free_particle(0.5, None, 1.0, ("forcing",))
-    system = SectionedFlow(flow, "x1", 0, 0.0, "both")
-    start = Crossing(Motion((0.1, 0.1), (0.1, math.sqrt(0.99)), (0.0, 0.0)), 0.0, 0.0)
-    b = np.array([0.1, 0.2, 0.3])
-    strobe = make_strobe(system, dopri8, 120)
-    _, found = lanes(record, (strobe,), (spread(start, 3), {"b": b}), static=(3,))
-    exact = np.array(
-        [taylor.crossings([0.1, 0.1, 0.1, math.sqrt(0.99)], v, 0, 3, direction=0, constrained=False) for v in b]
-    )
-    ours = np.stack([*found.state.q, *found.state.v, found.t], axis=-1)
-    assert np.abs(ours - exact).max() < 1e-9
-
-
-def test_return_in_one_step():
-    """A passage and return within one step are seen, in each direction that is wanted, from above and from below."""
-    flow = without("forcing", "coupling", "cubic_stiffness")  # y'' alone: towards y = 0, however it starts
-    for tilt, direction, expected in ((0.02, "up", "first"), (0.02, "both", "first"), (0.02, "down", "second")):
-        system = SectionedFlow(flow, "y1", 1, 1.0, direction)  # y = 1 is touched from below: passed up, and down again
-        theta = math.asin(tilt)
-        y = 1.0 - 0.4 * tilt**2 / 2.0
-        start = Crossing(((0.0, y), (math.cos(theta), math.sin(theta))), 0.0, 0.0)
-        coarse, fine = (
-            make_strobe(system, SPLITTING, steps)(jax.tree.map(jnp.float64, start), {"b": 0.0}) for steps in (40, 4000)
-        )
-        step = system.period / 40
-        assert float(fine.t) < step  # within the first coarse step
-        assert abs(float(coarse.t - fine.t)) < 1e-9
-        assert (float(fine.state[1][1]) > 0) == (expected == "first")
-
-
-def test_derivatives_of_the_return(lanes):
-    """∂P/∂u and ∂P/∂b of the return map are those of differences; det ∂P/∂u is what the flux through the section says.
-
-    In (x1, θ) on y1 = 0 the flux is sin θ dx1 dθ, and volume grows by exp(V/c) between: det = e^(ΔV/c) sin θ/sin θ'.
-    """
-    system = SECTIONS["up"][0]
-    strobe = make_strobe(system, SPLITTING, 120)
-    first = lanes(iterate, (strobe, np.int32(1)), (spread(Crossing(START, 0.0, 0.0)), P))
-    u = np.stack([first.state[0][0], np.arctan2(first.state[1][1], first.state[1][0])], axis=-1)
-    image, monodromy, slope = lanes(derivatives, (strobe, np.int32(1)), (u, P), static=("b",))
-    h = 1e-5
-    for j in range(2):
-        ends = [lanes(derivatives, (strobe, np.int32(1)), (u + s * h * np.eye(2)[j], P)).image for s in (1, -1)]
-        np.testing.assert_allclose(monodromy[..., j], system.wrap(ends[0] - ends[1]) / (2 * h), atol=1e-5, rtol=1e-5)
-    ends = [lanes(derivatives, (strobe, np.int32(1)), (u, {"b": B + s * h})).image for s in (1, -1)]
-    np.testing.assert_allclose(slope, system.wrap(ends[0] - ends[1]) / (2 * h), atol=1e-5, rtol=1e-5)
-
-    def potential(x):  # at y1 = 0
-        return 0.25 * x**2 + 0.25 * x**4
-
-    expected = np.exp(potential(image[:, 0]) - potential(u[:, 0])) * np.sin(u[:, 1]) / np.sin(image[:, 1])
-    np.testing.assert_allclose(np.linalg.det(monodromy), expected, rtol=1e-8)
-    volume = lanes(volume_of, (strobe,), (u, P))
-    np.testing.assert_allclose(volume, expected, rtol=1e-8)
-
-
-def volume_of(strobe, u, p):
-    return strobe.push(strobe.system.unchart(u), p, ()).volume
-
-
-def test_reversal_of_time(lanes):
-    """Reversed on the section, a motion comes back: P of (q, −n) downwards is where it came from, upwards."""
-    up, down = (SectionedFlow(without("forcing"), "y1", 1, 0.0, way) for way in ("up", "down"))
-    first, second = (
-        lanes(iterate, (make_strobe(up, SPLITTING, 200), np.int32(n)), (spread(Crossing(START, 0.0, 0.0)), P))
-        for n in (1, 2)
-    )
-    q, n = second.state
-    turned = Crossing((q, tuple(-x for x in n)), np.zeros(LANES), np.zeros(LANES))
-    back = lanes(iterate, (make_strobe(down, SPLITTING, 200), np.int32(1)), (turned, P))
-    np.testing.assert_allclose(back.state[0], first.state[0], atol=1e-9)
-    np.testing.assert_allclose(back.state[1], -np.asarray(first.state[1]), atol=1e-9)
-    np.testing.assert_allclose(back.t, second.t - first.t, atol=1e-9)
-
-
-def test_lanes_that_do_not_return(lanes):
-    """A damped particle comes to rest beside the section, one lane begins with no number: both say why, others go on."""
-    flow = free_particle(0.5, None, 1.0, ("forcing", "coupling"))
-    system = SectionedFlow(flow, "x1", 0, 3.0, "up")
-    strobe = dataclasses.replace(make_strobe(system, dopri8, 40), most_steps=np.int32(400))
-    x = np.array([2.9, 0.1, np.nan])
-    state = Motion((x, np.full(3, 0.1)), (np.full(3, 5.0), np.zeros(3)), (np.zeros(3), np.zeros(3)))
-    start = Crossing(state, np.zeros(3), np.zeros(3))
-    found = lanes(iterate, (strobe, np.int32(1)), (start, {"b": np.zeros(3)}))
-    reports = system.reports(jax.tree.map(lambda leaf: leaf[:, None], found))
-    reasons, _, flags = reports["failure"]
-    words = str(flags["flag_meanings"]).split()
-    assert [words[i] for i in reasons] == ["none", "no_return", "not_finite"]
-    assert np.isfinite(found.t).tolist() == [True, False, False]
 
 
 # ---- spectra
@@ -381,39 +183,6 @@ def test_diagram_from_random_starts(lanes, spectrum):
     assert np.abs(group["y1"].to_numpy()).max() < 1e-14
     assert group.attrs["section"] == "y1 = 0, up"
     assert poincare.ANALYSIS.count(group) == {"trajectories": 9, "not_finite": 0}
-
-
-# ---- the free particle
-
-
-def test_free_particle_keeps_its_energy(lanes):
-    """Without damping and forcing H = v²/2 + V is constant; with damping it falls by a ∫ v² dt, and so at all."""
-    b = np.array([0.2, 0.6])
-    start = spread(Motion((0.3, -0.2), (0.5, 0.4), (0.0, 0.0)), 2)
-
-    def energy(z):
-        x, y = z.q
-        springs = 0.25 * x**2 + 0.25 * x**4 + 0.5 * y**2 + 0.125 * y**4
-        return 0.5 * (z.v[0] ** 2 + z.v[1] ** 2) + springs - b * x * y
-
-    for damped in (False, True):
-        names = frozenset({"forcing"} | (set() if damped else {"damping"}))
-        flow = free_particle(0.5, None, 1.0, names)
-        end = lanes(iterate, (make_strobe(flow, dopri8, 80), np.int32(3)), (start, {"b": b}))
-        lost = energy(start) - energy(end)
-        assert np.all(lost > 0.1) if damped else np.abs(lost).max() < 1e-9
-
-
-def test_free_particle_is_equation_1():
-    """Its accelerations are those of (1), written out here, with forcing and damping."""
-    flow = free_particle(0.4, None, 1.3)
-    t, b, (x, y), (u, v) = 0.7, 1.1, (0.3, -0.8), (0.2, 0.9)
-    g = 1 + math.sin(1.3 * t)
-    state = jax.tree.map(jnp.float64, Motion((x, y), (u, v), (0.0, 0.0)))
-    found = flow.rhs(t, state, {"b": b})
-    expected = b * y - g * (0.4 * x + x**3) - 0.4 * u, b * x - g * (y + 0.4 * y**3) - 0.4 * v
-    np.testing.assert_allclose(found.v, expected, rtol=1e-14)
-    assert unchart(jnp.asarray(ANGLE))[0] == (ANGLE[0], ANGLE[1])
 
 
 # ---- configs

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from measure import SYSTEMS, UNIT
@@ -45,14 +43,6 @@ def test_no_disturbance_has_the_table_of_constant_speed(name):
         one, other = make(still), make(constant)
         for part in ("table", "kicks", "rest"):
             np.testing.assert_array_equal(getattr(one, part), getattr(other, part))
-
-
-def test_forcing_that_is_left_out_is_in_no_row():
-    """Rows of a drift and a weight, whether there is a clock or not."""
-    still = disturbed_speed(without=("forcing",), omega=math.sqrt(2))
-    assert make_strobe(still, SPLITTINGS["kahan_li8"], 40).table.shape == (1024, 2)
-    steady = make_strobe(constant_speed(without=("forcing",)), SPLITTINGS["kahan_li8"], 40)
-    assert steady.one.table.shape == (64, 2)
 
 
 @systems

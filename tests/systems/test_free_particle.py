@@ -10,6 +10,11 @@ import numpy as np
 import pytest
 from measure import UNIT
 
+from jaxnh.analyses.base import spread
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import iterate
+from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.particle import EFFECTS
@@ -38,6 +43,35 @@ def test_accelerations_are_those_of_equation_1(without):
         assert np.abs(np.array(found.v) - expected).max() < 20 * 2 * UNIT
         assert np.array_equal(found.q, state.v)
         assert abs(float(flow.divergence(jnp.float64(t), state, p)) + 2 * drag) < 4 * UNIT
+
+
+def test_free_particle_is_equation_1():
+    """Its accelerations are those of (1), written out here, with forcing and damping."""
+    flow = free_particle(0.4, None, 1.3)
+    t, b, (x, y), (u, v) = 0.7, 1.1, (0.3, -0.8), (0.2, 0.9)
+    g = 1 + math.sin(1.3 * t)
+    state = jax.tree.map(jnp.float64, Motion((x, y), (u, v), (0.0, 0.0)))
+    found = flow.rhs(t, state, {"b": b})
+    expected = b * y - g * (0.4 * x + x**3) - 0.4 * u, b * x - g * (y + 0.4 * y**3) - 0.4 * v
+    np.testing.assert_allclose(found.v, expected, rtol=1e-14)
+
+
+def test_free_particle_keeps_its_energy():
+    """Without damping and forcing H = v²/2 + V is constant; with damping it falls by a ∫ v² dt, and so at all."""
+    b = np.array([0.2, 0.6])
+    start = spread(Motion((0.3, -0.2), (0.5, 0.4), (0.0, 0.0)), 2)
+
+    def energy(z):
+        x, y = z.q
+        springs = 0.25 * x**2 + 0.25 * x**4 + 0.5 * y**2 + 0.125 * y**4
+        return 0.5 * (z.v[0] ** 2 + z.v[1] ** 2) + springs - b * x * y
+
+    for damped in (False, True):
+        names = frozenset({"forcing"} | (set() if damped else {"damping"}))
+        flow = free_particle(0.5, None, 1.0, names)
+        end = Lanes()(iterate, (make_strobe(flow, dopri8, 80), np.int32(3)), (start, {"b": b}))
+        lost = energy(start) - energy(end)
+        assert np.all(lost > 0.1) if damped else np.abs(lost).max() < 1e-9
 
 
 def test_names():

@@ -285,6 +285,7 @@ places = st.floats(-10, 10)
 def test_chart_and_back(x, y, theta):
     """The angle comes back modulo a whole turn, to the rounding of a sine, a cosine and an arc tangent."""
     u = np.array([x, y, theta])
+    assert unchart(jnp.asarray(u))[0] == (x, y)
     back = np.asarray(chart(unchart(jnp.asarray(u))))
     assert tuple(back[:2]) == (x, y)
     assert apart(back, u) < 8 * UNIT

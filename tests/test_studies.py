@@ -1,0 +1,207 @@
+"""The studies in sweeps/: what they read, their searches on problems with a known answer, and the pages they write."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import taylor
+import typer
+import xarray as xr
+from calm import ROUNDOFF
+from conftest import ROOT
+from measure import CALM, CALM_B, CALM_STATES, twin
+
+import jaxnh
+from jaxnh.maps.build import make_strobe
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.storage import hdf5
+from sweeps import compositions, critical_slowing, effects
+from sweeps.critical_slowing_study import Law, _multisect, detected_period, needed_transient
+from sweeps.peers_jaxnh import Contestant
+from sweeps.peers_scene import Errors, Scene, Setting, best, least_effort, unit
+
+# ---- prices of effects
+
+
+def effects_file(path):
+    columns = {
+        "what": np.array(["forcing", "lyapunov"]),
+        "kind": np.array(["effect", "analysis"]),
+        "operations": np.array([1234.4, np.nan]),
+        "operations_without": np.array([1000.0, 900.0]),
+        "time_ratio": np.array([1.234, np.nan]),
+        "stored": np.array([0.0, 4096.0]),
+        "note": np.array(["19.0 % of the operations", "of the sweep"]),
+    }
+    rows = xr.Dataset(
+        {name: ("row", data, {"long_name": name}) for name, data in columns.items()},
+        attrs={"solver": "kahan_li8", "steps_per_period": 60, "repeats": 3},
+    )
+    attrs = {
+        "jaxnh_version": "0.1.0", "title": path.stem, "device": "cpu", "solver": "processed6", "steps_per_period": 200
+    }  # fmt: skip
+    hdf5.write(path, attrs, {"effects": rows})
+
+
+def test_page_of_effects(tmp_path):
+    """A part for every scene, with rows in words and numbers; bytes of analyses alone."""
+    for name in effects.SCENES:
+        effects_file(tmp_path / f"{name}_effects.h5")
+    effects.main(tmp_path)
+    page = (tmp_path / "effects.md").read_text()
+    assert [line for line in page.splitlines() if line.startswith("## ")] == [
+        f"## {name}_effects" for name in effects.SCENES
+    ]
+    assert "| forcing | 1,234 | 1,000 | 1.23 |  | 19.0 % of the operations |" in page
+    assert "| lyapunov | – | 900 | – | 4,096 | of the sweep |" in page
+    assert "effects by kahan_li8 in 60 steps a period, tangents and analyses by processed6 in 200" in page
+    assert "the median of 3 pairs" in page
+
+
+def test_page_of_effects_that_are_not_priced(tmp_path, capsys):
+    hdf5.write(tmp_path / "table1_effects.h5", {"jaxnh_version": "0.1.0"}, {"other": xr.Dataset()})
+    with pytest.raises(jaxnh.ResultError, match="has no prices of effects"):
+        effects.page(tmp_path)
+    with pytest.raises(typer.Exit):
+        effects.main(tmp_path)
+    assert "run `make effects`" in capsys.readouterr().err
+
+
+# ---- critical slowing down
+
+TABLE = ROOT / "configs" / "table1.yaml"
+
+
+def doublings(path, config, b):
+    level = np.arange(1, len(b) + 1)
+    data = xr.Dataset(
+        {
+            "period": ("level", 2 ** (level - 1), {"long_name": "period"}),
+            "b": ("level", np.asarray(b, float), {"long_name": "coupling b"}),
+        },
+        coords={"level": ("level", level, {"long_name": "level"})},
+    )
+    hdf5.write(path, {"jaxnh_version": "0.1.0", "config": config}, {"doubling": data})
+
+
+def test_cascade_of_a_result(tmp_path):
+    """Doublings found, the distances ahead of them, published values beside them, and the start state of the config."""
+    path = tmp_path / "table1.h5"
+    found = [5.5196, 5.4955, 5.4894, np.nan]
+    doublings(path, TABLE.read_text(), found)
+    cascade = critical_slowing.read_cascade(path)
+    experiment = jaxnh.load(TABLE)
+    assert cascade.title == experiment.title
+    np.testing.assert_array_equal(cascade.n, [1, 2, 4])
+    np.testing.assert_array_equal(cascade.b, found[:3])
+    np.testing.assert_allclose(cascade.ahead, [-0.0241, -0.0061, -(0.0061**2) / 0.0241], rtol=1e-9)
+    np.testing.assert_array_equal(cascade.published, experiment.compare["doubling"].columns()["b"][:3])
+    assert cascade.start[0] == (0.1, 0.1)
+    np.testing.assert_allclose(cascade.start[1], (0.1, math.sqrt(0.99)), rtol=1e-15)
+    np.testing.assert_allclose(cascade.before(cascade.b - 1e-3), -1e-3, rtol=1e-9)
+
+
+def test_results_that_are_no_table(tmp_path):
+    path = tmp_path / "table1.h5"
+    with pytest.raises(critical_slowing.Missing, match="run `make table1 table2` first"):
+        critical_slowing.read_cascade(path)
+    doublings(path, TABLE.read_text(), [5.5196, np.nan])
+    with pytest.raises(critical_slowing.Missing, match="fewer than three doublings"):
+        critical_slowing.read_cascade(path)
+    hdf5.write(path, {"jaxnh_version": "0.1.0", "config": TABLE.read_text()}, {"other": xr.Dataset()})
+    with pytest.raises(critical_slowing.Missing, match="no table of doublings"):
+        critical_slowing.read_cascade(path)
+    path.write_text("no HDF5")
+    with pytest.raises(critical_slowing.Missing, match="no table of doublings"):
+        critical_slowing.read_cascade(path)
+
+
+def test_plain_detection_of_a_period():
+    """The least p that recurs within the threshold; none where nothing does; a slow spiral is taken for its half."""
+    steps = np.arange(16)
+    rows = [np.ones(16), steps % 2, steps % 4, np.sqrt(steps), 1e-5 * (-1.0) ** steps]
+    x1, threshold = np.array(rows, float), np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
+    np.testing.assert_array_equal(detected_period(x1, threshold), [1, 2, 4, 0, 1])
+    np.testing.assert_array_equal(detected_period(x1, 0.1 * threshold), [1, 2, 4, 0, 2])
+
+
+def test_multisection_finds_where_a_verdict_turns():
+    """From a bracket that holds it, and from one that misses it inside the window; NaN where the window misses it."""
+    turn = np.array([0.3, -0.7, 2.0])
+    window = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+    bracket = np.array([[0.0, 0.2, -0.5], [1.0, 0.4, 0.5]])
+    found = _multisect(lambda values, jobs: values > turn[jobs], bracket, window, np.full(3, 1e-9))
+    np.testing.assert_allclose(found[:2], turn[:2], atol=1e-9)
+    assert np.isnan(found[2])
+
+
+def test_law_of_the_bias():
+    """ε² γ N = n ln(1 + s)/2s with s = κβ/γε²: late below N*, early above it, zero there."""
+    law, n = Law(np.array([20.0]), np.array([70.0]), np.zeros(1)), np.array([1])
+    crossing, threshold = law.crossing(n, 1e-3)[0], 1e-3
+    transients = crossing * np.array([0.01, 0.3, 1.0, 1.5])
+    bias = law.bias(n, transients, threshold)[0]
+    s = 20.0 * bias / (70.0 * threshold**2)
+    with np.errstate(invalid="ignore"):
+        ratio = np.where(np.abs(s) < 1e-2, 1.0, np.log1p(s) / s)
+    np.testing.assert_allclose(ratio, transients / crossing, rtol=1e-4)
+    assert np.sign(bias).tolist()[:2] == [1.0, 1.0]
+    assert bias[3] < 0
+    measured = 1.0 / transients
+    assert needed_transient(measured, transients, measured[1]) == pytest.approx(transients[1])
+    assert needed_transient(measured, transients, 0.0) == math.inf
+    assert needed_transient(measured, transients, 1.0) == 0.0
+
+
+# ---- the search for compositions
+
+
+def test_free_algebra():
+    """exp and log undo each other; a symmetric composition has no even terms; processed6 leaves none of degree 3 or 5."""
+    solver = SPLITTINGS["processed6"]
+    words = compositions.word_series(jnp.asarray(solver.drifts), jnp.asarray(solver.kicks), 5)
+    log = compositions.logarithm(words)
+    for one, other in zip(compositions.exponential(log), words, strict=True):
+        assert np.abs(np.asarray(one) - np.asarray(other)).max() < 1e-13
+    np.testing.assert_allclose(log[1], [1.0, 1.0], atol=1e-14)
+    for even in (2, 4):
+        assert np.abs(np.asarray(log[even])).max() < 1e-14
+    assert [len(compositions.irremovable(n)) for n in (3, 5, 7)] == [1, 3, 9]
+    left, _ = compositions.conjugated(jnp.asarray(solver.drifts), jnp.asarray(solver.kicks), 5)
+    assert max(float(np.abs(np.asarray(terms)).max()) for terms in left) < 1e-12
+
+
+# ---- peers
+
+
+def test_least_effort_of_a_power_law():
+    """Errors that fall as n⁻⁶: the least whole n, or none up to the most."""
+
+    def measure(n):
+        return Errors((n / 100) ** -6.0, 0.0)
+
+    effort, errors = least_effort(measure, 1e-8, 300.0, factor=1.5, most=1e5, whole=True)
+    assert 0.9e-8 <= errors.max <= 1e-8
+    assert effort == int(effort)
+    assert least_effort(measure, 1e-8, 300.0, factor=1.5, most=1000.0) is None
+
+
+def test_best_setting():
+    fast, slow = (Setting("a", "", 1.0, "", Errors(0.0, 0.0), rate=rate) for rate in (2.0, 1.0))
+    assert best([slow, fast]) is fast
+    few, many = (Setting("a", "", 1.0, "", Errors(0.0, 0.0), kicks=kicks) for kicks in (10, 20))
+    assert best([many, few]) is few
+
+
+@pytest.mark.parametrize("name", CALM)
+def test_errors_of_a_contestant(name):
+    """Of its map in components of (x1, y1, n1, n2), against the reference: those of its method, and no more."""
+    system = CALM[name]
+    ends = taylor.strobe(twin(system), CALM_B, CALM_STATES)
+    scene = Scene(system.a, system.c, system.d, CALM_B, CALM_STATES, unit(ends))
+    contestant = Contestant(scene)
+    coarse, fine = (contestant.errors(make_strobe(contestant.system, SPLITTINGS["kahan_li8"], n)).max for n in (40, 80))
+    assert fine < 2.0**-7 * coarse + ROUNDOFF < 1e-10  # order eight, one power left for the terms that follow
