@@ -126,9 +126,9 @@ def test_notebook(tmp_path):
     book = nbformat.v4.new_notebook()
     book.cells = [nbformat.v4.new_code_cell(imported), nbformat.v4.new_code_cell("\n".join(body))]
     kernel = {"env": {**os.environ, "PYTHONPATH": str(ROOT), "IPYTHONDIR": str(tmp_path / "ipython")}}
-    nbclient.NotebookClient(book, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}).execute(
-        **kernel
-    )
+    nbclient.NotebookClient(
+        book, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}
+    ).execute(**kernel)
     assert book.cells[0].outputs == []
     [shown] = [output for output in book.cells[1].outputs if output.output_type == "execute_result"]
     assert not [output for output in book.cells[1].outputs if output.output_type == "stream"]
@@ -198,7 +198,9 @@ def test_other_output_is_not_replaced(tmp_path, experiment):
     """But when that is asked for."""
     path = tmp_path / "job.h5"
     path.write_text("precious text")
-    with pytest.raises(jaxnh.ArgumentError, match=r"^output: .*job\.h5 is there and is no result of jaxnh; fresh=True replaces it$"):
+    with pytest.raises(
+        jaxnh.ArgumentError, match=r"^output: .*job\.h5 is there and is no result of jaxnh; fresh=True replaces it$"
+    ):
         jaxnh.run(experiment, path)
     assert path.read_text() == "precious text"
     with jaxnh.run(experiment, path, fresh=True) as tree:
@@ -286,7 +288,13 @@ OTHERS = {
     "FileNotFoundError": {"storage/tiles.py": "a tile that is not there: caught by those who look for it"},
     "NotImplementedError": {"config/user_system.py": "a method for subclasses", "maps/protocol.py": "likewise"},
     "PydanticCustomError": dict.fromkeys(
-        ("analyses/diagram.py", "config/blocks.py", "config/experiment.py", "config/particle.py", "config/user_system.py"),
+        (
+            "analyses/diagram.py",
+            "config/blocks.py",
+            "config/experiment.py",
+            "config/particle.py",
+            "config/user_system.py",
+        ),
         "of a validator: caught by the config or the session, which say it in a line",
     ),
     "RuntimeError": {"engine/dask_workers.py": "in a worker: becomes a RunError in the process of the run"},

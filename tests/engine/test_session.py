@@ -168,7 +168,11 @@ REFUSED = {
     "no common period": (("poincare",), {"omega": [1.2345678]}, "have no common period"),
     "negative c": (("poincare",), {"c": [-1.0]}, "must be above 0"),
     "x2 above the speed": (("poincare",), {"x2": [1.5]}, "the speed at t = 0 is 1"),
-    "random and starts": (("diagram", {"start": "random"}), {"x1": [0.1]}, "diagram.start: random starts and the axis x1"),
+    "random and starts": (
+        ("diagram", {"start": "random"}),
+        {"x1": [0.1]},
+        "diagram.start: random starts and the axis x1",
+    ),
 }
 
 
@@ -187,7 +191,11 @@ def test_refused(session, arguments, axes, said):
 )
 def test_first_axis_that_nothing_can_be_carried_along(first, analysis, options):
     """With advice which axis to put first."""
-    content = {**CONTENT, "system": {"constraint": "disturbed_speed", "b": 5.3}, "sweep": {first: {"values": [0.1, 0.2]}}}
+    content = {
+        **CONTENT,
+        "system": {"constraint": "disturbed_speed", "b": 5.3},
+        "sweep": {first: {"values": [0.1, 0.2]}},
+    }
     session = session_of(Experiment.from_dict(content))
     with pytest.raises(jaxnh.InputError, match=rf"^{analysis}.* first axis .*; put a parameter such as b first$"):
         session.run(analysis, options)
@@ -195,7 +203,7 @@ def test_first_axis_that_nothing_can_be_carried_along(first, analysis, options):
 
 def test_clock_that_is_not_there():
     session = session_of(Experiment.from_dict(UNFORCED))
-    with pytest.raises(jaxnh.InputError, match="diagram.phase: there is no period"):
+    with pytest.raises(jaxnh.InputError, match=r"diagram\.phase: there is no period"):
         session.run("diagram", {"transient": 2, "phase": 0.5})
     with pytest.raises(jaxnh.InputError, match="doubling"):
         session.run("doubling")

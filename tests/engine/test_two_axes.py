@@ -21,7 +21,7 @@ B = {"start": 5.2, "stop": 5.6, "count": 5}
 FEW = {"solver": "blanes_moan6", "steps": 40}
 STROBES = {"poincare": {"transient": 20, "strobes": 3}}
 GOVERNOR = {"file": str(ROOT / "configs" / "governor.py"), "rate": 0.5, "level": 0.5}
-OSCILLATOR = '''
+OSCILLATOR = """
 import jax.numpy as jnp
 
 
@@ -33,7 +33,7 @@ def system(drive=0.8, damping=0.2, omega=1.0):
         return (drive * jnp.sin(omega * t) + q[0] - q[0] ** 3 - damping * v[0],)
 
     return {"T": T, "Q": Q, "coordinates": ("x",), "period": 2 * jnp.pi / omega}
-'''
+"""
 
 
 def content(sweep, analyses=STROBES, system=None, accuracy=FEW, **others):
