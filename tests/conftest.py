@@ -32,7 +32,9 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
+from jaxnh.config.experiment import Experiment  # noqa: E402
 from jaxnh.engine.lanes import Lanes  # noqa: E402
+from jaxnh.engine.session import Session  # noqa: E402
 from jaxnh.sweep import main  # noqa: E402
 
 pytest_plugins = ["battery"]
@@ -64,6 +66,13 @@ def run_here(*arguments: object, cwd: Path = ROOT) -> subprocess.CompletedProces
     ):
         code = main()
     return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())
+
+
+def session_of(experiment: Experiment) -> Session:
+    """A session that finds the programs of earlier ones in this process."""
+    session = Session(experiment)
+    session._lanes._programs = _PROGRAMS
+    return session
 
 
 @pytest.fixture(scope="session")

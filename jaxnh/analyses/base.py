@@ -247,9 +247,11 @@ class LaneRunner(Protocol):
 # ---- what an analysis gives
 
 
-def variable(
-    dims: Sequence[str] | str, data: Any, long_name: str, units: str = "1", **attrs: Any
-) -> tuple[tuple[str, ...], np.ndarray, dict[str, Any]]:
+Entry = tuple[tuple[str, ...], np.ndarray, dict[str, Any]]
+"""A variable as `xarray.Dataset` takes it: dimensions, data, attributes."""
+
+
+def variable(dims: Sequence[str] | str, data: Any, long_name: str, units: str = "1", **attrs: Any) -> Entry:
     """A variable of a dataset, with its words and units; "1" where it has none."""
     names = (dims,) if isinstance(dims, str) else tuple(dims)
     return names, np.asarray(data), {"long_name": long_name, "units": units, **attrs}

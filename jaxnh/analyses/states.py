@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import OptionError, Scene, Setting, variable
+from jaxnh.analyses.base import Entry, OptionError, Scene, Setting, variable
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.systems.flow import Flow, State
 
 TILE = 16
 """Lanes a tile where few lanes are followed for long: small tiles take a period sooner."""
-
-Entry = tuple[tuple[str, ...], np.ndarray, dict[str, Any]]
-"""A variable as `xarray.Dataset` takes it: dimensions, data, attributes."""
 
 
 def state_variables(

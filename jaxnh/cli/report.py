@@ -45,9 +45,9 @@ def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int
 
 
 def _show_table(experiment: Experiment, path: Path, name: str) -> None:
-    """The table of an analysis that has one, beside published values; of one axis alone."""
+    """The table of an analysis that has one, beside published values."""
     draw = ANALYSES[name].table
-    if draw is None or len(experiment.axes) > 1:
+    if draw is None:
         return
     console = Console()
     console = console if console.is_terminal else Console(width=_LOG_WIDTH)

@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses import cascade
-from jaxnh.analyses.base import LaneRunner, Scene, section_points, variable
+from jaxnh.analyses.base import Entry, LaneRunner, Scene, section_points, variable
 from jaxnh.analyses.period import CONVERGED
 from jaxnh.costs.stage import Inside
 from jaxnh.maps.iterate import iterate, record, section_map
@@ -215,7 +215,7 @@ def _first(beyond: Bool[np.ndarray, " lanes"]) -> int | None:
 
 
 def _dataset(scene: Scene, estimates: list[Estimate], reference: float, place: Place) -> xr.Dataset:
-    def column(data: Any, long_name: str, units: str = "1") -> Any:
+    def column(data: Any, long_name: str, units: str = "1") -> Entry:
         return variable("estimate", data, long_name, units)
 
     axis = scene.line

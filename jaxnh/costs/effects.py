@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.analyses import lyapunov
-from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Price, Program, Scene, map_alone, variable
+from jaxnh.analyses.base import LANE, Analysis, Entry, LaneRunner, Options, Price, Program, Scene, map_alone, variable
 from jaxnh.costs.operations import count
 from jaxnh.costs.stage import Inside
 from jaxnh.engine.lanes import Lanes
@@ -63,7 +63,7 @@ def price(scene: Scene, requested: Requested, lanes: Lanes, repeats: int) -> xr.
         ratios = np.array([_ratio(row, lanes, repeats) for row in rows])
     notes = [row.note or _saved(*counts) for row, counts in zip(rows, operations, strict=True)]
 
-    def column(data: Any, long_name: str, units: str = "1") -> Any:
+    def column(data: Any, long_name: str, units: str = "1") -> Entry:
         return variable("row", data, long_name, units)
 
     variables = {

@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Scene, variable
+from jaxnh.analyses.base import Entry, Scene, variable
 from jaxnh.engine.calibration import Calibration
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
@@ -156,7 +156,7 @@ def price(scene: Scene, calibration: Calibration, target: float, work: float, la
     settings = [row.setting for row in rows]
     error = np.array([row.error for row in rows])
 
-    def column(data: Any, long_name: str, units: str = "1") -> Any:
+    def column(data: Any, long_name: str, units: str = "1") -> Entry:
         return variable("setting", data, long_name, units)
 
     variables = {

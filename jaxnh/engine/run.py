@@ -147,6 +147,7 @@ class _Run:
         self._folder = tiles.folder_of(path)
         self._shown, self._progress = progress, Heeding(progress, check)
         self._receipts: dict[int, Receipt] = {}
+        self._dropped: set[int] = set()
         self._pieces: Sequence[Piece] = ()
         self._lanes: Lanes | None = None
         self._earlier = 0.0  # seconds that earlier runs have spent on what is there
@@ -167,6 +168,8 @@ class _Run:
                     self._finish(job)
                     return self._outcome(job, len(every), whole=True)
                 except DamagedPieceError as error:
+                    if error.piece.number in self._dropped:  # computed anew, and the same: it is not the disk
+                        raise RunError(f"tile {error.piece.number} does not fit the others: {error.why}") from error
                     self._drop(error.piece, error.why)
         except Stopped as end:
             raise Stopped(f"{end} with {len(self._receipts)} of {len(self._pieces)} tiles done") from None
@@ -213,11 +216,13 @@ class _Run:
             except DamagedError as error:
                 self._drop(piece, str(error))
             self._check()
+        self._dropped.clear()
         if self._receipts:
             self._progress.note(f"{len(self._receipts)} of {len(self._pieces)} tiles are done; going on")
 
     def _drop(self, piece: Piece, why: str) -> None:
         self._receipts.pop(piece.number, None)
+        self._dropped.add(piece.number)
         path = tiles.piece_path(self._folder, piece)
         path.unlink(missing_ok=True)
         self._progress.warn(f"{path}: {why}; it is computed again")

@@ -26,6 +26,7 @@ import xarray as xr
 
 from jaxnh.exceptions import DamagedError, ResultError
 from jaxnh.storage.atomic import Sink, replacing
+from jaxnh.storage.chunks import row_chunks
 
 SEAL = "content_sha256"
 """Root attribute: hash of all names, shapes, dimensions and attributes, those with the hashes of the data included."""
@@ -37,8 +38,7 @@ UNREADABLE = (OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryErro
 """What HDF5, h5py and xarray raise where tables or data of a file are damaged."""
 
 _LARGE = 1 << 14  # bytes; smaller variables are stored in one piece
-_CHUNK = 1 << 20  # bytes a block of a large one
-_READ = 8 * _CHUNK  # bytes that are read at once
+_READ = 1 << 23  # bytes that are read at once
 _LEVEL = 1  # of gzip: digits of chaos do not compress, and higher levels take longer to find that out
 _VERSION = ("v110", "v110")  # of the file format: from this one on HDF5 keeps checksums of its own tables
 _OF_SCALES = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "_Netcdf4Dimid", "_Netcdf4Coordinates")
@@ -165,29 +165,6 @@ def create(
         compression_opts=_LEVEL,
         fletcher32=True,
     )
-
-
-def row_chunks(shape: tuple[int, ...], itemsize: int, rows: int = 0) -> tuple[int, ...]:
-    """Blocks of about so many whole rows, a power of two, or of about a megabyte."""
-    rows = rows or max(1, _CHUNK * shape[0] // (math.prod(shape) * itemsize))
-    rows = min(shape[0], 1 << (rows.bit_length() - 1))
-    return (rows, *shape[1:])
-
-
-def slab_chunks(slab: tuple[int, ...], shape: tuple[int, ...], itemsize: int, most: int) -> tuple[int, ...]:
-    """Blocks for a variable that is written in slabs of one shape side by side: a slab, or even parts of one.
-
-    They have about a megabyte, and those that lie along the first dimensions together fit in `most` bytes where that
-    can be, so that `blocks` reads them once each.
-    """
-    chunks = list(slab)
-    for k in range(len(chunks)):
-        while chunks[k] > 1 and math.prod(chunks) * itemsize > _CHUNK:
-            chunks[k] = -(-chunks[k] // 2)
-    k = next((k for k, size in enumerate(chunks) if size > 1), len(chunks) - 1)
-    while chunks[k] > 1 and chunks[k] * math.prod(shape[k + 1 :]) * itemsize > most:
-        chunks[k] = -(-chunks[k] // 2)
-    return tuple(chunks)
 
 
 def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> None:

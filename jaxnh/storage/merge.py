@@ -20,6 +20,7 @@ import xarray as xr
 
 from jaxnh.exceptions import DamagedError, RunError
 from jaxnh.storage import hdf5 as store
+from jaxnh.storage.chunks import row_chunks, slab_chunks
 from jaxnh.storage.pieces import Job, Piece, slab
 from jaxnh.storage.tiles import piece_path
 
@@ -343,11 +344,11 @@ class _MergedGroup:
             rows = item.chunks[0] if item.chunks else 0
             if small and rows * math.prod(item.shape[1:]) * size < _COPIED:
                 return _Collected(store.create(self._group, name, whole.shape, dtype), dtype)
-            chunks = store.row_chunks(whole.shape, size, rows or item.shape[0])
+            chunks = row_chunks(whole.shape, size, rows or item.shape[0])
             return _InTurn(store.create(self._group, name, whole.shape, dtype, chunks))
         if small:
             return _Collected(store.create(self._group, name, whole.shape, dtype), dtype)
-        chunks = store.slab_chunks(item.shape, whole.shape, size, _COLLECTED)
+        chunks = slab_chunks(item.shape, whole.shape, size, _COLLECTED)
         return _Slabs(store.create(self._group, name, whole.shape, dtype, chunks))
 
     def finish(self, extra: Extra) -> None:

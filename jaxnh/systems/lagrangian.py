@@ -1,17 +1,8 @@
-"""Equations of motion of any mechanical system from T, Q and f, by Jourdain's principle and automatic differentiation.
+"""Any mechanical system of T, Q and f as a flow: its lanes, its section, and its projection on the constraints.
 
-A system has k coordinates q, kinetic energy T(q, q̇, t), generalised forces Q(q, q̇, t) and m constraints
-f(q, q̇, t) = 0, linear or nonlinear in q̇. With A = ∂f/∂q̇ (m, k) and M = ∂²T/∂q̇² (k, k), equations (3) to (6) of the
-paper and df/dt = 0 are one bordered system for the accelerations and the multipliers:
-
-    M q̈ − Aᵀ λ = Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t
-    A q̈        = −(∂f/∂q) q̇ − ∂f/∂t
-
-Its exact flow keeps f, on the constraint and off it. A computed step leaves f = 0 by the error of the method, and
-`Lagrangian.project` goes back along M⁻¹ Aᵀ, which is orthogonal in the metric of the mass.
-
-Everything here is a function of one lane, with a component an array of its own: under `jax.vmap` no batch of small
-matrices is ever formed, and no library is called to solve them.
+The exact flow of the equations of motion (`jourdain`) keeps f, on the constraint and off it. A computed step leaves
+f = 0 by the error of the method, and `Lagrangian.project` goes back along M⁻¹ Aᵀ, which is orthogonal in the metric of
+the mass.
 """
 
 from __future__ import annotations
@@ -24,17 +15,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from jaxnh.systems.elimination import definite, eliminate, known, largest_of, minus
+from jaxnh.systems.elimination import definite, eliminate, largest_of
 from jaxnh.systems.flow import Flow, Number, Output, Parameters, Vector
-
-Energy = Callable[[Vector, Vector, Number], Number]
-"""(q, q̇, t) to a number."""
-Components = Callable[[Vector, Vector, Number], Number]
-"""(q, q̇, t) to a sequence of numbers."""
+from jaxnh.systems.jourdain import (
+    SMALLEST_PIVOT,
+    Equations,
+    accelerations,
+    bordered,
+    constraint_functions,
+    matrices,
+    slope,
+)
 
 Definition = Mapping[str, Any]
 """What a system says of itself: `T`, `Q`, `coordinates`, `period`, and where it has them `f`, `angles`, `ignorable`."""
@@ -43,24 +37,9 @@ FAULTS = ("none", "singular", "off_constraint", "not_finite")
 """Meanings of the codes in `Motion.watch`: why a lane has failed, 0 where it has not."""
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
-_SMALLEST_PIVOT = 64 * np.finfo(float).eps  # of the largest entry of the matrix: below it, the pivot is rounding
 _PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
 _APPROACHES = 12  # projections from a random state to one on f = 0
 _LARGEST_DRIFT = 1e-9  # of f after projection, in units of |A q̇| + 1
-
-
-class Equations(NamedTuple):
-    """What a system is: kinetic energy, generalised forces, and constraints (none where it is free).
-
-    Attributes:
-        T: kinetic energy, (q, q̇, t) to a number.
-        Q: generalised forces, (q, q̇, t) to k numbers.
-        f: constraint functions, (q, q̇, t) to m numbers that are to be zero.
-    """
-
-    T: Energy
-    Q: Components
-    f: Components | None = None
 
 
 class Motion(NamedTuple):
@@ -75,108 +54,6 @@ class Motion(NamedTuple):
     q: Vector
     v: Vector
     watch: Vector
-
-
-class Accelerations(NamedTuple):
-    """Solution of the bordered system of one state.
-
-    Attributes:
-        a: k accelerations q̈.
-        multipliers: m multipliers λ.
-        singular: whether the matrix has no inverse in double precision.
-    """
-
-    a: Vector
-    multipliers: Vector
-    singular: Number
-
-
-def slope(function: Callable[..., Number], at: Vector, i: int) -> Number:
-    """∂function/∂at[i] at components `at`, the others being constants of the program."""
-    one = jnp.ones_like(at[i])
-    return jax.jvp(lambda x: function(*at[:i], x, *at[i + 1 :]), (at[i],), (one,))[1]
-
-
-def _flat(function: Callable[[Vector, Vector, Number], Number], k: int) -> Callable[..., Number]:
-    """The same function of its 2k + 1 components."""
-    return lambda *at: function(at[:k], at[k : 2 * k], at[2 * k])
-
-
-def _along_motion(function: Callable[..., Number], at: Vector, k: int) -> Number:
-    """(∂/∂q) q̇ + ∂/∂t of a function at components `at` = (q, q̇, t)."""
-    v = at[k : 2 * k]
-
-    def moved(*q_and_t: Number) -> Number:
-        return function(*q_and_t[:k], *v, q_and_t[k])
-
-    return jax.jvp(moved, (*at[:k], at[2 * k]), (*v, jnp.ones_like(at[2 * k])))[1]
-
-
-def _constraints(equations: Equations, k: int) -> Callable[..., Vector]:
-    """f of its 2k + 1 components, as a tuple; empty where the system is free."""
-    f = equations.f
-    return (lambda *at: ()) if f is None else (lambda *at: tuple(f(at[:k], at[k : 2 * k], at[2 * k])))
-
-
-def mass_matrix(equations: Equations, at: Vector, k: int) -> list[list[Number]]:
-    """M = ∂²T/∂q̇², k rows of k, at components (q, q̇, t)."""
-    energy = _flat(equations.T, k)
-
-    def momentum(j: int) -> Callable[..., Number]:
-        return lambda *at: slope(energy, at, k + j)
-
-    upper = {(i, j): slope(momentum(j), at, k + i) for j in range(k) for i in range(j + 1)}
-    return [[upper[min(i, j), max(i, j)] for j in range(k)] for i in range(k)]
-
-
-def constraint_slopes(equations: Equations, at: Vector, k: int) -> list[Vector]:
-    """A = ∂f/∂q̇, m rows of k, at components (q, q̇, t)."""
-    f = _constraints(equations, k)
-    columns = [slope(f, at, k + j) for j in range(k)]
-    return [tuple(column[i] for column in columns) for i in range(len(columns[0]))]
-
-
-def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Accelerations:
-    """q̈ and λ at a state by one bordered solve; components of any one shape.
-
-    The multipliers are those of (6): the reaction on coordinate i is Σ_j λ_j ∂f_j/∂q̇_i.
-    """
-    k = len(q)
-    at = (*q, *v, t)
-    energy, f = _flat(equations.T, k), _constraints(equations, k)
-    forces = [known(force) for force in equations.Q(q, v, t)]
-    with jax.ensure_compile_time_eval():  # what does not depend on the state is a number, not a part of the program
-        momenta = [lambda *at, i=i: slope(energy, at, k + i) for i in range(k)]
-        inertia = [_read(_along_motion(momentum, at, k), at) for momentum in momenta]
-        pull = [_read(slope(energy, at, i), at) for i in range(k)]
-    mass, slopes = _matrices(equations, at, k)
-    right = [minus(force, minus(i, p)) for force, i, p in zip(forces, inertia, pull, strict=True)]
-    right += [-rate for rate in (_along_motion(f, at, k) if slopes else ())]
-    (solution,), smallest = eliminate(_bordered(mass, slopes), [right], k * definite(mass))
-    solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
-    return Accelerations(tuple(solution[:k]), tuple(solution[k:]), smallest <= _SMALLEST_PIVOT)
-
-
-def _matrices(equations: Equations, at: Vector, k: int) -> tuple[list[list[Number]], list[list[Number]]]:
-    """M and A at components (q, q̇, t), floats where they are known while the program is traced."""
-    with jax.ensure_compile_time_eval():
-        mass, slopes = mass_matrix(equations, at, k), constraint_slopes(equations, at, k)
-        return [[_read(x, at) for x in row] for row in mass], [[_read(x, at) for x in row] for row in slopes]
-
-
-def _read(x: Number, at: Vector) -> Number:
-    """`known` while a program is traced; outside of one everything is known, and nothing is to be kept of it."""
-    return known(x) if isinstance(at[0], Tracer) else x
-
-
-def _bordered(mass: list[list[Number]], slopes: list[list[Number]]) -> list[list[Number]]:
-    """[M, −Aᵀ; A, 0]."""
-    m = len(slopes)
-    top = [[*row, *(minus(0.0, a[i]) for a in slopes)] for i, row in enumerate(mass)]
-    return top + [[*a, *[0.0] * m] for a in slopes]
-
-
-# ---- a system of lanes
 
 
 class Lagrangian(Flow):
@@ -270,7 +147,7 @@ class Lagrangian(Flow):
 
     def residuals(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
         """The m values of f, zero on the constraints."""
-        return _constraints(self.equations(p), len(y.q))(*y.q, *y.v, t)
+        return constraint_functions(self.equations(p), len(y.q))(*y.q, *y.v, t)
 
     def project(self, t: ArrayLike, y: Motion, p: Parameters, *, trust: bool = True) -> Motion:
         """The state brought back to f = 0 along M⁻¹ Aᵀ, or marked as failed: not a number from there on.
@@ -280,17 +157,17 @@ class Lagrangian(Flow):
         """
         equations, k = self.equations(p), len(y.q)
         q, v, (drift, reason) = y
-        f = _constraints(equations, k)
+        f = constraint_functions(equations, k)
         finite = jnp.isfinite(sum(x * x for x in (*q, *v)))
         singular = jnp.isnan(reason)
         off = ~finite
         residuals = f(*q, *v, t)
         if residuals:
             at = (*q, *v, t)
-            mass, slopes = _matrices(equations, at, k)
+            mass, slopes = matrices(equations, at, k)
             ends = [[float(i == k + j) for i in range(k + len(slopes))] for j in range(len(slopes))]
-            ways, smallest = eliminate(_bordered(mass, slopes), ends, k * definite(mass))
-            singular |= smallest <= _SMALLEST_PIVOT
+            ways, smallest = eliminate(bordered(mass, slopes), ends, k * definite(mass))
+            singular |= smallest <= SMALLEST_PIVOT
             found = largest_of(list(residuals))
             drift = jnp.where(found > drift, found, drift)
             for _ in range(_PROJECTIONS):
@@ -441,7 +318,7 @@ def lagrangian(define: Callable[..., Definition], parameters: Mapping[str, float
     angles, ignorable = (tuple(name in definition.get(kind, ()) for name in names) for kind in ("angles", "ignorable"))
     zeros = (jnp.zeros(()),) * len(names)
     equations = Equations(definition["T"], definition["Q"], definition.get("f"))
-    m = len(jax.eval_shape(lambda q, t: _constraints(equations, len(q))(*q, *q, t), zeros, zeros[0]))
+    m = len(jax.eval_shape(lambda q, t: constraint_functions(equations, len(q))(*q, *q, t), zeros, zeros[0]))
     return Lagrangian(define, dict(parameters), names, m, angles, ignorable)
 
 

@@ -197,9 +197,7 @@ def test_merged_file_is_the_file_written_at_once(tmp_path, tile, width):
     """Blocks that go over as they are and blocks that do not, whatever the tile: data, order and attributes."""
     plan = job(10_000, tile, ("diagram",))
     for piece in plan.pieces():
-        tiles.write_piece(
-            tmp_path, plan, piece, {"diagram": written(piece.begin[0], piece.end[0], width)}, {}, SPENT
-        )
+        tiles.write_piece(tmp_path, plan, piece, {"diagram": written(piece.begin[0], piece.end[0], width)}, {}, SPENT)
     merged, plain = tmp_path / "merged.h5", tmp_path / "plain.h5"
     attrs = {"title": "t", "jaxnh_version": "0", "axes": "b"}
     merge.merge(merged, attrs, tmp_path, plan, {"diagram": Extra({"not_finite": 1}, ("one is lost",))})

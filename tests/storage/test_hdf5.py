@@ -19,6 +19,7 @@ from hypothesis.extra import numpy as arrays
 
 from jaxnh.exceptions import DamagedError, ResultError
 from jaxnh.storage.atomic import check_writable
+from jaxnh.storage.chunks import slab_chunks
 from jaxnh.storage.hdf5 import (
     SEAL,
     attributes,
@@ -28,7 +29,6 @@ from jaxnh.storage.hdf5 import (
     read,
     read_attrs,
     read_group,
-    slab_chunks,
     verify,
     write,
 )

@@ -1,0 +1,149 @@
+"""Equations of motion from T, Q and f, by Jourdain's principle and automatic differentiation.
+
+A system has k coordinates q, kinetic energy T(q, q̇, t), generalised forces Q(q, q̇, t) and m constraints
+f(q, q̇, t) = 0, linear or nonlinear in q̇. With A = ∂f/∂q̇ (m, k) and M = ∂²T/∂q̇² (k, k), equations (3) to (6) of the
+paper and df/dt = 0 are one bordered system for the accelerations and the multipliers:
+
+    M q̈ − Aᵀ λ = Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t
+    A q̈        = −(∂f/∂q) q̇ − ∂f/∂t
+
+Everything here is a function of one lane, with a component an array of its own: under `jax.vmap` no batch of small
+matrices is ever formed, and no library is called to solve them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from jaxnh.systems.elimination import definite, eliminate, known, minus
+from jaxnh.systems.flow import Number, Vector
+
+Energy = Callable[[Vector, Vector, Number], Number]
+"""(q, q̇, t) to a number."""
+Components = Callable[[Vector, Vector, Number], Number]
+"""(q, q̇, t) to a sequence of numbers."""
+
+SMALLEST_PIVOT = 64 * np.finfo(float).eps
+"""Of the largest entry of the matrix: a pivot below it is rounding."""
+
+
+class Equations(NamedTuple):
+    """What a system is: kinetic energy, generalised forces, and constraints (none where it is free).
+
+    Attributes:
+        T: kinetic energy, (q, q̇, t) to a number.
+        Q: generalised forces, (q, q̇, t) to k numbers.
+        f: constraint functions, (q, q̇, t) to m numbers that are to be zero.
+    """
+
+    T: Energy
+    Q: Components
+    f: Components | None = None
+
+
+class Accelerations(NamedTuple):
+    """Solution of the bordered system of one state.
+
+    Attributes:
+        a: k accelerations q̈.
+        multipliers: m multipliers λ.
+        singular: whether the matrix has no inverse in double precision.
+    """
+
+    a: Vector
+    multipliers: Vector
+    singular: Number
+
+
+def slope(function: Callable[..., Number], at: Vector, i: int) -> Number:
+    """∂function/∂at[i] at components `at`, the others being constants of the program."""
+    one = jnp.ones_like(at[i])
+    return jax.jvp(lambda x: function(*at[:i], x, *at[i + 1 :]), (at[i],), (one,))[1]
+
+
+def _flat(function: Callable[[Vector, Vector, Number], Number], k: int) -> Callable[..., Number]:
+    """The same function of its 2k + 1 components."""
+    return lambda *at: function(at[:k], at[k : 2 * k], at[2 * k])
+
+
+def _along_motion(function: Callable[..., Number], at: Vector, k: int) -> Number:
+    """(∂/∂q) q̇ + ∂/∂t of a function at components `at` = (q, q̇, t)."""
+    v = at[k : 2 * k]
+
+    def moved(*q_and_t: Number) -> Number:
+        return function(*q_and_t[:k], *v, q_and_t[k])
+
+    return jax.jvp(moved, (*at[:k], at[2 * k]), (*v, jnp.ones_like(at[2 * k])))[1]
+
+
+def constraint_functions(equations: Equations, k: int) -> Callable[..., Vector]:
+    """f of its 2k + 1 components, as a tuple; empty where the system is free."""
+    f = equations.f
+    return (lambda *at: ()) if f is None else (lambda *at: tuple(f(at[:k], at[k : 2 * k], at[2 * k])))
+
+
+def mass_matrix(equations: Equations, at: Vector, k: int) -> list[list[Number]]:
+    """M = ∂²T/∂q̇², k rows of k, at components (q, q̇, t)."""
+    energy = _flat(equations.T, k)
+
+    def momentum(j: int) -> Callable[..., Number]:
+        return lambda *at: slope(energy, at, k + j)
+
+    upper = {(i, j): slope(momentum(j), at, k + i) for j in range(k) for i in range(j + 1)}
+    return [[upper[min(i, j), max(i, j)] for j in range(k)] for i in range(k)]
+
+
+def constraint_slopes(equations: Equations, at: Vector, k: int) -> list[Vector]:
+    """A = ∂f/∂q̇, m rows of k, at components (q, q̇, t)."""
+    f = constraint_functions(equations, k)
+    columns = [slope(f, at, k + j) for j in range(k)]
+    return [tuple(column[i] for column in columns) for i in range(len(columns[0]))]
+
+
+def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Accelerations:
+    """q̈ and λ at a state by one bordered solve; components of any one shape.
+
+    The multipliers are those of (6): the reaction on coordinate i is Σ_j λ_j ∂f_j/∂q̇_i.
+    """
+    k = len(q)
+    at = (*q, *v, t)
+    energy, f = _flat(equations.T, k), constraint_functions(equations, k)
+    forces = [known(force) for force in equations.Q(q, v, t)]
+    with jax.ensure_compile_time_eval():  # what does not depend on the state is a number, not a part of the program
+        momenta = [lambda *at, i=i: slope(energy, at, k + i) for i in range(k)]
+        inertia = [_read(_along_motion(momentum, at, k), at) for momentum in momenta]
+        pull = [_read(slope(energy, at, i), at) for i in range(k)]
+    mass, slopes = matrices(equations, at, k)
+    right = [minus(force, minus(i, p)) for force, i, p in zip(forces, inertia, pull, strict=True)]
+    right += [-rate for rate in (_along_motion(f, at, k) if slopes else ())]
+    (solution,), smallest = eliminate(bordered(mass, slopes), [right], k * definite(mass))
+    solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
+    return Accelerations(tuple(solution[:k]), tuple(solution[k:]), smallest <= SMALLEST_PIVOT)
+
+
+def matrices(equations: Equations, at: Vector, k: int) -> tuple[list[list[Number]], list[list[Number]]]:
+    """M and A at components (q, q̇, t), floats where they are known while the program is traced."""
+    with jax.ensure_compile_time_eval():
+        mass, slopes = mass_matrix(equations, at, k), constraint_slopes(equations, at, k)
+        return [[_read(x, at) for x in row] for row in mass], [[_read(x, at) for x in row] for row in slopes]
+
+
+def _read(x: Number, at: Vector) -> Number:
+    """`known` while a program is traced; outside of one everything is known, and nothing is to be kept of it."""
+    return known(x) if isinstance(at[0], Tracer) else x
+
+
+def bordered(mass: list[list[Number]], slopes: list[list[Number]]) -> list[list[Number]]:
+    """[M, −Aᵀ; A, 0]."""
+    m = len(slopes)
+    top = [[*row, *(minus(0.0, a[i]) for a in slopes)] for i, row in enumerate(mass)]
+    return top + [[*a, *[0.0] * m] for a in slopes]
+
+
+# ---- a system of lanes

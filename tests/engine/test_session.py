@@ -1,0 +1,215 @@
+"""A session: any analysis on any lanes in memory, what it refuses, and what it keeps."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+from conftest import ROOT, session_of
+
+import jaxnh
+from jaxnh.analyses.poincare import PoincareOptions
+from jaxnh.config.experiment import Experiment
+from jaxnh.engine.session import Session
+
+CONTENT = {
+    "title": "A session",
+    "system": {"constraint": "disturbed_speed", "d": 0.1},
+    "sweep": {"b": {"start": 5.2, "stop": 5.6, "count": 5}},
+    "accuracy": {"solver": "blanes_moan6", "steps": 40},
+    "analyses": {"poincare": {"transient": 20, "strobes": 3}},
+}
+UNFORCED = {
+    "system": {"constraint": "constant_speed", "without": ["forcing"]},
+    "sweep": {"b": {"start": 0.8, "stop": 0.9, "count": 3}},
+    "accuracy": {"solver": "blanes_moan6", "steps": 40},
+    "analyses": {"diagram": {"transient": 2, "strobes": 2}},
+}
+
+
+def identical(one, other):
+    """To the bit, attributes and all."""
+    xr.testing.assert_identical(one, other)
+    for name, item in one.variables.items():
+        assert item.values.tobytes() == other.variables[name].values.tobytes(), name
+
+
+@pytest.fixture(scope="module")
+def session():
+    return session_of(Experiment.from_dict(CONTENT))
+
+
+@pytest.fixture(scope="module")
+def whole(session):
+    """Every lane of the experiment's own."""
+    return session.run("poincare")
+
+
+def test_own_lanes(session, whole):
+    """The experiment's axes and options where nothing else is said."""
+    assert dict(whole.sizes) == {"b": 5, "strobe": 3}
+    np.testing.assert_array_equal(whole["b"], np.linspace(5.2, 5.6, 5))
+    identical(session.tree()["poincare"].to_dataset(), whole)
+    assert (session.plan.solver.name, session.plan.steps) == ("blanes_moan6", 40)
+    assert session.attributes()["error_estimate"] == session.plan.error_estimate
+
+
+def test_options(session, whole):
+    """As a mapping or as the model; what is not named has its default."""
+    more = session.run("poincare", {"transient": 20, "strobes": 5})
+    np.testing.assert_array_equal(more["x1"].isel(strobe=slice(3)), whole["x1"])
+    identical(session.run("poincare", PoincareOptions(transient=20, strobes=5)), more)
+
+
+def test_other_values_of_an_axis(session, whole):
+    """The lanes at the same values are the same, wherever they stand."""
+    b = whole["b"].values[[4, 1]]
+    identical(session.run("poincare", b=b), whole.isel(b=[4, 1]))
+    identical(session.run("poincare", b=list(map(float, b))), whole.isel(b=[4, 1]))
+
+
+def test_fixed_value_is_no_dimension(session, whole):
+    """It stays as a coordinate."""
+    found = session.run("poincare", b=whole["b"].values[2])
+    assert found["x1"].dims == ("strobe",)
+    assert float(found["b"]) == whole["b"].values[2]
+    np.testing.assert_array_equal(found["x1"], whole["x1"][2])
+
+
+@pytest.mark.parametrize(
+    ("axes", "sizes"),
+    [
+        ({"d": [0.05, 0.1]}, {"b": 5, "d": 2}),
+        ({"x1": [0.1, 0.3]}, {"b": 5, "x1": 2}),
+        ({"a": [0.5, 0.6]}, {"b": 5, "a": 2}),
+        ({"c": [0.9, 1.0], "x1": 0.1}, {"b": 5, "c": 2}),
+    ],
+)
+def test_new_axes(session, whole, axes, sizes):
+    """Behind those of the experiment: parameters of lanes, shared ones and starts; the old lanes are among the new."""
+    found = session.run("poincare", **axes)
+    assert dict(found.sizes) == {**sizes, "strobe": 3}
+    assert found.attrs["axes"].split() == ["b", *axes]
+    name = next(iter(axes))
+    place = axes[name].index({"d": 0.1, "x1": 0.1, "a": 0.5, "c": 1.0}[name])
+    for key in ("x1", "x2", "y1", "y2"):
+        ours = found.get(f"{key}_state", found[key]) if key == name else found[key]
+        np.testing.assert_array_equal(ours.isel({name: place}).values, whole[key].values)
+
+
+def test_analysis_that_needs_others(session):
+    """They run with it, and it alone is given back; those the experiment asks for have its options."""
+    found = session.run("verdict", b=[5.3])
+    assert list(found.data_vars) == ["kind"]
+    assert found.attrs["panel"] == "flags"
+
+
+def test_calibration_is_kept_within_its_ends():
+    """A call within the experiment's sweep takes its plan; one beyond it is calibrated for itself, and once."""
+    said = []
+    experiment = Experiment.from_dict({**CONTENT, "accuracy": {"target": 1e-4}})
+    session = Session(experiment, progress=lambda label, done, total: said.append(label))
+
+    def calibrations():
+        return sum(label.startswith("accuracy") for label in said) // 2  # at its start and at its end
+
+    session.run("poincare", b=[5.3, 5.4])
+    assert calibrations() == 1
+    plan = session.plan
+    session.run("poincare")
+    assert (calibrations(), session.plan) == (1, plan)
+    session.run("poincare", b=[0.3, 0.4])
+    session.run("poincare", b=[0.4])
+    assert calibrations() == 2
+    session.run("poincare", d=[0.1])
+    assert calibrations() == 3
+    assert session.plan == plan
+
+
+def test_one_device(whole):
+    """The lanes do not know on how many devices they are."""
+    session = Session(Experiment.from_dict(CONTENT), devices=jax.devices()[:1])
+    identical(session.run("poincare"), whole)
+
+
+def test_sections_and_own_systems(tmp_path):
+    """Without a clock lanes are seen on the section; a user's system has its parameters and coordinates as axes."""
+    session = session_of(Experiment.from_dict(UNFORCED))
+    alone = session.run("diagram")
+    found = session.run("diagram", x2=[0.1, 0.3])
+    assert dict(found.sizes) == {"b": 3, "x2": 2, "strobe": 2}
+    assert found.attrs["section"] == alone.attrs["section"]
+    np.testing.assert_array_equal(found["x1"].isel(x2=0), alone["x1"])
+    governor = jaxnh.load(
+        ROOT / "configs" / "governor.yaml",
+        ["sweep.drive.count=3", "accuracy={solver: tsit5, steps: 60}", "analyses={poincare: {transient: 4}}"],
+    )
+    session = session_of(governor)
+    alone = session.run("poincare", {"transient": 4, "strobes": 2})
+    found = session.run("poincare", {"transient": 4, "strobes": 2}, damping=[0.2, 0.3], x=[0.5])
+    assert found["x_state"].dims == ("drive", "damping", "x", "strobe")
+    np.testing.assert_array_equal(found["x_state"].isel(damping=0, x=0), alone["x"])
+
+
+REFUSED = {
+    "analysis": (("poincaree",), {}, "there is no analysis poincaree; known are "),
+    "option": (("poincare", {"strobe": 3}), {}, "poincare.strobe: "),
+    "option's value": (("poincare", {"strobes": 0}), {}, "poincare.strobes: "),
+    "option's type": (("poincare", {"strobes": "many"}), {}, "poincare.strobes: "),
+    "options together": (("diagram", {"starts": 3}), {}, "diagram"),
+    "name": (("poincare",), {"e": [1.0]}, "there is no parameter or coordinate e; known are "),
+    "derived coordinate": (("poincare",), {"y2": [0.5]}, "there is no parameter or coordinate y2; known are "),
+    "two dimensions": (("poincare",), {"b": [[1.0, 2.0]]}, "b: an axis is a number or a list of finite numbers"),
+    "no values": (("poincare",), {"b": []}, "b: an axis is a number or a list of finite numbers"),
+    "not a number": (("poincare",), {"b": [np.nan]}, "b: an axis is a number or a list of finite numbers"),
+    "text": (("poincare",), {"b": "many"}, "b: an axis is a number or a list of finite numbers"),
+    "speed vanishes": (("poincare",), {"d": [0.1, 1.5]}, "the speed vanishes"),
+    "no common period": (("poincare",), {"omega": [1.2345678]}, "have no common period"),
+    "negative c": (("poincare",), {"c": [-1.0]}, "must be above 0"),
+    "x2 above the speed": (("poincare",), {"x2": [1.5]}, "the speed at t = 0 is 1"),
+    "random and starts": (
+        ("diagram", {"start": "random"}),
+        {"x1": [0.1]},
+        "diagram.start: random starts and the axis x1",
+    ),
+}
+
+
+@pytest.mark.parametrize(("arguments", "axes", "said"), REFUSED.values(), ids=REFUSED)
+def test_refused(session, arguments, axes, said):
+    """One line that names what is wrong."""
+    with pytest.raises(jaxnh.InputError) as caught:
+        session.run(*arguments, **axes)
+    assert said in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("first", "analysis", "options"),
+    [("d", "doubling", {"levels": 1}), ("x1", "doubling", {"levels": 1}), ("d", "diagram", {"start": "up"})],
+)
+def test_first_axis_that_nothing_can_be_carried_along(first, analysis, options):
+    """With advice which axis to put first."""
+    content = {
+        **CONTENT,
+        "system": {"constraint": "disturbed_speed", "b": 5.3},
+        "sweep": {first: {"values": [0.1, 0.2]}},
+    }
+    session = session_of(Experiment.from_dict(content))
+    with pytest.raises(jaxnh.InputError, match=rf"^{analysis}.* first axis .*; put a parameter such as b first$"):
+        session.run(analysis, options)
+
+
+def test_clock_that_is_not_there():
+    session = session_of(Experiment.from_dict(UNFORCED))
+    with pytest.raises(jaxnh.InputError, match=r"diagram\.phase: there is no period"):
+        session.run("diagram", {"transient": 2, "phase": 0.5})
+    with pytest.raises(jaxnh.InputError, match="doubling"):
+        session.run("doubling")
+
+
+def test_accuracy_out_of_reach():
+    experiment = Experiment.from_dict({**CONTENT, "accuracy": {"target": 1e-18}})
+    with pytest.raises(jaxnh.AccuracyError, match=r"accuracy\.target: no solver has an error of one period of 1e-18"):
+        session_of(experiment).run("poincare", b=[5.3])

@@ -1,0 +1,315 @@
+"""A sweep of several axes is its rows, each run by itself, bit for bit, by every way to a result."""
+
+from __future__ import annotations
+
+import copy
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+from conftest import ROOT, run_here, session_of
+
+import jaxnh
+from jaxnh.config.experiment import Experiment
+from jaxnh.engine.session import Session
+
+PARTICLE = {"constraint": "disturbed_speed", "a": 0.5, "b": 5.3, "c": 1.0, "d": 0.1, "omega": 1.0}
+B = {"start": 5.2, "stop": 5.6, "count": 5}
+FEW = {"solver": "blanes_moan6", "steps": 40}
+STROBES = {"poincare": {"transient": 20, "strobes": 3}}
+GOVERNOR = {"file": str(ROOT / "configs" / "governor.py"), "rate": 0.5, "level": 0.5}
+OSCILLATOR = """
+import jax.numpy as jnp
+
+
+def system(drive=0.8, damping=0.2, omega=1.0):
+    def T(q, v, t):
+        return 0.5 * v[0] ** 2
+
+    def Q(q, v, t):
+        return (drive * jnp.sin(omega * t) + q[0] - q[0] ** 3 - damping * v[0],)
+
+    return {"T": T, "Q": Q, "coordinates": ("x",), "period": 2 * jnp.pi / omega}
+"""
+
+
+def content(sweep, analyses=STROBES, system=None, accuracy=FEW, **others):
+    """What an experiment says; what is swept stands in the sweep alone."""
+    system = dict(PARTICLE if system is None else system)
+    return {
+        "system": {name: value for name, value in system.items() if name not in sweep},
+        "sweep": sweep,
+        "accuracy": accuracy,
+        "analyses": analyses,
+        **others,
+    }
+
+
+def at(said, axis, value):
+    """The same with one axis fixed: a parameter in the system, a coordinate in the start state."""
+    said = copy.deepcopy(said)
+    del said["sweep"][axis]
+    place = said.setdefault("initial", {}) if axis in ("x1", "x2", "y1", "y2", "x", "x_dot") else said["system"]
+    place[axis] = value
+    return said
+
+
+def values_of(grid):
+    return grid["values"] if "values" in grid else np.linspace(grid["start"], grid["stop"], grid["count"])
+
+
+def tree_of(said):
+    return session_of(Experiment.from_dict(said)).tree()
+
+
+def same_rows(whole, row, axis, place):
+    """A group at one place of an axis has the variables of the row run alone, to the bit.
+
+    States have the name of a coordinate; where that is an axis, they are called NAME_state.
+    """
+    cut = whole.isel({axis: place})
+    for name, item in row.variables.items():
+        ours = cut.variables[f"{name}_state" if name == axis else name]
+        assert ours.dims == item.dims, name
+        assert ours.values.tobytes() == np.ascontiguousarray(item.values).tobytes(), name
+        assert list(ours.attrs) == list(item.attrs), name
+        for key, value in item.attrs.items():
+            np.testing.assert_array_equal(ours.attrs[key], value, err_msg=key)
+
+
+CASES = {
+    "b and d": content({"b": B, "d": {"values": [0.05, 0.3]}}),
+    "d and b": content({"d": {"values": [0.05, 0.3]}, "b": {"values": [5.2, 5.6]}}),
+    "b and x1": content({"b": B, "x1": {"values": [-0.4, 0.2]}}, {"diagram": {"transient": 20, "strobes": 3}}),
+    "x1 and b": content({"x1": {"start": -0.4, "stop": 0.4, "count": 5}, "b": {"values": [5.2, 5.3]}}),
+    "a and b": content({"a": {"start": 0.4, "stop": 0.6, "count": 5}, "b": {"values": [5.2, 5.3]}}),
+    "b and omega": content(
+        {"b": {"start": 0.9, "stop": 1.2, "count": 4}, "omega": {"values": [0.5, 2.0]}},
+        {"diagram": {"transient": 10, "strobes": 2, "start": "random", "starts": 2, "seed": 3, "phase": 0.25}},
+        {"constraint": "constant_speed"},
+    ),
+    "b and c": content({"b": B, "c": {"values": [0.9, 1.1]}}, system={"constraint": "constant_speed"}),
+    "drive and damping": content(
+        {"drive": {"start": 0.77, "stop": 0.87, "count": 4}, "damping": {"values": [0.2, 0.25]}},
+        system=GOVERNOR,
+        accuracy={"solver": "tsit5", "steps": 60},
+        initial={"x": 0.5, "y_dot": -0.25},
+    ),
+}
+
+
+@pytest.mark.parametrize("said", CASES.values(), ids=CASES)
+def test_rows_are_those_run_alone(said):
+    """Lane by lane, shared and start axes, in either order; what the rows have besides is there as well."""
+    whole = tree_of(said)
+    *_, second = said["sweep"]
+    assert whole.attrs["axes"] == " ".join(said["sweep"])
+    for place, value in enumerate(values_of(said["sweep"][second])):
+        alone = tree_of(at(said, second, float(value)))
+        assert set(alone.children) == set(whole.children)
+        for name, group in whole.children.items():
+            assert tuple(group.dataset.coords[second].dims) == (second,)
+            same_rows(group.to_dataset(), alone[name].to_dataset(), second, place)
+
+
+def test_diagonals_of_three_axes():
+    """b by d by x1: each of the lanes is the one of its three values."""
+    sweep = {"b": {"values": [5.2, 5.5]}, "d": {"values": [0.05, 0.3]}, "x1": {"values": [-0.4, 0.2, 0.3]}}
+    said = content(sweep)
+    whole = tree_of(said)["poincare"].to_dataset()
+    assert dict(whole.sizes) == {"b": 2, "d": 2, "x1": 3, "strobe": 3}
+    for d, x1 in ((0, 2), (1, 0)):
+        alone = tree_of(at(at(said, "x1", sweep["x1"]["values"][x1]), "d", sweep["d"]["values"][d]))
+        same_rows(whole.isel(x1=x1), alone["poincare"].to_dataset(), "d", d)
+
+
+CRITERIA = {
+    "portrait": {"transient": 20, "periods": 1, "samples": 4},
+    "verdict": {},
+    "lyapunov": {"transient": 8, "periods": 16, "exponents": 2},
+    "period": {"limit": 4, "transient": 16},
+    "chaos01": {"transient": 4, "periods": 100},
+}
+
+
+def test_criteria_of_rows():
+    """All analyses of independent lanes over b and d, which changes the table of kicks."""
+    said = content({"b": B, "d": {"values": [0.1, 0.12]}}, CRITERIA)
+    whole = tree_of(said)
+    assert set(whole.children) == set(CRITERIA)
+    assert whole["verdict"]["kind"].dims == ("b", "d")
+    assert whole["lyapunov"]["exponents"].dims == ("b", "d", "exponent")
+    counted = sum(whole["verdict"].attrs[kind] for kind in whole["verdict"]["kind"].attrs["flag_meanings"].split())
+    assert counted == 5 * 2
+    for place, d in enumerate((0.1, 0.12)):
+        alone = tree_of(at(said, "d", d))
+        for name, group in whole.children.items():
+            same_rows(group.to_dataset(), alone[name].to_dataset(), "d", place)
+
+
+def test_lines_along_the_first_axis():
+    """A carried diagram and a cascade for each value of the second axis."""
+    said = content(
+        {"b": {"start": 5.54, "stop": 5.5, "count": 16}, "a": {"values": [0.5, 0.51]}},
+        {"diagram": {"transient": 4, "strobes": 2, "start": "up"}, "doubling": {"levels": 1}},
+        {"constraint": "constant_speed"},
+    )
+    whole = tree_of(said)
+    doubling = whole["doubling"].to_dataset()
+    assert doubling["delta"].dims == ("a", "level")
+    assert doubling["levels_found"].dims == ("a",)
+    assert whole["diagram"]["x1"].dims == ("b", "a", "strobe")
+    for place, a in enumerate((0.5, 0.51)):
+        alone = tree_of(at(said, "a", a))
+        same_rows(whole["diagram"].to_dataset(), alone["diagram"].to_dataset(), "a", place)
+        row = alone["doubling"].to_dataset()
+        same_rows(doubling, row, "a", place)
+        for name in ("delta_limit", "delta_limit_error", "levels_found"):
+            np.testing.assert_array_equal(doubling[name].values[place], row.attrs[name])
+
+
+# ---- what a result says
+
+
+def test_strobe_period_of_each_value():
+    """A number where all lanes have the same, else one for each value of the axes that lanes share."""
+    said = CASES["b and omega"]
+    experiment = Experiment.from_dict(said)
+    np.testing.assert_array_equal(session_of(experiment).attributes()["strobe_period"], [4 * np.pi, np.pi])
+    for name in ("b and d", "b and c"):
+        assert session_of(Experiment.from_dict(CASES[name])).attributes()["strobe_period"] == 2 * np.pi
+
+
+def test_own_system_whose_period_is_swept(tmp_path):
+    """The period of a user's system depends on omega, which its lanes then share: each row has the period of its own."""
+    (tmp_path / "own.py").write_text(OSCILLATOR)
+    system = {"file": str(tmp_path / "own.py"), "damping": 0.25}
+    sweep = {"drive": {"values": [0.3, 0.35, 0.4]}, "omega": {"values": [1.0, 1.5]}}
+    said = content(sweep, system=system, accuracy={"solver": "tsit5", "steps": 60}, initial={"x": 0.5})
+    experiment = Experiment.from_dict(said)
+    assert [axis.kind for axis in experiment.axes] == ["lane", "shared"]
+    whole = session_of(experiment).tree()
+    np.testing.assert_array_equal(whole.attrs["strobe_period"], 2 * np.pi / np.array([1.0, 1.5]))
+    for place, omega in enumerate(sweep["omega"]["values"]):
+        alone = tree_of(at(said, "omega", omega))
+        assert alone.attrs["strobe_period"] == pytest.approx(2 * np.pi / omega, rel=1e-15)
+        same_rows(whole["poincare"].to_dataset(), alone["poincare"].to_dataset(), "omega", place)
+
+
+def test_rows_share_their_programs():
+    """More values of an axis that lanes share are more calls of the same programs."""
+    counts = []
+    for d in ([0.1, 0.2], [0.1, 0.12, 0.14, 0.16, 0.2]):
+        session = Session(Experiment.from_dict(content({"b": B, "d": {"values": d}})))
+        session.tree()
+        counts.append(len(session._lanes._programs))
+    assert counts[0] == counts[1]
+
+
+# ---- every way
+
+WAYS = content(
+    {"b": {"start": 5.2, "stop": 5.45, "count": 6}, "d": {"values": [0.1, 0.105, 0.11]}},
+    {
+        "diagram": {"transient": 30, "strobes": 3, "start": "up"},
+        "chaos01": {"transient": 30, "periods": 100},
+        "poincare": {"transient": 130, "strobes": 2},
+    },
+)
+PIECES = 3 * 2 + 3  # tiles of four and of two values of b for each d, and a line for each
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    return Experiment.from_dict(WAYS)
+
+
+@pytest.fixture(scope="module")
+def whole(experiment):
+    """The result in memory."""
+    return session_of(experiment).tree()
+
+
+def same_tree(path, whole):
+    """A file has the groups in memory: variables, order, dimensions, bits and attributes."""
+    with jaxnh.open_result(path) as tree:
+        assert list(tree.children) == list(whole.children)
+        for name, group in whole.children.items():
+            ours, expected = tree[name].to_dataset(), group.to_dataset()
+            assert list(ours.variables) == list(expected.variables)
+            assert set(ours.coords) == set(expected.coords)
+            xr.testing.assert_identical(ours.load(), expected)
+            for key, item in expected.variables.items():
+                assert (ours[key].dtype, ours[key].values.tobytes()) == (item.dtype, item.values.tobytes())
+        for key, value in whole.attrs.items():
+            np.testing.assert_array_equal(tree.attrs[key], value, err_msg=key)
+
+
+def command(folder, *arguments):
+    (folder / "job.yaml").write_text(Experiment.from_dict(WAYS).text)
+    done = run_here("job.yaml", "--output", "job.h5", "--tile", 4, *arguments, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_lanes_of_ways_are_chaotic(whole):
+    """What these tests rest on: a bit that differs has grown as large as the attractor."""
+    x1 = whole["poincare"]["x1"].values
+    assert np.median(np.abs(np.diff(x1[..., -1], axis=0))) > 0.01
+
+
+def test_tiles(tmp_path, whole):
+    done = command(tmp_path)
+    assert "chaos01, poincare: 6 tiles" in done.stderr
+    same_tree(tmp_path / "job.h5", whole)
+
+
+def test_parts_and_merge(tmp_path, whole):
+    for k in (1, 2):
+        done = command(tmp_path, "--part", f"{k}/2")
+        assert done.stdout.startswith(f"part {k}/2: ")
+        assert done.stdout.endswith(f" of {PIECES} tiles\n")
+    command(tmp_path, "--merge")
+    same_tree(tmp_path / "job.h5", whole)
+
+
+def test_stopped_and_resumed(tmp_path, experiment, whole):
+    """Stopped by the progress callback after each few tiles."""
+    path, stops = tmp_path / "job.h5", 0
+    tiles = tmp_path / "job.h5.tiles"
+
+    def stop(label, done, total):
+        if len(list(tiles.glob("0*.h5"))) >= 3 * stops:
+            raise jaxnh.Stopped("enough for now")
+
+    for stops in (1, 2):
+        with pytest.raises(jaxnh.Stopped, match=rf"enough for now with \d of {PIECES} tiles done"):
+            jaxnh.run(experiment, path, progress=stop, tile=4)
+        assert not path.exists()
+        assert len(list(tiles.glob("0*.h5"))) >= 3 * stops
+    jaxnh.run(experiment, path, tile=4)
+    assert not tiles.exists()
+    same_tree(path, whole)
+
+
+def test_two_workers(tmp_path, experiment, whole):
+    """Of a local Dask cluster, each on one core."""
+    code = "import sys, jaxnh\nif __name__ == '__main__':\n"
+    code += "    jaxnh.run(jaxnh.load('job.yaml'), 'job.h5', dask='local:2', tile=4)\n"
+    (tmp_path / "job.yaml").write_text(experiment.text)
+    (tmp_path / "script.py").write_text(code)
+    done = subprocess.run(
+        [sys.executable, "script.py"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (done.stdout, done.stderr) == ("", "")
+    same_tree(tmp_path / "job.h5", whole)
