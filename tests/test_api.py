@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
-from conftest import ROOT, run_here, session_of
+from conftest import ROOT, run_here, same_tree, session_of
 
 import jaxnh
 from jaxnh import exceptions
@@ -126,9 +125,9 @@ def test_notebook(tmp_path):
     book = nbformat.v4.new_notebook()
     book.cells = [nbformat.v4.new_code_cell(imported), nbformat.v4.new_code_cell("\n".join(body))]
     kernel = {"env": {**os.environ, "PYTHONPATH": str(ROOT), "IPYTHONDIR": str(tmp_path / "ipython")}}
-    nbclient.NotebookClient(book, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}).execute(
-        **kernel
-    )
+    nbclient.NotebookClient(
+        book, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}
+    ).execute(**kernel)
     assert book.cells[0].outputs == []
     [shown] = [output for output in book.cells[1].outputs if output.output_type == "execute_result"]
     assert not [output for output in book.cells[1].outputs if output.output_type == "stream"]
@@ -152,21 +151,9 @@ def in_memory(experiment):
     return session_of(experiment).tree()
 
 
-def same(tree, expected):
-    """Groups to the bit, and the root attributes that memory has."""
-    assert list(tree.children) == list(expected.children)
-    for name, group in expected.children.items():
-        ours = tree[name].to_dataset().load()
-        xr.testing.assert_identical(ours, group.to_dataset())
-        for key, item in group.dataset.variables.items():
-            assert (ours[key].dtype, ours[key].values.tobytes()) == (item.dtype, item.values.tobytes())
-    for key, value in expected.attrs.items():
-        np.testing.assert_array_equal(tree.attrs[key], value, err_msg=key)
-
-
 def test_run_in_memory(experiment, in_memory):
     """`jaxnh.run` is a session's tree, and says what decided its numbers."""
-    same(jaxnh.run(experiment), in_memory)
+    same_tree(jaxnh.run(experiment), in_memory)
     attrs = in_memory.attrs
     assert (attrs["title"], attrs["axes"], attrs["strobe_period"]) == (TITLE, "b", 2 * np.pi)
     assert (attrs["solver"], attrs["steps_per_period"], attrs["summation"]) == ("blanes_moan6", 40, "plain")
@@ -178,18 +165,18 @@ def test_run_with_an_output(tmp_path, experiment, in_memory):
     """The same in a file, in one tile or many; a second call reads it; the command writes the same."""
     path = tmp_path / "job.h5"
     with jaxnh.run(experiment, path, tile=16) as tree:
-        same(tree, in_memory)
+        same_tree(tree, in_memory)
         assert "history" in tree.attrs
     assert [entry.name for entry in tmp_path.iterdir()] == ["job.h5"]
     before = path.read_bytes()
     with jaxnh.run(experiment, str(path), progress=lambda *_: pytest.fail("there is nothing to do")) as tree:
-        same(tree, in_memory)
+        same_tree(tree, in_memory)
     assert path.read_bytes() == before
     (tmp_path / "job.yaml").write_text(experiment.text)
     done = run_here("job.yaml", "--output", "command.h5", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     with jaxnh.open_result(tmp_path / "command.h5") as tree:
-        same(tree, in_memory)
+        same_tree(tree, in_memory)
     done = run_here("job.yaml", "--output", "job.h5", cwd=tmp_path)
     assert done.stdout == "job.h5: the result of this config is there; --fresh runs it again\n"
 
@@ -198,7 +185,9 @@ def test_other_output_is_not_replaced(tmp_path, experiment):
     """But when that is asked for."""
     path = tmp_path / "job.h5"
     path.write_text("precious text")
-    with pytest.raises(jaxnh.ArgumentError, match=r"^output: .*job\.h5 is there and is no result of jaxnh; fresh=True replaces it$"):
+    with pytest.raises(
+        jaxnh.ArgumentError, match=r"^output: .*job\.h5 is there and is no result of jaxnh; fresh=True replaces it$"
+    ):
         jaxnh.run(experiment, path)
     assert path.read_text() == "precious text"
     with jaxnh.run(experiment, path, fresh=True) as tree:
@@ -260,7 +249,7 @@ def test_stopped_by_the_callback(tmp_path, experiment, in_memory):
     kept = {entry.name: entry.stat().st_mtime_ns for entry in tiles.glob("0*.h5")}
     assert kept
     with jaxnh.run(experiment, path) as tree:
-        same(tree, in_memory)
+        same_tree(tree, in_memory)
     assert not tiles.exists()
 
 
@@ -286,7 +275,13 @@ OTHERS = {
     "FileNotFoundError": {"storage/tiles.py": "a tile that is not there: caught by those who look for it"},
     "NotImplementedError": {"config/user_system.py": "a method for subclasses", "maps/protocol.py": "likewise"},
     "PydanticCustomError": dict.fromkeys(
-        ("analyses/diagram.py", "config/blocks.py", "config/experiment.py", "config/particle.py", "config/user_system.py"),
+        (
+            "analyses/diagram.py",
+            "config/blocks.py",
+            "config/experiment.py",
+            "config/particle.py",
+            "config/user_system.py",
+        ),
         "of a validator: caught by the config or the session, which say it in a line",
     ),
     "RuntimeError": {"engine/dask_workers.py": "in a worker: becomes a RunError in the process of the run"},

@@ -53,7 +53,7 @@ def test_samples_have_both_ends_of_every_axis(axes, most):
     ends = [(0, len(one.values) - 1) for one in axes]
     assert set(itertools.product(*ends)) <= set(lanes)
     for places, one in zip(zip(*rows, strict=True), axes, strict=True):
-        assert all(np.all((0 <= part) & (part < len(one.values))) for part in places)
+        assert all(np.all((part >= 0) & (part < len(one.values))) for part in places)
         if one.kind == "shared":
             assert all(len(set(part.tolist())) == 1 for part in places)
     if most is None:

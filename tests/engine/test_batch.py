@@ -482,7 +482,7 @@ def test_clock_set_back(job, whole):
     for path in job.tiles.iterdir():
         os.utime(path, (tomorrow, tomorrow))
     now, looks = time.time, iter(range(10**9))
-    with mock.patch("time.time", lambda: now() - 86400 * next(looks)):
+    with mock.patch("time.time", side_effect=lambda: now() - 86400 * next(looks)):
         code, _, err = job.run_here()
     assert code == 0, err
     assert content(job.output) == whole

@@ -72,7 +72,9 @@ def test_same_bits_of_derivatives(runners, count):
     """Of another program with more outputs, and tiles of another size."""
     u = np.random.default_rng(4).uniform(-1, 1, (MANY, 3))
     shared = strobe(), np.int32(5)
-    one, two = (runners[n](derivatives, shared, lane(slice(0, count), (u, CHAOTIC)), tile=64, static=("b",)) for n in (1, 2))
+    one, two = (
+        runners[n](derivatives, shared, lane(slice(0, count), (u, CHAOTIC)), tile=64, static=("b",)) for n in (1, 2)
+    )
     same(one, two)
     same(one, lane(slice(0, count), runners[2](derivatives, shared, (u, CHAOTIC), tile=64, static=("b",))))
 
