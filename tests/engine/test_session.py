@@ -103,11 +103,18 @@ def test_new_axes(session, whole, axes, sizes):
         np.testing.assert_array_equal(ours.isel({name: place}).values, whole[key].values)
 
 
-def test_analysis_that_needs_others(session):
+def test_analysis_that_needs_others():
     """They run with it, and it alone is given back; those the experiment asks for have its options."""
-    found = session.run("verdict", b=[5.3])
+    analyses = {
+        "lyapunov": {"transient": 8, "periods": 16},
+        "period": {"limit": 4, "transient": 16},
+        "chaos01": {"transient": 4, "periods": 100},
+        "verdict": {},
+    }
+    session = session_of(Experiment.from_dict({**CONTENT, "analyses": analyses}))
+    found = session.run("verdict")
     assert list(found.data_vars) == ["kind"]
-    assert found.attrs["panel"] == "flags"
+    identical(found, session.tree()["verdict"].to_dataset())
 
 
 def test_calibration_is_kept_within_its_ends():
