@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
-from conftest import ROOT, run_here, session_of
+from conftest import ROOT, run_here, same_tree, session_of
 
 import jaxnh
 from jaxnh import exceptions
@@ -152,21 +151,9 @@ def in_memory(experiment):
     return session_of(experiment).tree()
 
 
-def same(tree, expected):
-    """Groups to the bit, and the root attributes that memory has."""
-    assert list(tree.children) == list(expected.children)
-    for name, group in expected.children.items():
-        ours = tree[name].to_dataset().load()
-        xr.testing.assert_identical(ours, group.to_dataset())
-        for key, item in group.dataset.variables.items():
-            assert (ours[key].dtype, ours[key].values.tobytes()) == (item.dtype, item.values.tobytes())
-    for key, value in expected.attrs.items():
-        np.testing.assert_array_equal(tree.attrs[key], value, err_msg=key)
-
-
 def test_run_in_memory(experiment, in_memory):
     """`jaxnh.run` is a session's tree, and says what decided its numbers."""
-    same(jaxnh.run(experiment), in_memory)
+    same_tree(jaxnh.run(experiment), in_memory)
     attrs = in_memory.attrs
     assert (attrs["title"], attrs["axes"], attrs["strobe_period"]) == (TITLE, "b", 2 * np.pi)
     assert (attrs["solver"], attrs["steps_per_period"], attrs["summation"]) == ("blanes_moan6", 40, "plain")
@@ -178,18 +165,18 @@ def test_run_with_an_output(tmp_path, experiment, in_memory):
     """The same in a file, in one tile or many; a second call reads it; the command writes the same."""
     path = tmp_path / "job.h5"
     with jaxnh.run(experiment, path, tile=16) as tree:
-        same(tree, in_memory)
+        same_tree(tree, in_memory)
         assert "history" in tree.attrs
     assert [entry.name for entry in tmp_path.iterdir()] == ["job.h5"]
     before = path.read_bytes()
     with jaxnh.run(experiment, str(path), progress=lambda *_: pytest.fail("there is nothing to do")) as tree:
-        same(tree, in_memory)
+        same_tree(tree, in_memory)
     assert path.read_bytes() == before
     (tmp_path / "job.yaml").write_text(experiment.text)
     done = run_here("job.yaml", "--output", "command.h5", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     with jaxnh.open_result(tmp_path / "command.h5") as tree:
-        same(tree, in_memory)
+        same_tree(tree, in_memory)
     done = run_here("job.yaml", "--output", "job.h5", cwd=tmp_path)
     assert done.stdout == "job.h5: the result of this config is there; --fresh runs it again\n"
 
@@ -262,7 +249,7 @@ def test_stopped_by_the_callback(tmp_path, experiment, in_memory):
     kept = {entry.name: entry.stat().st_mtime_ns for entry in tiles.glob("0*.h5")}
     assert kept
     with jaxnh.run(experiment, path) as tree:
-        same(tree, in_memory)
+        same_tree(tree, in_memory)
     assert not tiles.exists()
 
 

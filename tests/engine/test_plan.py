@@ -1,24 +1,16 @@
-"""Pieces of a sweep: every analysis has the same bits whatever it is cut into, and merged files are those of one run."""
+"""Pieces of a sweep: every analysis has the same bits whatever it is cut into."""
 
 from __future__ import annotations
 
-import h5py
 import jax
 import numpy as np
 import pytest
-import xarray as xr
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import variable
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import plan as work
 from jaxnh.engine.lanes import Lanes
-from jaxnh.exceptions import BusyError, DamagedError
-from jaxnh.storage import hdf5 as store
-from jaxnh.storage import merge, pieces, tiles
-from jaxnh.storage.merge import Extra
-from jaxnh.storage.pieces import Job, Piece
-from jaxnh.storage.tiles import Spent
+from jaxnh.storage.pieces import Piece
 
 COUNT = 600
 HEAD = f"""\
@@ -35,7 +27,6 @@ OPTIONS = {
     "poincare": "{transient: 30, strobes: 4}",
     "portrait": "{transient: 30, periods: 1, samples: 4}",
 }
-SPENT = Spent(1.0, 0.5, 100.0, "1 x cpu (cpu)")
 
 
 def decided(text, lanes, tile):
@@ -96,6 +87,7 @@ def test_every_analysis_says_whether_its_lanes_are_independent():
     for start, independent in (("fixed", True), ("random", True), ("up", False), ("down", False)):
         options = ANALYSES["diagram"].options(start=start)
         assert ANALYSES["diagram"].independent(options) == independent
+<<<<<<< HEAD
 
 
 # ---- how a sweep is cut
@@ -233,3 +225,5 @@ def test_damaged_piece_is_named_while_merging(tmp_path):
         merge.merge(tmp_path / "merged.h5", {}, tmp_path, plan, {"diagram": Extra({}, ())})
     assert caught.value.piece == bad
     assert not (tmp_path / "merged.h5").exists()
+=======
+>>>>>>> h-engtests
