@@ -183,11 +183,7 @@ REFUSED = {
     "random and starts": (
         ("diagram", {"start": "random"}),
         {"x1": [0.1]},
-<<<<<<< HEAD
-        "diagram.start: random starts and the axis x1",
-=======
         "analyses.diagram.start: random starts and the axis x1",
->>>>>>> h-engtests
     ),
 }
 
@@ -221,11 +217,7 @@ def test_first_axis_that_nothing_can_be_carried_along(first, analysis, options):
 
 def test_clock_that_is_not_there():
     session = session_of(Experiment.from_dict(UNFORCED))
-<<<<<<< HEAD
-    with pytest.raises(jaxnh.InputError, match=r"diagram\.phase: there is no period"):
-=======
     with pytest.raises(jaxnh.InputError, match=r"analyses\.diagram\.phase: there is no period"):
->>>>>>> h-engtests
         session.run("diagram", {"transient": 2, "phase": 0.5})
     with pytest.raises(jaxnh.InputError, match="doubling"):
         session.run("doubling")

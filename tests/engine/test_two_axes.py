@@ -20,10 +20,6 @@ PARTICLE = {"constraint": "disturbed_speed", "a": 0.5, "b": 5.3, "c": 1.0, "d": 
 B = {"start": 5.2, "stop": 5.6, "count": 5}
 FEW = {"solver": "blanes_moan6", "steps": 40}
 STROBES = {"poincare": {"transient": 20, "strobes": 3}}
-<<<<<<< HEAD
-GOVERNOR = {"file": str(ROOT / "configs" / "governor.py"), "rate": 0.5, "level": 0.5}
-=======
->>>>>>> h-engtests
 OSCILLATOR = """
 import jax.numpy as jnp
 
