@@ -15,7 +15,7 @@ from jaxnh.cli.arguments import called, experiment_of
 from jaxnh.cli.exit_codes import Stop, run_app
 from jaxnh.cli.report import report
 from jaxnh.cli.terminal import progress
-from jaxnh.config.experiment import schema
+from jaxnh.config.schema import schema
 from jaxnh.engine import dask_workers
 from jaxnh.engine.run import How, check_output, is_there, run_to_file
 from jaxnh.exceptions import ArgumentError, BusyError

@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
-from pydantic.json_schema import GenerateJsonSchema
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Axis, OptionError, Options, Setting, rule
@@ -31,7 +30,7 @@ from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS
 from jaxnh.systems.flow import Flow, State
 from jaxnh.systems.user_file import UserFile
 
-__all__ = ["Experiment", "load", "schema"]
+__all__ = ["Experiment", "load"]
 
 # ---- the whole
 
@@ -383,24 +382,3 @@ def load(path: str | Path, overrides: Sequence[str] = (), user_text: str | None 
     """
     path = Path(path)
     return _validated(read(path, overrides), path.parent, user_text)
-
-
-def schema() -> dict[str, Any]:
-    """JSON Schema (draft 2020-12) of a config, with a description for every key: for editors."""
-    built_in, users = Experiment.model_json_schema(), UserExperiment.model_json_schema()
-    properties = {**built_in["properties"]}
-    system = properties["system"]
-    properties["system"] = {**system, "oneOf": [*system["oneOf"], {"$ref": users["properties"]["system"]["$ref"]}]}
-    kinds = {"then": {"properties": {}}, "else": {"properties": {}}}  # which of the two is known from the system
-    for name in ("initial", "sweep"):
-        properties[name] = {"description": properties[name]["description"]}
-        for word, given in (("then", users), ("else", built_in)):
-            kinds[word]["properties"][name] = {"$ref": given["properties"][name]["$ref"]}
-    return {
-        "$schema": GenerateJsonSchema.schema_dialect,
-        **built_in,
-        "$defs": {**built_in["$defs"], **users["$defs"]},
-        "properties": properties,
-        "if": {"required": ["system"], "properties": {"system": {"required": ["file"]}}},
-        **kinds,
-    }

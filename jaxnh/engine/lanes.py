@@ -30,7 +30,7 @@ class Lanes:
 
     Attributes:
         devices: the JAX devices tiles go to.
-        lane_periods: forcing periods integrated so far, summed over lanes (derivatives count once).
+        lane_periods: periods integrated so far, summed over lanes (derivatives count once).
         compile_seconds: time spent tracing and compiling so far.
         run_seconds: time spent in compiled programs so far.
     """
@@ -69,7 +69,7 @@ class Lanes:
             function: pure function of one lane, defined at module level (programs are kept by it).
             shared: pytrees that all lanes see alike.
             lanes: pytrees whose leaves have the lanes as first axis.
-            periods: forcing periods that a lane costs, for progress and accounts.
+            periods: periods that a lane costs, for progress and accounts.
             tile: lanes a tile where a program has few lanes but much to do in each.
             static: further hashable arguments, part of the program.
 

@@ -70,7 +70,7 @@ class _Search(NamedTuple):
         steps: taken so far.
         low, high: part of the next step that has the crossing, if it has.
         found: whether it has.
-        lost: whether the state has left the numbers.
+        lost: whether the state is not finite.
     """
 
     carried: Carried

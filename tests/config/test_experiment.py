@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.config.experiment import Experiment, load, schema
+from jaxnh.config.experiment import Experiment, load
+from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
 from jaxnh.exceptions import ConfigError
 

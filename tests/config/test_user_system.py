@@ -19,7 +19,8 @@ from measure import SYSTEMS
 
 from jaxnh.analyses import ANALYSES, doubling, lyapunov
 from jaxnh.analyses.base import Axis, Scene
-from jaxnh.config.experiment import load, schema
+from jaxnh.config.experiment import load
+from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
 from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import ConfigError

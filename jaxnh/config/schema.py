@@ -1,0 +1,30 @@
+"""The JSON Schema of a config, for editors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic.json_schema import GenerateJsonSchema
+
+from jaxnh.config.experiment import Experiment, UserExperiment
+
+
+def schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a config, with a description for every key: for editors."""
+    built_in, users = Experiment.model_json_schema(), UserExperiment.model_json_schema()
+    properties = {**built_in["properties"]}
+    system = properties["system"]
+    properties["system"] = {**system, "oneOf": [*system["oneOf"], {"$ref": users["properties"]["system"]["$ref"]}]}
+    kinds = {"then": {"properties": {}}, "else": {"properties": {}}}  # which of the two is known from the system
+    for name in ("initial", "sweep"):
+        properties[name] = {"description": properties[name]["description"]}
+        for word, given in (("then", users), ("else", built_in)):
+            kinds[word]["properties"][name] = {"$ref": given["properties"][name]["$ref"]}
+    return {
+        "$schema": GenerateJsonSchema.schema_dialect,
+        **built_in,
+        "$defs": {**built_in["$defs"], **users["$defs"]},
+        "properties": properties,
+        "if": {"required": ["system"], "properties": {"system": {"required": ["file"]}}},
+        **kinds,
+    }
