@@ -48,7 +48,7 @@ Command = Callable[..., subprocess.CompletedProcess]
 _PROGRAMS: dict = {}
 
 
-def _lanes_with_kept_programs(*arguments: object) -> Lanes:
+def lanes_with_kept_programs(*arguments: object) -> Lanes:
     """Lanes on all devices that find the programs of earlier runs in this process; their keys say all there is."""
     lanes = Lanes(*arguments)
     lanes._programs = _PROGRAMS
@@ -65,7 +65,7 @@ def run_here(*arguments: object, cwd: Path = ROOT) -> subprocess.CompletedProces
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
         mock.patch.object(sys, "argv", argv),
-        mock.patch("jaxnh.engine.run.Lanes", _lanes_with_kept_programs),
+        mock.patch("jaxnh.engine.run.Lanes", lanes_with_kept_programs),
     ):
         code = main()
     return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())
