@@ -100,7 +100,7 @@ class Experiment(Block):
         for block in ("system", "initial"):
             given = content.get(block) or {}
             content[block] = {key: value for key, value in given.items() if key not in axes}
-        grids = {name: {"values": np.atleast_1d(np.asarray(values, float)).tolist()} for name, values in axes.items()}
+        grids = {name: {"values": _listed(values)} for name, values in axes.items()}
         content["sweep"] = {**content["sweep"], **grids}
         own = content["analyses"]
         content["analyses"] = {
@@ -334,6 +334,14 @@ def _layout(axes: Iterable[str], user: bool = False) -> Layout:
     else:
         variants, selectors = {("system",): _SYSTEMS, **grids}, {("system",): "constraint", **selectors}
     return Layout(models, variants, selectors)
+
+
+def _listed(values: ArrayLike) -> Any:
+    """Values of an axis as a list of floats; what is no such thing is left as it is, for the config to refuse."""
+    try:
+        return np.atleast_1d(np.asarray(values, float)).tolist()
+    except (TypeError, ValueError):
+        return values
 
 
 def _plain_options(options: Options | Mapping[str, Any]) -> dict[str, Any]:

@@ -21,9 +21,6 @@ from jaxnh.engine.progress import Progress, Silent
 TILE = 256
 """Lanes a tile: large enough to hide what a kernel call costs, small enough for a core's first cache."""
 
-# Two vectors in flight hide the latency of a kick's division; four no more leave registers enough for tangents. LLVM
-# ends the process at an option that it does not know, so this one is kept to releases it was tried with.
-
 
 class Lanes:
     """Runs per-lane functions over any number of lanes.

@@ -171,6 +171,7 @@ def run(
     Warns:
         JaxStartedWarning: JAX had started without the options of the package.
     """
+    configure()
     if output is None:
         if dask or tile:
             raise InputError("dask and tile are for a run with an output")
@@ -180,7 +181,6 @@ def run(
         dask_workers.check(dask)
     if not is_there(experiment, path, fresh=fresh):
         check_output(path)
-        configure()
         run_to_file(experiment, path, How(fresh=fresh, dask=dask, tile=tile), as_progress(progress))
     return open_result(path)
 

@@ -55,8 +55,8 @@ def configure(devices: int | None = None) -> None:
     if late:
         warnings.warn(
             "JAX had started before jaxnh could set its options: it runs on "
-            f"{len(jax.devices())} device(s) and without jaxnh's XLA options, two to four times as slowly; make a "
-            "jaxnh.Session, or call jaxnh.run, before the first use of JAX",
+            f"{len(jax.devices())} device(s) and without jaxnh's XLA options, more slowly; make a jaxnh.Session, or "
+            "call jaxnh.run, before the first use of JAX",
             JaxStartedWarning,
             stacklevel=3,
         )
