@@ -16,7 +16,7 @@ from jaxnh.engine.plan import compute
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ResultError
 from jaxnh.storage import hdf5
-from jaxnh.storage.pieces import Job, Piece, slab
+from jaxnh.storage.pieces import Job, Piece, slab, tile_shape
 
 _LANES = 16
 
@@ -24,8 +24,8 @@ _LANES = 16
 def sample(path: Path) -> dict[str, tuple[int, int]]:
     """For every analysis in a file: how many lanes were run again, and how many of them differ in any bit.
 
-    Three tiles of neighbouring lanes are taken, from both ends and the middle; none where an analysis is run along the
-    whole first axis.
+    Three blocks of neighbouring lanes are taken, from both ends and the middle of all axes; none where an analysis is
+    run along the whole first axis.
 
     Raises:
         ResultError: the file says too little of how it was made.
@@ -51,10 +51,8 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
         tile=_LANES,
     )
     found: dict[str, tuple[int, int]] = dict.fromkeys(job.order, (0, 0))
-    tiles = [piece for piece in job.pieces() if piece.names == job.independent]
     lanes = Lanes()
-    for number in sorted({0, len(tiles) // 2, len(tiles) - 1}) if job.independent else ():
-        piece = tiles[number]
+    for piece in _picked(job) if job.independent else ():
         [done] = compute(experiment, axes, requested, job, [piece], lanes)
         for name, data in done.groups.items():
             differs = np.zeros(piece.lanes, bool)
@@ -62,6 +60,16 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
                 differs |= np.any(ours != theirs, axis=1)
             found[name] = found[name][0] + len(differs), found[name][1] + int(differs.sum())
     return found
+
+
+def _picked(job: Job) -> list[Piece]:
+    """Blocks at the beginning, in the middle and at the end of all axes."""
+    own = [k for k, (_, _, shared) in enumerate(job.axes) if not shared]
+    size = np.ones(len(job.axes), int)
+    size[own] = tile_shape([job.shape[k] for k in own], job.tile)
+    room = np.array(job.shape) - size
+    begins = dict.fromkeys(tuple((room * k // 2).tolist()) for k in range(3))
+    return [Piece(0, job.independent, begin, tuple((np.array(begin) + size).tolist())) for begin in begins]
 
 
 def _pairs(path: Path, name: str, data: xr.Dataset, piece: Piece, job: Job) -> Iterator[tuple[np.ndarray, np.ndarray]]:
