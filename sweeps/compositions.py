@@ -1,6 +1,6 @@
 """How the processed splitting of this project was found: conditions, search and measurement.
 
-    python -m sweeps.compositions [--stages 8] [--starts 96] [--processor 14] [--seconds 40]
+    python -m sweeps.compositions [--stages 8] [--starts 96] [--processor 14] [--tries 400] [--seed 1]
 
 A kernel K = exp(a1 A) exp(b1 B) … is a symmetric composition of drifts A and kicks B. With P in the free Lie algebra,
 exp(P) K exp(−P) = exp(A + B + r3 + r5 + r7 + …), where r_k is what no P of degree k − 1 can remove: 1, 3, 9 conditions
@@ -9,7 +9,11 @@ counts for this flow: the map's error is h⁶ times a linear function of the ter
 measured, lane by lane, with random compositions of order six against a Taylor integration. The processor exp(P) is a
 composition of its own that agrees with P up to degree six; of many, the one with the least measured error is taken.
 
-The searches are random: another machine may end at another composition of the same quality.
+The searches are random, with a fixed seed and a fixed number of trials: the same command ends at the same composition
+on processors of one kind. `processed6` itself is from an earlier run, whose search for processors went on for a time and
+not for a number of trials, so that no command gives back its very digits; they are in `jaxnh/solvers/compositions.py`,
+tests hold its conditions, and this program measures it beside what it finds. It was chosen by its errors on the scenes
+of `true_scene(paper(d))`, d = 0 and 0.1; `sweeps.peers` measures it on scenes held out as well.
 """
 
 from __future__ import annotations
@@ -17,7 +21,6 @@ from __future__ import annotations
 import argparse
 import functools
 import math
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -31,6 +34,7 @@ from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting
 from jaxnh.systems.particle import disturbed_speed
+from sweeps.peers_cases import paper
 from sweeps.peers_heyoka import true_scene
 from sweeps.peers_scene import Scene
 
@@ -257,8 +261,8 @@ def polished(free: np.ndarray, stages: int) -> np.ndarray:
     return gauss_newton(jax.jit(conditions), jax.jit(jax.jacfwd(conditions)), free)[0]
 
 
-def processors(drifts: Any, kicks: Any, count: int, seconds: float, rng: np.random.Generator) -> list[Any]:
-    """Compositions of so many kicks that agree with the kernel's exp(P) up to degree six.
+def processors(drifts: Any, kicks: Any, count: int, tries: int, rng: np.random.Generator) -> list[Any]:
+    """Compositions of so many kicks that agree with the kernel's exp(P) up to degree six, from so many random starts.
 
     The search starts at compositions that undo themselves exactly: their coefficients are not small, but the Lie
     elements wanted are, and random compositions are far from these.
@@ -273,8 +277,8 @@ def processors(drifts: Any, kicks: Any, count: int, seconds: float, rng: np.rand
         return jnp.concatenate([lie_basis(n) @ (log[n] - wanted[n]) * 0.3 ** (n - 6) for n in range(1, 7)])
 
     f, slope = jax.jit(conditions), jax.jit(jax.jacfwd(conditions))
-    found, began = [], time.perf_counter()
-    while time.perf_counter() - began < seconds:
+    found = []
+    for _ in range(tries):
         size, half = 0.195 * rng.uniform(0.5, 1.8), count // 2
         a, b = rng.normal(0, size, half), rng.normal(0, size, half)
         start = np.concatenate([a, [rng.normal(0, 0.03)], -a[::-1], b, -b[::-1]])
@@ -289,16 +293,17 @@ def main() -> None:
     parser.add_argument("--stages", type=int, default=8, help="kicks a step")
     parser.add_argument("--starts", type=int, default=96, help="random kernels to begin with")
     parser.add_argument("--processor", type=int, default=14, help="kicks of the processor, an even number")
-    parser.add_argument("--seconds", type=float, default=40, help="time to search for processors")
+    parser.add_argument("--tries", type=int, default=400, help="random starts of the search for processors")
+    parser.add_argument("--seed", type=int, default=1, help="of all that is random")
     args = parser.parse_args()
-    scenes = [true_scene(0.5, 1.0, d) for d in _SYSTEMS]
+    scenes = [true_scene(paper(d)) for d in _SYSTEMS]
     configure()
-    rng, lanes = np.random.default_rng(1), Lanes()
+    rng, lanes = np.random.default_rng(args.seed), Lanes()
     norm = measured_norm(lanes, scenes, rng)
     found, kicks = kernels(args.stages, args.starts, norm, rng)
     print("kernels need for 1e-10, by their terms of degree seven:", kicks[:6].round(), "kicks a period")
     drifts, turns = from_free(polished(found[0], args.stages), args.stages)
-    candidates = processors(drifts, turns, args.processor, args.seconds, rng)
+    candidates = processors(drifts, turns, args.processor, args.tries, rng)
     solvers = [splitting(drifts, turns, processor) for processor in candidates] + [SPLITTINGS["processed6"]]
     steps = 2600 // args.stages
     largest = [max(np.abs(errors(lanes, scene, s, steps)).max() for scene in scenes) for s in solvers]

@@ -17,6 +17,7 @@ from typing import Annotated
 import typer
 
 import jaxnh
+from sweeps.measured_at import measured_since, stamp
 
 SCENES = ("table1", "fig01", "range_constant", "table2", "fig06", "range_disturbed", "unforced", "sleigh")
 
@@ -25,6 +26,8 @@ _HEAD = """\
 
 `make effects` runs `python -m jaxnh.cost configs/NAME.yaml --effects` on the scenes below and writes this page from
 what they leave in `results/NAME_effects.h5`. {machine}
+
+{measured_at}
 
 Operations are floating-point operations of the compiled program, a lane and a period: counted in its optimised HLO,
 loop by loop, equal ones once, times the kicks (or steps and stages) of a period. An effect is left out by
@@ -72,7 +75,10 @@ def page(folder: Path) -> str:
             parts.append(f"| {_text(what)} | {' | '.join(numbers)} | {size} | {_text(note)} |")
         parts.append("")
     machine = f"{_processor()}, {os.cpu_count()} cores; {device}."
-    return _HEAD.format(machine=machine, repeats=repeats) + "\n" + "\n".join(parts)
+    # What was measured before the last change of the package is of a code that nothing names.
+    fresh = measured_since(folder / f"{name}_effects.h5" for name in SCENES)
+    measured_at = str(stamp()) if fresh else "Measured at an older code than the one that wrote this page."
+    return _HEAD.format(machine=machine, repeats=repeats, measured_at=measured_at) + "\n" + "\n".join(parts)
 
 
 _COLUMNS = ("what", "kind", "operations", "operations_without", "time_ratio", "stored", "note")

@@ -1,12 +1,13 @@
 """How fast jaxnh is beside other integrators: side by side in one run, on named cores, at equal measured error.
 
     python -m sweeps.peers [--cores 1|2] [--repeats R] [--targets 1e-6 1e-8 1e-10] [--system constant_speed]
-        [--only lyapunov]
+        [--held-out 5] [--only lyapunov]
 
 An error is that of one period's map, largest component over all lanes, against a Taylor integration in long double.
 Every peer is tuned until its error just meets the target; then all run in turn, several rounds, each in a process of
-its own that sleeps while another runs. Prints the tables and writes results/peers.md. Lyapunov spectra come last, on
-one core, where the error is that of the derivative of one period's map; alone they are printed only.
+its own that sleeps while another runs. Then the same on scenes held out (`peers_cases`), with `processed6` and without.
+Lyapunov spectra come last, on one core, where the error is that of the derivative of one period's map; alone they are
+printed only. Prints the tables and writes results/peers.md.
 """
 
 from __future__ import annotations
@@ -20,48 +21,39 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
 
 from rich.console import Console
 
+from sweeps.measured_at import stamp
+from sweeps.peers_cases import LANES, Case, paper
+from sweeps.peers_cases import held_out as held_out_cases
+from sweeps.peers_held_out import held_out
 from sweeps.peers_report import AT_OWN_ERROR, Row, Scaling, Study, markdown, show, show_lyapunov
-from sweeps.peers_scene import Setting, TangentScene, best
+from sweeps.peers_scene import PERIODS, Setting, TangentScene, best
+from sweeps.peers_timing import SAMPLE_SECONDS, Entry, entry, interleaved, line, row, timed
 from sweeps.peers_worker import Peer, Sample
 
-SYSTEMS = {"constant_speed": 0.0, "disturbed_speed": 0.1}
-"""d of each system; a = 0.5 and c = 1."""
+SYSTEMS = {case.name: case for case in (paper(), paper(0.1))}
 
 CONTESTANTS = ("jaxnh", "heyoka", "diffrax", "diffrax_options", "scipy")
 TANGENT_CONTESTANTS = ("jaxnh_tangent", "heyoka_tangent")
 
-_SAMPLE_SECONDS = 0.4
 _SCALING_TARGET = 1e-8  # the setting of the sections on cores and lanes, where it is among the targets
-_SCALING_LANES = (1024, 4096, 16384, 100_000)
-_SCALING_PERIODS = 16
+_SCALING_LANES, _SCALING_PERIODS = (1024, 4096, 16384, 100_000), 16
 _TWO_CORES_LANES = 4096
-
-
-class Entry(NamedTuple):
-    """A row of the table while it is measured: samples of its own, each with one of the row it is compared with."""
-
-    target: float
-    name: str
-    peer: Peer
-    setting: Setting
-    reference: Entry | None
-    pairs: list[tuple[Sample, Sample]]
 
 
 def main() -> None:
     args = _arguments()
     console = Console(width=None if sys.stdout.isatty() else 180)
-    began = time.perf_counter()
+    began, measured_at = time.perf_counter(), str(stamp())
     available = sorted(os.sched_getaffinity(0))
     if len(available) < args.cores:
         raise SystemExit(f"--cores {args.cores}: this process may run on {len(available)} only")
     cores = available[: args.cores]
-    scene = _scene(args.system)
+    scene = _scenes([SYSTEMS[args.system]])[0]
     console.log(f"true ends and derivatives of one period: {len(scene.b)} lanes")
+    cases = held_out_cases()[: args.held_out]
     if args.only == "lyapunov":
         show_lyapunov(_lyapunov(args, scene, cores[0], console), console)
         return
@@ -70,25 +62,30 @@ def main() -> None:
     pair = Peer("jaxnh", scene, [available[:2]]) if len(available) > 1 else None
     try:
         entries, tried = _tuned(args.targets, peers, console)
-        _timed(entries, args.repeats, console)
+        timed(entries, args.repeats, console)
         chosen = min((e for e in entries if e.name == "jaxnh"), key=lambda e: abs(e.target - _SCALING_TARGET)).setting
-        lanes = _lanes_scaling(peers["jaxnh"], chosen, args.repeats)
+        lanes = _lanes_scaling(peers["jaxnh"], chosen, LANES * args.cores, args.repeats)
         two = _core_scaling(pair, chosen, args.repeats) if pair else None
+        others = held_out(
+            list(zip(cases, _scenes(cases), strict=True)), peers, tried, args.repeats, args.cores, console
+        )
     finally:
         for peer in (*peers.values(), *([pair] if pair else [])):
             peer.close()
     spectra = _lyapunov(args, scene, cores[0], console)
     study = Study(
         command=shlex.join(["python", "-m", "sweeps.peers", *sys.argv[1:]]),
-        system=args.system,
+        case=SYSTEMS[args.system],
+        measured_at=measured_at,
         cores=args.cores,
         repeats=args.repeats,
-        rows=[_row(e, args.cores) for e in entries],
+        rows=[row(e, args.cores) for e in entries],
         tried=tried,
         chosen=chosen,
         lanes=lanes,
         two_cores=two,
         lyapunov=spectra,
+        held_out=others,
         seconds=time.perf_counter() - began,
     )
     show(study, console)
@@ -104,22 +101,23 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--repeats", type=int, default=7, help="rounds of the timing")
     parser.add_argument("--targets", type=float, nargs="+", default=[1e-6, 1e-8, 1e-10], help="largest errors allowed")
     parser.add_argument("--system", choices=tuple(SYSTEMS), default="constant_speed")
+    parser.add_argument("--held-out", type=int, default=5, help="scenes held out that are measured, at most 5")
     parser.add_argument("--only", choices=("lyapunov",), help="this section alone, printed and not written")
     parser.add_argument("--output", type=Path, default=Path("results/peers.md"))
     return parser.parse_args()
 
 
-def _scene(system: str) -> TangentScene:
-    """The scene, from a process that ends: this one stays free of every integrator."""
+def _scenes(cases: Sequence[Case]) -> list[TangentScene]:
+    """The scenes of cases, from a process that ends: this one stays free of every integrator."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        return pool.submit(_true_scene, SYSTEMS[system]).result()
+        return list(pool.map(_true_scene, cases))
 
 
-def _true_scene(d: float) -> TangentScene:
+def _true_scene(case: Case) -> TangentScene:
     from sweeps.peers_heyoka import true_scene  # only in the process above
     from sweeps.peers_heyoka_tangent import true_derivatives
 
-    scene = true_scene(0.5, 1.0, d)
+    scene = true_scene(case)
     return TangentScene(**vars(scene), derivatives=true_derivatives(scene))
 
 
@@ -133,18 +131,20 @@ def _lyapunov(args: argparse.Namespace, scene: TangentScene, core: int, console:
             if not own:
                 console.log(f"no splitting of jaxnh has an error of the derivatives of {target:g} over these lanes")
                 continue
-            first = Entry(target, own[0].peer, jaxnh, own[0], None, [])
-            others = [Entry(target, s.peer, jaxnh, s, first, []) for s in own[1:]]
-            found = best(heyoka.tune(target))
-            rows = [first, *others, Entry(target, found.peer, heyoka, found, first, [])]
-            for row in rows:
-                console.log(_line(row))
+            first = entry(target, own[0].peer, jaxnh, own[0])
+            found = best(heyoka.tune(target, own[:1]))
+            second = entry(target, found.peer, heyoka, found, first)
+            rows = [first, *(entry(target, s.peer, jaxnh, s, first) for s in own[1:]), second]
+            equal = jaxnh.tune(found.errors.max)[:1]
+            rows += [entry(target, AT_OWN_ERROR, jaxnh, s, second, jaxnh_over=True) for s in equal]
+            for each in rows:
+                console.log(line(each))
             entries += rows
-        _timed(entries, args.repeats, console)
+        timed(entries, args.repeats, console)
     finally:
         for peer in peers:
             peer.close()
-    return [_row(e, 1) for e in entries]
+    return [row(e, 1) for e in entries]
 
 
 def _tuned(
@@ -159,84 +159,35 @@ def _tuned(
         for kind, peer in peers.items():
             settings[kind] = peer.tune(target, settings.get("diffrax", ()) if kind == "diffrax_options" else ())
             for name in dict.fromkeys(s.peer for s in settings[kind]):
-                rows[name] = Entry(
-                    target, name, peer, best([s for s in settings[kind] if s.peer == name]), rows.get("jaxnh"), []
-                )
-                console.log(_line(rows[name]))
+                found = best([s for s in settings[kind] if s.peer == name])
+                rows[name] = entry(target, name, peer, found, rows.get("jaxnh"))
+                console.log(line(rows[name]))
             if "jaxnh" not in rows:
                 raise SystemExit(f"no splitting of jaxnh has an error of one period of {target:g} over these lanes")
         heyoka = rows["heyoka batch"]
         own = peers["jaxnh"].tune(heyoka.setting.errors.max)
         if own:
-            rows[AT_OWN_ERROR] = Entry(target, AT_OWN_ERROR, peers["jaxnh"], best(own), heyoka, [])
+            rows[AT_OWN_ERROR] = entry(target, AT_OWN_ERROR, peers["jaxnh"], best(own), heyoka, jaxnh_over=True)
         entries += rows.values()
         tried[target] = [s for group in settings.values() for s in group]
     return entries, tried
 
 
-def _line(entry: Entry) -> str:
-    setting = entry.setting
-    return f"{entry.target:.0e}  {entry.name}: {setting.form}, {setting.label}, error {setting.errors.max:.2g}"
+def _lanes_scaling(peer: Peer, setting: Setting, usual: int, repeats: int) -> list[Scaling]:
+    """More lanes and fewer periods a call, all beside the call that the other timings make."""
+    calls = [(usual, PERIODS), *((count, _SCALING_PERIODS) for count in (usual, *_SCALING_LANES))]
 
+    def sampler(count: int, periods: int) -> Callable[[], Sample]:
+        return lambda: peer.sample(setting, 2 * SAMPLE_SECONDS, count=count, periods=periods)
 
-def _timed(entries: Sequence[Entry], repeats: int, console: Console) -> None:
-    """Samples of all rows in turn, to and fro, each beside one of its reference; the first round warms up."""
-    for turn in range(repeats + 1):
-        for entry in entries if turn % 2 else reversed(entries):
-            seconds = _SAMPLE_SECONDS if turn else 0.0
-            both = [entry, entry.reference] if entry.reference else [entry]
-            samples = {e.name: e.peer.sample(e.setting, seconds) for e in (both if turn % 2 else reversed(both))}
-            if turn:
-                entry.pairs.append((samples[both[0].name], samples[both[-1].name]))
-        if turn:
-            console.log(f"round {turn} of {repeats}")
-
-
-def _row(entry: Entry, cores: int) -> Row:
-    """What the report needs of a row. Ratios are jaxnh's rate over the peer's, of samples next to each other."""
-    upside_down = entry.name == AT_OWN_ERROR
-    over_under = [(own, other) if upside_down else (other, own) for own, other in entry.pairs]
-    return Row(
-        target=entry.target,
-        name=entry.name,
-        setting=entry.setting,
-        rates=[own.rate for own, _ in entry.pairs],
-        shares=[own.rate / own.processor_rate / cores for own, _ in entry.pairs],
-        ratios=[over.rate / under.rate for over, under in over_under],
-        processor_ratios=[over.processor_rate / under.processor_rate for over, under in over_under],
-    )
-
-
-def _interleaved(samplers: dict[str, Callable[[], Sample]], repeats: int) -> list[Scaling]:
-    """Samples of a few programs in turn, beside the first; a first round warms up."""
-    samples: dict[str, list[Sample]] = {name: [] for name in samplers}
-    for turn in range(repeats + 1):
-        for name in samplers if turn % 2 else reversed(samplers):
-            samples[name].append(samplers[name]())
-    first = next(iter(samples))
-    return [
-        Scaling(
-            name,
-            [s.rate for s in taken[1:]],
-            [s.rate / s.processor_rate for s in taken[1:]],
-            [a.rate / b.rate for a, b in zip(taken[1:], samples[first][1:], strict=True)],
-        )
-        for name, taken in samples.items()
-    ]
-
-
-def _lanes_scaling(peer: Peer, setting: Setting, repeats: int) -> list[Scaling]:
-    def sampler(count: int) -> Callable[[], Sample]:
-        return lambda: peer.sample(setting, 2 * _SAMPLE_SECONDS, count=count, periods=_SCALING_PERIODS)
-
-    return _interleaved({f"{count:,}": sampler(count) for count in _SCALING_LANES}, repeats)
+    return interleaved({f"{count:,} × {n}": sampler(count, n) for count, n in calls}, repeats)
 
 
 def _core_scaling(peer: Peer, setting: Setting, repeats: int) -> list[Scaling]:
     def sampler(one_device: bool) -> Callable[[], Sample]:
-        return lambda: peer.sample(setting, 2 * _SAMPLE_SECONDS, count=_TWO_CORES_LANES, one_device=one_device)
+        return lambda: peer.sample(setting, 2 * SAMPLE_SECONDS, count=_TWO_CORES_LANES, one_device=one_device)
 
-    return _interleaved({"one device": sampler(True), "two devices": sampler(False)}, repeats)
+    return interleaved({"one device": sampler(True), "two devices": sampler(False)}, repeats)
 
 
 if __name__ == "__main__":

@@ -21,11 +21,11 @@ _PERIODS = 8
 _MOST_STEPS = 1 << 20
 _SOLVERS = {"Dopri8": diffrax.Dopri8(), "Tsit5": diffrax.Tsit5()}
 _CONTROLLERS = ("PIDController", "constant steps")
-# One array as in diffrax's examples, or a tuple of scalars, of which XLA often makes faster programs.
-_FORMS = tuple(itertools.product(("unit vector", "angle"), ("tuple", "array")))
+# States are tuples of scalars: as one array, as in diffrax's examples, no program was the fastest at any target.
+_FORMS = ("unit vector", "angle")
 
 
-def _field(scene: Scene, form: str, layout: str) -> Callable[[Any, Any, Any], Any]:
+def _field(scene: Scene, form: str) -> Callable[[Any, Any, Any], Any]:
     a, c, d = scene.a, scene.c, scene.d
 
     def field(t: Any, state: Any, b: Any) -> Any:
@@ -37,8 +37,7 @@ def _field(scene: Scene, form: str, layout: str) -> Callable[[Any, Any, Any], An
         f1 = b * y - g * x * (a + x * x)
         f2 = b * x - g * y * (1.0 + a * (y * y))
         turn = (n[0] * f2 - n[1] * f1) / s
-        rate = (s * n[0], s * n[1], *((turn,) if form == "angle" else (-n[1] * turn, n[0] * turn)))
-        return jnp.stack(rate) if layout == "array" else rate
+        return s * n[0], s * n[1], *((turn,) if form == "angle" else (-n[1] * turn, n[0] * turn))
 
     return field
 
@@ -53,18 +52,20 @@ class Contestant:
         self.scene = scene
         self._programs: dict[tuple[object, ...], Any] = {}
 
-    def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
+    def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
         settings = []
-        efforts = {hint.key[:3]: hint.knob for hint in hints}
+        efforts = {hint.key: hint.knob for hint in hints}
         for solver, controller in itertools.product(_SOLVERS, _CONTROLLERS):
             adaptive = controller == "PIDController"
             guess = 30 / target if adaptive else (1e-8 / target) ** (0.125 if solver == "Dopri8" else 0.2) * 400
             for form in _FORMS:
-                key = (solver, controller, *form)
+                key = (solver, controller, form)
+                if only and key not in {hint.key for hint in hints}:
+                    continue
                 found = least_effort(
                     lambda effort, key=key: self._measured(key, effort),
                     target,
-                    efforts.get(key[:3], guess),
+                    efforts.get(key, guess),
                     factor=10 if adaptive else 1.5,
                     most=1e14 if adaptive else _MOST_STEPS,
                     whole=not adaptive,
@@ -72,11 +73,10 @@ class Contestant:
                 if found is None:
                     continue
                 effort, errors = found
-                efforts[key[:3]] = effort
                 settings.append(
                     Setting(
                         peer=f"diffrax {solver}{self.suffix}",
-                        form=f"{form[0]}, {form[1]} state, {controller}",
+                        form=f"{form}, {controller}",
                         knob=effort,
                         label=f"rtol = atol = {1 / effort:.1e}" if adaptive else f"{effort:.0f} steps a period",
                         errors=errors,
@@ -102,19 +102,17 @@ class Contestant:
 
     def _solve(self, key: tuple[Any, ...], lanes: np.ndarray, periods: int, effort: float) -> np.ndarray:
         """States (lanes, variables) some periods later."""
-        form, layout = key[2:]
-        start = (self.scene.states if form == "angle" else self.scene.unit_states)[lanes]
-        state = start if layout == "array" else tuple(start.T)
-        ends = self._program(key)(state, self.scene.b[lanes], effort, periods * self.scene.period)
-        return np.asarray(ends) if layout == "array" else np.stack(ends, axis=-1)
+        start = (self.scene.states if key[2] == "angle" else self.scene.unit_states)[lanes]
+        ends = self._program(key)(tuple(start.T), self.scene.b[lanes], effort, periods * self.scene.period)
+        return np.stack(ends, axis=-1)
 
     def _program(self, key: tuple[Any, ...]) -> Any:
         if key in self._programs:
             return self._programs[key]
-        solver, controller, form, layout = key
+        solver, controller, form = key
         adaptive = controller == "PIDController"
         period = self.scene.period
-        term = diffrax.ODETerm(_field(self.scene, form, layout))
+        term = diffrax.ODETerm(_field(self.scene, form))
 
         def solve(state: Any, b: Any, effort: Any, t1: Any) -> Any:
             solution = diffrax.diffeqsolve(

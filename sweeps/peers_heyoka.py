@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from sweeps.peers_scene import TRANSIENT, VALUES, Errors, Scene, Setting, unit
+from sweeps.peers_cases import Case
+from sweeps.peers_scene import PERIODS, TRANSIENT, Errors, Scene, Setting, unit
 
 try:
     import heyoka as hy
@@ -24,12 +25,12 @@ except ImportError as error:
 # 64 bits of mantissa on x86. Elsewhere long double may be float64 or software quadruple: fall back to float64.
 REAL: Any = np.longdouble if np.finfo(np.longdouble).nmant == 63 else np.float64
 TOLERANCE = 1e-18 if REAL is np.longdouble else 1e-15
-_PERIODS = 16
 MOST_ORDER = 30
 # Clock: sin t by heyoka's own time, or sin t and cos t as two more equations.
 _FORMS = tuple(itertools.product(("angle", "unit vector"), ("time", "clock equations")))
 _BATCHES = (1, 2, 4)  # in recommended SIMD sizes
-_OPTIONS: tuple[tuple[str, ...], ...] = ((), ("fast_math",), ("compact_mode",))
+_OPTIONS: tuple[tuple[str, ...], ...] = ((), ("fast_math",), ("compact_mode",), ("fast_math", "force_avx512"))
+WIDE = 8  # lanes of a vector of 512 bits
 
 
 def equations(a: float, c: float, d: float, form: str, clock: str) -> list[tuple[Any, Any]]:
@@ -51,11 +52,16 @@ def equations(a: float, c: float, d: float, form: str, clock: str) -> list[tuple
     return motion + ([(sine, cosine), (cosine, -sine)] if cosine is not None else [])
 
 
-def true_scene(a: float, c: float, d: float) -> Scene:
-    """The scene of a system, its ends of one period by a Taylor integration at 1e-18 in long double."""
+def tried_options(options: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Those of some options that say something here: `force_avx512` only where the processor has such registers."""
+    return [row for row in options if "force_avx512" not in row or hy.recommended_simd_size() >= WIDE]
+
+
+def true_scene(case: Case) -> Scene:
+    """The scene of a case, its ends of one period by a Taylor integration at 1e-18 in long double."""
     period = 8 * np.arctan(REAL(1))
     ta = hy.taylor_adaptive(
-        equations(a, c, d, "angle", "time"),
+        equations(case.a, case.c, case.d, "angle", "time"),
         np.zeros(3, dtype=REAL),
         pars=np.zeros(1, dtype=REAL),
         tol=REAL(TOLERANCE),
@@ -72,13 +78,13 @@ def true_scene(a: float, c: float, d: float) -> Scene:
                 raise ArithmeticError(f"the reference stopped at t = {ta.time}, b = {b}: {outcome}")
         return ta.state.copy()
 
-    start = np.array([0.1, 0.1, math.acos(0.1 / math.sqrt(c))])
-    later = np.array([after(start, b, TRANSIENT) for b in VALUES]).astype(float)
+    start, values = np.array(case.start), case.values
+    later = np.array([after(start, b, TRANSIENT) for b in values]).astype(float)
     later[:, 2] -= 2 * math.pi * np.rint(later[:, 2] / (2 * math.pi))
-    states = np.concatenate([np.tile(start, (len(VALUES), 1)), later])
-    b = np.tile(VALUES, 2)
+    states = np.concatenate([np.tile(start, (len(values), 1)), later])
+    b = np.tile(values, 2)
     ends = np.array([after(z, value, 1) for z, value in zip(states, b, strict=True)])
-    return Scene(a, c, d, b, states, unit(ends))
+    return Scene(case.a, case.c, case.d, b, states, unit(ends))
 
 
 class Batches:
@@ -103,7 +109,7 @@ class Batches:
         order: int,
     ) -> np.ndarray:
         """States (lanes, variables) of lanes b (lanes,) from one time to another, by one run through all of them."""
-        ta = self._integrator(form, batch, options, order)
+        ta = self.integrator(form, batch, options, order)
         ends = np.empty_like(start)
         for at in range(0, len(start), batch):
             part = slice(at, at + batch)
@@ -114,7 +120,7 @@ class Batches:
             ends[part] = ta.state.T
         return ends
 
-    def _integrator(self, form: tuple[str, ...], batch: int, options: tuple[str, ...], order: int) -> Any:
+    def integrator(self, form: tuple[str, ...], batch: int, options: tuple[str, ...], order: int) -> Any:
         key = (form, batch, options, order)
         if key not in self._integrators:
             motion = self._equations(*form)
@@ -129,20 +135,25 @@ class Batches:
 
 
 class Contestant:
-    """The batch integrator in all its forms: angle or unit vector, clock, batch size, fast_math, compact mode."""
+    """The batch integrator in all its forms: angle or unit vector, clock, batch size, and options of the compiler."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self._batches = Batches(lambda *form: equations(scene.a, scene.c, scene.d, *form))
         self._errors: dict[tuple[object, ...], Errors] = {}
 
-    def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
+    def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
         simd = hy.recommended_simd_size()
         settings = []
+        wanted = {hint.key for hint in hints}
         for form, clock in _FORMS:
+            if only and not any(key[:2] == (form, clock) for key in wanted):
+                continue
             order = self._least_order(form, clock, target)
-            for multiple, options in itertools.product(_BATCHES, _OPTIONS):
+            for multiple, options in itertools.product(_BATCHES, tried_options(_OPTIONS)):
                 batch = multiple * simd
+                if only and (form, clock, batch, options) not in wanted:
+                    continue
                 default = clock == "time" and not options
                 settings.append(
                     Setting(
@@ -157,12 +168,13 @@ class Contestant:
         # Reassociated sums can carry an error that just met the target over it.
         return [s for s in settings if s.errors.max <= target]
 
-    def program(self, setting: Setting) -> Callable[[], int]:
+    def program(self, setting: Setting, idle: bool = False) -> Callable[[], float]:
+        """As for every contestant; idle with the same calls and no time to integrate over."""
         lanes = self.scene.timed()
 
-        def run() -> int:
-            self._propagate(lanes, _PERIODS, (*setting.key, int(setting.knob)))
-            return len(lanes) * _PERIODS
+        def run() -> float:
+            self._propagate(lanes, 0 if idle else PERIODS, (*setting.key, int(setting.knob)))
+            return len(lanes) * PERIODS
 
         return run
 

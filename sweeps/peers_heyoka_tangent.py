@@ -1,27 +1,39 @@
-"""heyoka's tangent flow: variational equations in its batch integrator, orthonormalised by NumPy over all lanes.
+"""heyoka's tangent flow: variational equations in its batch integrator, and how it is driven at the least cost.
 
 The variational equations are written by heyoka's own derivatives, so that the clock equations carry no tangents: two
-thirds of the equations that `var_ode_sys` makes of them would stay zero.
+thirds of the equations that `var_ode_sys` makes of them would stay zero. Every few lanes have an integrator of their
+own that keeps their state, so that Python makes one call a batch and orthonormalisation; the Gram–Schmidt itself is a
+function compiled by heyoka, over all lanes at once.
 """
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import heyoka as hy
 import numpy as np
 
-from sweeps.peers_heyoka import MOST_ORDER, REAL, TOLERANCE, Batches, equations
+from sweeps.peers_heyoka import MOST_ORDER, REAL, TOLERANCE, Batches, equations, tried_options
 from sweeps.peers_scene import Errors, Scene, Setting, TangentScene
 
-_PERIODS = 4
+_PERIODS = 8
 _CLOCKS = ("time", "clock equations")
-_BATCHES = (1, 2)  # in recommended SIMD sizes
-_OPTIONS: tuple[tuple[str, ...], ...] = ((), ("fast_math",))
-_PARTS = (8, 16)  # orthonormalisations a period; with four the third exponent is lost in rounding
+_FORMS: tuple[tuple[int, tuple[str, ...]], ...] = (
+    (1, ()),
+    (1, ("fast_math",)),
+    (1, ("fast_math", "force_avx512")),
+    (2, ("fast_math",)),
+    (2, ("fast_math", "compact_mode")),
+    (4, ("fast_math", "compact_mode")),
+)
+"""Batch sizes, in recommended SIMD sizes, and options of the compiler; large ones outside compact mode take minutes."""
+_EQUAL_TIMES, _WHOLE_STEPS = "at equal times", "after whole steps"
+"""When tangents are orthonormalised: then a step is cut short; or every so many steps, and none is."""
+_OFTEN = ", {:.3g} orthonormalisations a period {}"
 
 
 def tangent_equations(scene: Scene, clock: str) -> list[tuple[Any, Any]]:
@@ -59,84 +71,150 @@ def true_derivatives(scene: Scene) -> np.ndarray:
     return np.array(found)
 
 
+def gram_schmidt() -> Any:
+    """Compiled: the nine components of three tangents to those of orthonormal ones and the logarithms of lengths."""
+    v = hy.make_vars(*(f"v{i}" for i in range(9)))
+    basis: list[list[Any]] = []
+    logs = []
+    for k in range(3):
+        vector = list(v[3 * k : 3 * k + 3])
+        for base in basis:
+            overlap = hy.sum([p * q for p, q in zip(vector, base, strict=True)])
+            vector = [p - overlap * q for p, q in zip(vector, base, strict=True)]
+        square = hy.sum([p * p for p in vector])
+        basis.append([p * square**-0.5 for p in vector])
+        logs.append(0.5 * hy.log(square))
+    return hy.cfunc([p for vector in basis for p in vector] + logs, list(v))
+
+
+class _Batch(NamedTuple):
+    """An integrator, a view of the tangents in its state, and the lanes that it has."""
+
+    integrator: Any
+    tangents: np.ndarray
+    lanes: slice
+
+
 class Contestant:
-    """Clock as time or as equations, batch size, fast_math, and how often the tangents are orthonormalised."""
+    """Clock as time or as equations, batch size, options of the compiler, and when tangents are orthonormalised.
+
+    How often they are, a period, is what jaxnh does: the first hint says it.
+    """
 
     def __init__(self, scene: TangentScene) -> None:
         self.scene = scene
         self._batches = Batches(lambda clock: tangent_equations(scene, clock))
+        self._gram_schmidt = gram_schmidt()
 
-    def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
-        simd = hy.recommended_simd_size()
+    def tune(self, target: float, hints: Sequence[Setting], only: bool = False) -> list[Setting]:
+        simd, parts = hy.recommended_simd_size(), hints[0].parts
         settings = []
-        for clock, multiple, options in itertools.product(_CLOCKS, _BATCHES, _OPTIONS):
+        for clock, (multiple, options) in itertools.product(_CLOCKS, _FORMS):
+            if options not in tried_options([options]):
+                continue
             key = (clock, multiple * simd, options)
             order = max(3, math.ceil(1 - 0.5 * math.log(target)) - 1)
             while (errors := self._measured(*key, order)).max > target:
                 order += 1
                 if order > MOST_ORDER:
                     raise ArithmeticError(f"heyoka reaches no error of {target:g} of the derivatives")
+            steps = self._steps_a_period(*key, order)
+            every = max(1, round(steps / parts))
             settings += [
                 Setting(
                     peer="heyoka batch",
-                    form=", ".join((clock, f"batch of {key[1]}", *options, f"{parts} orthonormalisations a period")),
+                    form=", ".join(
+                        (clock, f"batch of {key[1]}", *options, f"{often:.3g} orthonormalisations a period, {when}")
+                    ),
                     knob=order,
                     label=f"order {order} (tol {math.exp(2 - 2 * order):.1e})",
                     errors=errors,
-                    key=(*key, parts),
+                    key=(*key, limit),
+                    parts=parts,
                 )
-                for parts in _PARTS
+                for when, limit, often in ((_EQUAL_TIMES, 0, parts), (_WHOLE_STEPS, every, steps / every))
             ]
         return settings
 
-    def program(self, setting: Setting) -> Callable[[], int]:
-        lanes = self.scene.timed()
-        *key, parts = setting.key
-        times = np.linspace(0.0, self.scene.period, int(str(parts)) + 1)
+    def program(self, setting: Setting, idle: bool = False) -> Callable[[], float]:
+        """As for every contestant; idle with the same calls and no time to integrate over."""
+        *key, every = setting.key
+        fleet = self._fleet((*key, int(setting.knob)))
 
-        def run() -> int:
-            state, tangents = self.scene.states[lanes], _identity(len(lanes))
-            logs = np.zeros((3, len(lanes)))
-            for _ in range(_PERIODS):
-                for begin, end in itertools.pairwise(times):
-                    state, tangents = self._propagate(state, tangents, begin, end, (*key, int(setting.knob)))
-                    tangents, grown = _gram_schmidt(tangents)
-                    logs += grown
-            return len(lanes) * _PERIODS
+        def run() -> float:
+            self.grown(fleet, setting.parts, 0 if idle else every, 0.0 if idle else self.scene.period)
+            return len(self.scene.timed()) * _PERIODS if idle or not every else self._times(fleet).sum()
 
         return run
 
-    def _measured(self, *key: Any) -> Errors:
+    def spectrum(self, setting: Setting) -> np.ndarray:
+        """(3, timed lanes) the exponents as these few periods have them."""
+        *key, every = setting.key
+        fleet = self._fleet((*key, int(setting.knob)))
+        logs = self.grown(fleet, setting.parts, every, self.scene.period)
+        return logs / (self._times(fleet) * self.scene.period)
+
+    def grown(self, fleet: list[_Batch], parts: int, every: int, period: float) -> np.ndarray:
+        """(3, timed lanes) logarithms of growth from the timed states on.
+
+        Tangents are orthonormalised `parts` times a period: at equal times, or where `every` is not 0, after so many
+        steps. A period of 0 makes all calls and integrates over nothing.
+        """
         lanes = self.scene.timed()
-        start = self.scene.states[lanes], _identity(len(lanes))
-        _, tangents = self._propagate(*start, 0.0, self.scene.period, key)
-        return self.scene.derivative_errors(np.moveaxis(tangents, 1, 2))
+        states, b, count = self.scene.states[lanes], self.scene.b[lanes], len(lanes)
+        tangents, out, logs = np.empty((9, count)), np.empty((12, count)), np.zeros((3, count))
+        for ta, _, part in fleet:
+            self._reset(ta, states[part], b[part])
+        limits = {"max_steps": every} if every else {}
+        for k in range(1, _PERIODS * parts + 1):
+            end = 1e9 if every else k * (period / parts)
+            for ta, view, part in fleet:
+                ta.propagate_until(end, **limits)
+                tangents[:, part] = view
+            self._gram_schmidt(inputs=tangents, outputs=out)
+            np.add(logs, out[9:], out=logs)
+            for _, view, part in fleet:
+                view[:] = out[:9, part]
+        return logs
 
-    def _propagate(
-        self, state: np.ndarray, tangents: np.ndarray, begin: float, end: float, key: tuple[Any, ...]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """States (lanes, 3) and tangents (lanes, tangent, 3) of the timed lanes from one time to another."""
-        clock = key[0]
-        columns = [state, tangents.reshape(len(state), 9)]
+    def _times(self, fleet: list[_Batch]) -> np.ndarray:
+        """(timed lanes,) periods that they have come."""
+        return np.concatenate([ta.time for ta, *_ in fleet]) / self.scene.period
+
+    def _fleet(self, key: tuple[Any, ...]) -> list[_Batch]:
+        """Integrators of all timed lanes."""
+        clock, batch, options, order = key
+        one, count = self._batches.integrator((clock,), batch, options, order), len(self.scene.timed())
+        fleet = []
+        for at in range(0, count, batch):
+            ta = copy.deepcopy(one)
+            fleet.append(_Batch(ta, ta.state[3:12], slice(at, at + batch)))
+        return fleet
+
+    def _reset(self, ta: Any, states: np.ndarray, b: np.ndarray) -> None:
+        """Lanes at their states at t = 0, their tangents along the axes."""
+        ta.set_time(0.0)
+        ta.pars[0] = b
+        ta.state[:3], ta.state[3:12] = states.T, np.eye(3).reshape(9, 1)
+        if len(ta.state) > 12:
+            ta.state[12], ta.state[13] = 0.0, 1.0
+
+    def _steps_a_period(self, *key: Any) -> float:
+        """Steps of a period, the mean over batches of the first few."""
+        taken = []
+        for ta, _, part in self._fleet(key)[:8]:
+            lanes = self.scene.timed()[part]
+            self._reset(ta, self.scene.states[lanes], self.scene.b[lanes])
+            ta.propagate_until(self.scene.period)
+            taken += [steps for *_, steps in ta.propagate_res]
+        return float(np.mean(taken))
+
+    def _measured(self, *key: Any) -> Errors:
+        clock, batch, options, order = key
+        lanes = self.scene.timed()
+        columns = [self.scene.states[lanes], np.tile(np.eye(3).ravel(), (len(lanes), 1))]
         if clock == "clock equations":
-            columns.append(np.tile([math.sin(begin), math.cos(begin)], (len(state), 1)))
-        b = self.scene.b[self.scene.timed()]
-        ends = self._batches(np.column_stack(columns), b, (begin, end), (clock,), *key[1:])
-        return ends[:, :3], ends[:, 3:12].reshape(-1, 3, 3)
-
-
-def _identity(lanes: int) -> np.ndarray:
-    return np.tile(np.eye(3), (lanes, 1, 1))
-
-
-def _gram_schmidt(tangents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal tangents (lanes, tangent, 3) and the logarithms (tangent, lanes) of the lengths they had."""
-    components = np.ascontiguousarray(np.moveaxis(tangents, 0, 2))
-    logs = np.empty((3, len(tangents)))
-    for k, vector in enumerate(components):
-        for base in components[:k]:
-            vector -= (vector * base).sum(axis=0) * base
-        length = np.sqrt((vector * vector).sum(axis=0))
-        vector /= length
-        logs[k] = np.log(length)
-    return np.moveaxis(components, 2, 0), logs
+            columns.append(np.tile([0.0, 1.0], (len(lanes), 1)))
+        times = (0.0, self.scene.period)
+        ends = self._batches(np.column_stack(columns), self.scene.b[lanes], times, (clock,), batch, options, order)
+        return self.scene.derivative_errors(np.moveaxis(ends[:, 3:12].reshape(-1, 3, 3), 1, 2))

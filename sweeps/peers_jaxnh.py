@@ -14,9 +14,8 @@ from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import Strobe
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import State, disturbed_speed
-from sweeps.peers_scene import VALUES, Errors, Scene, Setting, least_effort
+from sweeps.peers_scene import PERIODS, Errors, Scene, Setting, least_effort
 
-_PERIODS = 64
 _FIRST_GUESS = 1500  # kicks a period
 _MOST_KICKS = 20000
 _HOPELESS = 3.0  # times the fewest kicks so far: not followed any further
@@ -38,7 +37,7 @@ class Splittings(Generic[SceneT]):
         """Errors of a map, of the kind that it is tuned by."""
         raise NotImplementedError
 
-    def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
+    def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
         settings: list[Setting] = []
         fewest = float(_MOST_KICKS)
         for name, solver in sorted(SPLITTINGS.items(), key=lambda item: -item[1].convergence_order):
@@ -71,11 +70,11 @@ class Contestant(Splittings[Scene]):
         return self.scene.errors(np.stack([x, y, n1, n2], axis=-1))
 
     def program(
-        self, setting: Setting, count: int | None = None, periods: int = _PERIODS, one_device: bool = False
+        self, setting: Setting, count: int | None = None, periods: int = PERIODS, one_device: bool = False
     ) -> Callable[[], int]:
         """As for every contestant; with a number of lanes (default: 256 a device), periods, and on one device only."""
         pool = self._one_device if one_device else self.lanes
-        lanes = self.scene.timed(count or len(VALUES) * len(pool.devices))
+        lanes = self.scene.timed(count or len(self.scene.values) * len(pool.devices))
         strobe = make_strobe(self.system, SPLITTINGS[setting.form], int(setting.knob))
 
         def run() -> int:

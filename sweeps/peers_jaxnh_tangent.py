@@ -13,43 +13,64 @@ import numpy as np
 from jaxnh.analyses import lyapunov
 from jaxnh.analyses.base import Scene as AnalysisScene
 from jaxnh.analyses.base import spread
+from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import Strobe
 from jaxnh.solvers import SPLITTINGS
 from sweeps.peers_jaxnh import Splittings
-from sweeps.peers_scene import VALUES, Errors, Setting, TangentScene, best, unit
+from sweeps.peers_scene import Errors, Setting, TangentScene, best, unit
 
 SPECTRUM, ONE, MAP = "jaxnh", "jaxnh, one exponent", "jaxnh, no exponent"
 _EXPONENTS = {SPECTRUM: 3, ONE: 1, MAP: 0}
-_PERIODS = 256  # the engine's measurement of how often to orthonormalise is in every run: one part in fifty
+_PERIODS = 256
 
 
 class Contestant(Splittings[TangentScene]):
-    """Tuned by the derivatives of a period."""
+    """Tuned by the derivatives of a period.
 
-    def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
+    How often tangents are orthonormalised is the analysis's own choice, made before the timing; the steps are rounded
+    up to whole ones in each of these parts, as the analysis does.
+    """
+
+    def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
         settings = super().tune(target, hints)
-        return [replace(best(settings), peer=peer) for peer in _EXPONENTS] if settings else []
+        if not settings:
+            return []
+        found = best(settings)
+        solver = SPLITTINGS[found.form]
+        parts = lyapunov.choose(_options(3), self._analysed(found), self.lanes)["parts"]
+        steps = -(-int(found.knob) // parts) * parts
+        errors = self.errors(make_strobe(self.system, solver, steps))
+        label = f"{steps} steps, {solver.total_kicks(steps)} kicks a period"
+        whole = replace(found, knob=float(steps), label=label, errors=errors, parts=parts)
+        rows = [replace(whole, peer=peer) for peer in (MAP, ONE)]
+        return [replace(whole, peer=SPECTRUM, label=f"{label}, {parts} orthonormalisations a period"), *rows]
 
     def errors(self, strobe: Strobe) -> Errors:
         lanes = self.scene.timed()
         start = self.scene.states[lanes], {"b": self.scene.b[lanes]}
         return self.scene.derivative_errors(self.lanes(derivatives, (strobe, np.int32(1)), start)[1])
 
-    def program(self, setting: Setting) -> Callable[[], int]:
-        """The analysis over all values from the paper's start, or for no exponent as many periods of the map."""
-        steps, solver = int(setting.knob), SPLITTINGS[setting.form]
-        x, y, n1, n2 = unit(self.scene.states[:1])[0].tolist()
-        start = spread(((x, y), (n1, n2)), len(VALUES))
-        exponents = _EXPONENTS[setting.peer]
-        scene = AnalysisScene(self.system, start, {"b": VALUES}, solver, steps, False, setting.errors.max)
+    def program(self, setting: Setting) -> Callable[[], float]:
+        """The analysis over all values from the start state, or for no exponent as many periods of the map."""
+        exponents, count = _EXPONENTS[setting.peer], len(self.scene.values)
+        scene = replace(self._analysed(setting), chosen={"lyapunov": {"parts": setting.parts if exponents > 1 else 1}})
 
-        def run() -> int:
+        def run() -> float:
             if exponents:
-                options = lyapunov.LyapunovOptions(transient=0, periods=_PERIODS, exponents=exponents)
-                lyapunov.run(options, scene, self.lanes)
+                lyapunov.run(_options(exponents), scene, self.lanes)
             else:
                 self.lanes(iterate, (scene.strobe(), np.int32(_PERIODS)), scene.lanes)
-            return len(VALUES) * _PERIODS
+            return count * _PERIODS
 
         return run
+
+    def _analysed(self, setting: Setting) -> AnalysisScene:
+        x, y, n1, n2 = unit(self.scene.states[:1])[0].tolist()
+        start = spread(((x, y), (n1, n2)), len(self.scene.values))
+        solver, steps, error = SPLITTINGS[setting.form], int(setting.knob), setting.errors.max
+        return AnalysisScene(self.system, start, {"b": self.scene.values}, solver, steps, False, error)
+
+
+def _options(exponents: int) -> lyapunov.LyapunovOptions:
+    return lyapunov.LyapunovOptions(transient=0, periods=_PERIODS, exponents=exponents)

@@ -14,15 +14,21 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.table import Table
 
-from sweeps.peers_scene import TRANSIENT, VALUES, Setting
+from sweeps.peers_cases import HELD_OUT_SEED, LANES, Case
+from sweeps.peers_scene import PERIODS, TRANSIENT, Setting
 
 _PACKAGES = ("jaxnh", "jax", "jaxlib", "diffrax", "equinox", "heyoka", "scipy", "numpy")
 AT_OWN_ERROR = "jaxnh, at heyoka's own error"
 """Row of jaxnh tuned to the error that heyoka really has, since heyoka's orders are whole numbers."""
+WITHOUT = ", without processed6"
+"""Added to the name of a row that the searched splitting has no part in."""
 
 _BY_HAND = "<!-- Below this line: written by hand, kept by the next run. -->"
+_HEYOKA = " heyoka"  # after a ratio that is not over the row it stands in
 _QUIET = 0.9  # share of a core below which a run was disturbed
 _SHOWN_FORMS = 4
+_HELD_OUT = "Scenes held out, at heyoka's own error"
+_SPECTRA = "Lyapunov spectra, 1 core: error of the derivative of one period's map relative to its norm"
 _WANTED_HEYOKA = {1e-6: 1.5, 1e-8: 1.5, 1e-10: 1.2}
 _WANTED_SPECTRA = 1.5
 _WANTED_DIFFRAX = 30.0
@@ -48,7 +54,8 @@ class Row:
     """A peer at a target: its setting and, round by round, lane-periods a second and jaxnh's ratio over it.
 
     `shares` are processor over wall time a core: 1 where nothing else ran on the core. `processor_ratios` are the
-    ratios by processor time, which other programs on the machine disturb less.
+    ratios by processor time, which other programs on the machine disturb less. `python` is the share of the time that
+    the same calls take with nothing to integrate, of a peer that Python drives; else empty.
     """
 
     target: float
@@ -58,6 +65,14 @@ class Row:
     shares: list[float]
     ratios: list[float]
     processor_ratios: list[float]
+    python: list[float]
+
+
+class HeldOut(NamedTuple):
+    """A scene that nothing was chosen on, and its rows at all targets."""
+
+    case: Case
+    rows: list[Row]
 
 
 @dataclass(frozen=True)
@@ -65,7 +80,8 @@ class Study:
     """All that was measured."""
 
     command: str
-    system: str
+    case: Case
+    measured_at: str
     cores: int
     repeats: int
     rows: list[Row]
@@ -74,6 +90,7 @@ class Study:
     lanes: list[Scaling]
     two_cores: list[Scaling] | None
     lyapunov: list[Row]
+    held_out: list[HeldOut]
     seconds: float
 
 
@@ -112,22 +129,48 @@ def markdown(study: Study, before: str = "") -> str:
         "# jaxnh beside other integrators",
         f"Written by `{study.command}` on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, in {study.seconds:.0f} s.",
         f"{_processor()}; {study.cores} {noun}; Python {platform.python_version()}; {packages}.",
-        f"System `{study.system}`, {len(VALUES)} values of b from {VALUES[0]:g} to {VALUES[-1]:g}. The error is that "
-        f"of one period's map: the largest of (x1, y1, n1, n2) in a lane, over the paper's start state and the state "
+        study.measured_at,
+        f"System `{study.case.name}`: {study.case.words}, {LANES} values of b. The error is that "
+        f"of one period's map: the largest of (x1, y1, n1, n2) in a lane, over the start state and the state "
         f"{TRANSIENT} periods on, against a Taylor integration at 1e-18 in long double. Each peer is tuned until its "
         "largest error just meets the target (heyoka's order and jaxnh's steps are whole numbers), in several forms, "
-        f"and shown in its best. Timing: {len(VALUES)} lanes a core over several consecutive periods (8 lanes for "
+        "and shown in its best; since heyoka's error is then often far below the target, jaxnh is tuned to that error "
+        f"as well. Timing: {LANES} lanes a core, {PERIODS} periods a call for jaxnh and heyoka (8 lanes for "
         f"scipy), {study.repeats} rounds in which all rows take turns, each beside a sample of jaxnh that its ratio is "
         "formed with; medians; ± is half the interquartile range. "
-        "jaxnh runs as its users have it; stock diffrax in a process of its own without jaxnh's XLA options. On two "
-        "cores every peer has a process a core, jaxnh one process with two devices.",
+        "jaxnh runs with the options its users have; stock diffrax in a process of its own without jaxnh's XLA "
+        "options. On two cores every peer has a process a core, jaxnh one process with two devices.",
+        "Left out of all timings: compilation, and the search for the settings. A run of jaxnh itself measures its "
+        "solver and steps before it begins, and takes more steps than are shown here, since it multiplies the error "
+        "that it has measured by a safety factor. What is left of heyoka's time when its calls of Python have nothing "
+        "to integrate over is shown as Python's share.",
     ]
     least = min(statistics.median(row.shares) for row in study.rows)
     if least < _QUIET:
         parts.append(f"Not a quiet run: other work left the study down to {least:.0%} of its share of the processor.")
     for grid in (*_grids(study), _tried(study)):
-        parts += [f"## {grid.title}", _table(grid)]
+        parts += [f"## {grid.title}", *_said_before(grid, study), _table(grid)]
     return "\n\n".join(parts) + f"\n\n{_BY_HAND}\n" + before.partition(f"{_BY_HAND}\n")[2]
+
+
+def _said_before(grid: _Grid, study: Study) -> list[str]:
+    """What a table needs to be understood."""
+    if grid.title == _HELD_OUT:
+        return [
+            "`processed6` was searched for, and chosen, on the values of b of the main scene, at d = 0 and d = 0.1. "
+            f"These scenes had no part in that: the first is fixed, the others are drawn by the seed {HELD_OUT_SEED} "
+            "(`sweeps/peers_cases.py`). jaxnh is tuned to the error that heyoka has, once with all splittings and once "
+            "without that one; heyoka and diffrax run in the forms that were fastest on the main scene, diffrax at the "
+            "target and with jaxnh's XLA options.",
+            "\n".join(f"- {each.case.name}: {each.case.words}" for each in study.held_out),
+        ]
+    if grid.title == _SPECTRA:
+        return [
+            "Both orthonormalise three tangents equally often, as often as jaxnh's analysis has chosen to before the "
+            "timing; heyoka also after whole steps, nearly as often, so that no step is cut short. Its Gram–Schmidt is "
+            "compiled by heyoka and counts as Python's share here, together with the calls."
+        ]
+    return []
 
 
 def _table(grid: _Grid) -> str:
@@ -156,7 +199,7 @@ def _grids(study: Study) -> list[_Grid]:
         ),
         _scaling(
             f"Lanes: {study.cores} {noun}, {study.chosen.form} with {study.chosen.label}",
-            "lanes",
+            "lanes × periods a call",
             study.cores,
             study.lanes,
             f"within {_WANTED_FLAT:.0%} of 1",
@@ -174,7 +217,26 @@ def _grids(study: Study) -> list[_Grid]:
                 lambda ratio: ratio >= _WANTED_CORES,
             )
         )
+    if study.held_out:
+        grids.append(_held_out(study.held_out))
     return [*grids, _spectra(study.lyapunov)]
+
+
+def _held_out(scenes: Sequence[HeldOut]) -> _Grid:
+    """A line a scene and target: jaxnh at heyoka's error, with the searched splitting and without it."""
+    cells = []
+    for case, rows in scenes:
+        for target in dict.fromkeys(row.target for row in rows):
+            at = {row.name: row for row in rows if row.target == target}
+            heyoka = at["heyoka batch"]
+            line = [case.name, f"{target:.0e}", f"{heyoka.setting.errors.max:.1e}", _spread(heyoka.rates)]
+            for name in (AT_OWN_ERROR, AT_OWN_ERROR + WITHOUT):
+                row = at.get(name)
+                line += [f"{row.setting.form}, {row.setting.kicks:,}", _times(row.ratios)] if row else ["–", "–"]
+            diffrax = [row for name, row in at.items() if name.startswith("diffrax")]
+            cells.append((*line, _times(diffrax[0].ratios) if diffrax else "–"))
+    columns = ("scene", "target", "heyoka's error", "heyoka, lane-periods/s", "splitting, kicks", "over heyoka")
+    return _Grid(_HELD_OUT, (*columns, "without processed6, kicks", "over heyoka", "over diffrax"), cells)
 
 
 def _spectra(rows: Sequence[Row]) -> _Grid:
@@ -183,11 +245,10 @@ def _spectra(rows: Sequence[Row]) -> _Grid:
     cells = []
     for row in rows:
         target, name, setting, worst, _, rate, share, over, by_processor = _cells(row)
-        heyoka = name.startswith("heyoka")
-        over = _verdict(row, _WANTED_SPECTRA) if heyoka else over
+        over = _verdict(row, _WANTED_SPECTRA) + _HEYOKA if name == AT_OWN_ERROR else over
         cells.append((target, name, setting, worst, rate, share, over, by_processor))
     return _Grid(
-        "Lyapunov spectra, 1 core: error of the derivative of one period's map relative to its norm",
+        _SPECTRA,
         (*columns, "jaxnh's spectrum over it", "by processor time"),
         cells,
     )
@@ -197,9 +258,9 @@ def _targets(study: Study, title: str) -> _Grid:
     """The targets of the study: a line a peer, a column an error."""
     targets = list(dict.fromkeys(row.target for row in study.rows))
     lines = [
-        ("heyoka batch", ("heyoka batch",), _WANTED_HEYOKA),
-        ("heyoka batch, at the error that it has", (AT_OWN_ERROR,), {}),
-        ("heyoka batch, default options", ("heyoka batch, default options",), {}),
+        ("heyoka batch, at the error that it has", (AT_OWN_ERROR,), _WANTED_HEYOKA),
+        ("heyoka batch, its error below the target", ("heyoka batch",), {}),
+        ("heyoka batch, default options, its error below the target", ("heyoka batch, default options",), {}),
         ("stock diffrax, the better of both", ("diffrax Dopri8", "diffrax Tsit5"), _WANTED_DIFFRAX),
         (
             "stock diffrax with jaxnh's XLA options, the better",
@@ -226,12 +287,13 @@ def _verdict(row: Row, wanted: float | None) -> str:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    mark = " heyoka" if row.name == AT_OWN_ERROR else ""
+    mark = _HEYOKA if row.name == AT_OWN_ERROR else ""
+    driven = f"; Python's share {statistics.median(row.python):.1%}" if row.python else ""
     itself = row.name == "jaxnh"
     return (
         f"{row.target:.0e}",
         row.name,
-        f"{row.setting.form}; {row.setting.label}",
+        f"{row.setting.form}; {row.setting.label}{driven}",
         f"{row.setting.errors.max:.1e}",
         f"{row.setting.errors.median:.1e}",
         _spread(row.rates),

@@ -8,14 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-VALUES = np.linspace(2.0, 6.0, 256)
-"""The values of b."""
 TRANSIENT = 30
 """Periods after the start at which the second state of every value of b is taken."""
+PERIODS = 64
+"""Periods a call of the timed programs of jaxnh and of heyoka."""
 
 _CLOSE = 0.9  # an error in [0.9, 1] of the target meets it closely enough to stop the search
 _MOST_TRIES = 14
@@ -30,7 +30,7 @@ class Errors(NamedTuple):
 
 @dataclass(frozen=True)
 class Scene:
-    """The lanes everybody integrates: every value of b at the paper's start, then all of them TRANSIENT periods on.
+    """The lanes everybody integrates: every value of b at the start state, then all of them TRANSIENT periods on.
 
     Attributes:
         a, c, d: parameters of the system (ω = 1).
@@ -53,9 +53,15 @@ class Scene:
         """(lanes, 4) start states (x1, y1, n1, n2)."""
         return unit(self.states)
 
-    def timed(self, count: int = len(VALUES)) -> np.ndarray:
+    @property
+    def values(self) -> np.ndarray:
+        """The values of b."""
+        return self.b[: len(self.b) // 2]
+
+    def timed(self, count: int | None = None) -> np.ndarray:
         """Indices (count,) of the lanes that are timed: those past the transient, repeated as needed."""
-        return np.resize(np.arange(len(VALUES), len(self.b)), count)
+        lanes = np.arange(len(self.values), len(self.b))
+        return lanes if count is None else np.resize(lanes, count)
 
     def errors(self, ends: np.ndarray) -> Errors:
         """Errors of computed ends (lanes, 4); a lane that is not finite counts as infinitely wrong."""
@@ -100,6 +106,7 @@ class Setting:
         key: whatever the contestant needs to build the program, besides the knob.
         kicks: forces a period where that alone decides the cost; else None, and the rate decides.
         rate: lane-periods a second of processor time in a short trial; 0 before it.
+        parts: orthonormalisations a period; 0 where there are no tangents.
     """
 
     peer: str
@@ -107,9 +114,10 @@ class Setting:
     knob: float
     label: str
     errors: Errors
-    key: tuple[object, ...] = field(default=())
+    key: tuple[Any, ...] = field(default=())
     kicks: int | None = None
     rate: float = 0.0
+    parts: int = 0
 
 
 class Contestant(Protocol):
@@ -117,12 +125,18 @@ class Contestant(Protocol):
 
     def __init__(self, scene: Scene) -> None: ...
 
-    def tune(self, target: float, hints: Sequence[Setting]) -> list[Setting]:
-        """All its ways to a largest error of `target`, tuned to just meet it; hints are settings to try first."""
+    def tune(self, target: float, hints: Sequence[Setting], only: bool = False) -> list[Setting]:
+        """All its ways to a largest error of `target`, tuned to just meet it.
+
+        Hints are settings whose knobs are tried first; with `only`, their forms are the only ones tried.
+        """
         ...
 
-    def program(self, setting: Setting) -> Callable[[], int]:
-        """A call that integrates once over several periods and says how many lane-periods these were."""
+    def program(self, setting: Setting) -> Callable[[], float]:
+        """A call that integrates once over several periods and says how many lane-periods these were.
+
+        heyoka's takes `idle=True`: the same calls with no time to integrate over, for the share that Python has.
+        """
         ...
 
 

@@ -20,7 +20,7 @@ class Contestant:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
 
-    def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
+    def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
         everybody = range(len(self.scene.b))
 
         def measure(effort: float) -> Errors:

@@ -46,9 +46,13 @@ class Peer:
             self._connections.append(here)
             self._processes.append(process)
 
-    def tune(self, target: float, hints: Sequence[Setting] = ()) -> list[Setting]:
+    def enter(self, scene: Scene) -> None:
+        """Go on with another scene."""
+        _ask(self._connections, "enter", self.kind, scene)
+
+    def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
         """The contestant's settings for a target, each with the rate of a short trial."""
-        return _ask(self._connections[:1], "tune", target, tuple(hints))[0]
+        return _ask(self._connections[:1], "tune", target, tuple(hints), only)[0]
 
     def sample(self, setting: Setting, seconds: float, **program: Any) -> Sample:
         """One timed sample of at least so many seconds, summed over the processes, which run at the same time."""
@@ -91,7 +95,11 @@ def _serve(connection: Any, kind: str, scene: Scene, cores: tuple[int, ...]) -> 
         except EOFError:
             return
         try:
-            desk = desk or _Desk(importlib.import_module(f"sweeps.peers_{kind}").Contestant(scene))
+            if task == "enter":
+                desk = _Desk(*args)
+                connection.send((True, None))
+                continue
+            desk = desk or _Desk(kind, scene)
             connection.send((True, desk.tune(*args) if task == "tune" else desk.sample(*args)))
         except (Exception, SystemExit):
             connection.send((False, traceback.format_exc()))
@@ -100,22 +108,22 @@ def _serve(connection: Any, kind: str, scene: Scene, cores: tuple[int, ...]) -> 
 class _Desk:
     """Answers of a process; programs are kept, warmed up."""
 
-    def __init__(self, contestant: Contestant) -> None:
-        self._contestant = contestant
-        self._programs: dict[Any, Callable[[], int]] = {}
+    def __init__(self, kind: str, scene: Scene) -> None:
+        self._contestant: Contestant = importlib.import_module(f"sweeps.peers_{kind}").Contestant(scene)
+        self._programs: dict[Any, Callable[[], float]] = {}
 
-    def tune(self, target: float, hints: Sequence[Setting]) -> list[Setting]:
-        return [replace(s, rate=self._trial(s)) for s in self._contestant.tune(target, hints)]
+    def tune(self, target: float, hints: Sequence[Setting], only: bool) -> list[Setting]:
+        return [replace(s, rate=self._trial(s)) for s in self._contestant.tune(target, hints, only)]
 
     def sample(self, setting: Setting, seconds: float, program: dict[str, Any]) -> Sample:
         run = self._warm(setting, program)
-        done = 0
+        done = 0.0
         began, processor = time.perf_counter(), time.process_time()
         while time.perf_counter() < began + seconds or not done:
             done += run()
         return Sample(done / (time.perf_counter() - began), done / (time.process_time() - processor))
 
-    def _warm(self, setting: Setting, program: dict[str, Any]) -> Callable[[], int]:
+    def _warm(self, setting: Setting, program: dict[str, Any]) -> Callable[[], float]:
         key = (setting, tuple(program.items()))
         if key not in self._programs:
             self._programs[key] = self._contestant.program(setting, **program)

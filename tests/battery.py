@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from sweeps.measured_at import stamp
+
 CASES = (
     "Off the constraint",
     "Speed nearly vanishing",
@@ -100,6 +102,7 @@ class _Report:
 
     def __init__(self, page):
         self._page, self._began, self._tests, self._failed = page, time.perf_counter(), [], []
+        self._stamp = stamp()  # of the code that is imported, not of what is there at the end
 
     def pytest_runtest_logreport(self, report):
         if report.when == "call":
@@ -111,10 +114,10 @@ class _Report:
     def pytest_sessionfinish(self, session):
         seconds = time.perf_counter() - self._began
         self._page.parent.mkdir(exist_ok=True)
-        self._page.write_text(_page(self._tests, self._failed, seconds), encoding="utf-8")
+        self._page.write_text(_page(self._tests, self._failed, seconds, self._stamp), encoding="utf-8")
 
 
-def _page(tests, failed, seconds):
+def _page(tests, failed, seconds, measured_at):
     """The page in Markdown: a table a case, in the order of CASES, and what failed at its head."""
     kept = [(name, item, node) for node, _, properties in sorted(tests) for name, item in properties]
     lines = [
@@ -123,6 +126,8 @@ def _page(tests, failed, seconds):
         "Written by `make hard`: the cases that break programs of this kind, each with the number that says stable, the",
         "limit that it has to keep, and the command that measures it alone. `make test` runs them all at smaller sizes.",
         "References: Taylor integration in long double (`tests/taylor.py`), exact identities, and second methods.",
+        "",
+        f"{measured_at}",
         "",
         f"{sum(name == 'hard row' for name, *_ in kept)} rows, {len(failed)} failed; {seconds:.0f} s by the clock.",
     ]
