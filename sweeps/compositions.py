@@ -10,7 +10,7 @@ measured, lane by lane, with random compositions of order six against a Taylor i
 composition of its own that agrees with P up to degree six; of many, the one with the least measured error is taken.
 
 The searches are random, with a fixed seed and a fixed number of trials: the same command ends at the same composition
-on processors of one kind. `processed6` itself is from an earlier run, whose search for processors went on for a time and
+on processors of one kind. `processed6` itself is from an earlier run, whose search for processors went on for a time,
 not for a number of trials, so that no command gives back its very digits; they are in `jaxnh/solvers/compositions.py`,
 tests hold its conditions, and this program measures it beside what it finds. It was chosen by its errors on the scenes
 of `true_scene(paper(d))`, d = 0 and 0.1; `sweeps.peers` measures it on scenes held out as well.

@@ -1,4 +1,4 @@
-"""Why published doubling points come too early: critical slowing down in a plain detection of the period.
+"""What critical slowing down does to a plain detection of the period, beside the published doubling points.
 
 Run `python -m sweeps.critical_slowing` after `make table1 table2`. Each lane starts from the start state, waits for a
 transient of N periods and compares strobe points with a threshold ε; multisection on the detected period gives the b at
@@ -9,7 +9,6 @@ a page and a figure; integration, orbits and derivatives are the package's.
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 from typing import Annotated
 
@@ -27,6 +26,7 @@ from jaxnh.maps.build import make_strobe
 from jaxnh.solvers import SPLITTINGS
 from sweeps.critical_slowing_page import figure, page
 from sweeps.critical_slowing_study import SOLVER, STEPS, TABLES, Cascade, study_cascade
+from sweeps.measured_at import stamp
 
 TRANSIENTS = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
 
@@ -68,7 +68,7 @@ def main(
     longest: Annotated[int, typer.Option(help="Longest transient, in forcing periods", min=1000)] = TRANSIENTS[-1],
 ) -> None:
     """Show what a plain detection of the period makes of the doublings, beside the published values."""
-    began = time.perf_counter()
+    measured_at = str(stamp())
     configure()
     try:
         cascades = [read_cascade(results / f"{name}.h5") for name in TABLES]
@@ -79,13 +79,11 @@ def main(
     transients = np.array([n for n in TRANSIENTS if n <= longest], float)
     studies = [study_cascade(cascade, lanes, transients) for cascade in cascades]
     shift = max(float(np.abs(study.law.shift).max()) for study in studies)
-    elapsed, processor = time.perf_counter() - began, time.process_time()
     cost = (
-        f"{lanes.lane_periods:,.0f} lane-periods, {processor:.0f} s of processor time,\n"
-        f"{elapsed:.0f} s by the clock on {len(lanes.devices)} cores. "
+        f"{lanes.lane_periods:,.0f} lane-periods.\n"
         f"{SOLVER} with {STEPS} steps a period moves the doublings by {shift:.0e} at most."
     )
-    text = page(studies, transients, cost)
+    text = page(studies, transients, cost, measured_at)
     Console().print(Markdown("\n".join(line for line in text.splitlines() if not line.startswith("!["))))
     path = results / "critical_slowing.md"
     path.write_text(text, encoding="utf-8")

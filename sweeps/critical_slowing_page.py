@@ -10,12 +10,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sweeps.critical_slowing_study import (
+    FACTOR,
     HALF_DIGIT,
     PAST,
     TABLES,
     THRESHOLDS,
     TURNS,
+    Agreement,
     Study,
+    agreement,
+    checked_rows,
     nearest_pair,
     needed_transient,
     slopes,
@@ -25,6 +29,8 @@ _PAGE = """\
 # Critical slowing down and the published doubling points
 
 `python -m sweeps.critical_slowing`, after `make {tables}`: {cost}
+
+{measured_at}
 
 Plain detection: every value of b runs from the start state for N forcing periods; the period is then the least p with
 |x1(j + p) − x1(j)| < ε at p strobes on end, and multisection finds the b at which n is not seen any more. Its bias β is
@@ -39,8 +45,19 @@ apart to μ (1 − γ D²) D, where μ = −1 + κ β. From far away, |D| comes 
 {systems}
 ## One transient for all rows?
 
-Of the pairs run, N = {transient:.0f} and ε = {threshold} come nearest to all rows of both tables. Of the {checked} rows
-whose bias exceeds the rounding of the sixth decimal, {near} have it within a factor of two{far}.
+The transient and the threshold of the published values are not known: N and ε are two free numbers here, chosen to
+fit. {checked} rows have a bias that exceeds the rounding of the sixth decimal. For each ε, how many of them one N has
+within a factor of two at most, with which N, with which N at least half of them, and the N that they need one by one to
+have the published bias itself:
+
+{agreement}
+
+So the published values are consistent with plain detection at
+{consistent}.
+{all_rows}That they were found so is not shown by this.
+
+Of the pairs run, N = {transient:.0f} and ε = {threshold} come nearest to all rows: {near} of {checked} within a factor
+of two{far}.
 
 {pair}
 
@@ -63,7 +80,7 @@ Transient N with which plain detection gives the value of the {source}; its last
 """
 
 
-def page(studies: list[Study], transients: np.ndarray, cost: str) -> str:
+def page(studies: list[Study], transients: np.ndarray, cost: str, measured_at: str) -> str:
     """The result in Markdown."""
     j, k = nearest_pair(studies)
     rows, ratios = [], {}
@@ -72,12 +89,15 @@ def page(studies: list[Study], transients: np.ndarray, cost: str) -> str:
             bias, published = study.bias[i, j, k], study.published_bias[i]
             values = f"{study.detected[i, j, k]:.6f}", f"{study.cascade.published[i]:.6f}"
             rows.append([name, _turn(n), *values, f"{bias:+.1e}", f"{published:+.1e}"])
-            if published > 2 * HALF_DIGIT:
+            if i in checked_rows(study):
                 ratios[f"{name} {_turn(n)}"] = bias / published
-    far = [f"{row} ({ratio:.2g} times)" for row, ratio in ratios.items() if not 0.5 < ratio < 2.0]
+    far = [f"{row} ({ratio:.2g} times)" for row, ratio in ratios.items() if not 1 / FACTOR < ratio < FACTOR]
+    found = [agreement(studies, transients, j) for j in range(len(THRESHOLDS))]
     return _PAGE.format(
         tables=" ".join(TABLES),
+        measured_at=measured_at,
         cost=cost,
+        **_agreement(found, len(ratios)),
         systems="".join(_system_page(study, transients) for study in studies),
         transient=transients[k],
         threshold=_power(THRESHOLDS[j]),
@@ -86,6 +106,34 @@ def page(studies: list[Study], transients: np.ndarray, cost: str) -> str:
         far=f"; outside it {', '.join(far)}" if far else "",
         pair=_table(["table", "period", "b detected", "b published", "β detected", "β published"], rows),
     )
+
+
+def _agreement(found: list[Agreement], checked: int) -> dict[str, str]:
+    """The table of agreement, a line a threshold, and what it says."""
+    rows = [
+        [_power(epsilon), f"{a.most} of {checked}", _ends(a.best), _ends(a.half), _ends(a.each)]
+        for epsilon, a in zip(THRESHOLDS, found, strict=True)
+    ]
+    head = ["ε", "most rows within a factor of two", "N with as many", "N with half of the rows", "N of the rows alone"]
+    half = [
+        f"ε = {_power(epsilon)} and N of {_ends(a.half)}"
+        for epsilon, a in zip(THRESHOLDS, found, strict=True)
+        if np.isfinite(a.half[0])
+    ]
+    all_rows = any(a.most == checked for a in found)
+    return {
+        "agreement": _table(head, rows),
+        "consistent": (", ".join(half) + ": at least half of the rows within a factor of two") if half else "no N",
+        "all_rows": "" if all_rows else f"No pair has all {checked} rows so. ",
+    }
+
+
+def _ends(span: tuple[float, float]) -> str:
+    """A range of N, to two digits."""
+    if not np.isfinite(span[0]):
+        return "–"
+    low, high = (f"{float(f'{end:.2g}'):.0f}" if np.isfinite(end) else "∞" for end in span)
+    return low if low == high else f"{low}–{high}"
 
 
 def _system_page(study: Study, transients: np.ndarray) -> str:

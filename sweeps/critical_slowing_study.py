@@ -29,6 +29,7 @@ _BESIDE, _SPLIT, _CENTRED = 0.05, 0.02, 1e-3  # offsets in b, as fractions of th
 _CONVERGED = 1e-7
 TURNS, PAST = 30, 0.3  # slopes are fitted from so many turns of the orbit up to this fraction of N*
 HALF_DIGIT = 5e-7  # the published b have six decimals
+FACTOR = 2.0  # within which a bias counts as that of a published row
 
 
 class Cascade(NamedTuple):
@@ -241,11 +242,53 @@ def needed_transient(bias: np.ndarray, transients: np.ndarray, target: float) ->
     return float(np.exp(np.interp(target, ends, np.log(transients[[k, k - 1]]))))
 
 
+class Agreement(NamedTuple):
+    """With which transients one threshold agrees with the published rows, those of all cascades together.
+
+    Attributes:
+        most: largest number of rows that one N has within a factor `FACTOR`.
+        best: least and largest N with as many, or nan.
+        half: least and largest N with at least half of the rows, or nan.
+        each: least and largest of the N that rows need one by one to have just the published bias.
+    """
+
+    most: int
+    best: tuple[float, float]
+    half: tuple[float, float]
+    each: tuple[float, float]
+
+
+def checked_rows(study: Study) -> np.ndarray:
+    """Levels whose published bias exceeds the rounding of its last digit, by number."""
+    return np.flatnonzero(study.published_bias > 2 * HALF_DIGIT)
+
+
+def agreement(studies: list[Study], transients: np.ndarray, j: int) -> Agreement:
+    """How threshold number j agrees with the checked rows, biases interpolated between the N that were run."""
+    fine = np.geomspace(transients[0], transients[-1], 2000)
+    near, needed = [], []
+    for study in studies:
+        for i in checked_rows(study):
+            bias, published = study.bias[i, j], float(study.published_bias[i])
+            usable = np.isfinite(bias) & (bias > 0)
+            of_n = np.interp(np.log(fine), np.log(transients[usable]), np.log(bias[usable]), left=np.nan, right=np.nan)
+            near.append(np.abs(of_n - np.log(published)) < np.log(FACTOR))
+            needed.append(needed_transient(bias, transients, published))
+    count = np.sum(near, axis=0)
+
+    def span(enough: int) -> tuple[float, float]:
+        found = fine[count >= enough] if enough else fine[:0]
+        return (float(found[0]), float(found[-1])) if len(found) else (np.nan, np.nan)
+
+    most = int(count.max())
+    return Agreement(most, span(most), span(-(-len(near) // 2)), (min(needed), max(needed)))
+
+
 def nearest_pair(studies: list[Study]) -> tuple[int, int]:
     """Index of the threshold and of the N whose biases come nearest to the published ones, all cascades together."""
     misfit = []
     for study in studies:
-        rows = study.published_bias > 2 * HALF_DIGIT
+        rows = checked_rows(study)
         detected = np.maximum(np.nan_to_num(study.bias[rows]), _FINE)
         misfit.append(np.abs(np.log(detected / study.published_bias[rows, None, None])))
     j, k = np.unravel_index(np.concatenate(misfit).mean(axis=0).argmin(), misfit[0].shape[1:])

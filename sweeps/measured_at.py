@@ -70,6 +70,11 @@ def age(page: str, root: Path = ROOT) -> str:
     return "the code as it is" if was.code == code_hash(root) else "an older code"
 
 
+def last_commit(path: str, root: Path = ROOT) -> str:
+    """The commit that last changed a file, in short; "" where there is none."""
+    return _git(root, "log", "-1", "--format=%h", "--", path)
+
+
 def _git(root: Path, *arguments: str) -> str:
     """What git prints, "" where there is no git or no checkout."""
     try:

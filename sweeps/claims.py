@@ -1,0 +1,152 @@
+"""Every quantitative claim of the README and its like, beside the figure that it rests on: checked, and one page.
+
+    make claims
+
+The claims are in `claims_table.py`. One fails where its words are not in the text any more, or where what it is read
+from does not round to the number quoted. Nothing is timed or computed anew here; each page of results names the code
+that it was measured at, and results/claims.md says where that is an older one.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from sweeps.measured_at import ROOT, age, last_commit, stamp_of
+
+PAGE = "results/claims.md"
+
+
+class NotKept(Exception):
+    """The file that a claim rests on is not there, and is none of those that are kept."""
+
+
+class Claim(NamedTuple):
+    """A sentence, and what it rests on.
+
+    Attributes:
+        where: file that has the sentence.
+        quote: its words, however its lines are broken; numbers that are checked stand in brackets, `[2.42]`.
+        command: what makes the figure again.
+        source: file that the numbers are read from, or the picture that they are seen in.
+        place: where in it, in words.
+        read: the values of the numbers in brackets, from a root folder; None for what a picture shows.
+    """
+
+    where: str
+    quote: str
+    command: str
+    source: str
+    place: str
+    read: Callable[[Path], Sequence[float]] | None = None
+
+    @property
+    def words(self) -> str:
+        """The quote as it stands in the text."""
+        return self.quote.replace("[", "").replace("]", "")
+
+    @property
+    def numbers(self) -> list[str]:
+        """The numbers that are checked, as they are quoted."""
+        return [part.partition("]")[0] for part in self.quote.split("[")[1:]]
+
+
+class Finding(NamedTuple):
+    """A claim, whether it failed, and how it stands in a few words."""
+
+    claim: Claim
+    failed: bool
+    state: str
+
+
+def check(claim: Claim, root: Path = ROOT) -> Finding:
+    """Whether the words are there, and the numbers are those of the source."""
+    text = (root / claim.where).read_text(encoding="utf-8")
+    if _folded(claim.words) not in _folded(text):
+        return Finding(claim, True, f"not in {claim.where}: {claim.words!r}")
+    if claim.read is None:
+        there = (root / claim.source).exists()
+        return Finding(claim, not there, "seen in the picture" if there else f"{claim.source} is not there")
+    try:
+        values = claim.read(root)
+    except NotKept:
+        return Finding(claim, False, f"not checked: `{claim.command}` makes the file, which is not kept")
+    except (LookupError, OSError, ValueError) as error:
+        return Finding(claim, True, f"nothing to read in {claim.source}, {claim.place}: {error}")
+    if len(values) != len(claim.numbers):
+        return Finding(claim, True, f"{len(claim.numbers)} numbers quoted, {len(values)} read: {claim.words!r}")
+    wrong = [f"{q} is {v:.{len(q) + 1}g}" for q, v in zip(claim.numbers, values, strict=True) if not rounds_to(v, q)]
+    return Finding(claim, bool(wrong), f"{claim.words!r}: {'; '.join(wrong)}" if wrong else "agrees")
+
+
+def rounds_to(value: float, quoted: str) -> bool:
+    """Whether a value, rounded to the digits of a quoted number, is that number."""
+    plain = quoted.replace(",", "").replace("−", "-")
+    digits = plain.lower().partition("e")[0].partition(".")[2]
+    form = "e" if "e" in plain.lower() else "f"
+    return float(f"{value:.{len(digits)}{form}}") == float(plain)
+
+
+def page(findings: Sequence[Finding], root: Path = ROOT) -> str:
+    """The page in Markdown."""
+    lines = [
+        "# Claims",
+        "",
+        "Written by `make claims`: every quantitative claim of the README and its like, the command that makes its",
+        "figure again, the commit that the figure is of, and what it is read from. A number in bold is checked.",
+        "",
+        "| claim | in | command | commit | rests on | |",
+        "|---|---|---|---|---|---|",
+    ]
+    for claim, _, state in findings:
+        quote = " ".join(claim.quote.replace("[", "**").replace("]", "**").split())
+        rests = f"[{claim.source}](../{claim.source}): {claim.place}"
+        cells = (quote, claim.where, f"`{claim.command}`", _commit(claim.source, root), rests, state)
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n\n" + _ages(findings, root)
+
+
+def _commit(source: str, root: Path) -> str:
+    """The commit that a source names, or the one that brought it as it is."""
+    path = root / source
+    named = stamp_of(path.read_text(encoding="utf-8")) if path.suffix == ".md" and path.exists() else None
+    if named:
+        return named.commit
+    brought = last_commit(source, root)
+    return f"kept in {brought}" if brought else "–"
+
+
+def _ages(findings: Sequence[Finding], root: Path) -> str:
+    """Pages of results and how old the code is that they were measured at."""
+    pages = [
+        s for s in dict.fromkeys(f.claim.source for f in findings) if s.startswith("results/") and s.endswith(".md")
+    ]
+    lines = [f"- `{name}`: {age((root / name).read_text(encoding='utf-8'), root)}" for name in pages]
+    return "## Pages and the code that they were measured at\n\n" + "\n".join(lines) + "\n"
+
+
+def _folded(text: str) -> str:
+    return " ".join(text.split())
+
+
+def main() -> None:
+    """Check all claims and write the page; exit code 1 where one fails."""
+    from sweeps.claims_table import CLAIMS
+
+    findings = [check(claim) for claim in CLAIMS]
+    for finding in findings:
+        if finding.failed:
+            print(finding.state, file=sys.stderr)
+    text = page(findings)
+    (ROOT / PAGE).write_text(text, encoding="utf-8")
+    print(text.partition("## Pages")[2].partition("\n\n")[2], end="")
+    failed = sum(finding.failed for finding in findings)
+    print(f"{len(findings)} claims, {failed} failed; wrote {PAGE}")
+    if failed:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,319 @@
+"""The claims: sentences of the README and its like, and how the numbers in them are read from kept results."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import jaxnh
+from jaxnh.solvers import SPLITTINGS
+from sweeps.claims import Claim, NotKept
+
+_PEERS = "results/peers.md"
+_PEERS_COMMAND = "python -m sweeps.peers --repeats 5"
+_SLOWING = "results/critical_slowing.md"
+_OVER = "jaxnh over each peer, 1 core"
+_TARGETS = ("error ≤ 1e-06", "error ≤ 1e-08", "error ≤ 1e-10")
+_NUMBER = re.compile(r"[-+−]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+# ---- readers
+
+
+def rows(text: str, title: str) -> list[dict[str, str]]:
+    """Rows of the first table under a heading that begins so, by column.
+
+    Raises:
+        LookupError: there is none.
+    """
+    part = re.search(rf"^## {re.escape(title)}.*?$(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
+    lines = [line for line in part[1].splitlines() if line.startswith("|")] if part else []
+    if len(lines) < 3:
+        raise LookupError(f"no table under {title!r}")
+    head, _, *body = ([cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines)
+    return [dict(zip(head, line, strict=False)) for line in body]
+
+
+def number(text: str) -> float:
+    """The first number in a text.
+
+    Raises:
+        LookupError: there is none.
+    """
+    found = _NUMBER.search(text)
+    if found is None:
+        raise LookupError(f"no number in {text!r}")
+    return float(found[0].replace(",", "").replace("−", "-"))
+
+
+def cells(source: str, title: str, columns: Sequence[str], **row: str) -> Callable[[Path], list[float]]:
+    """Numbers of some columns of the row whose cells are as named (a blank in a name is an underscore)."""
+
+    def read(root: Path) -> list[float]:
+        wanted = {key.replace("_", " "): value for key, value in row.items()}
+        for line in rows((root / source).read_text(encoding="utf-8"), title):
+            if wanted.items() <= line.items():
+                return [number(line[column]) for column in columns]
+        raise LookupError(f"no row {wanted} under {title!r}")
+
+    return read
+
+
+def searched(source: str, pattern: str) -> Callable[[Path], list[float]]:
+    """Numbers of the groups of a pattern in a text."""
+
+    def read(root: Path) -> list[float]:
+        found = re.search(pattern, (root / source).read_text(encoding="utf-8"))
+        if found is None:
+            raise LookupError(f"no {pattern!r}")
+        return [number(group) for group in found.groups()]
+
+    return read
+
+
+def doublings(source: str, variable: str, level: int) -> Callable[[Path], list[float]]:
+    """A variable of `doubling` at a level, the first is 1."""
+
+    def read(root: Path) -> list[float]:
+        if not (root / source).exists():
+            raise NotKept
+        with jaxnh.open_result(root / source) as tree:
+            return [float(tree["doubling"].to_dataset()[variable].to_numpy()[level - 1])]
+
+    return read
+
+
+def _fewer_kicks(root: Path) -> list[float]:
+    """How many times fewer kicks `processed6` needs than the next splitting, the most over the targets."""
+    lines = [r for r in rows((root / _PEERS).read_text(encoding="utf-8"), "Forms tried") if r["peer"] == "jaxnh"]
+    ratios = []
+    for target in dict.fromkeys(line["target"] for line in lines):
+        kicks = {r["form"]: number(r["setting"].split("steps,")[1]) for r in lines if r["target"] == target}
+        ratios.append(min(k for form, k in kicks.items() if form != "processed6") / kicks["processed6"])
+    return [max(ratios)]
+
+
+def _largest_error(root: Path) -> list[float]:
+    """A bound of all errors of b in both tables: the next whole 1e-11."""
+    worst = max(
+        doublings(f"results/{table}.h5", "b_error", level)(root)[0]
+        for table in ("table1", "table2")
+        for level in range(1, 7)
+    )
+    return [1e-11 * -(-worst // 1e-11)]
+
+
+def _orders(root: Path) -> list[float]:
+    orders = [solver.convergence_order for solver in SPLITTINGS.values()]
+    return [min(orders), max(orders)]
+
+
+def _slopes(root: Path) -> list[float]:
+    """Flattest and steepest slope of the bias that was measured."""
+    text = (root / _SLOWING).read_text(encoding="utf-8")
+    found = [float(slope) for slope in re.findall(r"\| (-\d\.\d{3}) \(", text)]
+    found += [float(slope) for slope in re.findall(r"\) \| (-\d\.\d{3}) \(", text)]
+    return [max(found), min(found)]
+
+
+def _agreement(root: Path) -> list[float]:
+    """Ends of N at 10⁻⁴ with most rows and with half of them, and with most at 10⁻⁵ and 10⁻⁶."""
+    lines = rows((root / _SLOWING).read_text(encoding="utf-8"), "One transient for all rows?")
+    most, half = "N with as many", "N with half of the rows"
+    spans = [lines[0][most], lines[0][half], lines[1][most], lines[2][most]]
+    return [float(end) for span in spans for end in span.split("–")]
+
+
+# ---- the claims
+
+
+def _speeds() -> list[Claim]:
+    def over(quote: str, row: str) -> Claim:
+        read = cells(_PEERS, _OVER, _TARGETS, over=row)
+        return Claim("README.md", quote, _PEERS_COMMAND, _PEERS, f"{_OVER}; {row}", read)
+
+    cores = cells(_PEERS, "Two cores", ["over the first"], CPU_devices="two devices")
+    return [
+        over(
+            "jaxnh is [2.42], [2.40] and [1.45] times as fast as it, on one core",
+            "heyoka batch, at the error that it has",
+        ),
+        over("[52.7], [47.9] and [42.2] times as fast as stock diffrax", "stock diffrax, the better of both"),
+        over(
+            "[41.7], [36.8] and [33.6] times where diffrax has our XLA options",
+            "stock diffrax with jaxnh's XLA options, the better",
+        ),
+        Claim("README.md", "Two cores are [1.92] times as fast as one", _PEERS_COMMAND, _PEERS, "Two cores", cores),
+        Claim(
+            "CHANGELOG.md",
+            "up to [1.6] times fewer kicks than the best before",
+            _PEERS_COMMAND,
+            _PEERS,
+            "Forms tried, kicks of jaxnh's splittings",
+            _fewer_kicks,
+        ),
+    ]
+
+
+def _tables() -> list[Claim]:
+    """The doublings of both tables, as results/README.md has them; δ stands between its first and last level."""
+    quoted = {
+        "table1": (
+            (
+                "5.519620950004",
+                "5.495524708041",
+                "5.489401056080",
+                "5.488064586993",
+                "5.487776293683",
+                "5.487714475688",
+            ),
+            ("3.934946", "4.581963", "4.635796", "4.663582"),
+        ),
+        "table2": (
+            (
+                "5.805186437960",
+                "5.767843561936",
+                "5.757968836976",
+                "5.755804200168",
+                "5.755336458363",
+                "5.755236135790",
+            ),
+            ("3.781662", "4.561839", "4.627846", "4.662378"),
+        ),
+    }
+    claims = []
+    for table, (points, ratios) in quoted.items():
+        source, command = f"results/{table}.h5", f"make {table}"
+        claims += [
+            Claim("results/README.md", f"[{b}]", command, source, f"doubling/b, level {k}", doublings(source, "b", k))
+            for k, b in enumerate(points, 1)
+        ]
+        claims += [
+            Claim(
+                "results/README.md",
+                f"[{d}]",
+                command,
+                source,
+                f"doubling/delta, level {k}",
+                doublings(source, "delta", k),
+            )
+            for k, d in enumerate(ratios, 2)
+        ]
+    return [
+        *claims,
+        Claim(
+            "results/README.md",
+            "All errors of b are below [2e-11].",
+            "make table1 table2",
+            "results/table1.h5",
+            "doubling/b_error, and that of table2.h5",
+            _largest_error,
+        ),
+        Claim(
+            "README.md",
+            "the cascade of period doublings at b ≈ [5.5].",
+            "make table1",
+            "results/table1.h5",
+            "doubling/b, level 1",
+            doublings("results/table1.h5", "b", 1),
+        ),
+    ]
+
+
+def _slowing() -> list[Claim]:
+    command = "python -m sweeps.critical_slowing"
+
+    def claim(quote: str, place: str, read: Callable[[Path], list[float]]) -> Claim:
+        return Claim("results/README.md", quote, command, _SLOWING, place, read)
+
+    return [
+        claim("on log–log axes are [−1.02] to [−1.33]", "measured slopes, both tables", _slopes),
+        claim(
+            "At ε = 1e-4, N from [960] to [1100] gives nine of them within a factor of two, and N from [520] to [1900] "
+            "at least half; smaller thresholds fit as well, with longer transients ([1900] to [2400] at 1e-5, [2800] "
+            "to [3100] at 1e-6)",
+            "One transient for all rows?",
+            _agreement,
+        ),
+        claim(
+            "the bias falls only to [0.43] from level to level while the windows fall to [0.21]",
+            "last paragraph",
+            searched(_SLOWING, r"falls to (0\.\d+) of the level before\. The windows fall to (0\.\d+)"),
+        ),
+    ]
+
+
+def _settings() -> list[Claim]:
+    """What a config or the code itself says."""
+    fig04 = "configs/fig04.yaml"
+    return [
+        Claim(
+            "README.md",
+            "[4096] values of b, [256] strobe points each",
+            "make fig04",
+            fig04,
+            "sweep.b.count, analyses.diagram.strobes",
+            searched(fig04, r"count: (\d+)[^$]*?strobes: (\d+)"),
+        ),
+        Claim(
+            "README.md",
+            "(isokinetic splitting, orders [2] to [10])",
+            "make test",
+            "jaxnh/solvers/compositions.py",
+            "orders of SPLITTINGS; tests/solvers fits them",
+            _orders,
+        ),
+    ]
+
+
+def _pictures() -> list[Claim]:
+    """What is seen in a picture of results/, which its command draws again."""
+    return [
+        Claim(
+            "README.md",
+            "by the stability of the orbit it costs a fraction of a second to eleven digits",
+            "python -m jaxnh.cost configs/table1.yaml",
+            "results/table1_cost_doubling.png",
+            "time against error",
+        ),
+        Claim(
+            "README.md",
+            "gains a digit for a hundred times the periods",
+            "python -m jaxnh.cost configs/fig03.yaml",
+            "results/fig03_cost_lyapunov.png",
+            "slope of error against periods",
+        ),
+        Claim(
+            "results/README.md",
+            "chaos at small b too: b < 0.21 at constant speed, b < 0.05 disturbed",
+            "make range_constant range_disturbed",
+            "results/range_constant.png",
+            "left end, and that of range_disturbed.png",
+        ),
+        Claim(
+            "results/README.md",
+            "period 2 at 4.48–4.56, period 6 at 4.69–4.77, period 8 at 4.94–5.02 at constant speed",
+            "make range_constant",
+            "results/range_constant.png",
+            "windows",
+        ),
+        Claim(
+            "results/README.md",
+            "period 3 at 5.34–5.50 disturbed",
+            "make range_disturbed",
+            "results/range_disturbed.png",
+            "windows",
+        ),
+        Claim(
+            "results/README.md",
+            "within the cascade period 3 at 5.469–5.4715",
+            "make fig05",
+            "results/fig05.png",
+            "windows",
+        ),
+    ]
+
+
+CLAIMS = (*_speeds(), *_tables(), *_slowing(), *_settings(), *_pictures())
+"""All claims, in the order of the page."""
