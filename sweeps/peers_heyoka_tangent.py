@@ -139,7 +139,7 @@ class Contestant:
     def program(self, setting: Setting, idle: bool = False) -> Callable[[], float]:
         """As for every contestant; idle with the same calls and no time to integrate over."""
         *key, every = setting.key
-        fleet = self._fleet((*key, int(setting.knob)))
+        fleet = self.fleet((*key, int(setting.knob)))
 
         def run() -> float:
             self.grown(fleet, setting.parts, 0 if idle else every, 0.0 if idle else self.scene.period)
@@ -147,14 +147,7 @@ class Contestant:
 
         return run
 
-    def spectrum(self, setting: Setting) -> np.ndarray:
-        """(3, timed lanes) the exponents as these few periods have them."""
-        *key, every = setting.key
-        fleet = self._fleet((*key, int(setting.knob)))
-        logs = self.grown(fleet, setting.parts, every, self.scene.period)
-        return logs / (self._times(fleet) * self.scene.period)
-
-    def grown(self, fleet: list[_Batch], parts: int, every: int, period: float) -> np.ndarray:
+    def grown(self, fleet: list[_Batch], parts: int, every: int, period: float, periods: int = _PERIODS) -> np.ndarray:
         """(3, timed lanes) logarithms of growth from the timed states on.
 
         Tangents are orthonormalised `parts` times a period: at equal times, or where `every` is not 0, after so many
@@ -164,9 +157,9 @@ class Contestant:
         states, b, count = self.scene.states[lanes], self.scene.b[lanes], len(lanes)
         tangents, out, logs = np.empty((9, count)), np.empty((12, count)), np.zeros((3, count))
         for ta, _, part in fleet:
-            self._reset(ta, states[part], b[part])
+            self.reset(ta, states[part], b[part])
         limits = {"max_steps": every} if every else {}
-        for k in range(1, _PERIODS * parts + 1):
+        for k in range(1, periods * parts + 1):
             end = 1e9 if every else k * (period / parts)
             for ta, view, part in fleet:
                 ta.propagate_until(end, **limits)
@@ -181,7 +174,7 @@ class Contestant:
         """(timed lanes,) periods that they have come."""
         return np.concatenate([ta.time for ta, *_ in fleet]) / self.scene.period
 
-    def _fleet(self, key: tuple[Any, ...]) -> list[_Batch]:
+    def fleet(self, key: tuple[Any, ...]) -> list[_Batch]:
         """Integrators of all timed lanes."""
         clock, batch, options, order = key
         one, count = self._batches.integrator((clock,), batch, options, order), len(self.scene.timed())
@@ -191,7 +184,7 @@ class Contestant:
             fleet.append(_Batch(ta, ta.state[3:12], slice(at, at + batch)))
         return fleet
 
-    def _reset(self, ta: Any, states: np.ndarray, b: np.ndarray) -> None:
+    def reset(self, ta: Any, states: np.ndarray, b: np.ndarray) -> None:
         """Lanes at their states at t = 0, their tangents along the axes."""
         ta.set_time(0.0)
         ta.pars[0] = b
@@ -202,9 +195,9 @@ class Contestant:
     def _steps_a_period(self, *key: Any) -> float:
         """Steps of a period, the mean over batches of the first few."""
         taken = []
-        for ta, _, part in self._fleet(key)[:8]:
+        for ta, _, part in self.fleet(key)[:8]:
             lanes = self.scene.timed()[part]
-            self._reset(ta, self.scene.states[lanes], self.scene.b[lanes])
+            self.reset(ta, self.scene.states[lanes], self.scene.b[lanes])
             ta.propagate_until(self.scene.period)
             taken += [steps for *_, steps in ta.propagate_res]
         return float(np.mean(taken))

@@ -19,9 +19,20 @@ from jaxnh.maps.build import make_strobe
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.storage import hdf5
 from sweeps import compositions, critical_slowing, effects
-from sweeps.critical_slowing_study import Law, _multisect, detected_period, needed_transient
+from sweeps.critical_slowing_study import (
+    THRESHOLDS,
+    Cascade,
+    Law,
+    Study,
+    _multisect,
+    agreement,
+    detected_period,
+    needed_transient,
+)
+from sweeps.peers_cases import held_out, paper
+from sweeps.peers_heyoka_tangent import Contestant as HeyokaTangent
 from sweeps.peers_jaxnh import Contestant
-from sweeps.peers_scene import Errors, Scene, Setting, best, least_effort, unit
+from sweeps.peers_scene import Errors, Scene, Setting, TangentScene, best, least_effort, unit
 
 # ---- prices of effects
 
@@ -156,6 +167,24 @@ def test_law_of_the_bias():
     assert needed_transient(measured, transients, 1.0) == 0.0
 
 
+def test_agreement_with_published_values():
+    """Biases C/N that two rows ask for at N = 400 and 900: the N within a factor of two are known, as is what is not."""
+    transients = np.geomspace(100, 10_000, 9)
+    needed = np.array([400.0, 900.0])
+    published = np.array([1e-4, 2e-5])
+    bias = (published * needed)[:, None, None] / transients * np.ones((2, len(THRESHOLDS), 1))
+    nothing, unknown = np.zeros(2), np.full(2, np.nan)
+    cascade = Cascade("", None, None, np.array([1, 2]), nothing, nothing, nothing, "")
+    study = Study(cascade, Law(unknown, unknown, unknown), bias, bias, published)
+    found = agreement([study], transients, 0)
+    assert found.most == 2
+    np.testing.assert_allclose(found.best, (450, 800), rtol=5e-3)  # the N tried lie 0.23 % apart
+    np.testing.assert_allclose(found.half, (200, 1800), rtol=5e-3)
+    np.testing.assert_allclose(found.each, (400, 900), rtol=1e-9)
+    rounded = study._replace(published_bias=np.array([1e-4, 9e-7]))  # below a last digit: says nothing
+    assert agreement([rounded], transients, 0).most == 1
+
+
 # ---- the search for compositions
 
 
@@ -205,3 +234,43 @@ def test_errors_of_a_contestant(name):
     contestant = Contestant(scene)
     coarse, fine = (contestant.errors(make_strobe(contestant.system, SPLITTINGS["kahan_li8"], n)).max for n in (40, 80))
     assert fine < 2.0**-7 * coarse + ROUNDOFF < 1e-10  # order eight, one power left for the terms that follow
+
+
+def test_scenes_held_out():
+    """The same for a seed; the fixed one first; both systems; none of them the scene that a solver was chosen on."""
+    cases = held_out()
+    assert cases == held_out()
+    assert held_out(1)[1:] != cases[1:]
+    first = cases[0]
+    assert (first.a, first.c, first.d, first.low, first.high) == (0.8, 1.6, 0.0, 1.1, 5.3)
+    assert {bool(case.d) for case in cases} == {True, False}
+    assert all(abs(case.d) < case.c for case in cases)
+    assert all((case.a, case.c) != (paper().a, paper().c) for case in cases)
+
+
+def test_tangents_as_heyoka_is_driven():
+    """Growth while tangents are orthonormalised often: its sum is ln |det| of the derivative over the same time.
+
+    At equal times over one period, against the reference; after whole steps, over the time that each lane has come.
+    Calls with nothing to integrate leave all alone.
+    """
+    system = CALM["disturbed"]
+    b, states = CALM_B[:4], CALM_STATES[:4]
+    derivatives = taylor.strobe_jacobian(twin(system), b, states)[1]
+    both = np.tile(b, 2), np.tile(states, (2, 1)), np.zeros((8, 4))
+    contestant = HeyokaTangent(TangentScene(system.a, system.c, system.d, *both, derivatives))
+    fleet = contestant.fleet(("clock equations", 2, (), 18))
+
+    def volume(tangents):
+        return np.log(np.abs(np.linalg.det(np.asarray(tangents, float))))
+
+    logs = contestant.grown(fleet, 8, 0, system.period, periods=1)
+    np.testing.assert_allclose(logs.sum(axis=0), volume(derivatives), atol=1e-11)
+    assert np.abs(contestant.grown(fleet, 8, 0, 0.0, periods=1)).max() == 0.0
+    logs = contestant.grown(fleet, 4, 2, system.period, periods=1)
+    for ta, view, part in fleet:
+        times = ta.time.copy()
+        assert times.min() > 0.0
+        contestant.reset(ta, states[part], b[part])
+        ta.propagate_until(times.tolist())
+        np.testing.assert_allclose(logs[:, part].sum(axis=0), volume(view.T.reshape(-1, 3, 3)), atol=1e-11)
