@@ -115,7 +115,7 @@ def _commit(source: str, root: Path) -> str:
     if named:
         return named.commit
     brought = last_commit(source, root)
-    return f"kept in {brought}" if brought else "–"
+    return f"last changed in {brought}" if brought else "–"
 
 
 def _ages(findings: Sequence[Finding], root: Path) -> str:
