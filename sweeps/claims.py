@@ -10,47 +10,15 @@ that it was measured at, and results/claims.md says where that is an older one.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import jaxnh
+from sweeps.claims_table import CLAIMS, Claim
 from sweeps.measured_at import ROOT, age, last_commit, stamp_of
 
 PAGE = "results/claims.md"
-
-
-class NotKept(Exception):
-    """The file that a claim rests on is not there, and is none of those that are kept."""
-
-
-class Claim(NamedTuple):
-    """A sentence, and what it rests on.
-
-    Attributes:
-        where: file that has the sentence.
-        quote: its words, however its lines are broken; numbers that are checked stand in brackets, `[2.42]`.
-        command: what makes the figure again.
-        source: file that the numbers are read from, or the picture that they are seen in.
-        place: where in it, in words.
-        read: the values of the numbers in brackets, from a root folder; None for what a picture shows.
-    """
-
-    where: str
-    quote: str
-    command: str
-    source: str
-    place: str
-    read: Callable[[Path], Sequence[float]] | None = None
-
-    @property
-    def words(self) -> str:
-        """The quote as it stands in the text."""
-        return self.quote.replace("[", "").replace("]", "")
-
-    @property
-    def numbers(self) -> list[str]:
-        """The numbers that are checked, as they are quoted."""
-        return [part.partition("]")[0] for part in self.quote.split("[")[1:]]
 
 
 class Finding(NamedTuple):
@@ -66,14 +34,14 @@ def check(claim: Claim, root: Path = ROOT) -> Finding:
     text = (root / claim.where).read_text(encoding="utf-8")
     if _folded(claim.words) not in _folded(text):
         return Finding(claim, True, f"not in {claim.where}: {claim.words!r}")
+    if not (root / claim.source).exists():
+        state = f"{claim.source} is not there" if claim.kept else "not checked: the file is not kept"
+        return Finding(claim, claim.kept, state)
     if claim.read is None:
-        there = (root / claim.source).exists()
-        return Finding(claim, not there, "seen in the picture" if there else f"{claim.source} is not there")
+        return Finding(claim, False, "seen in the picture")
     try:
         values = claim.read(root)
-    except NotKept:
-        return Finding(claim, False, f"not checked: `{claim.command}` makes the file, which is not kept")
-    except (LookupError, OSError, ValueError) as error:
+    except (jaxnh.ResultError, LookupError, OSError, ValueError) as error:
         return Finding(claim, True, f"nothing to read in {claim.source}, {claim.place}: {error}")
     if len(values) != len(claim.numbers):
         return Finding(claim, True, f"{len(claim.numbers)} numbers quoted, {len(values)} read: {claim.words!r}")
@@ -133,8 +101,6 @@ def _folded(text: str) -> str:
 
 def main() -> None:
     """Check all claims and write the page; exit code 1 where one fails."""
-    from sweeps.claims_table import CLAIMS
-
     findings = [check(claim) for claim in CLAIMS]
     for finding in findings:
         if finding.failed:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import jaxnh
 from jaxnh.solvers import SPLITTINGS
-from sweeps.claims import Claim, NotKept
 
 _PEERS = "results/peers.md"
 _PEERS_COMMAND = "python -m sweeps.peers --repeats 5"
@@ -16,6 +16,38 @@ _SLOWING = "results/critical_slowing.md"
 _OVER = "jaxnh over each peer, 1 core"
 _TARGETS = ("error ≤ 1e-06", "error ≤ 1e-08", "error ≤ 1e-10")
 _NUMBER = re.compile(r"[-+−]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+class Claim(NamedTuple):
+    """A sentence, and what it rests on.
+
+    Attributes:
+        where: file that has the sentence.
+        quote: its words, however its lines are broken; numbers that are checked stand in brackets, `[2.42]`.
+        command: what makes the figure again.
+        source: file that the numbers are read from, or the picture that they are seen in.
+        place: where in it, in words.
+        read: the values of the numbers in brackets, from a root folder; None for what a picture shows.
+        kept: whether the source is kept with the code; else it is checked where it has been made.
+    """
+
+    where: str
+    quote: str
+    command: str
+    source: str
+    place: str
+    read: Callable[[Path], Sequence[float]] | None = None
+    kept: bool = True
+
+    @property
+    def words(self) -> str:
+        """The quote as it stands in the text."""
+        return self.quote.replace("[", "").replace("]", "")
+
+    @property
+    def numbers(self) -> list[str]:
+        """The numbers that are checked, as they are quoted."""
+        return [part.partition("]")[0] for part in self.quote.split("[")[1:]]
 
 
 # ---- readers
@@ -76,8 +108,6 @@ def doublings(source: str, variable: str, level: int) -> Callable[[Path], list[f
     """A variable of `doubling` at a level, the first is 1."""
 
     def read(root: Path) -> list[float]:
-        if not (root / source).exists():
-            raise NotKept
         with jaxnh.open_result(root / source) as tree:
             return [float(tree["doubling"].to_dataset()[variable].to_numpy()[level - 1])]
 
@@ -223,10 +253,17 @@ def _tables() -> list[Claim]:
 
 def _governor() -> list[Claim]:
     """The cascade of a user's own system, whose result is not kept."""
-    drives = "0.845218652286 0.793347833804 0.782672816467 0.780314406641 0.779808606268 0.779700179688".split()
+    drives = [
+        "0.845218652286",
+        "0.793347833804",
+        "0.782672816467",
+        "0.780314406641",
+        "0.779808606268",
+        "0.779700179688",
+    ]
     source = "results/governor.h5"
     return [
-        Claim("README.md", f"[{v}]", "make governor", source, f"drive, level {k}", doublings(source, "drive", k))
+        Claim("README.md", f"[{v}]", "make governor", source, f"drive, level {k}", doublings(source, "drive", k), False)
         for k, v in enumerate(drives, 1)
     ]
 

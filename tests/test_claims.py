@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT
 
 from sweeps import claims, claims_table, measured_at
-from sweeps.claims import Claim
+from sweeps.claims_table import Claim
 from sweeps.measured_at import Stamp
 
 
