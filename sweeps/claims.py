@@ -73,7 +73,7 @@ def page(findings: Sequence[Finding], root: Path = ROOT) -> str:
         rests = f"[{claim.source}](../{claim.source}): {claim.place}"
         cells = (quote, claim.where, f"`{claim.command}`", _commit(claim.source, root), rests, state)
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(lines) + "\n\n" + _ages(findings, root)
+    return "\n".join(lines) + "\n\n" + _ages(root)
 
 
 def _commit(source: str, root: Path) -> str:
@@ -86,11 +86,10 @@ def _commit(source: str, root: Path) -> str:
     return f"last changed in {brought}" if brought else "–"
 
 
-def _ages(findings: Sequence[Finding], root: Path) -> str:
+def _ages(root: Path) -> str:
     """Pages of results and how old the code is that they were measured at."""
-    pages = [
-        s for s in dict.fromkeys(f.claim.source for f in findings) if s.startswith("results/") and s.endswith(".md")
-    ]
+    others = ("README.md", Path(PAGE).name)
+    pages = [f"results/{path.name}" for path in sorted((root / "results").glob("*.md")) if path.name not in others]
     lines = [f"- `{name}`: {age((root / name).read_text(encoding='utf-8'), root)}" for name in pages]
     return "## Pages and the code that they were measured at\n\n" + "\n".join(lines) + "\n"
 
