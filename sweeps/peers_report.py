@@ -167,9 +167,8 @@ def _said_before(grid: _Grid, study: Study) -> list[str]:
     if grid.title == _SPECTRA:
         return [
             "Both orthonormalise three tangents equally often, as often as jaxnh's analysis has chosen to before the "
-            "timing; heyoka also after whole steps, nearly as often, so that no step is cut short. Its Gram–Schmidt is "
-            "compiled by heyoka and counts as Python's share here, together with the calls: the last ratio takes all of "
-            "that off heyoka's time, and its Gram–Schmidt with it."
+            "timing; heyoka also after whole steps, nearly as often, so that no step is cut short. Python's share is "
+            "that of its calls and of its Gram–Schmidt, which heyoka has compiled: the ratio without it takes both off."
         ]
     return []
 
