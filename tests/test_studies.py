@@ -32,6 +32,8 @@ from sweeps.critical_slowing_study import (
 from sweeps.peers_cases import held_out, paper
 from sweeps.peers_heyoka_tangent import Contestant as HeyokaTangent
 from sweeps.peers_jaxnh import Contestant
+from sweeps.peers_report import AT_OWN_ERROR, WITHOUT, HeldOut, Row, Scaling, markdown
+from sweeps.peers_report import Study as Peers
 from sweeps.peers_scene import Errors, Scene, Setting, TangentScene, best, least_effort, unit
 
 # ---- prices of effects
@@ -246,6 +248,43 @@ def test_scenes_held_out():
     assert {bool(case.d) for case in cases} == {True, False}
     assert all(abs(case.d) < case.c for case in cases)
     assert all((case.a, case.c) != (paper().a, paper().c) for case in cases)
+
+
+def test_page_of_peers():
+    """Ratios at heyoka's own error, scenes held out with and without the searched splitting, and Python's share."""
+
+    def row(name, ratio, form="processed6", python=()):
+        setting = Setting(name, form, 90.0, "90 steps", Errors(1e-7, 1e-8), kicks=748)
+        return Row(1e-6, name, setting, [1e5] * 3, [1.0] * 3, [ratio] * 3, [ratio] * 3, list(python))
+
+    spectra = [row("jaxnh", 1.0), row("heyoka batch", 3.0, "time", [0.25]), row(AT_OWN_ERROR, 2.0)]
+    others = [row("heyoka batch", 3.0), row(AT_OWN_ERROR, 2.0), row(AT_OWN_ERROR + WITHOUT, 1.25, "blanes_moan6")]
+    study = Peers(
+        command="python -m sweeps.peers",
+        case=paper(),
+        measured_at="Measured at commit 0.",
+        cores=1,
+        repeats=3,
+        rows=[row("jaxnh", 1.0), row("heyoka batch", 3.0), row(AT_OWN_ERROR, 2.0)],
+        tried={},
+        chosen=spectra[0].setting,
+        lanes=[Scaling("256 × 64", [2.0], [1.0], [1.0]), Scaling("1,024 × 16", [1.0], [1.0], [0.5])],
+        two_cores=None,
+        lyapunov=spectra,
+        held_out=[HeldOut(held_out()[0], others)],
+        seconds=1.0,
+    )
+    page = markdown(study, "old\n<!-- Below this line: written by hand, kept by the next run. -->\nby hand\n")
+    assert "Measured at commit 0." in page
+    assert "| heyoka batch, at the error that it has | 2.00 ± 0.00× (meets 1.5) |" in page
+    assert (
+        "| held out 1 | 1e-06 | 1.0e-07 | 100,000 ± 0% | processed6, 748 | 2.00 ± 0.00× | blanes_moan6, 748 | 1.25 ± 0.00× |"
+        in page
+    )
+    assert "time; 90 steps; Python's share 25.0%" in page
+    assert "2.00 ± 0.00× (meets 1.5) heyoka; 1.50× were Python's share nothing" in page
+    assert "| 1,024 × 16 | 1 ± 0% | 1.00 | 0.50 ± 0.00× | misses within 15% of 1 |" in page
+    assert page.endswith("-->\nby hand\n")
 
 
 def test_tangents_as_heyoka_is_driven():
