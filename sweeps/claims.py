@@ -77,13 +77,13 @@ def page(findings: Sequence[Finding], root: Path = ROOT) -> str:
 
 
 def _commit(source: str, root: Path) -> str:
-    """The commit that a source names, or the one that brought it as it is."""
+    """The commit that a page of results names; of other files the one that last changed them."""
     path = root / source
-    named = stamp_of(path.read_text(encoding="utf-8")) if path.suffix == ".md" and path.exists() else None
-    if named:
-        return named.commit
-    brought = last_commit(source, root)
-    return f"last changed in {brought}" if brought else "–"
+    if path.suffix == ".md":
+        named = stamp_of(path.read_text(encoding="utf-8")) if path.exists() else None
+        return named.commit if named else "names none"
+    changed = last_commit(source, root)
+    return f"last changed in {changed}" if changed else "–"
 
 
 def _ages(root: Path) -> str:
