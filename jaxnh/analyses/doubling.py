@@ -38,6 +38,9 @@ class DoublingOptions(Options):
     """Options of `doubling`."""
 
     levels: int = Field(default=6, ge=1, le=12, description="Number of period doublings to find")
+    search: bool = Field(
+        default=True, description="Where the sweep has fewer, look as far as it is wide beyond either end of it as well"
+    )
 
 
 def periods(options: DoublingOptions, lanes: int) -> float:
@@ -65,7 +68,7 @@ def check(options: DoublingOptions, setting: Setting) -> None:
 
 def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
-    return _dataset(scene.line, options.levels, follow(scene, lanes, options.levels))
+    return _dataset(scene.line, options.levels, follow(scene, lanes, options.levels, search=options.search))
 
 
 def _dataset(axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
@@ -101,9 +104,21 @@ def _dataset(axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
         "panel": "cascade",
         "panel_variables": f"{name} delta",
         "panel_label": "ratio δ",
-        **({"warnings": f"doubling: {len(points)} of {levels} levels found; {found.end}"} if found.end else {}),
+        **({"warnings": warnings} if (warnings := _warnings(axis, levels, found)) else {}),
     }
     return xr.Dataset(variables, attrs=attrs)
+
+
+def _warnings(axis: Axis, levels: int, found: Cascade) -> str:
+    """Lines for the user: how many levels are missing, what was searched, and which were found outside the sweep."""
+    lines = []
+    if found.end:
+        end, *more = found.end.split("\n")
+        lines = [f"{len(found.points)} of {levels} levels found; {end}", *more]
+    if found.outside:
+        ends = f"{axis.values[0]:.6g} to {axis.values[-1]:.6g}"
+        lines.append(f"doublings were found beyond the sweep, which is {axis.name} = {ends}")
+    return "\n".join(f"doubling: {line}" for line in lines)
 
 
 def _deltas(
