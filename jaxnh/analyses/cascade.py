@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.base import LaneRunner, Scene, section_points
-from jaxnh.analyses.daughter import FEIGENBAUM, WINDOWS, daughters, window
+from jaxnh.analyses.daughter import FEIGENBAUM, daughters, window
 from jaxnh.analyses.period import CONVERGED, orbits, survey
 from jaxnh.analyses.runs import Line, Start, seen, starts
 from jaxnh.maps.iterate import section_map
@@ -32,6 +32,7 @@ _SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: 
 _CANDIDATES = 64  # lanes of a multisection
 _OUTSIDE = 64  # lanes of a survey on either side of the sweep
 _ENDS = 16  # runs tried that no run of twice the period follows
+_FURTHER, _CLOSER = 4, 3  # windows of distances beyond a doubling, each 32 times as far or as near as the one before
 _SHOWN = 6  # tries in words
 _REFINEMENTS = (1, 2, 4)
 
@@ -123,39 +124,39 @@ def _next(steps: _Steps, start: Start, found: list[_Level]) -> _Level | None:
             continue
         located = steps.locate(bracket, n)
         if located is not None:
-            return _Level(*located, float(bracket.value[1]))
+            return _Level(*located, float(abs(bracket.value[1] - bracket.value[0])))
     return None
 
 
 def _brackets(steps: _Steps, start: Start, found: list[_Level], n: int) -> Iterator[Line]:
     """Lines of two lanes between which the period-n orbit may double: of the survey, then of the daughter orbit.
 
-    The next doubling is expected at the last distance over δ, or before the first one only where the survey has lost
-    the orbit.
+    The next doubling is expected at the last distance over δ; beyond the first, where the survey has lost the orbit.
+    Further out it is looked for where the daughter is stable as far as this was seen, closer where nowhere so.
     """
     yield from start.brackets(n)
     if not found:
         return
-    born = found[-1].point
-    expected = (born.value - found[-2].point.value) / FEIGENBAUM if len(found) > 1 else found[-1].far - born.value
+    born, end = found[-1].point, float(start.line.value[-1]) - found[-1].point.value
+    expected = (born.value - found[-2].point.value) / FEIGENBAUM if len(found) > 1 else start.line.sign * found[0].width
     near: Line | None = None
-    for number in range(len(WINDOWS)):
-        distances = window(expected, number, float(start.line.value[-1]) - born.value)
-        if not len(distances):
+    for number in (*range(_FURTHER), *range(-1, -_CLOSER, -1)):
+        if near is not None and (near.period[-1] != n if number > 0 else near.period[0] == n):
             continue
-        further = steps.daughters(born, start.line, distances)
-        near = further if near is None else near.joined(further)
-        for run in near.runs():
-            if run.period == n and run.last + 1 < len(near.value):
-                yield near.take(np.array([run.last, run.last + 1]))
+        if len(distances := window(expected, number, end)):
+            further = steps.daughters(born, start.line, distances)
+            near = further if near is None else near.joined(further)
+            for run in near.runs():
+                if run.period == n and run.last + 1 < len(near.value):
+                    yield near.take(np.array([run.last, run.last + 1]))
 
 
 class _Level(NamedTuple):
-    """A doubling, the error of its value, and the far end of the bracket it was located in."""
+    """A doubling, the error of its value, and how wide the bracket was that it was located in."""
 
     point: DoublingPoint
     error: float
-    far: float
+    width: float
 
 
 class _Steps:

@@ -19,8 +19,7 @@ from jaxnh.orbits.shooting import DoublingPoint
 FEIGENBAUM = 4.669201609102990
 """Ratio of successive distances between doublings, far down a cascade; here it only says where to look."""
 
-WINDOWS = ((1 / 16, 2.0), (1 / 512, 1 / 16), (2.0, 64.0))
-"""Distances beyond a doubling to look at, one window after the other, in units of that expected to the next one."""
+_NEAR, _FAR = 1 / 16, 2.0  # distances beyond a doubling to look at first, in units of that expected to the next one
 
 _DISTANCES, _AMPLITUDES = 8, 8  # in a window; their product is one tile of orbits
 _RATIO = 2.5  # of amplitudes: that of successive ones in a cascade (2.5029…), and less than Newton's three or four
@@ -67,16 +66,15 @@ def daughters(
 
 
 def window(expected: float, number: int, end: float) -> Float[np.ndarray, " distances"]:
-    """Distances of one of `WINDOWS`, no further than the end, which then is the last; empty where it begins beyond.
+    """Distances to look at, no further than the end, which then is the last; empty where they begin beyond it.
 
     Args:
         expected: distance to the next doubling, with its sign.
-        number: of the window.
+        number: 0 for distances about the expected one, 1, 2, … for those further out, −1, −2, … for closer ones.
         end: distance to the end of what is searched, with the same sign.
     """
-    near, far = WINDOWS[number]
-    distances = expected * np.geomspace(near, far, _DISTANCES)
+    distances = expected * np.geomspace(_NEAR, _FAR, _DISTANCES) * (_FAR / _NEAR) ** number
     inside = np.abs(distances) < abs(end)
-    if not expected * end > 0 or (number and not inside.any()):
+    if not expected * end > 0 or (number > 0 and not inside.any()):
         return distances[:0]
     return distances if inside.all() else np.append(distances[inside], end)
