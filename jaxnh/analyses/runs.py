@@ -135,7 +135,9 @@ def _following(runs: list[Run], i: int) -> int | None:
     n, between = runs[i].period, 0
     for j in range(i + 1, len(runs) if n else 0):
         ratio, rest = divmod(runs[j].period, n)
-        if not rest and ratio and ratio & (ratio - 1) == 0 and between <= max(runs[i].lanes + runs[j].lanes, _HOLE):
+        related = not rest and ratio > 0 and ratio & (ratio - 1) == 0
+        a_hole = runs[j].lanes <= _HOLE and ratio != 1 and j + 1 < len(runs) and runs[j + 1].period == n
+        if related and not a_hole and between <= max(runs[i].lanes + runs[j].lanes, _HOLE):
             return j
         between += runs[j].lanes
         if runs[j].period and runs[j].lanes > max(_HOLE, runs[i].lanes):

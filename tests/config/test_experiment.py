@@ -140,6 +140,36 @@ def test_published_values_with_gaps(tmp_path):
     np.testing.assert_array_equal(columns["delta"], [math.nan, 3.8986])
 
 
+OF_THE_PAPER = """\
+compare:
+  doubling:
+    source: Table 1
+    system: {constraint: constant_speed, a: 0.5, c: 1, omega: 1.0}
+    initial: {x1: 0.1, x2: 0.1, y1: 0.1}
+    b: [5.519779]
+"""
+
+
+@pytest.mark.parametrize(
+    ("overrides", "unlike"),
+    [
+        ((), []),
+        (("sweep.b.count=7", "sweep.b.start=5.7", "accuracy.target=1e-6", "title=x"), []),
+        (("system.c=1.5",), ["c is 1.5 here, 1 there"]),
+        (("initial.x2=0.2", "system.a=0.4"), ["a is 0.4 here, 0.5 there", "x2 is 0.2 here, 0.1 there"]),
+        (("system.without=[damping]",), ["without is ['damping'] here, not given there"]),
+        (("system={constraint: disturbed_speed}",), ["constraint is disturbed_speed here, constant_speed there",
+                                                      "d is 0.1 here, not given there"]),
+        (("sweep.c={values: [1.0]}", "system={constraint: constant_speed}"), ["c is swept"]),
+        (("compare.doubling.initial={x1: 0.1, y1: 0.1}",), ["x2 is 0.1 here, not given there"]),
+    ],
+)  # fmt: skip
+def test_what_published_values_are_of(tmp_path, overrides, unlike):
+    """Equal in all parameters and in the start; the first axis is what they are along, accuracy and sweep are ours."""
+    experiment = load(write(tmp_path, EXAMPLE + OF_THE_PAPER), overrides)
+    assert experiment.unlike(experiment.compare["doubling"]) == unlike
+
+
 def test_records_are_frozen(tmp_path):
     experiment = load(write(tmp_path, CONFIG))
     with pytest.raises(ValidationError):
