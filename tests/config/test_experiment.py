@@ -271,8 +271,8 @@ HASHES = {
     "range_constant": "3c257922cb806838b751abd7e77829ebc7f4a5394628e69a59f5bd6aa1b18d7b",
     "range_disturbed": "065b8214f80b8dc115abe2c06c6c182414cae0a982ae5f1ab8151a09e02df013",
     "sleigh": "38fc075b4d9e4cb14d9fdcd4f6231cb7c08983a29610ac11f7e4093cf5aa6873",
-    "table1": "249d83eccbb588531f7461b3c041748dea5986d26f504ef87e90bbb99501777b",
-    "table2": "ee84bc3d7310df508df8936ddafc6b6a484f6ddf3db2dfaefacc89a1057e2efa",
+    "table1": "7a752d77b2a9fe70e3f3b562fee2b98aea7c6fd54e0fc3a4728239fc0f3b611d",
+    "table2": "ca06b47f1f8e528b2060b7a044b31a63075e5179e9b09b92c32ae93a0efc1756",
     "unforced": "c6ab650699a133be4b5b2d16c55f6c4659bfc3b1e8f16d802bd12957352689a5",
 }
 """Of the configs when a sweep had one axis: results and tiles of that time are known by these."""
