@@ -2,8 +2,8 @@
 
 A survey sends thousands of lanes to their attractors and finds the period of each: candidates come from the strobe
 points, the decision from Newton on the orbit and its multipliers, so that slow convergence near a doubling does not
-bias it. Between neighbouring lanes, multisection on the multiplier brackets a doubling, and Newton on orbit, parameter
-and multiplier −1 together finishes. Where the survey is too coarse for the next level, a new one looks closer.
+bias it. Between neighbouring lanes the orbit is followed by Newton to where its multiplier passes −1 (`locating`).
+Where the survey is too coarse for the next level, a new one looks closer.
 """
 
 from __future__ import annotations
@@ -14,20 +14,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LaneRunner, Scene, section_points
-from jaxnh.analyses.period import CONVERGED, Survey, orbits, survey
-from jaxnh.maps.iterate import section_map
-from jaxnh.maps.protocol import Strobe
-from jaxnh.orbits.shooting import DoublingPoint, Segment, refine_doubling, segment
+from jaxnh.analyses.locating import locate
+from jaxnh.analyses.period import Survey, survey
+from jaxnh.orbits.doubling_points import DoublingPoint
 
 TRANSIENT = 512
 """Periods before the strobe points are looked at."""
-SEGMENT_TILE = 32
 
 _SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: the cascade may begin at 2 or 3
-_CANDIDATES = 64  # lanes of a multisection
 _CLOSER = 64  # lanes of a closer survey
 _CLOSER_TRIES = 4
-_REFINEMENTS = (1, 2, 4)
 
 
 class Cascade(NamedTuple):
@@ -147,89 +143,9 @@ def _locate(scene: Scene, lanes: LaneRunner, found: Line, lane: int, n: int) -> 
     last = found.run_end(lane)
     if last + 1 == len(found.value):
         return None
-    bracket = np.linspace(found.value[last], found.value[last + 1], _CANDIDATES)
-    with lanes.stage(f"doubling: period {n} → {2 * n}, multisection of {_CANDIDATES}", 0):
-        start = np.broadcast_to(found.u[last], (_CANDIDATES, found.u.shape[1]))
-        orbit = orbits(lanes, scene.strobe(), start, scene.at(bracket).p, n)
-    ok = (orbit.residual < CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
-    beyond = np.flatnonzero(ok & (smallest_multiplier(np.where(ok[:, None, None], orbit.monodromy, 0.0)) < -1.0))
-    if not len(beyond):
-        return None
-    seed = max(int(beyond[0]) - 1, 0)
-    return _refine(scene, lanes, orbit.u[seed], orbit.monodromy[seed], float(bracket[seed]), n)
-
-
-def smallest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.ndarray, " lanes"]:
-    """The smallest real eigenvalue; +∞ where all are complex."""
-    values = np.linalg.eigvals(monodromy)
-    return np.where(np.abs(values.imag) < 1e-12, values.real, np.inf).min(axis=1)
-
-
-def _refine(
-    scene: Scene,
-    lanes: LaneRunner,
-    u: Float[np.ndarray, " d"],
-    monodromy: Float[np.ndarray, "d d"],
-    value: float,
-    n: int,
-) -> tuple[DoublingPoint, float] | None:
-    """The doubling point with twice the steps, and the error of its value: what refinements and Newton moved it by."""
-    orbit, carried = around(scene, lanes, u, monodromy, value, n)
-    refined: list[DoublingPoint] = []
-    for refinement in _REFINEMENTS:
-        strobe = scene.strobe(refinement)
-        point = refine_doubling(
-            lambda *at, strobe=strobe: segments(scene, lanes, strobe, *at), orbit, carried, value, scene.system.wrap
-        )
-        if not point.converged:
-            return None
-        orbit, carried, value = point.orbit, point.vector, point.value
-        refined.append(point)
-    coarse, fine, finest = refined
-    return fine, abs(fine.value - coarse.value) + abs(finest.value - fine.value) + fine.last_step
-
-
-def around(
-    scene: Scene,
-    lanes: LaneRunner,
-    u: Float[np.ndarray, " d"],
-    monodromy: Float[np.ndarray, "d d"],
-    value: float,
-    n: int,
-) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d"]]:
-    """The n points of an orbit, and its eigenvector of −1 carried along it."""
-    eigenvalues, eigenvectors = np.linalg.eig(monodromy)
-    vector = np.real(eigenvectors[:, np.argmin(np.abs(eigenvalues + 1.0))])
-    orbit = _walk(scene, lanes, u, value, n)
-    carried = np.empty((n, len(u)))
-    for i in range(n):
-        carried[i] = vector
-        moved = segments(scene, lanes, scene.strobe(), orbit[i : i + 1], vector[None], np.array([value]))
-        vector = moved.carried[0]
-    return orbit, carried
-
-
-def _walk(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, " d"], value: float, n: int
-) -> Float[np.ndarray, "n d"]:
-    """The n points of an orbit."""
-    points, p = [u], scene.at(np.array([value])).p
-    for _ in range(n - 1):
-        points.append(lanes(section_map, (scene.strobe(), np.int32(1)), (points[-1][None], p), tile=SEGMENT_TILE)[0])
-    return np.array(points)
-
-
-def segments(
-    scene: Scene,
-    lanes: LaneRunner,
-    strobe: Strobe,
-    u: Float[np.ndarray, "n d"],
-    w: Float[np.ndarray, "n d"],
-    values: Float[np.ndarray, " n"],
-) -> Segment:
-    """`segment` at so many points, vectors and values of the first axis."""
-    static = (scene.line.name,)
-    return lanes(segment, (strobe,), (u, w, scene.at(values).p), tile=SEGMENT_TILE, static=static)
+    start, stop = float(found.value[last]), float(found.value[last + 1])
+    with lanes.stage(f"doubling: period {n} → {2 * n}", 0):
+        return locate(scene, lanes, found.u[last], start, stop, n)
 
 
 def _next_run(
