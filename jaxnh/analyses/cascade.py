@@ -3,9 +3,9 @@
 A survey sends thousands of lanes to their attractors and finds the period of each: candidates come from the strobe
 points, the decision from Newton on the orbit and its multipliers, so that slow convergence near a doubling does not
 bias it. Wherever a run of equal periods ends a cascade may begin (`runs`), and each is tried, the most promising first.
-Between neighbouring lanes, multisection on the multiplier brackets a doubling, and Newton on orbit, parameter and
-multiplier −1 together finishes. Where the survey is too coarse for the next level, the orbit of twice the period is
-looked for where the distances so far put it (`daughter`).
+Between neighbouring lanes the orbit is followed by Newton to where its multiplier passes −1 (`locating`). Where the
+survey is too coarse for the next level, the orbit of twice the period is looked for where the distances so far put it
+(`daughter`).
 """
 
 from __future__ import annotations
@@ -18,23 +18,19 @@ from jaxtyping import Float
 
 from jaxnh.analyses.base import LaneRunner, Scene, section_points
 from jaxnh.analyses.daughter import FEIGENBAUM, daughters, window
-from jaxnh.analyses.period import CONVERGED, orbits, survey
+from jaxnh.analyses.locating import locate
+from jaxnh.analyses.period import survey
 from jaxnh.analyses.runs import Line, Start, seen, starts
-from jaxnh.maps.iterate import section_map
-from jaxnh.maps.protocol import Strobe
-from jaxnh.orbits.shooting import DoublingPoint, Segment, refine_doubling, segment
+from jaxnh.orbits.doubling_points import DoublingPoint
 
 TRANSIENT = 512
 """Periods before the strobe points are looked at."""
-SEGMENT_TILE = 32
 
 _SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: the cascade may begin at 2 or 3
-_CANDIDATES = 64  # lanes of a multisection
 _OUTSIDE = 64  # lanes of a survey on either side of the sweep
 _ENDS = 16  # runs tried that no run of twice the period follows
 _FURTHER, _CLOSER = 4, 3  # windows of distances beyond a doubling, each 32 times as far or as near as the one before
 _SHOWN = 6  # tries in words
-_REFINEMENTS = (1, 2, 4)
 
 
 class Cascade(NamedTuple):
@@ -120,10 +116,9 @@ def _next(steps: _Steps, start: Start, found: list[_Level]) -> _Level | None:
     """The next doubling beyond those found from a start."""
     n, sign = start.period << len(found), start.line.sign
     for bracket in _brackets(steps, start, found, n):
-        if found and sign * (bracket.value[0] - found[-1].point.value) <= 0:
-            continue
-        located = steps.locate(bracket, n)
-        if located is not None:
+        after = found[-1].point.value if found else -sign * np.inf
+        located = steps.locate(bracket, n) if sign * (bracket.value[0] - after) > 0 else None
+        if located is not None and sign * (located[0].value - after) > 0:
             return _Level(*located, float(abs(bracket.value[1] - bracket.value[0])))
     return None
 
@@ -188,12 +183,11 @@ class _Steps:
         """The doubling of the period-n orbit between two lanes, and the error of its value."""
         near, far = bracket.value.tolist()
         if (key := (n, near, far)) not in self._located:
-            try:
-                located = _locate(self.scene, self._lanes, bracket, 0, n)
-            except np.linalg.LinAlgError:  # Newton from a poor start may meet a singular matrix, or one with a NaN
-                located = None
-            inside = located is not None and min(near, far) <= located[0].value <= max(near, far)
-            self._located[key] = located if inside else None
+            with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
+                located = locate(self.scene, self._lanes, bracket.u[0], near, far, n)
+            if located is not None and abs(located[0].value - near) > 2 * abs(far - near):
+                located = None  # Newton has gone to another doubling
+            self._located[key] = located
         return self._located[key]
 
     def daughters(self, born: DoublingPoint, line: Line, distances: Float[np.ndarray, " distances"]) -> Line:
@@ -217,93 +211,3 @@ class _Steps:
         more = [f"{len(words) - _SHOWN} more"] if len(words) > _SHOWN else []
         tried = ", ".join([*words[:_SHOWN], *more]) or f"nothing, as no period ends between two values of {name}"
         return f"{seen(line, name, self.limit)}; tried: {tried}"
-
-
-def _locate(scene: Scene, lanes: LaneRunner, found: Line, lane: int, n: int) -> tuple[DoublingPoint, float] | None:
-    """The doubling of the stable period-n orbit that a lane of a line is on, and the error of its value."""
-    last = found.run_end(lane)
-    if last + 1 == len(found.value):
-        return None
-    bracket = np.linspace(found.value[last], found.value[last + 1], _CANDIDATES)
-    with lanes.stage(f"doubling: period {n} → {2 * n}, multisection of {_CANDIDATES}", 0):
-        start = np.broadcast_to(found.u[last], (_CANDIDATES, found.u.shape[1]))
-        orbit = orbits(lanes, scene.strobe(), start, scene.at(bracket).p, n)
-    ok = (orbit.residual < CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
-    beyond = np.flatnonzero(ok & (smallest_multiplier(np.where(ok[:, None, None], orbit.monodromy, 0.0)) < -1.0))
-    if not len(beyond):
-        return None
-    seed = max(int(beyond[0]) - 1, 0)
-    return _refine(scene, lanes, orbit.u[seed], orbit.monodromy[seed], float(bracket[seed]), n)
-
-
-def smallest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.ndarray, " lanes"]:
-    """The smallest real eigenvalue; +∞ where all are complex."""
-    values = np.linalg.eigvals(monodromy)
-    return np.where(np.abs(values.imag) < 1e-12, values.real, np.inf).min(axis=1)
-
-
-def _refine(
-    scene: Scene,
-    lanes: LaneRunner,
-    u: Float[np.ndarray, " d"],
-    monodromy: Float[np.ndarray, "d d"],
-    value: float,
-    n: int,
-) -> tuple[DoublingPoint, float] | None:
-    """The doubling point with twice the steps, and the error of its value: what refinements and Newton moved it by."""
-    orbit, carried = around(scene, lanes, u, monodromy, value, n)
-    refined: list[DoublingPoint] = []
-    for refinement in _REFINEMENTS:
-        strobe = scene.strobe(refinement)
-        point = refine_doubling(
-            lambda *at, strobe=strobe: segments(scene, lanes, strobe, *at), orbit, carried, value, scene.system.wrap
-        )
-        if not point.converged:
-            return None
-        orbit, carried, value = point.orbit, point.vector, point.value
-        refined.append(point)
-    coarse, fine, finest = refined
-    return fine, abs(fine.value - coarse.value) + abs(finest.value - fine.value) + fine.last_step
-
-
-def around(
-    scene: Scene,
-    lanes: LaneRunner,
-    u: Float[np.ndarray, " d"],
-    monodromy: Float[np.ndarray, "d d"],
-    value: float,
-    n: int,
-) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d"]]:
-    """The n points of an orbit, and its eigenvector of −1 carried along it."""
-    eigenvalues, eigenvectors = np.linalg.eig(monodromy)
-    vector = np.real(eigenvectors[:, np.argmin(np.abs(eigenvalues + 1.0))])
-    orbit = _walk(scene, lanes, u, value, n)
-    carried = np.empty((n, len(u)))
-    for i in range(n):
-        carried[i] = vector
-        moved = segments(scene, lanes, scene.strobe(), orbit[i : i + 1], vector[None], np.array([value]))
-        vector = moved.carried[0]
-    return orbit, carried
-
-
-def _walk(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, " d"], value: float, n: int
-) -> Float[np.ndarray, "n d"]:
-    """The n points of an orbit."""
-    points, p = [u], scene.at(np.array([value])).p
-    for _ in range(n - 1):
-        points.append(lanes(section_map, (scene.strobe(), np.int32(1)), (points[-1][None], p), tile=SEGMENT_TILE)[0])
-    return np.array(points)
-
-
-def segments(
-    scene: Scene,
-    lanes: LaneRunner,
-    strobe: Strobe,
-    u: Float[np.ndarray, "n d"],
-    w: Float[np.ndarray, "n d"],
-    values: Float[np.ndarray, " n"],
-) -> Segment:
-    """`segment` at so many points, vectors and values of the first axis."""
-    static = (scene.line.name,)
-    return lanes(segment, (strobe,), (u, w, scene.at(values).p), tile=SEGMENT_TILE, static=static)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from jaxnh.analyses.base import LaneRunner, Scene, picked
 from jaxnh.analyses.period import CONVERGED, largest_multiplier, least_period, orbits
 from jaxnh.analyses.runs import Line
-from jaxnh.orbits.shooting import DoublingPoint
+from jaxnh.orbits.doubling_points import DoublingPoint
 
 FEIGENBAUM = 4.669201609102990
 """Ratio of successive distances between doublings, far down a cascade; here it only says where to look."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -26,8 +25,9 @@ from jaxnh.analyses.base import (
     section_points,
     variable,
 )
-from jaxnh.analyses.cascade import SEGMENT_TILE, TRANSIENT, Cascade, follow
-from jaxnh.orbits.shooting import segment
+from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow
+from jaxnh.analyses.locating import PERIOD_TILE
+from jaxnh.maps.iterate import derivatives
 
 _NUMBERS = ("delta_limit", "delta_limit_error", "levels_found")  # a cascade; attributes of the only one of a file
 _OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
@@ -213,12 +213,12 @@ def _cell(text: str) -> str:
 
 
 def price(options: DoublingOptions, scene: Scene) -> Price:
-    """Newton at a doubling needs second derivatives; before it comes the map alone."""
-    strobe, u = scene.strobe(), section_points(scene)
-    lanes: tuple[Any, ...] = u, np.ones_like(u), dict(scene.p)
-    program = Program(segment, (strobe,), lanes, strobe.turns, (scene.line.name,), tile=SEGMENT_TILE)
-    note = "second derivatives in every period of Newton at a doubling, the map alone before it"
-    return Price(program, map_alone(scene, tile=SEGMENT_TILE), note)
+    """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
+    strobe = scene.strobe()
+    lanes = section_points(scene), dict(scene.p)
+    program = Program(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=PERIOD_TILE)
+    note = f"{scene.system.dimension} tangents in every period of Newton, the map alone before it"
+    return Price(program, map_alone(scene, tile=PERIOD_TILE), note)
 
 
 ANALYSIS = Analysis(
