@@ -120,10 +120,9 @@ def _next(steps: _Steps, start: Start, found: list[_Level]) -> _Level | None:
     """The next doubling beyond those found from a start."""
     n, sign = start.period << len(found), start.line.sign
     for bracket in _brackets(steps, start, found, n):
-        if found and sign * (bracket.value[0] - found[-1].point.value) <= 0:
-            continue
-        located = steps.locate(bracket, n)
-        if located is not None:
+        after = found[-1].point.value if found else -sign * np.inf
+        located = steps.locate(bracket, n) if sign * (bracket.value[0] - after) > 0 else None
+        if located is not None and sign * (located[0].value - after) > 0:
             return _Level(*located, float(abs(bracket.value[1] - bracket.value[0])))
     return None
 
@@ -192,8 +191,9 @@ class _Steps:
                 located = _locate(self.scene, self._lanes, bracket, 0, n)
             except np.linalg.LinAlgError:  # Newton from a poor start may meet a singular matrix, or one with a NaN
                 located = None
-            inside = located is not None and min(near, far) <= located[0].value <= max(near, far)
-            self._located[key] = located if inside else None
+            if located is not None and abs(located[0].value - near) > 2 * abs(far - near):
+                located = None  # Newton has gone to another doubling
+            self._located[key] = located
         return self._located[key]
 
     def daughters(self, born: DoublingPoint, line: Line, distances: Float[np.ndarray, " distances"]) -> Line:
