@@ -99,7 +99,7 @@ def follow_branch(
         if len(beyond):
             last = len(values) - count + int(beyond[0])
             low, high = values[last - 1], values[last]
-            return Branch(values, known, 0.5 * (low + high), 0.5 * abs(high - low))
+            return Branch(values, known, float(0.5 * (low + high)), float(0.5 * abs(high - low)))
         reach *= 2.0 if count == _AHEAD else 1.0
     return None
 
