@@ -32,6 +32,8 @@ from jaxnh.maps.iterate import derivatives
 _NUMBERS = ("delta_limit", "delta_limit_error", "levels_found")  # a cascade; attributes of the only one of a file
 _OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
 _MOST_SHOWN = 16  # cascades in a table of many
+_FALL = 0.25  # of corrections to δ, a level
+_ONE_STEP = 3.0  # the error of a limit from two δ, in their distance
 
 
 class DoublingOptions(Options):
@@ -135,18 +137,18 @@ def _deltas(
 
 
 def _delta_limit(delta: Float[np.ndarray, " found"], error: Float[np.ndarray, " found"]) -> tuple[float, float]:
-    """Limit of δ by Aitken's Δ² from the last three, with the distance from the last as part of its error.
+    """The last δ, and how far the limit may be from it; NaN with fewer than two.
 
-    With two δ the last one stands for the limit, and their distance for its error; with fewer there is none (NaN).
+    Corrections to δ fall by δ a level, and by 8 with alternating signs, so that a step may be small because they cancel
+    in it. What follows after a step is at most that step where corrections fall by half or faster, and a quarter of it
+    with every level after: the largest of these is the error, with that of the δ themselves. An extrapolation with one
+    ratio makes too much of a small last step. Two δ show one step, which may be small by chance: it counts three times.
     """
     if len(delta) < 2:
         return math.nan, math.nan
-    if len(delta) == 2:
-        return float(delta[1]), float(abs(delta[1] - delta[0]) + error[1])
-    first, second, third = delta[-3:]
-    bend = third - 2.0 * second + first
-    limit = third - (third - second) ** 2 / bend if bend else third
-    return float(limit), float(abs(limit - third) + error[-3:].max())
+    steps = np.abs(np.diff(delta))
+    left = (steps * _FALL ** np.arange(len(steps))[::-1]).max()
+    return float(delta[-1]), float((_ONE_STEP if len(delta) == 2 else 1.0) * left + error.max())
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:

@@ -9,7 +9,7 @@ from jaxnh.analyses.base import LaneRunner, Scene
 from jaxnh.analyses.period import ORBIT_TILE
 from jaxnh.maps.iterate import Derivatives, derivatives, section_map
 from jaxnh.maps.protocol import Strobe
-from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch
+from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch, moved_doubling
 from jaxnh.orbits.shooting import Period
 
 PERIOD_TILE = 32
@@ -28,17 +28,14 @@ def locate(
         None where the orbit does not double before `stop`.
     """
     wrap = scene.system.wrap
-    coarse, fine, finest = strobes = refined(scene)
-    branch = follow_branch(period_map(scene, lanes, coarse), walk(scene, lanes, u, start, n), start, stop, wrap)
-    points: list[DoublingPoint] = []
-    for strobe in strobes:
-        found = branch and doubling_point(period_map(scene, lanes, strobe), branch, wrap)
-        if found is None:
-            return None
-        point, branch = found
-        points.append(point)
-    coarse, fine, finest = points
-    return fine, abs(fine.value - coarse.value) + abs(finest.value - fine.value) + fine.error
+    coarse, fine, finest = (period_map(scene, lanes, strobe) for strobe in refined(scene))
+    branch = follow_branch(coarse, walk(scene, lanes, u, start, n), start, stop, wrap)
+    first = branch and doubling_point(coarse, branch, wrap)
+    second = first and moved_doubling(fine, first, wrap)
+    third = second and moved_doubling(finest, second, wrap)
+    if first is None or second is None or third is None:
+        return None
+    return second, abs(second.value - first.value) + abs(third.value - second.value) + second.error
 
 
 def refined(scene: Scene) -> tuple[Strobe, ...]:

@@ -25,7 +25,7 @@ from jaxnh.analyses.period import CONVERGED
 from jaxnh.costs.stage import Inside
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import Strobe
-from jaxnh.orbits.doubling_points import doubling_point, follow_branch
+from jaxnh.orbits.doubling_points import doubling_point, follow_branch, moved_doubling
 from jaxnh.orbits.newton import Orbit, find_orbit
 from jaxnh.orbits.shooting import Period
 from jaxnh.systems.flow import Parameters
@@ -81,12 +81,8 @@ def price(scene: Scene, lanes: LaneRunner) -> xr.Dataset | None:
         by_detection(scene, lanes, place, (1,))  # compile, and read the clock the second time
         by_multiplier(scene, lanes, place)
         by_interpolation(scene, lanes, place)
-        interpolated, reference = by_interpolation(scene, lanes, place)
-        estimates = [
-            *by_detection(scene, lanes, place, _TRANSIENTS),
-            *by_multiplier(scene, lanes, place),
-            *interpolated,
-        ]
+        rounds, reference = by_interpolation(scene, lanes, place)
+        estimates = [*by_detection(scene, lanes, place, _TRANSIENTS), *by_multiplier(scene, lanes, place), *rounds]
     return _dataset(scene, estimates, reference, place)
 
 
@@ -175,12 +171,10 @@ def by_interpolation(scene: Scene, lanes: LaneRunner, place: Place) -> tuple[lis
     points = walk(scene, lanes, _settled(scene, lanes, place), place.bracket[0], place.n)
     wrap = scene.system.wrap
     branch = follow_branch(period_map(scene, lanes, coarse), points, *place.bracket, wrap)
-    for period in (watched(coarse), watched(fine), period_map(scene, lanes, finest)):
-        found = branch and doubling_point(period, branch, wrap)
-        if found is None:
-            return [], math.nan
-        point, branch = found
-    return list(roots.values()), point.value
+    point = branch and doubling_point(watched(coarse), branch, wrap)
+    for period in (watched(fine), period_map(scene, lanes, finest)):
+        point = point and moved_doubling(period, point, wrap)
+    return (list(roots.values()), point.value) if point else ([], math.nan)
 
 
 def _settled(scene: Scene, lanes: LaneRunner, place: Place) -> Float[np.ndarray, " d"]:

@@ -66,9 +66,10 @@ class GeneralStrobe(Strobe):
         """The map over so many times the time, of a flow without a clock."""
         return GeneralStrobe(self.system, self.solver, self.grid * factor, self.steps, self.rolled)
 
-    def with_room_of(self, other: GeneralStrobe) -> GeneralStrobe:
+    def with_room_of(self, other: Strobe) -> GeneralStrobe:
         if not isinstance(self.solver, WrittenOutRungeKutta):  # diffrax takes no step of no length
             return self
+        assert isinstance(other, GeneralStrobe)
         grid = np.asarray(self.grid)
         return replace(self, grid=np.pad(grid, (0, len(np.asarray(other.grid)) - len(grid)), mode="edge"))
 

@@ -150,9 +150,10 @@ class KickStrobe(Strobe):
         """The map over so many times the time, of a system without a clock."""
         return KickStrobe(self.system, self.table * factor, self.kicks, self.rest * factor, self.compensated)
 
-    def with_room_of(self, other: KickStrobe) -> KickStrobe:
-        table, more = np.asarray(self.table), len(np.asarray(other.table)) - len(np.asarray(self.table))
-        return replace(self, table=np.pad(table, [(0, more), (0, 0)]))
+    def with_room_of(self, other: Strobe) -> KickStrobe:
+        assert isinstance(other, KickStrobe)
+        table = np.asarray(self.table)
+        return replace(self, table=np.pad(table, [(0, len(np.asarray(other.table)) - len(table)), (0, 0)]))
 
     def _run(self, advance: Callable[[Array, Any], Any], table: Array, carry: Any) -> Any:
         return lax.fori_loop(0, self.kicks, lambda i, carry: advance(table[i], carry), carry)

@@ -1,8 +1,8 @@
 """Linear systems of blocks around a cycle, as orbits by multiple shooting need them. Host code; no product is formed.
 
-Structured orthogonal elimination (Wright, SIAM J. Sci. Stat. Comput. 13 (1992) 742): points are eliminated one after the
-other by a QR step of the two equations they stand in, which is stable where multiplying the blocks out is not. Small
-LAPACK calls only: results do not depend on the number of threads.
+Structured orthogonal elimination (Wright, SIAM J. Sci. Stat. Comput. 13 (1992) 742): points are eliminated one after
+the other by a QR step of the two equations they stand in, which is stable where multiplying the blocks out is not.
+Small LAPACK calls only: results do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Cyclic(NamedTuple):
     closed: np.ndarray
 
 
-def eliminate(here: Float[np.ndarray, "*some n m m"], there: Float[np.ndarray, "*some n m m"]) -> Cyclic:
+def eliminate(here: Float[np.ndarray, "... n m m"], there: Float[np.ndarray, "... n m m"]) -> Cyclic:
     """The elimination of all points but the first, of A and B."""
     n, m = here.shape[-3], here.shape[-1]
     first, last = here[..., 0, :, :], there[..., 0, :, :]  # first y_0 + last y_i = r
@@ -46,7 +46,7 @@ def eliminate(here: Float[np.ndarray, "*some n m m"], there: Float[np.ndarray, "
     return found._replace(closed=first + last)
 
 
-def solve(cycle: Cyclic, right: Float[np.ndarray, "*some n m"]) -> Float[np.ndarray, "*some n m"]:
+def solve(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> Float[np.ndarray, "... n m"]:
     """y of r."""
     m = right.shape[-1]
     carried, known = right[..., 0, :], []
@@ -58,13 +58,13 @@ def solve(cycle: Cyclic, right: Float[np.ndarray, "*some n m"]) -> Float[np.ndar
     return _back(cycle, np.linalg.solve(cycle.closed, carried[..., None])[..., 0], known)
 
 
-def null_vector(cycle: Cyclic) -> Float[np.ndarray, "*some n m"]:
+def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:
     """y of r = 0, of length one at the first point, where there is one; elsewhere that of the nearest `closed`."""
     first = np.linalg.svd(cycle.closed)[2][..., -1, :]
     return _back(cycle, first, [np.zeros_like(first)] * len(cycle.turns))
 
 
-def determinant(cycle: Cyclic) -> Float[np.ndarray, "*some"]:
+def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
     """Determinant of the whole system; with B_i = −1 but for the last, which is +1, that of M_{n−1}…M_0 + 1."""
     m, steps = cycle.closed.shape[-1], len(cycle.turns)
     sign, logarithm = np.linalg.slogdet(cycle.closed)

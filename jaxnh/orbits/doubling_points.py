@@ -1,10 +1,10 @@
 """Where the orbit of period n has a multiplier −1, from first derivatives of single periods alone. Host code.
 
-The test function is det(M + 1), M the product of the ∂P/∂u around the orbit: about 2 where the orbit is born from one of
-half its period, 0 where it doubles. It is the determinant of the linear equations around the orbit for a vector that
-comes back reversed, so that no product is formed and rounding does not grow with n; and since the orbit, stable or not,
-solves an equation, critical slowing plays no part. It is computed at a few nodes of the parameter about the doubling,
-with warm starts, and a polynomial through them has the root.
+The test function is det(M + 1), M the product of the ∂P/∂u around the orbit: about 2 where the orbit is born from one
+of half its period, 0 where it doubles. It is the determinant of the linear equations around the orbit for a vector that
+comes back reversed, so that no product is formed and rounding does not grow with n; and since the orbit, stable or
+not, solves an equation, critical slowing plays no part. It is computed at a few nodes of the parameter about the
+doubling, with warm starts, and a polynomial through them has the root.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from jaxnh.systems.particle import wrap as planar_wrap
 
 _NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)  # Chebyshev nodes of [−1, 1]
 _DEGREE = 3  # two less than what would go through all nodes: the rest shows truncation and rounding
-_NARROWER = 16  # from round to round
+_NARROWER = 64  # from round to round
 _ROUNDS = 12
 _AHEAD = 4  # nodes of a step along the branch
 _BEHIND = 3  # nodes that a step is predicted from
 _SMALLEST_STEP = 1e-6  # share of the range
 _COLLAPSED = 0.25
+_ROUNDING = 1e-6  # of the test function, which is of order one: what falls no more below it is rounding
 
 
 class DoublingPoint(NamedTuple):
@@ -38,12 +39,14 @@ class DoublingPoint(NamedTuple):
         vector: the eigenvector of −1 at each of them, (n, d), of length one at the first.
         error: of the value, by rounding and interpolation: what the polynomial misses the test function by at its nodes
             and at its root, over its slope.
+        slope: of the test function in the parameter.
     """
 
     value: float
     orbit: Float[np.ndarray, "n d"]
     vector: Float[np.ndarray, "n d"]
     error: float
+    slope: float
 
 
 class Branch(NamedTuple):
@@ -96,22 +99,22 @@ def follow_branch(
         if len(beyond):
             last = len(values) - count + int(beyond[0])
             low, high = values[last - 1], values[last]
-            return Branch(values, known, 0.5 * (low + high), 0.5 * abs(high - low))
+            return Branch(values, known, float(0.5 * (low + high)), float(0.5 * abs(high - low)))
         reach *= 2.0 if count == _AHEAD else 1.0
     return None
 
 
-def doubling_point(period: Period, branch: Branch, wrap: Wrap = planar_wrap) -> tuple[DoublingPoint, Branch] | None:
-    """The doubling on a branch, and the branch about it; None where it is not there.
+def doubling_point(period: Period, branch: Branch, wrap: Wrap = planar_wrap) -> DoublingPoint | None:
+    """The doubling on a branch; None where it is not there.
 
     Rounds of nodes narrow about the root of the round before, until the error falls no more: rounding is reached.
 
     Args:
         period: P and ∂P/∂u over lanes.
-        branch: from `follow_branch`, or from another call, as of fewer steps a period.
+        branch: with orbits near the doubling.
         wrap: of differences of section coordinates.
     """
-    found: tuple[DoublingPoint, Branch] | None = None
+    found: DoublingPoint | None = None
     for _ in range(_ROUNDS):
         nearest = np.argsort(np.abs(branch.values - branch.centre), kind="stable")[: len(_NODES)]
         nodes = branch.centre + branch.half * _NODES
@@ -128,14 +131,35 @@ def doubling_point(period: Period, branch: Branch, wrap: Wrap = planar_wrap) -> 
             return found
         value = float(branch.centre + branch.half * root)
         there = close_orbits(period, _through(nodes, orbits.points, np.array([value])), np.array([value]), wrap)
-        slope = np.abs(polynomial.polyval(root, polynomial.polyder(fit))) / branch.half
-        error = float((misfit + np.abs(doubling_function(there)[0])) / slope + np.spacing(abs(value)))
-        if not there.converged[0] or (found is not None and not error < 0.25 * found[0].error):
+        slope = float(polynomial.polyval(root, polynomial.polyder(fit))) / branch.half
+        missed = misfit + np.abs(doubling_function(there)[0])
+        error = float(missed / abs(slope) + np.spacing(abs(value)))
+        if not there.converged[0] or (found is not None and not error < 0.25 * found.error):
             return found
         narrower = branch.half / (_NARROWER if abs(root) <= 1.0 else 1.0)
         branch = Branch(nodes, orbits.points, value, narrower)
-        found = DoublingPoint(value, there.points[0], cyclic.null_vector(_reversed(there))[0], error), branch
+        found = DoublingPoint(value, there.points[0], cyclic.null_vector(_reversed(there))[0], error, slope)
     return found
+
+
+def moved_doubling(period: Period, point: DoublingPoint, wrap: Wrap = planar_wrap) -> DoublingPoint | None:
+    """The doubling of nearly the same map, as of more steps a period, by Newton with the slope of the one known.
+
+    None where it is not there. Its error has that of the known one in it.
+    """
+    value, size = point.value, np.inf
+    orbit = point.orbit[None]
+    for _ in range(_ROUNDS):
+        there = close_orbits(period, orbit, np.array([value]), wrap)
+        left = float(doubling_function(there)[0])
+        shift = -left / point.slope
+        if not there.converged[0]:
+            return None
+        if abs(shift) <= point.error or (abs(left) < _ROUNDING and abs(shift) >= 0.25 * size):
+            vector = cyclic.null_vector(_reversed(there))[0]
+            return DoublingPoint(value, there.points[0], vector, point.error + abs(shift), point.slope)
+        value, size, orbit = value + shift, abs(shift), there.points
+    return None
 
 
 def doubling_function(orbits: Orbits) -> Float[np.ndarray, " nodes"]:

@@ -62,7 +62,7 @@ def work_precision(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
 
 def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
-    """Error of a doubling point against processor time: period detection, multisection on the multiplier, interpolation."""
+    """Error of a doubling point against processor time, by period detection, multisection and interpolation."""
     ax = _axes(ax)
     symbol = _parameter(data)
     found = f"{symbol[:-1]}^*$"

@@ -41,7 +41,7 @@ def one_period(lanes):
 def first(lanes, one_period):
     """The doubling 1 → 2."""
     start = period.survey(SCENE, lanes, constant_speed().section_point(START)[None], 2, "hard", 300)
-    return doubling_point(one_period, follow_branch(one_period, start.u, 5.54, 5.515))[0]
+    return doubling_point(one_period, follow_branch(one_period, start.u, 5.54, 5.515))
 
 
 def climb(one_period, first, levels):
@@ -58,7 +58,7 @@ def climb(one_period, first, levels):
             if found.converged[0] and 0.1 * guess < apart < 10 * guess:  # neither n's own orbit nor another's
                 break
         branch = follow_branch(one_period, found.points[0], b[0], last.value + 1.5 * gap)
-        points.append(doubling_point(one_period, branch)[0])
+        points.append(doubling_point(one_period, branch))
         gap = (points[-1].value - last.value) / (4.6 if len(points) < 4 else FEIGENBAUM)
         size = apart / 2.5  # Feigenbaum's α
     return points
