@@ -285,11 +285,11 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize(("system", "sweep", "par", "place"), HIDDEN.values(), ids=HIDDEN)
-def test_hidden_cascades(result, request, system, sweep, par, place):
+@pytest.mark.parametrize(("system", "values", "par", "place"), HIDDEN.values(), ids=HIDDEN)
+def test_hidden_cascades(result, request, system, values, par, place):
     """A longer chain of runs that is none; 8 → 16 between one lane and the next; 48 → 96, of which no lane is seen."""
     name = request.node.callspec.id.replace(" ", "_")
-    path, _, err = result(name, ROOT / "configs" / "table1.yaml", *SMALL, *system, sweep)
+    path, _, err = result(name, ROOT / "configs" / "table1.yaml", *SMALL, *system, values)
     assert "warning" not in err
     check_doublings(par, doubling(path), place)
 

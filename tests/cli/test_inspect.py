@@ -156,7 +156,7 @@ def plane(tmp_path):
     groups = {
         "diagram": xr.Dataset(diagram, axes).set_coords("t"),
         "poincare": xr.Dataset({"failure": variable(("start", "omega", "drive"), codes, "why", **why)}, axes),
-        "alone": xr.Dataset(alone),
+        "alone": xr.Dataset(alone, attrs={"warnings": "alone: one thing\nalone: another"}),
     }
     store.write(path, {"jaxnh_version": "0", "axes": "drive omega"}, groups)
     return path, groups
@@ -173,6 +173,8 @@ def test_two_axes(plane):
     assert f"diagram: 2 of 150 lanes failed: non-finite state (x1), at (drive, omega) = {lost}" in text
     assert "poincare: 5 of 150 lanes failed: singular, at (drive, omega) = (1.06122, 1)" in text
     assert "(1.12245, 1), …" in text
+    assert "alone: one thing" in text
+    assert "alone: another" in text
 
 
 def test_table_of_two_axes(plane):
