@@ -68,7 +68,8 @@ def follow(scene: Scene, lanes: LaneRunner, levels: int, *, search: bool = False
     if len(found.points) < levels and search and len(line.value) > 1:
         line = line.joined(_outside(steps, line))
         wider = _best(steps, line, levels)
-        found = wider if len(wider.points) > len(found.points) else found
+        same = [point.value for point in found.points[:1]] == [point.value for point in wider.points[:1]]
+        found = wider if same or len(wider.points) > len(found.points) else found
     low, high = inside.value.min(), inside.value.max()
     outside = any(not low <= point.value <= high for point in found.points)
     end = f"{found.end}\n{steps.searched(line)}" if found.end else ""
