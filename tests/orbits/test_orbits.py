@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import jax
 import numpy as np
 import pytest
 import taylor
@@ -87,6 +88,16 @@ def test_map_is_fine_enough(lanes, strobes, name):
     end, first, _ = taylor.strobe_jacobian(twin(SYSTEMS[name]), b, u)
     assert np.max(apart(image, end)) < MAP_ERROR
     assert np.abs(monodromy - first).max() < MAP_ERROR * np.abs(first).max()
+
+
+def test_one_program_for_all_refinements(lanes, strobes):
+    """A table as large as that of twice the steps: the same program as that map, and bit for bit the same derivatives."""
+    one, finer = strobes["constant"], make_strobe(SYSTEMS["constant"], FINEST, 300)
+    roomy = one.with_room_of(finer)
+    assert jax.tree.map(np.shape, roomy) == jax.tree.map(np.shape, finer) != jax.tree.map(np.shape, one)
+    u, b = np.random.default_rng(3).uniform(-1, 1, (8, 3)), np.linspace(5.4, 5.6, 8)
+    for ours, exact in zip(period_of(lanes, roomy)(u, b)[:2], period_of(lanes, one)(u, b)[:2], strict=True):
+        assert ours.tobytes() == exact.tobytes()
 
 
 def test_orbit_need_not_be_stable(lanes, strobes):
