@@ -16,7 +16,7 @@ from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch
+from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch, moved_doubling
 from jaxnh.orbits.newton import find_orbit, solve3
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
@@ -300,6 +300,16 @@ def test_doublings_of_the_logistic_map(level):
     found = doubling_point(logistic, branch, np.asarray)
     assert abs(found.value - exact) <= found.error < 1e-13
     assert follow_branch(logistic, points, start, exact - 0.02 * (exact - start), np.asarray) is None
+
+
+def test_doubling_of_nearly_the_same_map():
+    """The logistic map with its parameter a little larger: its doubling from the known one, to rounding."""
+    pair = np.array([[0.85], [0.44]])
+    known = doubling_point(logistic, follow_branch(logistic, pair, 3.4, 3.5, np.asarray), np.asarray)
+    for more in (1e-12, 1e-7, -1e-4):
+        moved = moved_doubling(lambda u, v, more=more: logistic(u, v * (1 + more)), known, np.asarray)
+        assert abs(moved.value * (1 + more) - LOGISTIC[1]) <= moved.error < 1e-13
+    assert moved_doubling(lambda u, v: logistic(u, v + 0.5), known, np.asarray) is None  # no orbit from there
 
 
 def test_orbit_of_half_the_period_is_not_taken():
