@@ -26,7 +26,8 @@ _ROUNDS = 12
 _AHEAD = 4  # nodes of a step along the branch
 _BEHIND = 3  # nodes that a step is predicted from
 _SMALLEST_STEP = 1e-6  # share of the range
-_COLLAPSED = 0.25
+_MOST_STEPS = 64
+_COLLAPSED = 0.25  # of the distance to an orbit of a shorter period, from one value to the next
 _ROUNDING = 1e-6  # of the test function, which is of order one: what falls no more below it is rounding
 
 
@@ -81,7 +82,9 @@ def follow_branch(
     values, known, reach = np.array([start]), orbit.points, stop - start
     if doubling_function(orbit)[0] <= 0.0:  # at the doubling, as far as the survey could tell
         return Branch(values, known, start, abs(reach) / _NARROWER)
-    while abs(reach) > _SMALLEST_STEP * abs(stop - start) and values[-1] != stop:
+    for _ in range(_MOST_STEPS):
+        if abs(reach) <= _SMALLEST_STEP * abs(stop - start) or values[-1] == stop:
+            break
         share = np.linspace(0.0, 1.0, _AHEAD + 1)[1:]
         end = stop if abs(reach) >= abs(stop - values[-1]) else values[-1] + reach
         ahead = values[-1] + share * (end - values[-1])
@@ -100,7 +103,7 @@ def follow_branch(
             last = len(values) - count + int(beyond[0])
             low, high = values[last - 1], values[last]
             return Branch(values, known, float(0.5 * (low + high)), float(0.5 * abs(high - low)))
-        reach *= 2.0 if count == _AHEAD else 1.0
+        reach *= 2.0 if count == _AHEAD else 0.5
     return None
 
 
@@ -131,7 +134,7 @@ def doubling_point(period: Period, branch: Branch, wrap: Wrap = planar_wrap) -> 
             return found
         value = float(branch.centre + branch.half * root)
         there = close_orbits(period, _through(nodes, orbits.points, np.array([value])), np.array([value]), wrap)
-        slope = float(polynomial.polyval(root, polynomial.polyder(fit))) / branch.half
+        slope = float(polynomial.polyval(root, polynomial.polyder(fit)) / branch.half)
         missed = misfit + np.abs(doubling_function(there)[0])
         error = float(missed / abs(slope) + np.spacing(abs(value)))
         if not there.converged[0] or (found is not None and not error < 0.25 * found.error):

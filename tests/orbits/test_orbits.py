@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import jax
 import numpy as np
 import pytest
 import taylor
@@ -15,7 +16,7 @@ from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch
+from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch, moved_doubling
 from jaxnh.orbits.newton import find_orbit, solve3
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
@@ -87,6 +88,16 @@ def test_map_is_fine_enough(lanes, strobes, name):
     end, first, _ = taylor.strobe_jacobian(twin(SYSTEMS[name]), b, u)
     assert np.max(apart(image, end)) < MAP_ERROR
     assert np.abs(monodromy - first).max() < MAP_ERROR * np.abs(first).max()
+
+
+def test_one_program_for_all_refinements(lanes, strobes):
+    """A table as large as that of twice the steps: the same program as that map, and bit for bit the same derivatives."""
+    one, finer = strobes["constant"], make_strobe(SYSTEMS["constant"], FINEST, 300)
+    roomy = one.with_room_of(finer)
+    assert jax.tree.map(np.shape, roomy) == jax.tree.map(np.shape, finer) != jax.tree.map(np.shape, one)
+    u, b = np.random.default_rng(3).uniform(-1, 1, (8, 3)), np.linspace(5.4, 5.6, 8)
+    for ours, exact in zip(period_of(lanes, roomy)(u, b)[:2], period_of(lanes, one)(u, b)[:2], strict=True):
+        assert ours.tobytes() == exact.tobytes()
 
 
 def test_orbit_need_not_be_stable(lanes, strobes):
@@ -289,6 +300,16 @@ def test_doublings_of_the_logistic_map(level):
     found = doubling_point(logistic, branch, np.asarray)
     assert abs(found.value - exact) <= found.error < 1e-13
     assert follow_branch(logistic, points, start, exact - 0.02 * (exact - start), np.asarray) is None
+
+
+def test_doubling_of_nearly_the_same_map():
+    """The logistic map with its parameter a little larger: its doubling from the known one, to rounding."""
+    pair = np.array([[0.85], [0.44]])
+    known = doubling_point(logistic, follow_branch(logistic, pair, 3.4, 3.5, np.asarray), np.asarray)
+    for more in (1e-12, 1e-7, -1e-4, 0.1):
+        moved = moved_doubling(lambda u, v, more=more: logistic(u, v * (1 + more)), known, np.asarray)
+        assert abs(moved.value * (1 + more) - LOGISTIC[1]) <= moved.error < 1e-13
+    assert moved_doubling(lambda u, v: logistic(u, 0.0 * v + 2.0), known, np.asarray) is None  # nothing ever doubles
 
 
 def test_orbit_of_half_the_period_is_not_taken():
