@@ -2,32 +2,35 @@
 
 A survey sends thousands of lanes to their attractors and finds the period of each: candidates come from the strobe
 points, the decision from Newton on the orbit and its multipliers, so that slow convergence near a doubling does not
-bias it. Between neighbouring lanes, multisection on the multiplier brackets a doubling, and Newton on orbit, parameter
-and multiplier −1 together finishes. Where the survey is too coarse for the next level, a new one looks closer.
+bias it. Wherever a run of equal periods ends a cascade may begin (`runs`), and each is tried, the most promising first.
+Between neighbouring lanes the orbit is followed by Newton to where its multiplier passes −1 (`locating`). Where the
+survey is too coarse for the next level, the orbit of twice the period is looked for where the distances so far put it
+(`daughter`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jaxnh.analyses.base import LaneRunner, Scene, section_points
-from jaxnh.analyses.period import CONVERGED, Survey, orbits, survey
-from jaxnh.maps.iterate import section_map
-from jaxnh.maps.protocol import Strobe
-from jaxnh.orbits.shooting import DoublingPoint, Segment, refine_doubling, segment
+from jaxnh.analyses.daughter import FEIGENBAUM, daughters, window
+from jaxnh.analyses.locating import locate
+from jaxnh.analyses.period import survey
+from jaxnh.analyses.runs import Line, Start, seen, starts
+from jaxnh.orbits.doubling_points import DoublingPoint
 
 TRANSIENT = 512
 """Periods before the strobe points are looked at."""
-SEGMENT_TILE = 32
 
 _SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: the cascade may begin at 2 or 3
-_CANDIDATES = 64  # lanes of a multisection
-_CLOSER = 64  # lanes of a closer survey
-_CLOSER_TRIES = 4
-_REFINEMENTS = (1, 2, 4)
+_OUTSIDE = 64  # lanes of a survey on either side of the sweep
+_ENDS = 16  # runs tried that no run of twice the period follows
+_FURTHER, _CLOSER = 4, 3  # windows of distances beyond a doubling, each 32 times as far or as near as the one before
+_SHOWN = 6  # tries in words
 
 
 class Cascade(NamedTuple):
@@ -37,221 +40,175 @@ class Cascade(NamedTuple):
         period: n.
         points: the doublings.
         errors: of the values of the first axis there.
-        end: why there are fewer than were looked for, else empty.
+        end: where there are fewer than were looked for, how it ended; what was searched stands in a second line.
+        outside: whether a doubling lies beyond the lanes' values of the first axis.
     """
 
     period: int
     points: tuple[DoublingPoint, ...]
     errors: tuple[float, ...]
     end: str
+    outside: bool = False
 
 
-class Line(NamedTuple):
-    """Lanes along the first axis, on their attractors.
+def follow(scene: Scene, lanes: LaneRunner, levels: int, *, search: bool = False) -> Cascade:
+    """The doublings that the start state leads to along the first axis, at most so many.
+
+    Args:
+        scene: lanes along the first axis.
+        lanes: runs lanes.
+        levels: doublings looked for.
+        search: whether to look as far as the lanes reach beyond either end as well, where they have fewer.
+    """
+    steps = _Steps(scene, lanes, max(_SMALLEST_LIMIT, 2**levels))
+    inside = line = steps.survey(np.unique(scene.line.values), "doubling")
+    if scene.line.values[-1] < scene.line.values[0]:
+        inside = line = line.take(slice(None, None, -1))
+    found = _best(steps, line, levels)
+    if len(found.points) < levels and search and len(line.value) > 1:
+        line = line.joined(_outside(steps, line))
+        wider = _best(steps, line, levels)
+        same = [point.value for point in found.points[:1]] == [point.value for point in wider.points[:1]]
+        found = wider if same or len(wider.points) > len(found.points) else found
+    low, high = inside.value.min(), inside.value.max()
+    outside = any(not low <= point.value <= high for point in found.points)
+    end = f"{found.end}\n{steps.searched(line)}" if found.end else ""
+    return found._replace(end=end, outside=outside)
+
+
+def _outside(steps: _Steps, line: Line) -> Line:
+    """Lanes beyond either end of a line, as far as it is long."""
+    low, high = line.value.min(), line.value.max()
+    far = (high - low) * np.arange(1, _OUTSIDE + 1) / _OUTSIDE
+    return steps.survey(np.concatenate([low - far[::-1], high + far]), "doubling, beyond the sweep")
+
+
+def _best(steps: _Steps, line: Line, levels: int) -> Cascade:
+    """The first cascade along a line that has so many doublings, or else the one that has most."""
+    name, ends = steps.scene.line.name, 0
+    best = Cascade(1, (), (), f"no doubling was located between {name} = {line.value[0]:.9g} and {line.value[-1]:.9g}")
+    for start in starts(line):
+        ends += len(start.runs) == 1
+        if ends > _ENDS:
+            break
+        found = _along(steps, start, levels)
+        if len(found.points) > len(best.points):
+            best = found
+        if len(found.points) == levels:
+            break
+    return best
+
+
+def _along(steps: _Steps, start: Start, levels: int) -> Cascade:
+    """The cascade that begins at the end of a run, one level after the other."""
+    found: list[_Level] = []
+    while len(found) < levels and (level := _next(steps, start, found)) is not None:
+        found.append(level)
+    steps.tried[start.period, start.value, start.line.sign] = len(found)
+    end = ""
+    if len(found) < levels:
+        n, last = start.period << len(found), found[-1].point.value if found else start.value
+        where = f"{steps.scene.line.name} = {last:.9g} and {start.line.value[-1]:.9g}"
+        end = f"{n} → {2 * n} was not located between {where}"
+    return Cascade(start.period, tuple(level.point for level in found), tuple(level.error for level in found), end)
+
+
+def _next(steps: _Steps, start: Start, found: list[_Level]) -> _Level | None:
+    """The next doubling beyond those found from a start."""
+    n, sign = start.period << len(found), start.line.sign
+    for bracket in _brackets(steps, start, found, n):
+        after = found[-1].point.value if found else -sign * np.inf
+        located = steps.locate(bracket, n) if sign * (bracket.value[0] - after) > 0 else None
+        if located is not None and sign * (located[0].value - after) > 0:
+            return _Level(*located, float(abs(bracket.value[1] - bracket.value[0])))
+    return None
+
+
+def _brackets(steps: _Steps, start: Start, found: list[_Level], n: int) -> Iterator[Line]:
+    """Lines of two lanes between which the period-n orbit may double: of the survey, then of the daughter orbit.
+
+    The next doubling is expected at the last distance over δ; beyond the first, where the survey has lost the orbit.
+    Further out it is looked for where the daughter is stable as far as this was seen, closer where nowhere so.
+    """
+    yield from start.brackets(n)
+    if not found:
+        return
+    born, end = found[-1].point, float(start.line.value[-1]) - found[-1].point.value
+    expected = (born.value - found[-2].point.value) / FEIGENBAUM if len(found) > 1 else start.line.sign * found[0].width
+    near: Line | None = None
+    for number in (*range(_FURTHER), *range(-1, -_CLOSER, -1)):
+        if near is not None and (near.period[-1] != n if number > 0 else near.period[0] == n):
+            continue
+        if len(distances := window(expected, number, end)):
+            further = steps.daughters(born, start.line, distances)
+            near = further if near is None else near.joined(further)
+            for run in near.runs():
+                if run.period == n and run.last + 1 < len(near.value):
+                    yield near.take(np.array([run.last, run.last + 1]))
+
+
+class _Level(NamedTuple):
+    """A doubling, the error of its value, and how wide the bracket was that it was located in."""
+
+    point: DoublingPoint
+    error: float
+    width: float
+
+
+class _Steps:
+    """The steps of a search, none of which is done twice: surveys, doublings located, orbits of twice the period.
+
+    Each is a function of numbers, and its result a record of arrays.
 
     Attributes:
-        value: of the first axis, (lanes,).
-        period: least period of the attractor, 0 where it is none up to the limit, (lanes,).
-        u: a point of the orbit in section coordinates, (lanes, d).
+        scene: lanes along the first axis; its own values of it play no part here.
+        limit: largest period that surveys look for.
+        tried: doublings found from the end of a run, by its period, value and direction.
     """
 
-    value: Float[np.ndarray, " lanes"]
-    period: Int[np.ndarray, " lanes"]
-    u: Float[np.ndarray, "lanes d"]
+    def __init__(self, scene: Scene, lanes: LaneRunner, limit: int) -> None:
+        self.scene, self.limit = scene, limit
+        self.tried: dict[tuple[int, float, float], int] = {}
+        self._lanes = lanes
+        self._located: dict[tuple[int, float, float], tuple[DoublingPoint, float] | None] = {}
+        self._daughters: dict[tuple[int, float, float, float], Line] = {}
 
-    def without_holes(self) -> Line:
-        """The line without lanes that stand alone or in pairs and are no part of a cascade.
+    def survey(self, values: Float[np.ndarray, " lanes"], label: str) -> Line:
+        """Lanes at these values of the first axis, on their attractors."""
+        row = self.scene.at(values)
+        start = section_points(row)
+        found = survey(row, self._lanes, start, self.limit, label, TRANSIENT, only_doublings=True)
+        return Line(values, found.period, found.u)
 
-        Undecided ones lie in windows or at doublings; ones of another period than both neighbours, which have the
-        same, are on a coexisting attractor.
-        """
-        starts = np.flatnonzero(np.diff(self.period, prepend=-1))
-        lengths = np.diff(np.append(starts, len(self.period)))
-        found = self.period[starts]
-        before, after = np.append(-1, found[:-1]), np.append(found[1:], -2)
-        keep = np.repeat((lengths > 2) | ((found != 0) & (before != after)), lengths)
-        return Line(*(leaf[keep] for leaf in self))
+    def locate(self, bracket: Line, n: int) -> tuple[DoublingPoint, float] | None:
+        """The doubling of the period-n orbit between two lanes, and the error of its value."""
+        near, far = bracket.value.tolist()
+        if (key := (n, near, far)) not in self._located:
+            with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
+                located = locate(self.scene, self._lanes, bracket.u[0], near, far, n)
+            if located is not None and abs(located[0].value - near) > 2 * abs(far - near):
+                located = None  # Newton has gone to another doubling
+            self._located[key] = located
+        return self._located[key]
 
-    def run_end(self, first: int) -> int:
-        """Last lane of the run of equal periods that begins at a lane."""
-        other = np.flatnonzero(self.period[first:] != self.period[first])
-        return first + int(other[0]) - 1 if len(other) else len(self.value) - 1
+    def daughters(self, born: DoublingPoint, line: Line, distances: Float[np.ndarray, " distances"]) -> Line:
+        """Lanes at distances beyond a doubling, on the stable orbit of twice its period where there is one."""
+        key = len(born.orbit), born.value, float(distances[0]), float(distances[-1])
+        if key not in self._daughters:
+            points = np.concatenate([line.u, section_points(self.scene)])
+            size = float(np.nanmax(self.scene.system.apart(points, born.orbit[0])))
+            label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {self.scene.line.name} = {born.value:.9g}"
+            with self._lanes.stage(label, 0):
+                self._daughters[key] = daughters(self.scene, self._lanes, born, size, distances)
+        return self._daughters[key]
 
-
-def follow(scene: Scene, lanes: LaneRunner, levels: int) -> Cascade:
-    """The doublings that the start state leads to along the first axis, at most so many."""
-    name = scene.line.name
-    limit = max(_SMALLEST_LIMIT, 2**levels)
-    found = survey(scene, lanes, section_points(scene), limit, "doubling", TRANSIENT, only_doublings=True)
-    begun = _longest(_line(scene, found))
-    if begun is None:
-        return Cascade(
-            1, (), (), f"no period doubling in this range of {name}: no two neighbouring values have periods n and 2n"
-        )
-    line, lane = begun
-    period, end = int(line.period[lane]), float(line.value[-1])
-    points: list[DoublingPoint] = []
-    errors: list[float] = []
-    reason = ""
-    for level in range(levels):
-        n = period << level
-        located = _locate(scene, lanes, line, lane, n)
-        if located is None:
-            reason = f"the orbit of period {n} does not double before {name} = {end:g}"
-            break
-        points.append(located[0])
-        errors.append(located[1])
-        if level + 1 == levels:
-            break
-        ahead = _next_run(scene, lanes, line, points, 2 * n, max(limit, period << levels), end)
-        if ahead is None:
-            value = points[-1].value
-            reason = f"no stable orbit of period {2 * n} was found beyond the doubling at {name} = {value:.9g}"
-            break
-        line, lane = ahead
-    return Cascade(period, tuple(points), tuple(errors), reason)
-
-
-def _line(scene: Scene, found: Survey) -> Line:
-    """A survey of lanes along the first axis, at whatever values they are, without its holes."""
-    return Line(np.asarray(scene.p[scene.line.name]), found.period, found.u).without_holes()
-
-
-def _longest(found: Line) -> tuple[Line, int] | None:
-    """The line in the direction in which a cascade goes furthest, and the lane where its first run begins.
-
-    A cascade is a row of neighbouring runs of lanes, each with twice (or a higher power of two times, where the survey
-    steps over a level) the period of the one before. A tie goes to the direction of the sweep, and there to the first.
-    """
-    best: tuple[int, Line, int] | None = None
-    for ordered in (found, Line(*(leaf[::-1] for leaf in found))):
-        starts = np.flatnonzero(np.diff(ordered.period, prepend=-1))
-        periods = ordered.period[starts]
-        for k in range(len(starts)):
-            length = 0
-            while k + length + 1 < len(starts) and _doubles(periods[k + length], periods[k + length + 1]):
-                length += 1
-            if length and (best is None or length > best[0]):
-                best = length, ordered, int(starts[k])
-    return None if best is None else best[1:]
-
-
-def _doubles(n: np.integer, following: np.integer) -> np.bool:
-    """Whether `following` is n times a power of two above one."""
-    ratio = following // np.maximum(n, 1)
-    return (n > 0) & (ratio > 1) & (ratio * n == following) & (ratio & (ratio - 1) == 0)
-
-
-def _locate(scene: Scene, lanes: LaneRunner, found: Line, lane: int, n: int) -> tuple[DoublingPoint, float] | None:
-    """The doubling of the stable period-n orbit that a lane of a line is on, and the error of its value."""
-    last = found.run_end(lane)
-    if last + 1 == len(found.value):
-        return None
-    bracket = np.linspace(found.value[last], found.value[last + 1], _CANDIDATES)
-    with lanes.stage(f"doubling: period {n} → {2 * n}, multisection of {_CANDIDATES}", 0):
-        start = np.broadcast_to(found.u[last], (_CANDIDATES, found.u.shape[1]))
-        orbit = orbits(lanes, scene.strobe(), start, scene.at(bracket).p, n)
-    ok = (orbit.residual < CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
-    beyond = np.flatnonzero(ok & (smallest_multiplier(np.where(ok[:, None, None], orbit.monodromy, 0.0)) < -1.0))
-    if not len(beyond):
-        return None
-    seed = max(int(beyond[0]) - 1, 0)
-    return _refine(scene, lanes, orbit.u[seed], orbit.monodromy[seed], float(bracket[seed]), n)
-
-
-def smallest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.ndarray, " lanes"]:
-    """The smallest real eigenvalue; +∞ where all are complex."""
-    values = np.linalg.eigvals(monodromy)
-    return np.where(np.abs(values.imag) < 1e-12, values.real, np.inf).min(axis=1)
-
-
-def _refine(
-    scene: Scene,
-    lanes: LaneRunner,
-    u: Float[np.ndarray, " d"],
-    monodromy: Float[np.ndarray, "d d"],
-    value: float,
-    n: int,
-) -> tuple[DoublingPoint, float] | None:
-    """The doubling point with twice the steps, and the error of its value: what refinements and Newton moved it by."""
-    orbit, carried = around(scene, lanes, u, monodromy, value, n)
-    refined: list[DoublingPoint] = []
-    for refinement in _REFINEMENTS:
-        strobe = scene.strobe(refinement)
-        point = refine_doubling(
-            lambda *at, strobe=strobe: segments(scene, lanes, strobe, *at), orbit, carried, value, scene.system.wrap
-        )
-        if not point.converged:
-            return None
-        orbit, carried, value = point.orbit, point.vector, point.value
-        refined.append(point)
-    coarse, fine, finest = refined
-    return fine, abs(fine.value - coarse.value) + abs(finest.value - fine.value) + fine.last_step
-
-
-def around(
-    scene: Scene,
-    lanes: LaneRunner,
-    u: Float[np.ndarray, " d"],
-    monodromy: Float[np.ndarray, "d d"],
-    value: float,
-    n: int,
-) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d"]]:
-    """The n points of an orbit, and its eigenvector of −1 carried along it."""
-    eigenvalues, eigenvectors = np.linalg.eig(monodromy)
-    vector = np.real(eigenvectors[:, np.argmin(np.abs(eigenvalues + 1.0))])
-    orbit = _walk(scene, lanes, u, value, n)
-    carried = np.empty((n, len(u)))
-    for i in range(n):
-        carried[i] = vector
-        moved = segments(scene, lanes, scene.strobe(), orbit[i : i + 1], vector[None], np.array([value]))
-        vector = moved.carried[0]
-    return orbit, carried
-
-
-def _walk(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, " d"], value: float, n: int
-) -> Float[np.ndarray, "n d"]:
-    """The n points of an orbit."""
-    points, p = [u], scene.at(np.array([value])).p
-    for _ in range(n - 1):
-        points.append(lanes(section_map, (scene.strobe(), np.int32(1)), (points[-1][None], p), tile=SEGMENT_TILE)[0])
-    return np.array(points)
-
-
-def segments(
-    scene: Scene,
-    lanes: LaneRunner,
-    strobe: Strobe,
-    u: Float[np.ndarray, "n d"],
-    w: Float[np.ndarray, "n d"],
-    values: Float[np.ndarray, " n"],
-) -> Segment:
-    """`segment` at so many points, vectors and values of the first axis."""
-    static = (scene.line.name,)
-    return lanes(segment, (strobe,), (u, w, scene.at(values).p), tile=SEGMENT_TILE, static=static)
-
-
-def _next_run(
-    scene: Scene, lanes: LaneRunner, found: Line, points: list[DoublingPoint], n: int, limit: int, end: float
-) -> tuple[Line, int] | None:
-    """A line and the first lane in it that is on the period-n orbit born at the last doubling."""
-    born = points[-1]
-    sign = np.sign(found.value[-1] - found.value[0])
-    ahead = np.flatnonzero(sign * (found.value - born.value) > 0)
-    if len(ahead) and found.period[ahead[0]] == n and found.run_end(int(ahead[0])) > ahead[0]:
-        return found, int(ahead[0])
-    spacing = abs(found.value[1] - found.value[0])
-    reach = 0.5 * abs(born.value - points[-2].value) if len(points) > 1 else 8 * spacing
-    for _ in range(_CLOSER_TRIES):
-        stop = born.value + sign * min(reach, abs(end - born.value))
-        near = scene.at(np.linspace(born.value, stop, _CLOSER + 1)[1:])
-        start = np.broadcast_to(born.orbit[0] + 0.01 * born.vector[0], (_CLOSER, born.orbit.shape[1]))
-        label = f"doubling, beyond {scene.line.name} = {born.value:.9g}"
-        closer = survey(near, lanes, start, limit, label, TRANSIENT, least=n, only_doublings=True)
-        closer = _line(near, closer)
-        first = np.flatnonzero(closer.period == n)
-        if len(first):
-            return closer, int(first[0])
-        reach /= 8
-    return None
+    def searched(self, line: Line) -> str:
+        """In words, what a survey has seen, and from where cascades were looked for."""
+        name = self.scene.line.name
+        words = [
+            f"{n} → {2 * n} {'up' if sign > 0 else 'down'} from {value:.6g} ({found or 'none'} located)"
+            for (n, value, sign), found in sorted(self.tried.items(), key=lambda item: -item[1])
+        ]
+        more = [f"{len(words) - _SHOWN} more"] if len(words) > _SHOWN else []
+        tried = ", ".join([*words[:_SHOWN], *more]) or f"nothing, as no period ends between two values of {name}"
+        return f"{seen(line, name, self.limit)}; tried: {tried}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -26,18 +25,24 @@ from jaxnh.analyses.base import (
     section_points,
     variable,
 )
-from jaxnh.analyses.cascade import SEGMENT_TILE, TRANSIENT, Cascade, follow
-from jaxnh.orbits.shooting import segment
+from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow
+from jaxnh.analyses.locating import PERIOD_TILE
+from jaxnh.maps.iterate import derivatives
 
 _NUMBERS = ("delta_limit", "delta_limit_error", "levels_found")  # a cascade; attributes of the only one of a file
 _OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
 _MOST_SHOWN = 16  # cascades in a table of many
+_FALL = 0.25  # of corrections to δ, a level
+_ONE_STEP = 3.0  # the error of a limit from two δ, in their distance
 
 
 class DoublingOptions(Options):
     """Options of `doubling`."""
 
     levels: int = Field(default=6, ge=1, le=12, description="Number of period doublings to find")
+    search: bool = Field(
+        default=True, description="Where the sweep has fewer, look as far as it is wide beyond either end of it as well"
+    )
 
 
 def periods(options: DoublingOptions, lanes: int) -> float:
@@ -65,7 +70,7 @@ def check(options: DoublingOptions, setting: Setting) -> None:
 
 def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
-    return _dataset(scene.line, options.levels, follow(scene, lanes, options.levels))
+    return _dataset(scene.line, options.levels, follow(scene, lanes, options.levels, search=options.search))
 
 
 def _dataset(axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
@@ -101,9 +106,21 @@ def _dataset(axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
         "panel": "cascade",
         "panel_variables": f"{name} delta",
         "panel_label": "ratio δ",
-        **({"warnings": f"doubling: {len(points)} of {levels} levels found; {found.end}"} if found.end else {}),
+        **({"warnings": warnings} if (warnings := _warnings(axis, levels, found)) else {}),
     }
     return xr.Dataset(variables, attrs=attrs)
+
+
+def _warnings(axis: Axis, levels: int, found: Cascade) -> str:
+    """Lines for the user: how many levels are missing, what was searched, and which were found outside the sweep."""
+    lines = []
+    if found.end:
+        end, *more = found.end.split("\n")
+        lines = [f"{len(found.points)} of {levels} levels found; {end}", *more]
+    if found.outside:
+        ends = f"{axis.values[0]:.6g} to {axis.values[-1]:.6g}"
+        lines.append(f"doublings were found beyond the sweep, which is {axis.name} = {ends}")
+    return "\n".join(f"doubling: {line}" for line in lines)
 
 
 def _deltas(
@@ -120,18 +137,18 @@ def _deltas(
 
 
 def _delta_limit(delta: Float[np.ndarray, " found"], error: Float[np.ndarray, " found"]) -> tuple[float, float]:
-    """Limit of δ by Aitken's Δ² from the last three, with the distance from the last as part of its error.
+    """The last δ, and how far the limit may be from it; NaN with fewer than two.
 
-    With two δ the last one stands for the limit, and their distance for its error; with fewer there is none (NaN).
+    Corrections to δ fall by δ a level, and by 8 with alternating signs, so that a step may be small because they cancel
+    in it. What follows after a step is at most that step where corrections fall by half or faster, and a quarter of it
+    with every level after: the largest of these is the error, with that of the δ themselves. An extrapolation with one
+    ratio makes too much of a small last step. Two δ show one step, which may be small by chance: it counts three times.
     """
     if len(delta) < 2:
         return math.nan, math.nan
-    if len(delta) == 2:
-        return float(delta[1]), float(abs(delta[1] - delta[0]) + error[1])
-    first, second, third = delta[-3:]
-    bend = third - 2.0 * second + first
-    limit = third - (third - second) ** 2 / bend if bend else third
-    return float(limit), float(abs(limit - third) + error[-3:].max())
+    steps = np.abs(np.diff(delta))
+    left = (steps * _FALL ** np.arange(len(steps))[::-1]).max()
+    return float(delta[-1]), float((_ONE_STEP if len(delta) == 2 else 1.0) * left + error.max())
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
@@ -198,12 +215,12 @@ def _cell(text: str) -> str:
 
 
 def price(options: DoublingOptions, scene: Scene) -> Price:
-    """Newton at a doubling needs second derivatives; before it comes the map alone."""
-    strobe, u = scene.strobe(), section_points(scene)
-    lanes: tuple[Any, ...] = u, np.ones_like(u), dict(scene.p)
-    program = Program(segment, (strobe,), lanes, strobe.turns, (scene.line.name,), tile=SEGMENT_TILE)
-    note = "second derivatives in every period of Newton at a doubling, the map alone before it"
-    return Price(program, map_alone(scene, tile=SEGMENT_TILE), note)
+    """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
+    strobe = scene.strobe()
+    lanes = section_points(scene), dict(scene.p)
+    program = Program(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=PERIOD_TILE)
+    note = f"{scene.system.dimension} tangents in every period of Newton, the map alone before it"
+    return Price(program, map_alone(scene, tile=PERIOD_TILE), note)
 
 
 ANALYSIS = Analysis(

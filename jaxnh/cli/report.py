@@ -10,6 +10,7 @@ from rich.console import Console
 from jaxnh.analyses import ANALYSES
 from jaxnh.cli.terminal import show
 from jaxnh.config.experiment import Experiment
+from jaxnh.config.messages import listed
 from jaxnh.engine.run import Outcome
 from jaxnh.storage.hdf5 import read_attrs, read_group
 
@@ -52,5 +53,8 @@ def _show_table(experiment: Experiment, path: Path, name: str) -> None:
     console = Console()
     console = console if console.is_terminal else Console(width=_LOG_WIDTH)
     published = (experiment.compare or {}).get(name)
-    columns, source = (published.columns(), published.source) if published else ({}, "")
+    unlike = experiment.unlike(published) if published else []
+    columns, source = (published.columns(), published.source) if published and not unlike else ({}, "")
     console.print(show(draw(read_group(path, name), columns, source)))
+    if published and unlike:
+        print(f"no values of {published.source} beside these, which are of another system: {listed(unlike)}")

@@ -268,12 +268,16 @@ Column = Annotated[tuple[float | None, ...], Field(strict=False), AfterValidator
 
 
 class Published(Block):
-    """Published values of an analysis: where they are from, and a list of numbers a variable."""
+    """Published values of an analysis: where they are from, what they are of, and a list of numbers a variable."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Column] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
 
     source: str = Field(description="Where the values are published")
+    system: dict[str, Any] = Field(
+        default_factory=dict, description="The system they are of, all its parameters; others do not show the values"
+    )
+    initial: dict[str, Any] = Field(default_factory=dict, description="The start state they are of, all coordinates")
 
     def columns(self) -> dict[str, np.ndarray]:
         """Variable name to its published values, each float64 of shape (n,)."""

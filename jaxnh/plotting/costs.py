@@ -32,7 +32,7 @@ _OTHER = "#6d4c41"
 _METHODS = {
     "period detection": ("#b3261e", "o", "detection of the period after $N$ periods"),
     "multisection": ("#3b6fb5", "s", "multisection on the orbit's multiplier"),
-    "Newton": ("#1c6e4a", "D", "Newton on orbit, {} and multiplier −1"),
+    "interpolation": ("#1c6e4a", "D", "interpolation of det(M + 1) in {}"),
 }
 _SIXTH_DECIMAL = 5e-7
 
@@ -62,7 +62,7 @@ def work_precision(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
 
 def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
-    """Error of a doubling point against processor time: period detection, multisection on the multiplier, Newton."""
+    """Error of a doubling point against processor time, by period detection, multisection and interpolation."""
     ax = _axes(ax)
     symbol = _parameter(data)
     found = f"{symbol[:-1]}^*$"

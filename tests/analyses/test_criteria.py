@@ -14,7 +14,7 @@ import xarray as xr
 from conftest import ROOT
 from measure import scene_of, turned
 
-from jaxnh.analyses import cascade, chaos01, diagram, lyapunov, period, verdict
+from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.base import spread
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
@@ -57,14 +57,6 @@ def test_multiple_of_the_period():
     start, p = constant_speed().section_point(spread(START, 2)), {"b": b}
     u = lanes(section_map, (strobe, np.int32(400)), (start, p))
     np.testing.assert_array_equal(period.least_period(lanes, strobe, u, p, 8), [1, 2])
-
-
-def test_lanes_of_no_part_in_a_cascade():
-    """Lone lanes of no period, and of another than their equal neighbours, go; doublings and windows stay."""
-    found = np.array([1, 1, 1, 0, 2, 2, 2, 32, 2, 2, 4, 8, 8, 8, 0, 0, 0, 6, 6, 6])
-    other = np.arange(len(found))
-    kept = cascade.Line(other, found, other).without_holes()
-    np.testing.assert_array_equal(kept.period, [1, 1, 1, 2, 2, 2, 2, 2, 4, 8, 8, 8, 0, 0, 0, 6, 6, 6])
 
 
 def test_exponents_of_periodic_orbits(case):

@@ -59,7 +59,7 @@ def test_screen(made):
     assert f"exponents b 50 × exponent 2 1/time {exponents.min():.5g} … {exponents.max():.5g}" in text
     assert "x1 b 50 × start 2 × strobe 3" in text
     assert "diagram: start random, phase 0, trajectories 100, not_finite 0" in text
-    assert "doubling: 0 of 1 levels found; no period doubling in this range" in text
+    assert "doubling: along b, delta_limit nan, delta_limit_error nan, levels_found 1" in text
 
 
 def test_it_needs_no_jax(made):
@@ -156,7 +156,7 @@ def plane(tmp_path):
     groups = {
         "diagram": xr.Dataset(diagram, axes).set_coords("t"),
         "poincare": xr.Dataset({"failure": variable(("start", "omega", "drive"), codes, "why", **why)}, axes),
-        "alone": xr.Dataset(alone),
+        "alone": xr.Dataset(alone, attrs={"warnings": "alone: one thing\nalone: another"}),
     }
     store.write(path, {"jaxnh_version": "0", "axes": "drive omega"}, groups)
     return path, groups
@@ -173,6 +173,8 @@ def test_two_axes(plane):
     assert f"diagram: 2 of 150 lanes failed: non-finite state (x1), at (drive, omega) = {lost}" in text
     assert "poincare: 5 of 150 lanes failed: singular, at (drive, omega) = (1.06122, 1)" in text
     assert "(1.12245, 1), …" in text
+    assert "alone: one thing" in text
+    assert "alone: another" in text
 
 
 def test_table_of_two_axes(plane):

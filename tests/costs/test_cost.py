@@ -132,7 +132,7 @@ def test_price_of_a_doubling(tree):
     """Detection comes too early and gains with N; both ways by the orbit end at the error of the steps, or below."""
     data = tree["doubling_cost"].to_dataset()
     by = {name: data.isel(estimate=np.flatnonzero((data["method"] == name).to_numpy())) for name in
-          ("period detection", "multisection", "Newton")}  # fmt: skip
+          ("period detection", "multisection", "interpolation")}  # fmt: skip
     reference = data.attrs["reference"]
     assert 0 < PUBLISHED - reference < 3e-4
     detected = by["period detection"]
@@ -141,12 +141,12 @@ def test_price_of_a_doubling(tree):
     assert detected["error"].min() > 1e-4
     order = SPLITTINGS[tree.attrs["solver"]].convergence_order
     errors = [
-        by[name]["error"][-1] for name in ("multisection", "Newton")
+        by[name]["error"][-1] for name in ("multisection", "interpolation")
     ]  # at the scene's steps, and at twice as many
     most = 0.1 * tree["solvers"].attrs["target"]
     assert errors[0] < most
     assert errors[1] < min(2.0 ** (1 - order) * most, errors[0])  # in one lane terms of several orders may cancel
-    assert all(np.all(np.diff(by[name]["cpu_seconds"]) >= 0) for name in ("multisection", "Newton"))
+    assert all(np.all(np.diff(by[name]["cpu_seconds"]) >= 0) for name in ("multisection", "interpolation"))
     np.testing.assert_allclose(data["error"], np.abs(data["b"] - reference), atol=1e-15)
 
 

@@ -23,8 +23,8 @@ from jaxnh.config.experiment import load
 from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.build import make_strobe
-from jaxnh.maps.iterate import iterate, record
-from jaxnh.orbits.shooting import close_orbit, segment
+from jaxnh.maps.iterate import derivatives, iterate, record
+from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart, wrap
 
@@ -62,18 +62,18 @@ def test_strong_contraction(battery, lanes):
         n = int(found.period[0])
         assert n > 0
         strobe = scene.strobe()
-        orbit = close_orbit(
-            lambda u, w, b, strobe=strobe: lanes(segment, (strobe,), (u, w, {"b": b}), tile=32, static=("b",)),
-            walk(lanes, scene, found.u[0], n),
-            b,
+        orbit = close_orbits(
+            lambda u, b, strobe=strobe: lanes(derivatives, (strobe, np.int32(1)), (u, {"b": b}), tile=32),
+            walk(lanes, scene, found.u[0], n)[None],
+            np.array([b]),
         )
         options = lyapunov.LyapunovOptions(transient=128, periods=512 if battery.full else 128)
         x, y, theta = found.u[0]
         scene = scene_at([b], 600, "kahan_li8", system, ((x, y), (math.cos(theta), math.sin(theta))))
         ours = lyapunov.run(options, scene, lanes)
         exponents = ours["exponents"].to_numpy()[0]
-        mean = divergence(par, b, orbit.points) / (n * float(par.period))
-        logs = iterated(taylor.strobe_jacobian(par, np.full(n, b), orbit.points)[1]) / (n * float(par.period))
+        mean = divergence(par, b, orbit.points[0]) / (n * float(par.period))
+        logs = iterated(taylor.strobe_jacobian(par, np.full(n, b), orbit.points[0])[1]) / (n * float(par.period))
         exact = [logs[0], logs[1], mean - logs[0] - logs[1]]
         battery.row(
             f"c = {c:g}, b = {b:g}, period {n}: λ = {exponents[0]:.4f}, {exponents[1]:.4f}, {exponents[2]:.4f}",

@@ -13,8 +13,10 @@ from measure import scene_of, turned
 
 from jaxnh.analyses import chaos01, lyapunov, period, verdict
 from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.iterate import derivatives
+from jaxnh.orbits.doubling_points import doubling_point, follow_branch
 from jaxnh.orbits.newton import find_orbit
-from jaxnh.orbits.shooting import close_orbit, log_volume, multiplier_logs, refine_doubling, segment
+from jaxnh.orbits.shooting import close_orbits, log_volume, multiplier_logs
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, wrap
 
@@ -30,47 +32,33 @@ def lanes():
 
 
 @pytest.fixture(scope="module")
-def segments(lanes):
+def one_period(lanes):
     strobe = SCENE.strobe()
-    return lambda u, w, b: lanes(segment, (strobe,), (u, w, {"b": b}), tile=32, static=("b",))
-
-
-def dominant(blocks):
-    """The chain (n, 3) of vectors that the blocks carry along, of the largest multiplier, the first of length one."""
-    vector = np.ones(3)
-    for _ in range(3):
-        for block in blocks:
-            vector = block @ vector
-            vector /= np.linalg.norm(vector)
-    chain = [vector]
-    for block in blocks[:-1]:
-        chain.append(block @ chain[-1])
-    return np.array(chain)
+    return lambda u, b: lanes(derivatives, (strobe, np.int32(1)), (u, {"b": b}), tile=32)
 
 
 @pytest.fixture(scope="module")
-def first(lanes, segments):
+def first(lanes, one_period):
     """The doubling 1 → 2."""
     start = period.survey(SCENE, lanes, constant_speed().section_point(START)[None], 2, "hard", 300)
-    orbit = close_orbit(segments, start.u, 5.525)
-    return refine_doubling(segments, orbit.points, dominant(orbit.blocks), 5.525)
+    return doubling_point(one_period, follow_branch(one_period, start.u, 5.54, 5.515))
 
 
-def climb(segments, first, levels):
+def climb(one_period, first, levels):
     """Doublings of n = 1, 2, 4, … each from the one before: its orbit splits along its vector, and Newton follows."""
     points = [first]
     gap, size = -0.0241, 0.1
     for _ in range(1, levels):
         last, n = points[-1], len(points[-1].orbit)
-        b = last.value + 0.5 * gap
+        b = np.array([last.value + 0.5 * gap])
         for guess in size / 2.5 ** np.arange(8):  # the branches are √(b − b_k) apart, with an unknown factor
             moved = 0.5 * guess * last.vector / np.abs(last.vector).max()
-            found = close_orbit(segments, np.concatenate([last.orbit + moved, last.orbit - moved]), b)
-            apart = np.abs(wrap(found.points[:n] - found.points[n:])).max()
-            if found.residual < 1e-9 and 0.1 * guess < apart < 10 * guess:  # neither n's own orbit nor another's
+            found = close_orbits(one_period, np.concatenate([last.orbit + moved, last.orbit - moved])[None], b)
+            apart = np.abs(wrap(found.points[0, :n] - found.points[0, n:])).max()
+            if found.converged[0] and 0.1 * guess < apart < 10 * guess:  # neither n's own orbit nor another's
                 break
-        ahead = close_orbit(segments, found.points, last.value + 0.9 * gap)
-        points.append(refine_doubling(segments, ahead.points, dominant(ahead.blocks), last.value + gap))
+        branch = follow_branch(one_period, found.points[0], b[0], last.value + 1.5 * gap)
+        points.append(doubling_point(one_period, branch))
         gap = (points[-1].value - last.value) / (4.6 if len(points) < 4 else FEIGENBAUM)
         size = apart / 2.5  # Feigenbaum's α
     return points
@@ -145,11 +133,11 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
 
 
 @pytest.mark.case("Deep in the cascade")
-def test_deep_in_the_cascade(battery, lanes, segments, first):
+def test_deep_in_the_cascade(battery, lanes, one_period, first):
     """Doubling points up to 1024 → 2048, and stable orbits between them closed and with all their multipliers."""
     deepest = 11 if battery.full else 7
-    points = climb(segments, first, deepest)
-    assert all(point.converged for point in points)
+    points = climb(one_period, first, deepest)
+    assert all(point.error < 1e-12 for point in points)
     assert [len(point.orbit) for point in points] == [2**k for k in range(deepest)]
     b = np.array([point.value for point in points])
     par = taylor.Parameters()
@@ -176,15 +164,16 @@ def test_deep_in_the_cascade(battery, lanes, segments, first):
         n, last = 2**k, points[k]
         # Midway between two doublings, from the orbit at the second.
         at = 0.5 * (points[k - 1].value + last.value)
-        orbit = close_orbit(segments, last.orbit, at)
-        closing.append(orbit.residual)
-        battery.row(f"period {n} at b = {at:.12f}: closed", orbit.residual, 1e-10, "largest gap")
-        half = np.abs(wrap(orbit.points - np.roll(orbit.points, n // 2, 0))).max()
+        orbit = close_orbits(one_period, last.orbit[None], np.array([at]))
+        residual, blocks = orbit.residual[0], orbit.blocks[0]
+        closing.append(residual)
+        battery.row(f"period {n} at b = {at:.12f}: closed", residual, 1e-10, "largest gap")
+        half = np.abs(wrap(orbit.points[0] - np.roll(orbit.points[0], n // 2, 0))).max()
         assert half > 1e-7  # not the orbit of half the period
-        volume = lanes(log_volume, (SCENE.strobe(),), (orbit.points, {"b": np.full(n, at)}), tile=32).sum()
-        ours = multiplier_logs(orbit.blocks, volume)
+        volume = lanes(log_volume, (SCENE.strobe(),), (orbit.points[0], {"b": np.full(n, at)}), tile=32).sum()
+        ours = multiplier_logs(blocks, volume)
         assert ours[0] < 0  # stable
-        blocks = taylor.strobe_jacobian(par, np.full(n, at), orbit.points)[1]
+        blocks = taylor.strobe_jacobian(par, np.full(n, at), orbit.points[0])[1]
         off = np.abs(ours - iterated(blocks)) / np.maximum(np.abs(ours), 1.0)
         battery.row(
             f"period {n}: ln\\|μ\\| = {ours[0]:.4f}, {ours[1]:.2f}, {ours[2]:.2f}, by Taylor",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import jax
 import numpy as np
 import pytest
 import taylor
@@ -13,8 +14,11 @@ from measure import SYSTEMS, UNIT, apart, twin
 
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import Derivatives, derivatives
+from jaxnh.orbits import cyclic
+from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch, moved_doubling
 from jaxnh.orbits.newton import find_orbit, solve3
-from jaxnh.orbits.shooting import refine_doubling, segment, solve_cyclic
+from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
 
 FINEST = max(SPLITTINGS.values(), key=lambda solver: solver.convergence_order)
@@ -47,6 +51,11 @@ def attractor(name, b, n):
     return taylor.periodic_orbit(par, n, b, taylor.orbit(par, n, b, end))
 
 
+def period_of(lanes, strobe):
+    """P and ∂P/∂u at points (lanes, 3) and b (lanes,), as multiple shooting asks for them."""
+    return lambda u, b: lanes(derivatives, (strobe, np.int32(1)), (u, {"b": b}), tile=64)
+
+
 def monodromy_of(name, b, points):
     """∂Pⁿ/∂u at the first of the points, by the reference."""
     product = np.eye(3)
@@ -75,17 +84,20 @@ def test_map_is_fine_enough(lanes, strobes, name):
     """The error of one period on the orbits of these tests, and of its derivatives relative to the largest of them."""
     u = np.concatenate([attractor(name, b, n) for b, n in ORBITS[name]])
     b = np.concatenate([np.full(n, b) for b, n in ORBITS[name]])
-    w = np.random.default_rng(2).normal(size=u.shape)
-    ours = lanes(segment, (strobes[name],), (u, w, {"b": b}), tile=64, static=("b",))
-    end, first, second = taylor.strobe_hessian(twin(SYSTEMS[name]), b, u)
-    bent = np.einsum("nijk,nj->nik", second[:, :, :3, :], w.astype(taylor.REAL))
-    assert np.max(apart(ours.image, end)) < MAP_ERROR
-    for one, exact in (
-        (ours.image_slope, first),
-        (ours.carried, np.einsum("nij,nj->ni", first[..., :3], w.astype(taylor.REAL))),
-        (ours.carried_slope, bent),
-    ):
-        assert np.abs(one - exact).max() < MAP_ERROR * np.abs(exact).max()
+    image, monodromy, _ = period_of(lanes, strobes[name])(u, b)
+    end, first, _ = taylor.strobe_jacobian(twin(SYSTEMS[name]), b, u)
+    assert np.max(apart(image, end)) < MAP_ERROR
+    assert np.abs(monodromy - first).max() < MAP_ERROR * np.abs(first).max()
+
+
+def test_one_program_for_all_refinements(lanes, strobes):
+    """A table as large as that of twice the steps: the same program as that map, and bit for bit the same derivatives."""
+    one, finer = strobes["constant"], make_strobe(SYSTEMS["constant"], FINEST, 300)
+    roomy = one.with_room_of(finer)
+    assert jax.tree.map(np.shape, roomy) == jax.tree.map(np.shape, finer) != jax.tree.map(np.shape, one)
+    u, b = np.random.default_rng(3).uniform(-1, 1, (8, 3)), np.linspace(5.4, 5.6, 8)
+    for ours, exact in zip(period_of(lanes, roomy)(u, b)[:2], period_of(lanes, one)(u, b)[:2], strict=True):
+        assert ours.tobytes() == exact.tobytes()
 
 
 def test_orbit_need_not_be_stable(lanes, strobes):
@@ -129,70 +141,120 @@ def test_solve3(seed):
     assert np.abs(np.asarray(solve3(matrix, right)) - expected).max() < 20 * 4**2 * 2 * UNIT * np.linalg.norm(expected)
 
 
+def reversed_cycle(blocks):
+    """The equations M_i w_i = w_{i+1} with w_n = −w_0: blocks (..., n, m, m)."""
+    there = np.zeros_like(blocks)
+    there[:] = -np.eye(blocks.shape[-1])
+    there[..., -1, :, :] *= -1.0
+    return cyclic.eliminate(blocks, there)
+
+
 @settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 6))
-def test_solve_cyclic(seed, n, m):
-    """Against the dense matrix, to its condition number; A, B of order one, and B close to −1 as it is in use."""
+def test_cyclic_solution(seed, n, m):
+    """Two systems side by side, each against its dense matrix, to its condition number; B close to −1 as it is in use."""
     rng = np.random.default_rng(seed)
-    here = rng.normal(size=(n, m, m))
-    there = -np.eye(m) + 0.1 * rng.normal(size=(n, m, m))
-    slope, right, normal, level = rng.normal(size=(n, m)), rng.normal(size=(n, m)), rng.normal(size=m), rng.normal()
-    dense = np.zeros((n * m + 1, n * m + 1))
-    for i in range(n):
-        rows = slice(i * m, (i + 1) * m)
-        after = (i + 1) % n
-        dense[rows, rows] += here[i]
-        dense[rows, after * m : (after + 1) * m] += there[i]
-        dense[rows, -1] = slope[i]
-    dense[-1, :m] = normal
-    y, beta = solve_cyclic(here, there, slope, right, normal, level)
-    ours = np.append(y, beta)
-    residual = dense @ ours - np.append(right, level)
-    # Backward stable: the residual is rounding, whatever the condition; and the solution is that times the condition.
-    scale = np.linalg.norm(dense) * np.linalg.norm(ours) + np.linalg.norm(right)
-    assert np.abs(residual).max() < 20 * n * m * UNIT * scale
-    expected = np.linalg.solve(dense, np.append(right, level))
-    condition = np.linalg.cond(dense)
-    assert np.linalg.norm(ours - expected) < 40 * n * m * UNIT * condition * np.linalg.norm(expected)
+    here = rng.normal(size=(2, n, m, m))
+    there = -np.eye(m) + 0.1 * rng.normal(size=(2, n, m, m))
+    right = rng.normal(size=(2, n, m))
+    ours = cyclic.solve(cyclic.eliminate(here, there), right)
+    for k in range(2):
+        dense = np.zeros((n * m, n * m))
+        for i in range(n):
+            rows, after = slice(i * m, (i + 1) * m), (i + 1) % n
+            dense[rows, rows] += here[k, i]
+            dense[rows, after * m : (after + 1) * m] += there[k, i]
+        residual = dense @ ours[k].ravel() - right[k].ravel()
+        # Backward stable: the residual is rounding, whatever the condition; the solution is that times the condition.
+        scale = np.linalg.norm(dense) * np.linalg.norm(ours[k]) + np.linalg.norm(right[k])
+        assert np.abs(residual).max() < 20 * n * m * UNIT * scale
+        expected = np.linalg.solve(dense, right[k].ravel())
+        condition = np.linalg.cond(dense)
+        assert np.linalg.norm(ours[k].ravel() - expected) < 40 * n * m * UNIT * condition * np.linalg.norm(expected)
 
 
-def test_solve_cyclic_does_not_grow():
+def contracting_blocks(rng, n):
+    """∂P/∂u of n points whose product has multipliers 20ⁿ, 0.9ⁿ, 0.05ⁿ and known directions, and these (n, 3, 3)."""
+    basis = np.linalg.qr(rng.normal(size=(n, 3, 3)))[0]
+    along = np.array([20.0, 0.9, 0.05])[:, None]
+    return np.roll(basis, -1, axis=0) @ (along * np.swapaxes(basis, 1, 2)), basis
+
+
+def test_cyclic_solution_does_not_grow():
     """Sixty-four points whose product of matrices spans 10±80: multiplying it out would lose every digit."""
     rng = np.random.default_rng(9)
-    n, m = 64, 3
-    basis = np.linalg.qr(rng.normal(size=(n, m, m)))[0]
-    here = np.roll(basis, -1, axis=0) @ (np.array([20.0, 0.9, 0.05])[:, None] * np.swapaxes(basis, 1, 2))
-    there = np.broadcast_to(-np.eye(m), (n, m, m))
-    slope, exact, beta = rng.normal(size=(n, m)), rng.normal(size=(n, m)), 0.7
-    right = np.einsum("nij,nj->ni", here, exact) - np.roll(exact, -1, axis=0) + slope * beta
-    normal = rng.normal(size=m)
-    y, found = solve_cyclic(here, there, slope, right, normal, normal @ exact[0])
-    assert abs(found - beta) < 1e-12  # condition of some 1e3, a hundred roundings
-    assert np.abs(y - exact).max() < 1e-12
+    here, _ = contracting_blocks(rng, 64)
+    exact = rng.normal(size=(64, 3))
+    right = np.einsum("nij,nj->ni", here, exact) - np.roll(exact, -1, axis=0)
+    y = cyclic.solve(cyclic.eliminate(here, np.broadcast_to(-np.eye(3), here.shape)), right)
+    assert np.abs(y - exact).max() < 1e-12  # condition of some 1e3, a hundred roundings
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 6))
+def test_cyclic_determinant(seed, n, m):
+    """That of the product of well-conditioned matrices and one, sign and all, to its condition."""
+    rng = np.random.default_rng(seed)
+    blocks = well_conditioned(rng, n, m, m)
+    product = np.eye(m)
+    for block in blocks:
+        product = block @ product
+    moduli = np.linalg.svd(product + np.eye(m))[1]
+    size = np.prod(np.maximum(moduli, 1e-3)) * (1 + np.linalg.norm(product)) / max(moduli[-1], 1e-3)
+    assert abs(cyclic.determinant(reversed_cycle(blocks)) - np.linalg.det(product + np.eye(m))) < 1e4 * n * UNIT * size
+
+
+def test_multiplier_minus_one_among_large_and_small_ones():
+    """A vector that comes back reversed through matrices whose product spans 10±80: found, and the determinant passes 0."""
+    here, basis = contracting_blocks(np.random.default_rng(5), 64)
+    exact, values = basis[:, :, 1], []
+    for factor in (1.0 - 1e-9, 1.0, 1.0 + 1e-9):
+        # The middle direction is stretched by 0.9 a point; the last point brings it to −1 in all, or a little off.
+        last = np.array([20.0, -factor * 0.9**-63, 0.05])[:, None]
+        here[-1] = basis[0] @ (last * basis[-1].T)
+        values.append(cyclic.determinant(reversed_cycle(here)))
+    assert values[0] * values[2] < 0
+    rounding = (
+        64 * 20 * 4 * UNIT
+    )  # of 64 blocks of size twenty, four roundings each, where the multiplier is of order one
+    assert abs(values[1]) < rounding / 1e-9 * abs(values[2])
+    here[-1] = basis[0] @ (np.array([20.0, -(0.9**-63), 0.05])[:, None] * basis[-1].T)
+    found = cyclic.null_vector(reversed_cycle(here))
+    expected = exact * 0.9 ** np.arange(64)[:, None]
+    assert min(np.abs(found - expected).max(), np.abs(found + expected).max()) < 1e-11
 
 
 # ---- doubling points
 
 
+def test_doubling_function(lanes, strobes):
+    """det(M + 1) before and beyond a doubling, as of the reference's monodromy matrix."""
+    for n, b, past in ((1, 5.58, False), (2, 5.505, False), (1, 5.505, True)):
+        points = attractor("constant", 5.58 if past else b, n)
+        for value in np.linspace(5.58 if past else b, b, 9):
+            points = taylor.periodic_orbit(twin(SYSTEMS["constant"]), n, value, points)
+        found = close_orbits(period_of(lanes, strobes["constant"]), points[None].astype(float), np.array([b]))
+        exact = np.linalg.det(monodromy_of("constant", b, points) + np.eye(3))
+        assert found.converged[0]
+        assert (exact < 0) == past
+        assert abs(doubling_function(found)[0] - exact) < 1e-8 * max(1.0, abs(exact))  # as `test_find_orbit` has M
+
+
 @pytest.mark.parametrize("name", DOUBLINGS)
 @pytest.mark.parametrize("level", [0, 1])
-def test_refine_doubling(lanes, strobes, name, level):
+def test_doubling_point(lanes, strobes, name, level):
     """b where a period-1 and a period-2 orbit double, and the orbit and its vector there, as the reference has them."""
     n = 2**level
     guess, before = DOUBLINGS[name][level]
-    points = attractor(name, before, n)
-    for b in np.linspace(before, guess, 5):
-        points = taylor.periodic_orbit(twin(SYSTEMS[name]), n, b, points)
-    exact, _, info = taylor.doubling_point(twin(SYSTEMS[name]), n, guess, points[0])
-    vectors = taylor.eigenvector(taylor.strobe_jacobian(twin(SYSTEMS[name]), guess, points, real=np.float64)[1])[1]
-
-    def segments(u, w, b):
-        return lanes(segment, (strobes[name],), (u, w, {"b": b}), tile=64, static=("b",))
-
-    found = refine_doubling(segments, points, vectors.astype(float), guess)
-    assert found.converged
+    points = attractor(name, before, n).astype(float)
+    period = period_of(lanes, strobes[name])
+    branch = follow_branch(period, points + 1e-3, before, guess - 0.3 * (before - guess))
+    found = doubling_point(period, branch)
+    reference = taylor.orbit(twin(SYSTEMS[name]), n, found.value, found.orbit[0])
+    exact, _, info = taylor.doubling_point(twin(SYSTEMS[name]), n, guess, reference[0])
     sensitivity = info.error / (64 * np.finfo(taylor.REAL).eps)  # of b to the shooting equations, or a little more
     assert abs(found.value - exact) < MAP_ERROR * sensitivity
+    assert found.error < 1e-11
     assert np.max(apart(found.orbit, info.points)) < 1e-8
     assert abs(np.linalg.norm(found.vector[0]) - 1) < 1e-12
     along = np.abs((found.vector * info.vectors).sum()) / np.linalg.norm(found.vector) / np.linalg.norm(info.vectors)
@@ -201,16 +263,61 @@ def test_refine_doubling(lanes, strobes, name, level):
     assert np.abs(end + found.vector[0]).max() < 1e-7
 
 
-def test_refine_doubling_that_is_not_there(lanes, strobes):
-    """From a point where nothing doubles within Newton's steps: not converged, or b somewhere else; never a false one."""
-    points = attractor("constant", 5.58, 1)
-
-    def segments(u, w, b):
-        return lanes(segment, (strobes["constant"],), (u, w, {"b": b}), tile=64, static=("b",))
-
-    found = refine_doubling(segments, points + 0.5, np.array([[0.0, 0.0, 1.0]]), 3.0)
-    assert not found.converged or has_multiplier_minus_one("constant", found)
+def test_no_doubling_on_the_way(lanes, strobes):
+    """The orbit is followed to the end of the range and has not doubled; and from far off no orbit is found at all."""
+    points, period = attractor("constant", 5.58, 1).astype(float), period_of(lanes, strobes["constant"])
+    assert follow_branch(period, points, 5.58, 5.54) is None
+    assert follow_branch(period, points + 0.5, 3.0, 2.9) is None
+    assert follow_branch(period, np.full((1, 3), np.nan), 5.58, 5.4) is None
 
 
-def has_multiplier_minus_one(name, found):
-    return np.abs(np.linalg.eigvals(monodromy_of(name, found.value, found.orbit)) + 1).min() < 1e-6
+# ---- a map whose doublings are known
+
+
+def logistic(u, values):
+    """x → p x (1 − x) and its derivative, as multiple shooting asks for them."""
+    return Derivatives(values[:, None] * u * (1 - u), (values[:, None] * (1 - 2 * u))[..., None], None)
+
+
+LOGISTIC = [
+    3.0,
+    1 + math.sqrt(6),
+    3.5440903595519228536,
+    3.5644072660954325977,
+]  # closed forms, and OEIS A086180, A091517
+
+
+@pytest.mark.parametrize("level", range(4))
+def test_doublings_of_the_logistic_map(level):
+    """Within the error that is stated, which is rounding; from half way to the doubling before it."""
+    n, exact = 2**level, LOGISTIC[level]
+    start = exact - 0.4 * (exact - ([2.0, *LOGISTIC])[level])
+    x = [0.4]
+    for _ in range(4000 + n - 1):
+        x.append(start * x[-1] * (1 - x[-1]))
+    points = np.array(x[-n:])[:, None]
+    branch = follow_branch(logistic, points, start, exact + 0.02 * (exact - start), np.asarray)
+    found = doubling_point(logistic, branch, np.asarray)
+    assert abs(found.value - exact) <= found.error < 1e-13
+    assert follow_branch(logistic, points, start, exact - 0.02 * (exact - start), np.asarray) is None
+
+
+def test_doubling_of_nearly_the_same_map():
+    """The logistic map with its parameter a little larger: its doubling from the known one, to rounding."""
+    pair = np.array([[0.85], [0.44]])
+    known = doubling_point(logistic, follow_branch(logistic, pair, 3.4, 3.5, np.asarray), np.asarray)
+    for more in (1e-12, 1e-7, -1e-4, 0.1):
+        moved = moved_doubling(lambda u, v, more=more: logistic(u, v * (1 + more)), known, np.asarray)
+        assert abs(moved.value * (1 + more) - LOGISTIC[1]) <= moved.error < 1e-13
+    assert moved_doubling(lambda u, v: logistic(u, 0.0 * v + 2.0), known, np.asarray) is None  # nothing ever doubles
+
+
+def test_orbit_of_half_the_period_is_not_taken():
+    """Newton for two points from near the fixed point comes to rest there; a branch of two points does not go on to it."""
+    value, x = 3.2, 1 - 1 / 3.2
+    met = close_orbits(logistic, np.array([[[x + 1e-4], [x - 1e-4]]]), np.array([value]), np.asarray)
+    assert met.converged[0]
+    assert np.ptp(met.points) < 1e-9
+    root = math.sqrt((value + 1) * (value - 3))
+    pair = np.array([[(value + 1 + root) / (2 * value)], [(value + 1 - root) / (2 * value)]])
+    assert follow_branch(logistic, pair, value, 2.9, np.asarray) is None  # back to its birth at 3, and no further

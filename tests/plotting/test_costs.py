@@ -12,7 +12,7 @@ from jaxnh.plotting import costs
 
 
 def price_of_a_doubling():
-    method = np.array(["period detection"] * 2 + ["multisection"] * 2 + ["Newton"] * 2)
+    method = np.array(["period detection"] * 2 + ["multisection"] * 2 + ["interpolation"] * 2)
     variables = {
         "method": (("estimate",), method, "method", "1"),
         "effort": (("estimate",), np.array([100, 1000, 1, 2, 0, 1]), "work", "1"),

@@ -1,0 +1,80 @@
+"""The orbit of twice the period that is born at a doubling: Newton finds it beyond, with no transient.
+
+Near a doubling the daughter orbit is the old one ± an amplitude along the eigenvector of −1, and the amplitude grows
+like the root of the distance. Distances before tell how far the next doubling is (Feigenbaum, J. Stat. Phys. 19 (1978)
+25). So Newton starts at a few distances from a few amplitudes, both geometric. Along the eigenvector it solves the
+equation of a pitchfork, y³ = y in units of the amplitude, and converges to 1 from any start above 0.58.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.analyses.base import LaneRunner, Scene, picked
+from jaxnh.analyses.period import CONVERGED, largest_multiplier, least_period, orbits
+from jaxnh.analyses.runs import Line
+from jaxnh.orbits.doubling_points import DoublingPoint
+
+FEIGENBAUM = 4.669201609102990
+"""Ratio of successive distances between doublings, far down a cascade; here it only says where to look."""
+
+_NEAR, _FAR = 1 / 16, 2.0  # distances beyond a doubling to look at first, in units of that expected to the next one
+
+_DISTANCES, _AMPLITUDES = 8, 8  # in a window; their product is one tile of orbits
+_RATIO = 2.5  # of amplitudes: that of successive ones in a cascade (2.5029…), and less than Newton's three or four
+
+
+def daughters(
+    scene: Scene,
+    lanes: LaneRunner,
+    born: DoublingPoint,
+    largest: float,
+    distances: Float[np.ndarray, " distances"],
+) -> Line:
+    """Lanes at some distances beyond a doubling, on the stable orbit of twice the period where Newton has found it.
+
+    Args:
+        scene: the scene; its lanes but for their values of the first axis.
+        lanes: runs lanes.
+        born: the doubling.
+        largest: amplitude that the daughter orbit does not exceed, where the doubling orbit has only one point.
+        distances: from the doubling along the first axis, with sign, nearest first.
+
+    Returns:
+        A lane a distance, of period 0 where none was found.
+    """
+    n, apart = len(born.orbit), scene.system.apart
+    at = int(np.argmax(np.linalg.norm(born.vector, axis=1)))
+    origin, direction = born.orbit[at], born.vector[at] / np.linalg.norm(born.vector[at])
+    if n > 1:  # half way to the next point of its own the orbit of twice the period has another neighbour
+        largest = float(np.delete(apart(born.orbit, origin), at).min())
+    sizes = largest * _RATIO ** -np.arange(_AMPLITUDES)
+    growth = np.sqrt(np.abs(distances / distances[-1]))
+    amplitude = np.outer(growth, sizes).ravel()
+    value = np.repeat(born.value + distances, _AMPLITUDES)
+    p = scene.at(value).p
+    orbit = orbits(lanes, scene.strobe(), origin + amplitude[:, None] * direction, p, 2 * n)
+    ok = (orbit.residual < CONVERGED) & (largest_multiplier(orbit.monodromy) < 1.0)
+    ok &= apart(orbit.u, origin) <= largest
+    found = np.flatnonzero(ok)
+    shortest = least_period(lanes, scene.strobe(), orbit.u[found], picked(p, found), 2 * n)
+    ok[found[shortest != 2 * n]] = False
+    ok = ok.reshape(len(distances), _AMPLITUDES)
+    first = np.arange(len(distances)) * _AMPLITUDES + np.argmax(ok, axis=1)
+    return Line(value[first], np.where(ok.any(axis=1), 2 * n, 0), orbit.u[first])
+
+
+def window(expected: float, number: int, end: float) -> Float[np.ndarray, " distances"]:
+    """Distances to look at, no further than the end, which then is the last; empty where they begin beyond it.
+
+    Args:
+        expected: distance to the next doubling, with its sign.
+        number: 0 for distances about the expected one, 1, 2, … for those further out, −1, −2, … for closer ones.
+        end: distance to the end of what is searched, with the same sign.
+    """
+    distances = expected * np.geomspace(_NEAR, _FAR, _DISTANCES) * (_FAR / _NEAR) ** number
+    inside = np.abs(distances) < abs(end)
+    if not expected * end > 0 or (number > 0 and not inside.any()):
+        return distances[:0]
+    return distances if inside.all() else np.append(distances[inside], end)

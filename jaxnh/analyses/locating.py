@@ -1,0 +1,64 @@
+"""How a doubling of a scene is located: `orbits.doubling_points` on lanes, with the map in several refinements."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.analyses.base import LaneRunner, Scene
+from jaxnh.analyses.period import ORBIT_TILE
+from jaxnh.maps.iterate import Derivatives, derivatives, section_map
+from jaxnh.maps.protocol import Strobe
+from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch, moved_doubling
+from jaxnh.orbits.shooting import Period
+
+PERIOD_TILE = 32
+"""Lanes a tile of the derivatives of a period: an orbit has few points."""
+
+_REFINEMENTS = (1, 2, 4)
+
+
+def locate(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, " d"], start: float, stop: float, n: int
+) -> tuple[DoublingPoint, float] | None:
+    """The doubling between two values of the first axis of the period-n orbit that is stable at the first, through u.
+
+    Returns:
+        It with twice the steps, and the error of its value: what refinements, interpolation and rounding moved it by.
+        None where the orbit does not double before `stop`.
+    """
+    wrap = scene.system.wrap
+    coarse, fine, finest = (period_map(scene, lanes, strobe) for strobe in refined(scene))
+    branch = follow_branch(coarse, walk(scene, lanes, u, start, n), start, stop, wrap)
+    first = branch and doubling_point(coarse, branch, wrap)
+    second = first and moved_doubling(fine, first, wrap)
+    third = second and moved_doubling(finest, second, wrap)
+    if first is None or second is None or third is None:
+        return None
+    return second, abs(second.value - first.value) + abs(third.value - second.value) + second.error
+
+
+def refined(scene: Scene) -> tuple[Strobe, ...]:
+    """The map with 1, 2 and 4 times the steps, all of one shape, so that they run through one program."""
+    strobes = [scene.strobe(refinement) for refinement in _REFINEMENTS]
+    return tuple(strobe.with_room_of(strobes[-1]) for strobe in strobes)
+
+
+def period_map(scene: Scene, lanes: LaneRunner, strobe: Strobe) -> Period:
+    """P and ∂P/∂u at points and values of the first axis."""
+
+    def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
+        return lanes(derivatives, (strobe, np.int32(1)), (u, scene.at(values).p), tile=PERIOD_TILE)
+
+    return period
+
+
+def walk(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, " d"], value: float, n: int) -> Float[np.ndarray, "n d"]:
+    """The n points of an orbit from one of them: all that there are go on by as many periods as they are."""
+    strobe, points = scene.strobe(), u[None]
+    while len(points) < n:
+        here = points[: n - len(points)]
+        p = scene.at(np.full(len(here), value)).p
+        image = lanes(section_map, (strobe, np.int32(len(points))), (here, p), tile=ORBIT_TILE)
+        points = np.concatenate([points, image])
+    return points
