@@ -9,15 +9,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from jaxnh.analyses.growth import BLOCKS, Growth, window, windows
 
 _STUDENT = {16: 2.131, 15: 2.145, 14: 2.160, 13: 2.179, 12: 2.201, 11: 2.228, 10: 2.262, 9: 2.306, 8: 2.365}
 _STUDENT |= {7: 2.447, 6: 2.571, 5: 2.776, 4: 3.182, 3: 4.303, 2: 12.706}  # of so many means, 95 %
 _FEWEST = 4  # means of a batch that an error is taken from
-_UNSEEN = 3.0  # events of a kind that was never seen: their number over as long a run is below this, 95 %
 _ROUNDING = 1e-10  # of a smooth average a period
+_UNSEEN = 3.0  # events that were never seen: their mean number over as long a run is below this, 95 %
+_BURST = 7.0  # logarithm of growth in a burst of chaos: from a thousandth of the attractor to all of it
+_SLOW = 0.8  # von Neumann's ratio of block means: 2 where they are independent, below this in 1 of 500 such runs
 
 
 class Average(NamedTuple):
@@ -83,6 +85,31 @@ def of_windows(parts: Float[np.ndarray, "lanes 3 sums"], before: float, length: 
     return Average(parts[:, 0], max(1.0, left) * apart + beside + _ROUNDING)
 
 
-def unseen(rates: Float[np.ndarray, "lanes blocks sums"], length: float) -> Float[np.ndarray, " sums"]:
-    """What rare events that were never seen may add to a mean, a period: see `lyapunov`."""
-    raise NotImplementedError
+def nearly_neutral(found: Average, before: float, length: float) -> Average:
+    """The same, the error of a mean that may be zero as far as a finite window can tell enlarged to reach zero.
+
+    Over a window the logarithm of a tangent of regular motion may change without any exponent: by one as it turns or
+    the flow's speed changes along the motion, and by 2 ln of the ratio of times as it grows or shrinks like a power of
+    time up to the second (shear on tori, motion that slows down at a fold).
+
+    Args:
+        before, length: as in `of_windows`.
+    """
+    least = (1.0 + 2.0 * math.log1p(length / max(before, 1.0))) / length
+    return found._replace(error=found.error + np.where(np.abs(found.mean) <= least, np.abs(found.mean), 0.0))
+
+
+def unseen_bursts(rates: Float[np.ndarray, "lanes blocks sums"], length: float) -> Float[np.ndarray, " lanes"]:
+    """What bursts of chaos that were never seen may add to the mean of the largest exponent, a period.
+
+    Where block means only drift, as in the laminar phase of intermittency, the run is shorter than the time between
+    events, and its scatter says nothing of them. By the rule of three their number is below three a run.
+
+    Args:
+        rates: of the largest exponent alone.
+        length: periods of the average.
+    """
+    about = rates - rates.mean(axis=1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        ratio = np.sum(np.diff(rates, axis=1) ** 2, axis=(1, 2)) / np.sum(about**2, axis=(1, 2))
+    return np.where(ratio < _SLOW, _UNSEEN * _BURST / length, 0.0)

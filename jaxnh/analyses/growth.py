@@ -96,6 +96,7 @@ def average(
     count: int,
     begun: float = 0.0,
     quadrature: Quadrature | None = None,
+    tile: int | None = None,
 ) -> tuple[Growth, Float[np.ndarray, "lanes sums"]]:
     """Lanes `count` periods on, and growth a period of each tangent, of volume, and by quadrature of volume.
 
@@ -104,7 +105,7 @@ def average(
     if not count:
         return growth, np.full((len(growth.volume), len(growth.logs) + 2), np.nan)
     shared = (strobes, quadrature, np.int32(count), np.float64(begun))
-    growth = lanes(advance, shared, (growth, p), periods=count)
+    growth = lanes(advance, shared, (growth, p), periods=count, tile=tile)
     return growth, np.stack([*growth.logs, growth.volume, growth.divergence], axis=-1) / count
 
 

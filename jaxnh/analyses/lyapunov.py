@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int, Int8
+from jaxtyping import Float, Int, Int8
 from pydantic import Field
 
 from jaxnh.analyses.base import (
@@ -35,11 +35,10 @@ from jaxnh.analyses.base import (
     picked,
     variable,
 )
-from jaxnh.analyses.exponent_errors import Average, of_blocks, of_windows, smooth_parts
+from jaxnh.analyses.exponent_errors import nearly_neutral, of_blocks, of_windows, smooth_parts, unseen_bursts
 from jaxnh.analyses.growth import BLOCKS, Growth, advance, average, begin, parts_of, quadrature
 from jaxnh.analyses.orbit_exponents import on_orbits
 from jaxnh.maps.iterate import iterate
-from jaxnh.systems.flow import Parameters
 
 SOURCES = ("average", "smooth_average", "orbit")
 """Meanings of the flags 0, 1, 2 of `exponents_from`."""
@@ -52,9 +51,10 @@ _ALIGNING = 8  # of this many parts of the transient, the last also turns the ta
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
 _PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
 _COMMENT = (
-    "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum of "
-    "growth strays from a line; of a smooth_average: how far those over its halves are from each other, and from the "
-    "whole; of an orbit: twice what twice the steps change in its multipliers; measured in results/hard.md"
+    "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
+    "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
+    "the whole; of both, up to zero where a finite window leaves that open; of an orbit: twice what twice the steps "
+    "change in its multipliers"
 )
 
 
@@ -159,21 +159,28 @@ class Spectrum(NamedTuple):
 def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: Averages, parts: int) -> Spectrum:
     """The best that is known of every lane: its orbit, a smooth average or a plain one."""
     lead, k = int(scene.flow.autonomous), tangents(options, scene)
+    aligned, block = options.transient // _ALIGNING, options.periods // BLOCKS
     mean, error = np.empty((2, scene.count, lead + k))
     for blocks in np.unique(found.blocks):
         chosen = found.blocks == blocks
-        mean[chosen], error[chosen] = of_blocks(found.rates[chosen, :blocks, : lead + k])
+        plain = of_blocks(found.rates[chosen, :blocks, : lead + k])
+        mean[chosen], error[chosen] = nearly_neutral(plain, aligned, blocks * block)
     source = np.zeros(scene.count, np.int8)
-    last = np.stack([found.rates[i, n - n // 4 : n, lead].mean() for i, n in enumerate(found.blocks)])
+    last = np.array([found.rates[i, n - n // 4 : n, lead].mean() for i, n in enumerate(found.blocks)])
     open_ = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
     open_ &= np.all(np.isfinite(mean), axis=1)
-    smooth = of_windows(found.smooth[:, :, : lead + k], options.transient // _ALIGNING, options.periods)
-    regular = open_ & (found.blocks == BLOCKS) & (smooth.error[:, lead] < error[:, lead])
+    whole = np.flatnonzero(open_ & (found.blocks == BLOCKS))
+    smooth = of_windows(found.smooth[whole, :, : lead + k], aligned, BLOCKS * block)
+    smooth = nearly_neutral(smooth, aligned, BLOCKS * block)
+    better = smooth.error[:, lead] < error[whole, lead]
+    regular = whole[better]
     source[regular] = SOURCES.index("smooth_average")
-    mean[regular], error[regular] = smooth.mean[regular], smooth.error[regular]
+    mean[regular], error[regular] = smooth.mean[better], smooth.error[better]
+    drifting = whole[~better]
+    error[drifting] += unseen_bursts(found.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
     candidates = np.flatnonzero(open_)
     if len(candidates) and not lead and scene.precision == "float64":
-        settled = on_orbits(scene, lanes, found.growth, candidates, parts, options.periods)
+        settled = on_orbits(scene, lanes, found.growth, candidates, parts, BLOCKS * block)
         source[settled.lanes] = SOURCES.index("orbit")
         mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
     return Spectrum(mean, error, source)
@@ -244,7 +251,8 @@ def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectru
     volume = np.sum(np.where(ran[:, :, None], volume, 0.0), axis=1) / averages.blocks[:, None] / period
     divergence = ""
     if symbols := scene.flow.contraction:
-        divergence, words = f" −{symbols}", f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
+        divergence = f" −{symbols}"
+        words = f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
         variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, unit)
     variables["averaged"] = variable(LANE, averaged, "length of the average", counted_in(scene.system))
     if every_exponent(options, scene):

@@ -6,12 +6,11 @@ matrix; those that rounding loses in it come from tangents carried around the or
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LaneRunner, Scene, picked
 from jaxnh.analyses.growth import Growth, average, parts_of
@@ -80,7 +79,7 @@ def _logs(
     parts: int,
     refinement: int,
 ) -> tuple[Float[np.ndarray, "lanes k"], Float[np.ndarray, "lanes k"]]:
-    """ln|μ|/n of orbits of period n, largest first, with `refinement` times the steps, and what rounding leaves of it."""
+    """ln|μ|/n of orbits of period n, largest first, with `refinement` times the steps, and its rounding."""
     k = len(growth.tangents)
     orbit = orbits(lanes, scene.strobe(refinement), u, p, n)
     moduli = np.sort(np.abs(np.linalg.eigvals(orbit.monodromy)), axis=1)[:, ::-1][:, :k]
@@ -99,15 +98,15 @@ def _logs(
 def _carried(
     scene: Scene, lanes: LaneRunner, growth: Growth, p: Parameters, orbit: Orbit, n: int, parts: int, refinement: int
 ) -> tuple[Float[np.ndarray, "lanes k"], Float[np.ndarray, "lanes k"]]:
-    """Growth a period of tangents carried around orbits until a turn changes it no more, and what the last one changed."""
+    """Growth a period of tangents carried around orbits until a turn changes it no more, and its last change."""
     strobes, k = parts_of(scene, parts, refinement), len(growth.tangents)
-    growth, _ = average(lanes, strobes, growth, p, 1)  # to the point that the orbit begins at
+    growth, _ = average(lanes, strobes, growth, p, 1, tile=ORBIT_TILE)  # to the point that the orbit begins at
     state = jax.vmap(scene.system.unchart)(orbit.u)
     growth = growth._replace(state=jax.tree.map(np.asarray, state))
     rates = moved = np.full((len(orbit.u), k), np.inf)
     for _ in range(_TURNS):
         before = rates
-        growth, sums = average(lanes, strobes, growth, p, n)
+        growth, sums = average(lanes, strobes, growth, p, n, tile=ORBIT_TILE)
         rates = sums[:, :k]
         moved = np.abs(rates - before)
         if np.all(moved < _SETTLED):
