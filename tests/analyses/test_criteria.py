@@ -14,8 +14,9 @@ import xarray as xr
 from conftest import ROOT
 from measure import scene_of, turned
 
-from jaxnh.analyses import cascade, chaos01, diagram, growth, lyapunov, period, verdict
+from jaxnh.analyses import cascade, chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.base import spread
+from jaxnh.analyses.growth import gram_schmidt, window
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
@@ -166,7 +167,7 @@ def multiplier_logs(blocks):
     for _ in range(400):
         basis, logs = turned(blocks, basis)
         settled.append(logs)
-    weights = growth.window((np.arange(300) + 0.5) / 300)[:, None]
+    weights = window((np.arange(300) + 0.5) / 300)[:, None]
     return np.sum(weights * np.array(settled[100:]), axis=0) / weights.sum()
 
 
@@ -218,7 +219,7 @@ def test_one_exponent_is_the_largest_of_three(case):
 def test_gram_schmidt_is_qr():
     """Written-out Gram–Schmidt gives numpy's Q up to signs, and the logarithms of |diag R|."""
     matrix = np.random.default_rng(5).normal(size=(3, 3))
-    vectors, logs = growth.gram_schmidt([tuple(jnp.asarray(row)) for row in matrix])
+    vectors, logs = gram_schmidt([tuple(jnp.asarray(row)) for row in matrix])
     q, r = np.linalg.qr(matrix.T)
     np.testing.assert_allclose(np.array(logs), np.log(np.abs(np.diag(r))), atol=1e-13)
     np.testing.assert_allclose(np.abs(np.array(vectors)), np.abs(q.T), atol=1e-13)
