@@ -21,13 +21,16 @@ from jaxnh.analyses.base import LaneRunner, Scene
 from jaxnh.maps.build import between, cut_strobe
 from jaxnh.maps.protocol import Strobe, Tangent
 from jaxnh.maps.single_precision import in_precision
+from jaxnh.maps.step_grids import step_grid
+from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.flow import Flow, Parameters, State, Vector
 
 BLOCKS = 16
 """Equal parts of an average, each a mean of its own."""
 
 _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
-_KICKS_A_NODE = 6  # a panel of twelve nodes is far finer than a splitting with so many kicks for each of them
+_BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
+_KICKS_A_NODE = 6  # of the map: its own error is then larger than that of a step of ten kicks from node to node
 
 
 class Growth(NamedTuple):
@@ -68,16 +71,17 @@ class Quadrature(NamedTuple):
 
 
 def quadrature(scene: Scene) -> Quadrature:
-    """Nodes in panels of twelve, in number with the kicks of a period, whose states are computed by maps of their own.
+    """Nodes in panels of twelve, in number with the kicks of a period, denser where the flow is faster.
 
-    The nodes lie on other steps than those of the map, so that determinants of its kicks are no part of the result.
+    Their states are those of another map, a step of order six from node to node, so that neither determinants nor
+    errors of the map's own kicks are part of the result.
     """
     flow, kicks = scene.flow, scene.solver.total_kicks(scene.steps)
-    panels = -(-kicks // (_KICKS_A_NODE * len(_PANEL_NODES)))
-    edges = np.linspace(0.0, flow.period, panels + 1)
+    panels, span = -(-kicks // (_KICKS_A_NODE * len(_PANEL_NODES))), (0.0, flow.period)
+    edges = np.linspace(*span, panels + 1) if flow.autonomous else step_grid(flow, panels, span)
     half = 0.5 * np.diff(edges)
     t = (edges[:-1, None] + half[:, None] * (1.0 + _PANEL_NODES)).ravel()
-    maps = between(flow, scene.solver, scene.steps, np.append(0.0, t), compensated=scene.compensated)
+    maps = between(flow, _BETWEEN_NODES, 1, np.append(0.0, t), compensated=scene.compensated)
     return Quadrature(flow, in_precision(maps, scene.precision), t, (half[:, None] * _PANEL_WEIGHTS).ravel())
 
 

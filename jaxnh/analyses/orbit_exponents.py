@@ -88,7 +88,8 @@ def _logs(
         logs, rounding = np.log(moduli) / n, _ROUNDING / share / n
     lost = np.flatnonzero(~np.all(share > _SEEN, axis=1))
     if len(lost):
-        carried, moved = _carried(scene, lanes, *picked((growth, p, orbit), lost), n, parts, refinement)
+        around = picked(growth, lost), picked(p, lost), picked(orbit, lost)
+        carried, moved = _carried(scene, lanes, *around, n, parts, refinement)
         unseen = share[lost] <= _SEEN
         logs[lost] = np.where(unseen, carried, logs[lost])
         rounding[lost] = np.where(unseen, moved + _ROUNDING, rounding[lost])
