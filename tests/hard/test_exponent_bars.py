@@ -34,7 +34,7 @@ MISSED = 0.05
 @pytest.fixture(scope="module")
 def lanes():
     """One runner, so that equal programs are compiled once, in small tiles."""
-    return Lanes(tile=64)
+    return Lanes(tile=32)
 
 
 def scene_at(system, values, target, lanes):
@@ -68,7 +68,7 @@ def of_orbit(scene, lanes, n, u, i):
     par, b = twin(scene.system), float(scene.p["b"][i])
     state = jax.tree.map(np.asarray, unchart(u[:, None]))
     points = lanes(record, (scene.strobe(),), (state, {"b": np.full(1, b)}), static=(n,))[1]
-    points = np.roll(np.array(chart(jax.tree.map(lambda leaf: leaf[0], points))).reshape(n, 3), 1, axis=0)
+    points = np.roll(np.array(chart(jax.tree.map(lambda leaf: leaf[0], points))).T, 1, axis=0)
     blocks = taylor.strobe_jacobian(par, np.full(n, b), points)[1]
     whole = np.eye(3, dtype=np.longdouble)
     for block in blocks:
