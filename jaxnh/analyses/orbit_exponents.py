@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.base import LaneRunner, Scene, picked
 from jaxnh.analyses.growth import Growth, average, parts_of
 from jaxnh.analyses.period import ORBIT_TILE, orbits, survey
 from jaxnh.orbits.newton import Orbit
-from jaxnh.systems.flow import Parameters
+from jaxnh.systems.flow import Flow, Parameters, State
 
 _LONGEST = 64  # period of an orbit that is looked for
 _SEEN = 1e-6  # a multiplier below this share of the monodromy matrix is left to tangents
@@ -102,14 +101,19 @@ def _carried(
     """Growth a period of tangents carried around orbits until a turn changes it no more, and its last change."""
     strobes, k = parts_of(scene, parts, refinement), len(growth.tangents)
     growth, _ = average(lanes, strobes, growth, p, 1, tile=ORBIT_TILE)  # to the point that the orbit begins at
-    state = jax.vmap(scene.system.unchart)(orbit.u)
-    growth = growth._replace(state=jax.tree.map(np.asarray, state))
-    rates = moved = np.full((len(orbit.u), k), np.inf)
+    growth = growth._replace(state=lanes(_state_at, (scene.system,), (orbit.u,), tile=ORBIT_TILE))
+    rates, moved = np.full((2, len(orbit.u), k), np.inf)
+    going = np.arange(len(orbit.u))
     for _ in range(_TURNS):
-        before = rates
-        growth, sums = average(lanes, strobes, growth, p, n, tile=ORBIT_TILE)
-        rates = sums[:, :k]
-        moved = np.abs(rates - before)
-        if np.all(moved < _SETTLED):
+        growth, sums = average(lanes, strobes, growth, picked(p, going), n, tile=ORBIT_TILE)
+        moved[going] = np.abs(sums[:, :k] - rates[going])
+        rates[going] = sums[:, :k]
+        left = ~np.all(moved[going] < _SETTLED, axis=1)
+        going, growth = going[left], picked(growth, left)
+        if not len(going):
             break
     return rates, moved
+
+
+def _state_at(system: Flow, u: Float[Array, " d"]) -> State:
+    return system.unchart(u)
