@@ -49,6 +49,7 @@ _MOST_PARTS = 1024
 _PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
+_COMPARED = 16  # periods in which a smooth average is held against one with twice the steps
 _PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
 _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
@@ -63,7 +64,9 @@ class LyapunovOptions(Options):
 
     transient: int = Field(default=256, ge=0, description="Periods before the average begins")
     periods: int = Field(default=1024, ge=BLOCKS, description="Periods averaged over, at most")
-    error: float = Field(default=0.0, ge=0.0, description="Stop a lane whose error bars are below this; 0: never")
+    error: float = Field(
+        default=0.0, ge=0.0, description="Stop a lane whose error bars (1/time) are below this; 0: never"
+    )
     exponents: int = Field(default=3, ge=1, description="How many of the largest exponents are wanted")
 
 
@@ -136,8 +139,9 @@ def averages(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, parts: i
                 whole[running] = moved
             done[running] += 1
             if options.error and i + 1 >= BLOCKS // 4:
-                error = of_blocks(rates[running, : i + 1]).error
-                running = running[~(np.max(error[:, lead : lead + k], axis=1) < options.error)]
+                plain = of_blocks(rates[running, : i + 1, lead : lead + k])
+                error = nearly_neutral(plain, aligning, (i + 1) * block).error / scene.system.period
+                running = running[~(np.max(error, axis=1) < options.error)]
             if not len(running):
                 break
     return Averages(growth, rates, smooth, done)
@@ -175,7 +179,8 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
     better = smooth.error[:, lead] < error[whole, lead]
     regular = whole[better]
     source[regular] = SOURCES.index("smooth_average")
-    mean[regular], error[regular] = smooth.mean[better], smooth.error[better]
+    mean[regular] = smooth.mean[better]
+    error[regular] = smooth.error[better] + _of_steps(scene, lanes, picked(found.growth, regular), regular, parts)
     drifting = whole[~better]
     error[drifting] += unseen_bursts(found.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
     candidates = np.flatnonzero(open_)
@@ -184,6 +189,20 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
         source[settled.lanes] = SOURCES.index("orbit")
         mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
     return Spectrum(mean, error, source)
+
+
+def _of_steps(
+    scene: Scene, lanes: LaneRunner, growth: Growth, some: Int[np.ndarray, " some"], parts: int
+) -> Float[np.ndarray, "some sums"]:
+    """Twice what twice the steps change in the growth over a few periods from where these lanes of a scene are.
+
+    Regular motions from one state stay together for that long. In plain averages this is far below the scatter.
+    """
+    if not len(some):
+        return np.zeros((0, len(growth.logs)))
+    p = picked(dict(scene.p), some)
+    coarse, fine = (average(lanes, parts_of(scene, parts, n), growth, p, _COMPARED)[1] for n in (1, 2))
+    return 2.0 * np.abs(coarse - fine)[:, : len(growth.logs)]
 
 
 def every_exponent(options: LyapunovOptions, scene: Scene) -> bool:
