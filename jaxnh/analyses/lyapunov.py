@@ -54,8 +54,8 @@ _PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
 _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
     "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
-    "the whole; of both, up to zero where a finite window leaves that open; of an orbit: twice what twice the steps "
-    "change in its multipliers"
+    "the whole, and twice what twice the steps change; of both, up to zero where a finite "
+    "window leaves that open; of an orbit: twice what twice the steps change in its multipliers"
 )
 
 
@@ -64,9 +64,7 @@ class LyapunovOptions(Options):
 
     transient: int = Field(default=256, ge=0, description="Periods before the average begins")
     periods: int = Field(default=1024, ge=BLOCKS, description="Periods averaged over, at most")
-    error: float = Field(
-        default=0.0, ge=0.0, description="Stop a lane whose error bars (1/time) are below this; 0: never"
-    )
+    error: float = Field(default=0.0, ge=0.0, description="Stop a lane whose error bars, 1/time, are below this")
     exponents: int = Field(default=3, ge=1, description="How many of the largest exponents are wanted")
 
 
