@@ -23,6 +23,7 @@ CASES = (
     "On the edge of a doubling",
     "Deep in the cascade",
     "Long chaos",
+    "Error bars of exponents",
     "Coexisting attractors",
     "A poisoned lane",
     "float32 on request",

@@ -52,7 +52,7 @@ def exponents(b, count):
         {"b": (b, "coupling b")},
         {
             "exponents": (("b", "exponent"), values, "Lyapunov exponents, natural logarithm", "1/time", error),
-            "exponents_error": (("b", "exponent"), 0.1 + 0 * values, "two standard errors", "1/time"),
+            "exponents_error": (("b", "exponent"), 0.1 + 0 * values, "error of the exponents at 95 %", "1/time"),
         },
         panel="curves",
         panel_variables="exponents",

@@ -220,9 +220,18 @@ def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     """
     if system.autonomous:
         return _equal_steps(system, solver, max(1, math.ceil(steps / parts - 1e-6)), system.period / parts, parts)
+    return between(system, solver, steps, np.linspace(0.0, system.period, parts + 1), compensated=compensated)
+
+
+def between(system: Flow, solver: Solver, steps: int, ends: np.ndarray, *, compensated: bool = False) -> Strobe:
+    """The maps from each of some rising times (parts + 1,) within a period to the next, stacked as by `make_parts`."""
+    if system.autonomous:
+        lengths = np.diff(ends)
+        each = max(1, math.ceil(steps * lengths.max() / system.period - 1e-6))
+        maps = [_equal_steps(system, solver, each, length) for length in lengths.tolist()]
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *maps)
     fine = step_grid(system, GRID_POINTS, (0.0, system.period))
     share = np.linspace(0.0, 1.0, GRID_POINTS + 1)
-    ends = np.linspace(0.0, system.period, parts + 1)
     shares = np.interp(ends, fine, share)
     each = max(1, math.ceil(steps * np.diff(shares).max() - 1e-6))
     grid = np.interp(np.linspace(shares[:-1], shares[1:], each + 1, axis=-1), share, fine)

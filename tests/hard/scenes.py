@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import taylor
+from battery import worst
 from measure import apart, calibrated, twin
 
 from jaxnh.engine.calibration import Plan
@@ -62,3 +63,17 @@ def show(battery, what, held, target):
         "error by Taylor",
     )
     assert plan.error_estimate <= target
+
+
+def show_sum_rule(battery, what, found, error):
+    """Rows of the sum rule: against the divergence integrated by itself, and against the determinants of the steps.
+
+    The first is of the size of the map's own error: the divergence of a step's modified field differs from the flow's
+    by what an error of one period makes of a period's growth, some ten errors where the flow turns sharply; a hundred
+    are allowed. The second is rounding, of some thousand steps in each of the periods that are averaged.
+    """
+    residual = worst(np.abs(found["sum_rule_residual"].to_numpy()))
+    battery.row(f"{what}: sum of exponents against the divergence by quadrature", residual, 100 * error, "residual")
+    scale = np.abs(found["exponents"].to_numpy()).sum(axis=1)
+    rounding = worst(np.abs(found["volume_residual"].to_numpy()) / scale)
+    battery.row(f"{what}: against the determinants of the steps", rounding, 1e-10, "residual, relative,")

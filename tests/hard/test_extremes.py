@@ -12,7 +12,7 @@ from battery import worst
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from measure import apart, scene_of, twin
-from scenes import PAPER_B, SPREAD, hold, show, start_at
+from scenes import PAPER_B, SPREAD, hold, show, show_sum_rule, start_at
 
 from jaxnh.analyses import lyapunov
 from jaxnh.analyses.base import spread
@@ -48,9 +48,7 @@ def test_speed_nearly_vanishing(battery, lanes):
         scene = scene_of(system, start, [2.5, 4.1, 5.6], *held.plan)
         options = lyapunov.LyapunovOptions(transient=64, periods=512 if battery.full else 32)
         found = lyapunov.run(options, scene, lanes)
-        scale = np.abs(found["exponents"].to_numpy()).sum(axis=1)
-        residual = np.abs(found["sum_rule_residual"].to_numpy()) / scale
-        battery.row(f"d/c = {ratio:g}: spectra at three b", worst(residual), 1e-8, "sum rule, relative,")
+        show_sum_rule(battery, f"d/c = {ratio:g}, three b", found, held.plan.error_estimate)
 
 
 @pytest.mark.case("Speed nearly vanishing")

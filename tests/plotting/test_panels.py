@@ -191,10 +191,10 @@ def test_curves_are_drawn_with_their_error():
         (
             exponents(FEW, 3),
             "Lyapunov exponents $λ_k$ (1/time)",
-            ["$λ_1$", "$λ_2$", "$λ_3$", "two standard errors"],
+            ["$λ_1$", "$λ_2$", "$λ_3$", "error of the exponents at 95 %"],
             [0],
         ),
-        (exponents(FEW, 1), "largest Lyapunov exponent $λ_1$ (1/time)", ["two standard errors"], [0]),
+        (exponents(FEW, 1), "largest Lyapunov exponent $λ_1$ (1/time)", ["error of the exponents at 95 %"], [0]),
         (growth_rates(FEW), "0–1 test, $K$ (dimensionless)", ["half the distance between the quartiles"], [0, 1]),
     ],
     ids=["three", "one", "another"],

@@ -1,0 +1,213 @@
+"""Growth of tangents and of volume along the motion of a lane: what exponents are averages of.
+
+The tangent flow is the exact derivative of the solver's own step. Tangents are orthonormalised by a written-out
+Gram–Schmidt several times a period (Benettin and co-workers 1980), as often as the contraction needs. The divergence of
+the flow is integrated by itself, by Gauss–Legendre quadrature, where it is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxnh.analyses.base import LaneRunner, Scene
+from jaxnh.maps.build import between, cut_strobe
+from jaxnh.maps.protocol import Strobe, Tangent
+from jaxnh.maps.single_precision import in_precision
+from jaxnh.maps.step_grids import step_grid
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.systems.flow import Flow, Parameters, State, Vector
+
+BLOCKS = 16
+"""Equal parts of an average, each a mean of its own."""
+
+_PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
+_BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
+_KICKS_A_NODE = 6  # of the map: its own error is then larger than that of a step of ten kicks from node to node
+
+
+class Growth(NamedTuple):
+    """A lane on its way: state, orthonormal tangents in section coordinates, and logarithms of growth summed so far.
+
+    Attributes:
+        state: of the flow.
+        tangents: k of d components each.
+        logs: k sums of the logarithms of the tangents' growth; without a clock, that along the flow before them.
+        volume: sum of the logarithms of the growth of volume.
+        divergence: integral of the flow's divergence by quadrature, zero where it is not asked for.
+        smooth: the sums of logs and volume, over periods under the windows of `windows`, as tuples.
+        loss: largest logarithm by which the last tangent shrank against the first in one part of a period.
+    """
+
+    state: State
+    tangents: tuple[Vector, ...]
+    logs: tuple[Array, ...]
+    volume: Array
+    divergence: Array
+    smooth: tuple[tuple[Array, ...], ...]
+    loss: Array
+
+
+class Quadrature(NamedTuple):
+    """Gauss–Legendre quadrature over a period along the motion.
+
+    Attributes:
+        flow: whose divergence is integrated.
+        maps: from the beginning of the period to the first node and from node to node, stacked.
+        t, weights: of the nodes, (nodes,).
+    """
+
+    flow: Flow
+    maps: Strobe
+    t: np.ndarray
+    weights: np.ndarray
+
+
+def quadrature(scene: Scene) -> Quadrature:
+    """Nodes in panels of twelve, in number with the kicks of a period, denser where the flow is faster.
+
+    Their states are those of another map, a step of order six from node to node, so that neither determinants nor
+    errors of the map's own kicks are part of the result.
+    """
+    flow, kicks = scene.flow, scene.solver.total_kicks(scene.steps)
+    panels, span = -(-kicks // (_KICKS_A_NODE * len(_PANEL_NODES))), (0.0, flow.period)
+    edges = np.linspace(*span, panels + 1) if flow.autonomous else step_grid(flow, panels, span)
+    half = 0.5 * np.diff(edges)
+    t = (edges[:-1, None] + half[:, None] * (1.0 + _PANEL_NODES)).ravel()
+    maps = between(flow, _BETWEEN_NODES, 1, np.append(0.0, t), compensated=scene.compensated)
+    return Quadrature(flow, in_precision(maps, scene.precision), t, (half[:, None] * _PANEL_WEIGHTS).ravel())
+
+
+def parts_of(scene: Scene, parts: int, refinement: int = 1) -> Strobe:
+    """The maps between orthonormalisations, so many a period, stacked, with `refinement` times the steps."""
+    steps = refinement * scene.steps
+    strobe = cut_strobe(scene.flow, scene.solver, steps, parts, compensated=scene.compensated)
+    return in_precision(strobe, scene.precision)
+
+
+def average(
+    lanes: LaneRunner,
+    strobes: Strobe,
+    growth: Growth,
+    p: Parameters,
+    count: int,
+    begun: float = 0.0,
+    quadrature: Quadrature | None = None,
+    tile: int | None = None,
+) -> tuple[Growth, Float[np.ndarray, "lanes sums"]]:
+    """Lanes `count` periods on, and growth a period of each tangent, of volume, and by quadrature of volume.
+
+    `begun` is the share of the whole average that is over, for the smooth windows.
+    """
+    if not count:
+        return growth, np.full((len(growth.volume), len(growth.logs) + 2), np.nan)
+    shared = (strobes, quadrature, np.int32(count), np.float64(begun))
+    growth = lanes(advance, shared, (growth, p), periods=count, tile=tile)
+    return growth, np.stack([*growth.logs, growth.volume, growth.divergence], axis=-1) / count
+
+
+def begin(system: Flow, state: State, k: int) -> Growth:
+    """A lane at a state with k tangents."""
+    zero = jnp.zeros_like(state[0][0])
+    tangents = jax.tree.map(lambda component: zero + component, system.directions(k))
+    sums = k + int(system.autonomous)
+    return Growth(state, tangents, (zero,) * sums, zero, zero, ((zero,) * (sums + 1),) * 2, zero)
+
+
+def advance(
+    strobes: Strobe, quadrature: Quadrature | None, count: ArrayLike, begun: ArrayLike, growth: Growth, p: Parameters
+) -> Growth:
+    """One lane `count` periods on, its sums begun anew."""
+    growth = Growth(growth.state, growth.tangents, *jax.tree.map(jnp.zeros_like, growth[2:]))
+    # Where the divergence is a derivative more, it serves the sum rule alone.
+    wanted = strobes.system.contraction or len(growth.logs) == strobes.system.exponents
+
+    def part(growth: Growth, strobe: Strobe) -> tuple[Growth, None]:
+        system = strobe.system
+        pushed = strobe.push(growth.state, p, tuple(Tangent(system.lift(growth.state, v)) for v in growth.tangents))
+        moved = [system.lower(pushed.state, t.state) for t in pushed.tangents]
+        if system.autonomous:
+            tangents, grown = _across(system, growth.state, pushed.state, moved, p)
+        else:
+            tangents, grown = gram_schmidt(moved)
+        logs = tuple(sum_ + g for sum_, g in zip(growth.logs, grown, strict=True))
+        largest = jnp.maximum(grown[0], grown[1]) if system.autonomous else grown[0]
+        loss = jnp.maximum(growth.loss, largest - grown[-1])
+        volume = growth.volume + jnp.log(pushed.volume) if wanted else growth.volume
+        return growth._replace(state=pushed.state, tangents=tangents, logs=logs, volume=volume, loss=loss), None
+
+    def period(i: Array, growth: Growth) -> Growth:
+        after, _ = lax.scan(part, growth, strobes)
+        grown = [new - old for new, old in zip((*after.logs, after.volume), (*growth.logs, growth.volume), strict=True)]
+        at = begun + (jnp.float64(i) + 0.5) / (jnp.float64(count) * BLOCKS)
+        smooth = tuple(
+            tuple(sum_ + weight * g for sum_, g in zip(sums, grown, strict=True))
+            for weight, sums in zip(windows(at), growth.smooth, strict=True)
+        )
+        if quadrature is not None:
+            after = after._replace(divergence=growth.divergence + _divergence(quadrature, growth.state, p))
+        return after._replace(smooth=smooth)
+
+    return lax.fori_loop(0, count, period, growth)
+
+
+def _divergence(quadrature: Quadrature, state: State, p: Parameters) -> Array:
+    """∫ divergence dt over the period that begins at a state."""
+    flow = quadrature.flow
+
+    def node(carry: tuple[State, Array], item: Any) -> tuple[tuple[State, Array], None]:
+        strobe, t, weight = item
+        state = strobe(carry[0], p)
+        return (state, carry[1] + weight * flow.divergence(t, state, p)), None
+
+    nodes = (quadrature.maps, jnp.asarray(quadrature.t), jnp.asarray(quadrature.weights))
+    return lax.scan(node, (state, jnp.zeros_like(state[0][0])), nodes)[0][1]
+
+
+def _across(
+    system: Flow, before: State, after: State, moved: Sequence[Vector], p: Parameters
+) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
+    """Orthonormal tangents across the flow, and the growth of the flow's own direction, then of each of them."""
+
+    def direction(state: State) -> Vector:
+        return system.lower(state, system.rhs(jnp.zeros_like(state[0][0]), state, p))
+
+    (_, *tangents), (along, *grown) = gram_schmidt([direction(after), *moved])
+    return tuple(tangents), (along - gram_schmidt([direction(before)])[1][0], *grown)
+
+
+def window(at: Any) -> Any:
+    """Weight exp(−1/(x(1−x))) of a smooth average at x in (0, 1) (Das and co-workers, Nonlinearity 30 (2017) 4111).
+
+    On periodic and quasiperiodic motion such an average converges faster than any power of its length, where a plain
+    one does so like its inverse: rotating tangents (complex multipliers) do no harm.
+    """
+    xp = np if isinstance(at, np.ndarray) else jnp
+    return xp.exp(-1.0 / (at * (1.0 - at)))
+
+
+def windows(at: Any) -> tuple[Any, Any]:
+    """Weights of two smooth averages at x in (0, 1): of the whole, and of the half that x lies in."""
+    return window(at), window((2.0 * at) % 1.0)
+
+
+def gram_schmidt(vectors: Sequence[Vector]) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
+    """Orthonormal vectors that span the same, and the logarithms of the lengths they had, components of any shape."""
+    orthonormal: list[Vector] = []
+    logs = []
+    for vector in vectors:
+        for base in orthonormal:
+            overlap = sum(v * e for v, e in zip(vector, base, strict=True))
+            vector = tuple(v - overlap * e for v, e in zip(vector, base, strict=True))
+        square = sum(v * v for v in vector)
+        inverse = 1.0 / jnp.sqrt(square)
+        orthonormal.append(tuple(v * inverse for v in vector))
+        logs.append(0.5 * jnp.log(square))
+    return tuple(orthonormal), tuple(logs)
