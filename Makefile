@@ -40,10 +40,10 @@ test: $(INSTALLED)
 	$(RUN)/ruff format --check .
 	$(RUN)/basedpyright --warnings
 	$(RUN)/lint-imports --no-cache
-	$(RUN)/pytest --numprocesses 2
+	$(RUN)/pytest --numprocesses 2 --dist worksteal
 
 slow: $(INSTALLED)
-	$(RUN)/pytest --numprocesses 2 -m slow
+	$(RUN)/pytest --numprocesses 2 --dist worksteal -m slow
 
 # The hard cases at full size; writes results/hard.md and its pictures.
 hard: $(INSTALLED)
