@@ -224,7 +224,9 @@ def test_one_doubling_of_an_orbit_of_period_two(result):
 
 
 @pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="all of a bracket is searched from its one end, and Newton loses the orbit"
+    strict=True,
+    raises=AssertionError,
+    reason="all of a bracket is searched from its one end, and Newton loses the orbit",
 )
 def test_doubling_in_a_wide_bracket(result):
     """Values before and after the doubling 3 → 6 of a window, and nothing between: it is there by the reference."""

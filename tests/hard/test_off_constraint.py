@@ -164,7 +164,11 @@ def test_which_die(battery, lanes):
             )
             dead = ", ".join(f"{value:.3f}" for value in b[~alive][:12]) or "none"
             more = " …" if np.sum(~alive) > 12 else ""
-            first = "" if alive.all() else f"; the first after {np.min(np.argmax(~bounded(error[~alive]), axis=1)):,} periods"
+            first = (
+                ""
+                if alive.all()
+                else f"; the first after {np.min(np.argmax(~bounded(error[~alive]), axis=1)):,} periods"
+            )
             battery.note(f"{name}, four equations, {label}, {periods:,} periods: {died} b die ({dead}{more}){first}.")
             assert battery.full or alive.all()
         kept = hold_speed(battery, lanes, name, system, b)
