@@ -35,6 +35,7 @@ effects: $(INSTALLED)
 	for scene in $(EFFECTS); do $(RUN)/python -m jaxnh.cost configs/$$scene.yaml --effects --repeats 11 || exit; done
 	$(RUN)/python -m sweeps.effects
 
+# Style, types, layers and all tests but those marked slow.
 test: $(INSTALLED)
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check .
@@ -42,12 +43,13 @@ test: $(INSTALLED)
 	$(RUN)/lint-imports --no-cache
 	$(RUN)/pytest --numprocesses 2 --dist worksteal
 
+# The tests marked slow, and no others.
 slow: $(INSTALLED)
 	$(RUN)/pytest --numprocesses 2 --dist worksteal -m slow
 
 # The hard cases at full size; writes results/hard.md and its pictures.
 hard: $(INSTALLED)
-	$(RUN)/pytest --numprocesses 2 --hard --page results/hard.md tests/hard
+	$(RUN)/pytest --numprocesses 2 --dist worksteal --hard --page results/hard.md tests/hard
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache

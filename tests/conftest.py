@@ -111,6 +111,12 @@ def same_attrs(found: Mapping[Any, Any], expected: Mapping[Any, Any]) -> None:
 
 
 @pytest.fixture(scope="session")
+def lanes() -> Lanes:
+    """One runner for all tests, so that equal programs are traced and compiled once."""
+    return lanes_with_kept_programs()
+
+
+@pytest.fixture(scope="session")
 def sweep() -> Command:
     """`python -m jaxnh.sweep ARGUMENTS`, run to its end in a folder, within this process."""
     return run_here

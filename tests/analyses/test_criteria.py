@@ -33,12 +33,11 @@ CASES = {
 
 
 @pytest.fixture(scope="module", params=CASES)
-def case(request):
+def case(request, lanes):
     """A system at the paper's four values: scene, twin, periods, and the groups `period` and `lyapunov`."""
     system, twin, periods = CASES[request.param]
     # The map of one period is right to about 1e-10 with these steps, and so are exponents of periodic orbits.
     scene = scene_of(system, START, list(periods), SPLITTINGS["kahan_li8"], 240, error=1e-10)
-    lanes = Lanes()
     found = period.run(period.PeriodOptions(limit=16), scene, lanes)
     options = lyapunov.LyapunovOptions(transient=256, periods=512)
     return scene, twin, np.array(list(periods.values())), found, lyapunov.run(options, scene, lanes)
@@ -202,10 +201,10 @@ def test_chaos_is_positive_beyond_its_error(case):
     assert np.all((largest - error > 0) == (periods == 0))
 
 
-def test_one_exponent_is_the_largest_of_three(case):
+def test_one_exponent_is_the_largest_of_three(case, lanes):
     """Asked for alone, the largest exponent is the same where it converges to rounding."""
     scene, _, periods, _, group = case
-    alone = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=512, exponents=1), scene, Lanes())
+    alone = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=512, exponents=1), scene, lanes)
     one = alone["exponents"].to_numpy()[:, 0]
     real = periods > 0
     np.testing.assert_allclose(one[real], group["exponents"].to_numpy()[real, 0], atol=1e-6)

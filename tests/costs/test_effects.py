@@ -18,7 +18,6 @@ from jaxnh.analyses import base, chaos01, diagram, lyapunov, period, poincare
 from jaxnh.analyses.base import LANE
 from jaxnh.config.experiment import load
 from jaxnh.costs.operations import count
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, SectionedFlow
@@ -35,11 +34,6 @@ B = np.linspace(0.1, 0.8, LANES)
 P = {"b": B}
 SPLITTING = SPLITTINGS["kahan_li8"]
 EFFECTS = ("forcing", "coupling", "cubic_stiffness")
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    return Lanes()
 
 
 def without(*names, **others):

@@ -37,12 +37,6 @@ def scene_at(values, steps=128, solver="blanes_moan6", system=None, start=START)
     return scene_of(system, start, values, SPLITTINGS[solver], steps, error=math.nan)
 
 
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
-
-
 def random_points(count, seed=5, box=1.5):
     return np.random.default_rng(seed).uniform([-box, -box, -math.pi], [box, box, math.pi], (count, 3))
 

@@ -17,7 +17,6 @@ from scenes import PAPER_B, SPREAD, hold, show, start_at
 from jaxnh.analyses import lyapunov
 from jaxnh.analyses.base import spread
 from jaxnh.config.experiment import load
-from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
@@ -25,12 +24,6 @@ from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 
 CONFIG = "system: {constraint: disturbed_speed, c: 1.0, d: 0.1}\nsweep: {b: {values: [5.5]}}\nanalyses: {period: {}}\n"
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 # ---- speed nearly vanishing

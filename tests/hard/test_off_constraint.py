@@ -13,7 +13,6 @@ from battery import worst
 from jax import lax
 from matplotlib.figure import Figure
 
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS
@@ -22,12 +21,6 @@ from jaxnh.systems.particle import constant_speed, constrained_field, disturbed_
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SYSTEMS = {"d = 0": constant_speed(), "d = 0.1": disturbed_speed()}
 pytestmark = pytest.mark.case("Off the constraint")
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 def speed_error(system, t, y):

@@ -14,7 +14,6 @@ from measure import apart, calibrated, twin
 from scenes import SPREAD, start_at
 
 from jaxnh.config.experiment import load
-from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate, section_map
@@ -30,12 +29,6 @@ sweep: {b: {start: 5.2, stop: 5.8, count: 32}}
 accuracy: {target: 1.0e-3, precision: float32}
 analyses: {diagram: {transient: 20, strobes: 4}}
 """
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 def enlargement(lanes, system, samples):

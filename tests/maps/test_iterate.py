@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import jax
 import numpy as np
-import pytest
 from calm import ROUNDOFF, P, image, size, start_states
 from measure import CALM, CALM_B, CALM_STATES, SYSTEMS, apart
 
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import chart
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 def test_iterates_add_up(lanes):

@@ -30,13 +30,6 @@ from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS, isokinetic_terms
 from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart
 
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
-
-
 # ---- one period
 
 
