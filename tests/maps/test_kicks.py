@@ -163,8 +163,8 @@ def test_derivatives_in_the_stiffness(lanes, system):
 def test_only_the_derivative_asked_for(lanes):
     """Without a name no derivative in a parameter; the other two are the same, to the rounding of another program."""
     strobe = make_strobe(CALM["disturbed"], FINEST, 100)
-    with_it = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",))
-    without = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P))
+    with_it = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",), tile=16)
+    without = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), tile=16)
     assert without.by_parameter is None
     assert np.max(apart(with_it.image, without.image)) < ROUNDOFF
     assert np.abs(with_it.monodromy - without.monodromy).max() < ROUNDOFF * np.abs(with_it.monodromy).max()
@@ -216,8 +216,10 @@ def test_no_disturbance_is_constant_speed(lanes, name, compensated):
         for system in (disturbed_speed(d=0.0), constant_speed())
     )
     same_bits((still.table, still.kicks, still.rest), (constant.table, constant.kicks, constant.rest))
-    for function, static in ((section_map, ()), (derivatives, ("b",))):
-        one, other = (lanes(function, (s, np.int32(2)), (CALM_STATES, P), static=static) for s in (still, constant))
+    for function, static, tile in ((section_map, (), None), (derivatives, ("b",), 16)):
+        one, other = (
+            lanes(function, (s, np.int32(2)), (CALM_STATES, P), static=static, tile=tile) for s in (still, constant)
+        )
         same_bits(one, other)
 
 
