@@ -39,19 +39,21 @@ effects: $(INSTALLED)
 claims: $(INSTALLED)
 	$(RUN)/python -m sweeps.claims
 
+# Style, types, layers and all tests but those marked slow.
 test: $(INSTALLED)
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check .
 	$(RUN)/basedpyright --warnings
 	$(RUN)/lint-imports --no-cache
-	$(RUN)/pytest --numprocesses 2
+	$(RUN)/pytest --numprocesses 2 --dist worksteal
 
+# The tests marked slow, and no others.
 slow: $(INSTALLED)
-	$(RUN)/pytest --numprocesses 2 -m slow
+	$(RUN)/pytest --numprocesses 2 --dist worksteal -m slow
 
 # The hard cases at full size; writes results/hard.md and its pictures.
 hard: $(INSTALLED)
-	$(RUN)/pytest --numprocesses 2 --hard --page results/hard.md tests/hard
+	$(RUN)/pytest --numprocesses 2 --dist worksteal --hard --page results/hard.md tests/hard
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache

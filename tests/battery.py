@@ -31,6 +31,10 @@ CASES = (
 )
 
 
+HELD, REFUSED, FAILED = "held", "refused", "**failed**"
+"""What the last column of a row says; of a refusal, the reason as well."""
+
+
 class Battery:
     """What a hard case is given: whether sizes are full, and where its numbers and picture go.
 
@@ -53,7 +57,7 @@ class Battery:
     def refused(self, shown, reason):
         """Keep a case that the engine refuses, with the reason it gives."""
         assert reason
-        self._keep("hard row", [self.case, shown, "–", "–", f"refused: {reason}"])
+        self._keep("hard row", [self.case, shown, "–", "–", f"{REFUSED}: {reason}"])
 
     def note(self, text):
         """Keep a sentence for the page, below the table of the case."""
@@ -67,7 +71,7 @@ class Battery:
 
 
 def _verdict(measured, limit):
-    return "pass" if measured <= limit else "**failed**"
+    return HELD if measured <= limit else FAILED
 
 
 def _number(value):
@@ -121,16 +125,19 @@ class _Report:
 def _page(tests, failed, seconds, measured_at):
     """The page in Markdown: a table a case, in the order of CASES, and what failed at its head."""
     kept = [(name, item, node) for node, _, properties in sorted(tests) for name, item in properties]
+    verdicts = [item[-1].split(":")[0] for name, item, _ in kept if name == "hard row"]
+    held, refused, failed_rows = (verdicts.count(one) for one in (HELD, REFUSED, FAILED))
     lines = [
         "# Hard cases",
         "",
         "Written by `make hard`: the cases that break programs of this kind, each with the number that says stable, the",
-        "limit that it has to keep, and the command that measures it alone. `make test` runs them all at smaller sizes.",
-        "References: Taylor integration in long double (`tests/taylor.py`), exact identities, and second methods.",
+        "limit that it has to keep, and the command that measures it alone. `make test` runs them at smaller sizes, some",
+        "with fewer scenes (README). A scene that is refused, with the reason that the user gets, shows no number and is",
+        "no pass. References: Taylor integration in long double (`tests/taylor.py`), exact identities, and second methods.",
         "",
         f"{measured_at}",
         "",
-        f"{sum(name == 'hard row' for name, *_ in kept)} rows, {len(failed)} failed; {seconds:.0f} s by the clock.",
+        f"{held} rows held, {refused} refused, {failed_rows} failed; {len(failed)} tests failed; {seconds:.0f} s by the clock.",
     ]
     lines += [f"- **failed**: `{node}`: {reason}" for node, reason in failed]
     for case in CASES:

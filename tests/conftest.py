@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import fcntl
 import io
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -20,8 +23,11 @@ import xarray as xr
 
 ROOT = Path(__file__).parents[1]
 
-# Compiled programs are kept from run to run, and shared with the commands that tests start.
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cache"))
+# Compiled programs are shared by all workers, which inherit the variable, and by the commands that tests start. They go
+# with the run, so that a bare machine and a warm one do the same work; name a folder by the variable to keep them.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="jaxnh_programs_")
+    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.pop("JAX_NUM_CPU_DEVICES", None)  # tests of lanes need two
 
@@ -102,6 +108,12 @@ def same_tree(tree: xr.DataTree, expected: xr.DataTree) -> None:
 def same_attrs(found: Mapping[Any, Any], expected: Mapping[Any, Any]) -> None:
     for key, value in expected.items():
         np.testing.assert_array_equal(found[key], value, err_msg=str(key))
+
+
+@pytest.fixture(scope="session")
+def lanes() -> Lanes:
+    """One runner for all tests, so that equal programs are traced and compiled once."""
+    return lanes_with_kept_programs()
 
 
 @pytest.fixture(scope="session")

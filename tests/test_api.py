@@ -10,6 +10,8 @@ import sys
 import textwrap
 from pathlib import Path
 
+import nbclient
+import nbformat
 import numpy as np
 import pytest
 import taylor
@@ -120,7 +122,6 @@ def test_jax_started_before():
 
 def test_notebook(tmp_path):
     """Table 1 in three lines, and the doublings as the last cell shows them."""
-    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     imported, *body = filter(None, lines().splitlines())
     book = nbformat.v4.new_notebook()
     book.cells = [nbformat.v4.new_code_cell(imported), nbformat.v4.new_code_cell("\n".join(body))]

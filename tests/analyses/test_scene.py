@@ -10,7 +10,6 @@ from measure import scene_of
 
 from jaxnh.analyses import ANALYSES, cascade, diagram, lyapunov, period, poincare
 from jaxnh.analyses.base import LANE, Axis, OptionError, Setting, section_points
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.free_particle import free_particle
@@ -19,11 +18,6 @@ from jaxnh.systems.particle import constant_speed, disturbed_speed
 START = ((0.1, 0.1), (0.1, float(np.sqrt(0.99))))
 B = np.linspace(5.6, 5.4, 64)
 STEPS = SPLITTINGS["blanes_moan6"], 60
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    return Lanes()
 
 
 def own(scene, **p):

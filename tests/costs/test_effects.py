@@ -18,7 +18,6 @@ from jaxnh.analyses import base, chaos01, diagram, lyapunov, period, poincare
 from jaxnh.analyses.base import LANE
 from jaxnh.config.experiment import load
 from jaxnh.costs.operations import count
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, SectionedFlow
@@ -35,11 +34,6 @@ B = np.linspace(0.1, 0.8, LANES)
 P = {"b": B}
 SPLITTING = SPLITTINGS["kahan_li8"]
 EFFECTS = ("forcing", "coupling", "cubic_stiffness")
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    return Lanes()
 
 
 def without(*names, **others):
@@ -150,17 +144,23 @@ def test_one_exponent_is_one_tangent(lanes, spectrum):
     assert lyapunov.tangents(lyapunov.LyapunovOptions(exponents=3), scene) == 2
 
 
-def test_motion_that_comes_to_rest(lanes):
+@pytest.mark.parametrize("exponents", [1, pytest.param(4, marks=pytest.mark.slow)])  # of four it compiles long
+def test_motion_that_comes_to_rest(lanes, exponents):
     """A free particle with damping and no forcing ends at rest: no exponent is zero, that along the flow neither.
 
-    Without coupling they are those of μ² + aμ + k = 0 with k = a and k = 1: both pairs have the real part −a/2.
+    Without coupling they are those of μ² + aμ + k = 0 with k = a and k = 1: both pairs have the real part −a/2. All four
+    add up to the divergence, which is −2a everywhere: to the error of the map.
     """
     flow = free_particle(0.5, None, 1.0, ("forcing", "coupling"))
     system = SectionedFlow(flow, "x1", 0, 0.0, "up")
     start = Crossing(Motion((0.1, 0.1), (0.1, 0.2), (0.0, 0.0)), 0.0, 0.0)
     scene = scene_of(system, start, [0.0, 0.0], tsit5, 60, error=1e-8)
-    group = lyapunov.run(lyapunov.LyapunovOptions(transient=8, periods=64, exponents=1), scene, lanes)
-    np.testing.assert_allclose(group["exponents"].to_numpy(), -0.25, atol=0.01)  # beats of rotating pairs over T
+    options = lyapunov.LyapunovOptions(transient=8, periods=64, exponents=exponents)
+    found = lyapunov.run(options, scene, lanes)["exponents"].to_numpy()
+    assert found.shape == (2, exponents)
+    np.testing.assert_allclose(found, -0.25, atol=0.01)  # beats of rotating pairs over T
+    if exponents == 4:
+        np.testing.assert_allclose(found.sum(axis=1), -1.0, atol=1e-6)
 
 
 def test_other_analyses_on_a_section(lanes, spectrum):

@@ -210,7 +210,8 @@ def test_tile_that_kills_its_workers(job, whole):
     assert f"11 of {TILES} tiles are done; going on" in err
 
 
-@pytest.mark.parametrize("by", ["scheduler.json", pytest.param("address", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("by", ["scheduler.json", "address"])
 def test_dask_scheduler_killed(job, whole, by):
     """A clear line and the code to go on; the tiles that were done are not computed again."""
     place = job.folder / "scheduler.json"
@@ -522,6 +523,7 @@ def test_bad_command_line(job, arguments, said):
 # ---- the launcher
 
 
+@pytest.mark.slow
 def test_slurm_script(job, whole):
     """Its array variant, by processes: a part that is preempted is put back into the queue, and the join follows."""
     tools = job.folder.parent / f"{job.folder.name}-tools"

@@ -11,7 +11,6 @@ import taylor
 from measure import SYSTEMS, UNIT, apart, calibrated, twin
 
 from jaxnh.analyses.base import spread
-from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate, section_map
@@ -25,12 +24,6 @@ RANGES = {
     "disturbed, all b": ("disturbed", 6.0, 0.01),
     "disturbed, table 2": ("disturbed", 5.9, 5.72),
 }
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 def other_lanes(lanes, system, first, last):

@@ -282,6 +282,7 @@ def test_stopped_and_resumed(tmp_path, experiment, whole):
     same_file(path, whole)
 
 
+@pytest.mark.slow
 def test_two_workers(tmp_path, experiment, whole):
     """Of a local Dask cluster, each on one core."""
     code = "import sys, jaxnh\nif __name__ == '__main__':\n"

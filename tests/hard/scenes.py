@@ -25,14 +25,20 @@ class Held(NamedTuple):
     plan: Plan | None
     error: float
     refusal: str
+    target: float
 
 
 def hold(lanes, system, start, values, target, count=24):
-    """Calibrate a scene and measure one period on `count` lanes, a third each after 0, 3 and 20 periods."""
+    """Calibrate a scene and measure one period on `count` lanes, a third each after 0, 3 and 20 periods.
+
+    The target is a number, or a function of the calibration.
+    """
+    calibration = calibrated(system, start, values, lanes)
+    target = target(calibration) if callable(target) else target
     try:
-        plan = calibrated(system, start, values, lanes).cheapest(target)
+        plan = calibration.cheapest(target)
     except AccuracyError as refusal:
-        return Held(None, np.inf, str(refusal))
+        return Held(None, np.inf, str(refusal), target)
     strobe = make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated)
     b = np.random.default_rng(11).choice(values, count)
     u = np.tile(system.section_point(start), (count, 1))
@@ -41,7 +47,7 @@ def hold(lanes, system, start, values, target, count=24):
         u[part] = lanes(section_map, (strobe, np.int32(n)), (u[part], {"b": b[part]}))
     image = lanes(section_map, (strobe, np.int32(1)), (u, {"b": b}))
     exact = taylor.settled_strobe(twin(system), b, u, 0.1 * plan.error_estimate)
-    return Held(plan, float(apart(image, exact).max()), "")
+    return Held(plan, float(apart(image, exact).max()), "", target)
 
 
 def start_at(system, x1=0.1, y1=0.1):
@@ -49,15 +55,16 @@ def start_at(system, x1=0.1, y1=0.1):
     return system.start({"x1": x1, "x2": 0.1 * system.c**0.5, "y1": y1})
 
 
-def show(battery, what, held, target):
+def show(battery, what, held):
     """The row of a scene: its error within the estimate, or the reason of its refusal."""
+    target = held.target
     if held.plan is None:
-        battery.refused(f"{what}, target {target:g}", held.refusal)
+        battery.refused(f"{what}, target {target:.2g}", held.refusal)
         return
     plan = held.plan
     kicks = plan.solver.total_kicks(plan.steps)
     battery.row(
-        f"{what}, target {target:g}: {plan.solver.name}, {kicks:,} kicks, estimate {plan.error_estimate:.1e}",
+        f"{what}, target {target:.2g}: {plan.solver.name}, {kicks:,} kicks, estimate {plan.error_estimate:.1e}",
         held.error,
         SPREAD * plan.error_estimate,
         "error by Taylor",

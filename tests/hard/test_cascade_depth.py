@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from measure import scene_of, turned
 
 from jaxnh.analyses import chaos01, lyapunov, period, verdict
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.iterate import derivatives
 from jaxnh.orbits.doubling_points import doubling_point, follow_branch
 from jaxnh.orbits.newton import find_orbit
@@ -23,12 +22,6 @@ from jaxnh.systems.particle import constant_speed, wrap
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SCENE = scene_of(constant_speed(), START, [5.54], SPLITTINGS["kahan_li8"], 320, True, 1e-11)
 FEIGENBAUM = 4.669201609102990
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 @pytest.fixture(scope="module")

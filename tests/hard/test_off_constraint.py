@@ -13,7 +13,6 @@ from battery import worst
 from jax import lax
 from matplotlib.figure import Figure
 
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS
@@ -22,12 +21,6 @@ from jaxnh.systems.particle import constant_speed, constrained_field, disturbed_
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SYSTEMS = {"d = 0": constant_speed(), "d = 0.1": disturbed_speed()}
 pytestmark = pytest.mark.case("Off the constraint")
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 def speed_error(system, t, y):
@@ -132,43 +125,61 @@ def test_growth_of_a_speed_error(battery, lanes):
 
 
 def test_which_die(battery, lanes):
-    """From the start state, on the constraint: four equations die on many b; unit vectors keep |n| = 1 on all."""
+    """From the start state, on the constraint: four equations die on many b; unit vectors keep |n| = 1 on all.
+
+    A step of RK4 leaves the constraint by its own error, which climbs of the force then enlarge up to 1e5 times
+    (`test_growth_of_a_speed_error`). With 200 steps a period has an error of 4e-6, so that one such climb is death: some
+    of 64 lanes must meet one in a hundred periods. With 2000 steps it is 1e-11: nobody dies in three periods, and over
+    many, as many as fit into minutes here, several climbs without a descent between are rare; no number is asserted.
+    """
     count = 64 if battery.full else 8
     b = np.linspace(5.3, 6.0, count)
     y = (0.1, 0.1, 0.1, math.sqrt(0.99))
     picture = Figure(figsize=(10.5, 6), layout="constrained")
     panels = picture.subplots(2, 1, sharex=True, sharey=True)
     for axes, (name, system) in zip(panels, SYSTEMS.items(), strict=True):
+        many = np.linspace(5.3, 6.0, 64)
+        coarse = jax.jit(jax.vmap(lambda p, s=system: runge_kutta_4(s, y, p, 200, 100, 1)[0]))({"b": many})
+        alive = int(np.sum(lives(np.asarray(coarse))))
+        battery.row(f"{name}, four equations, RK4, 200 steps, 100 periods at 64 b", alive, 63, "lanes that live:")
         equations = (
             ("RK4, 2000 steps", "o", 10_000 if battery.full else 3, rk4),
             ("Dopri8, 1e-9", "x", 400 if battery.full else 3, adaptive_dopri8),
         )
-        deaths = 0
         for label, mark, periods, follow in equations:
             error = jax.jit(jax.vmap(lambda p, s=system, n=periods, follow=follow: follow(s, y, p, n)))({"b": b})
             error = np.abs(np.asarray(error))
-            alive = np.all(np.isfinite(error) & (error < 1), axis=1)
+            alive = lives(error)
             largest = np.max(np.where(np.isfinite(error), error, np.inf), axis=1)
+            died = f"{count - alive.sum()} of {count}"
             axes.semilogy(
-                b,
-                np.clip(largest, 1e-16, 1e2),
-                mark,
-                ms=4,
-                label=f"{label}, {periods:,} periods: {count - alive.sum()} of {count} die",
+                b, np.clip(largest, 1e-16, 1e2), mark, ms=4, label=f"{label}, {periods:,} periods: {died} die"
             )
-            deaths += count - alive.sum()
             dead = ", ".join(f"{value:.3f}" for value in b[~alive][:12]) or "none"
             more = " …" if np.sum(~alive) > 12 else ""
-            battery.note(
-                f"{name}, four equations, {label}, {periods:,} periods: {count - alive.sum()} of {count} b die ({dead}{more})."
+            first = (
+                ""
+                if alive.all()
+                else f"; the first after {np.min(np.argmax(~bounded(error[~alive]), axis=1)):,} periods"
             )
-        assert deaths or not battery.full  # or there would be nothing to be stable against
+            battery.note(f"{name}, four equations, {label}, {periods:,} periods: {died} b die ({dead}{more}){first}.")
+            assert battery.full or alive.all()
         kept = hold_speed(battery, lanes, name, system, b)
         axes.semilogy(b, np.maximum(kept, 1e-16), ".", color="k", label="jaxnh, ||n| − 1|")
         axes.set(ylabel="largest relative speed error\n(dead: at the top)", title=name)
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=8)
     panels[1].set_xlabel("b")
     battery.picture(picture, "off_constraint", "Speed errors of the four equations and of unit vectors")
+
+
+def bounded(error):
+    """Where a relative speed error is below one."""
+    return np.isfinite(error) & (error < 1)
+
+
+def lives(error):
+    """Which lanes have relative speed errors (lanes, periods) below one throughout."""
+    return np.all(bounded(np.abs(error)), axis=1)
 
 
 def hold_speed(battery, lanes, name, system, b):

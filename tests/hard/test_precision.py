@@ -14,16 +14,15 @@ from measure import apart, calibrated, twin
 from scenes import SPREAD, start_at
 
 from jaxnh.config.experiment import load
-from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.build import make_strobe
-from jaxnh.maps.iterate import iterate, section_map
+from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.single_precision import in_precision
+from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 
 pytestmark = pytest.mark.case("float32 on request")
-TARGET = 1e-2
-"""The most sensitive samples of b in [4, 6] enlarge float32's unit, 6e-8, 1e4 times in a period: its floor is some 1e-3."""
+UNIT = 2.0**-24  # roundoff of one operation in single precision
 CONFIG = """\
 system: {constraint: constant_speed}
 sweep: {b: {start: 5.2, stop: 5.8, count: 32}}
@@ -32,19 +31,26 @@ analyses: {diagram: {transient: 20, strobes: 4}}
 """
 
 
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
+def enlargement(lanes, system, samples):
+    """How many times a period enlarges a rounding, at most, over the samples of a calibration."""
+    strobe = make_strobe(system, SPLITTINGS["kahan_li8"], 120)
+    found = lanes(derivatives, (strobe, np.int32(1)), (system.section_point(samples.states), dict(samples.p)))
+    return float(np.linalg.norm(found.monodromy, ord=2, axis=(1, 2)).max())
 
 
 def test_error_and_gain(battery, lanes):
-    """The estimate is of float32's own rounding; beside it float64 with the same steps, and the time of both."""
+    """The estimate is of float32's own rounding; beside it float64 with the same steps, and the time of both.
+
+    One rounding of the start becomes u‖M‖ in a period of the most sensitive sample, and a tenth of that must be refused.
+    Roundings of N = 600 kicks add up at random, to √N u‖M‖ if the flow enlarged all of them as much as the first, and the
+    estimate is twice the error of the samples: ten times u‖M‖, between the two, must be met.
+    """
     for system in (constant_speed(), disturbed_speed()) if battery.full else (constant_speed(),):
         values = np.linspace(4, 6, 256 if battery.full else 16)
         start = start_at(system)
         calibration = calibrated(system, start, values, lanes, "float32")
-        plan = calibration.cheapest(TARGET)
+        rounding = UNIT * enlargement(lanes, system, calibration._samples)
+        plan = calibration.cheapest(10 * rounding)
         count = 48 if battery.full else 12
         b = np.random.default_rng(3).choice(values, count)
         u = np.tile(constant_speed().section_point(start), (count, 1))
@@ -59,15 +65,15 @@ def test_error_and_gain(battery, lanes):
         errors = {p: apart(lanes(section_map, (m, np.int32(1)), (u, {"b": b})), exact).max() for p, m in maps.items()}
         kicks = plan.solver.total_kicks(plan.steps)
         battery.row(
-            f"d = {system.d:g}, b in [4, 6], target {TARGET:g}: {plan.solver.name}, {kicks} kicks, estimate {plan.error_estimate:.1e} "
+            f"d = {system.d:g}, b in [4, 6], target 10u‖M‖ = {10 * rounding:.1e}: {plan.solver.name}, {kicks} kicks, estimate {plan.error_estimate:.1e} "
             f"(float64 with the same kicks: {errors['float64']:.1e})",
             float(errors["float32"]),
             SPREAD * plan.error_estimate,
             "error by Taylor",
         )
         with pytest.raises(AccuracyError) as refusal:
-            calibration.cheapest(1e-8)
-        battery.refused(f"d = {system.d:g}, float32 with target 1e-8", str(refusal.value))
+            calibration.cheapest(0.1 * rounding)
+        battery.refused(f"d = {system.d:g}, float32 with target 0.1u‖M‖ = {0.1 * rounding:.1e}", str(refusal.value))
         if battery.full:
             spent = seconds(lanes, maps, start)
             gain = spent["float64"] / spent["float32"]

@@ -14,7 +14,6 @@ import taylor
 from jaxnh.analyses import base
 from jaxnh.engine.axes import Points
 from jaxnh.engine.calibration import Calibration
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.maps.section import Crossing, SectionedFlow
@@ -29,12 +28,6 @@ LANES = 16
 B = np.linspace(0.1, 0.8, LANES)
 P = {"b": B}
 SPLITTING = SPLITTINGS["kahan_li8"]
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 def without(*names, **others):

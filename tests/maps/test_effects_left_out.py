@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses import base
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import SPLITTINGS, dopri8
@@ -22,12 +21,6 @@ LANES = 16
 B = np.linspace(0.1, 0.8, LANES)
 P = {"b": B}
 SPLITTING = SPLITTINGS["kahan_li8"]
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 def without(*names, **others):

@@ -38,12 +38,6 @@ def moved(strobe, state, p):
     return strobe(state, p)
 
 
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
-
-
 def test_runge_kutta_converges_to_the_reference(lanes):
     check_convergence(lanes, CALM["disturbed"], SOLVERS["tsit5"])
 

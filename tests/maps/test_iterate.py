@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import jax
 import numpy as np
-import pytest
 from calm import ROUNDOFF, P, image, size, start_states
 from measure import CALM, CALM_B, CALM_STATES, SYSTEMS, apart
 
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import chart
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 def test_iterates_add_up(lanes):
@@ -45,9 +37,9 @@ def test_record_is_every_iterate(lanes):
 def test_derivatives_over_periods_by_the_chain_rule(lanes):
     """M of P² is the product of two monodromy matrices, and ∂P²/∂b = M ∂P/∂b + ∂P/∂b at the image."""
     strobe = make_strobe(CALM["disturbed"], SPLITTINGS["blanes_moan6"], 100)
-    u, first, slope = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",))
-    end, second, second_slope = lanes(derivatives, (strobe, np.int32(1)), (u, P), static=("b",))
-    both = lanes(derivatives, (strobe, np.int32(2)), (CALM_STATES, P), static=("b",))
+    u, first, slope = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",), tile=16)
+    end, second, second_slope = lanes(derivatives, (strobe, np.int32(1)), (u, P), static=("b",), tile=16)
+    both = lanes(derivatives, (strobe, np.int32(2)), (CALM_STATES, P), static=("b",), tile=16)
     product = second @ first
     chained = np.einsum("lij,lj->li", second, slope) + second_slope
     largest = 3 * size(second, second_slope) * np.maximum(size(first, slope), 1)

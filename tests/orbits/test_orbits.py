@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from measure import SYSTEMS, UNIT, apart, twin
 
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits import cyclic
@@ -31,12 +30,6 @@ ORBITS = {
     "disturbed": [(5.85, 1), (5.78, 2), (5.76, 4)],
 }
 DOUBLINGS = {"constant": [(5.5198, 5.54), (5.4956, 5.505)], "disturbed": [(5.8054, 5.83), (5.768, 5.78)]}
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 @pytest.fixture(scope="module")
