@@ -19,6 +19,7 @@ from jaxnh.engine.plan import compute
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
 from jaxnh.storage import tiles
+from jaxnh.storage.calls import Calls
 from jaxnh.storage.pieces import Job, Piece
 from jaxnh.storage.tiles import Receipt
 
@@ -190,5 +191,9 @@ def _piece(folder: str, job_id: str, index: int) -> Receipt:
         piece = job.pieces()[index]
         with contextlib.suppress(FileNotFoundError, DamagedError):
             return tiles.check(Path(folder), job, piece)
-        [done] = compute(experiment, experiment.axes, experiment.requested(), job, [piece], lanes)
-        return tiles.write_piece(Path(folder), job, *done)
+        calls = Calls(Path(folder), job, [piece])
+        with lanes.keeping(calls):
+            [done] = compute(experiment, experiment.axes, experiment.requested(), job, [piece], lanes)
+        receipt = tiles.write_piece(Path(folder), job, *done)
+        calls.close(remove=True)
+        return receipt

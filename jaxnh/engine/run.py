@@ -22,13 +22,14 @@ from jaxnh.engine.plan import (
     count_warnings,
     decide,
     spent,
-    work_of,
+    work_of_pieces,
 )
 from jaxnh.engine.progress import Heeding, Progress, Silent
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
 from jaxnh.storage import hdf5, tiles
 from jaxnh.storage.atomic import check_writable
+from jaxnh.storage.calls import Calls, left
 from jaxnh.storage.merge import DamagedPieceError, Extra, merge
 from jaxnh.storage.pieces import Job, Piece, share
 from jaxnh.storage.provenance import Method, UserFile, root_attributes, versions
@@ -156,7 +157,8 @@ class _Run:
         """Everything from what is there to the result, or to the end of the part."""
         job = self._job()
         every = job.pieces()
-        self._pieces = share(every, self._how.part) if self._how.part else every
+        work = work_of_pieces(self._requested, job, every)
+        self._pieces = share(job, self._how.part, work) if self._how.part else every
         self._find(job)
         self._earlier += sum(receipt.spent.seconds for receipt in self._receipts.values())
         try:
@@ -194,7 +196,7 @@ class _Run:
         if self._how.merge:
             raise ArgumentError("merge", f"there are no tiles in {self._folder}")
         lanes = self._make_lanes()
-        job = decide(self._experiment, lanes, self._how.tile)
+        job = decide(self._experiment, lanes, self._how.tile, self._how.part[1] if self._how.part else 1)
         self._check()
         cost = spent(lanes, time.perf_counter() - self._began)
         own = self._experiment.user_file
@@ -235,19 +237,25 @@ class _Run:
             raise ArgumentError(
                 "merge", f"{len(missing)} of {len(self._pieces)} tiles are missing ({lost}); run their parts again"
             )
-        options = {analysis.name: (analysis, options) for analysis, options in self._requested}
-        each = {names: work_of([options[n] for n in names], job.lanes) for names in {piece.names for piece in missing}}
-        cost = {piece.number: each[piece.names] * piece.lanes for piece in missing}
+        cost = work_of_pieces(self._requested, job, missing)
         if self._how.dask:
             self._over(missing, cost, lambda: self._on_workers(job, missing, cost))
             return
         lanes = self._make_lanes()
-        found = batches(self._requested, job, missing, len(lanes.devices))
+        found = self._batches(job, missing, len(lanes.devices))
         cut = [batch for batch in found if batch[0].names == job.independent]
         if len(cut) > 1:
-            found = found[len(cut) :]
+            found = [batch for batch in found if batch[0].names != job.independent]
             self._over([piece for batch in cut for piece in batch], cost, lambda: self._in_turn(job, cut, lanes, cost))
         self._in_turn(job, found, lanes, {})
+
+    def _batches(self, job: Job, missing: Sequence[Piece], devices: int) -> list[list[Piece]]:
+        """Pieces that are computed together, those first that a stopped run has begun together."""
+        rest, begun = {piece.number: piece for piece in missing}, list[list[Piece]]()
+        for numbers in left(self._folder, job):
+            if rest.keys() >= set(numbers):  # those of another part are not ours to go on with
+                begun.append([rest.pop(number) for number in numbers])
+        return begun + batches(self._requested, job, list(rest.values()), devices)
 
     def _over(self, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""
@@ -273,14 +281,19 @@ class _Run:
             try:
                 for batch in found:
                     self._check()
-                    computed = compute(self._experiment, self._axes, self._requested, job, batch, lanes)
+                    calls = Calls(self._folder, job, batch)
+                    self._earlier += calls.seconds
+                    with lanes.keeping(calls):
+                        computed = compute(self._experiment, self._axes, self._requested, job, batch, lanes)
                     settle()
-                    written.append(writer.submit(self._write, job, computed))
+                    written.append(writer.submit(self._write, job, computed, calls))
             finally:
                 settle()
 
-    def _write(self, job: Job, computed: Sequence[Done]) -> list[Receipt]:
-        return [tiles.write_piece(self._folder, job, *done) for done in computed]
+    def _write(self, job: Job, computed: Sequence[Done], calls: Calls) -> list[Receipt]:
+        receipts = [tiles.write_piece(self._folder, job, *done) for done in computed]
+        calls.close(remove=True)
+        return receipts
 
     def _on_workers(self, job: Job, missing: list[Piece], cost: dict[int, float]) -> None:
         where = self._how.dask or ""
