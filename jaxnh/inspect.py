@@ -35,7 +35,7 @@ def inspect(
         with h5py.File(file, "r") as content:
             if table is None:
                 show(file, content)
-            elif table not in content:
+            elif table not in store.groups(content):
                 raise InputError(f"command line: --csv: {file} has the groups {', '.join(content)}, and no {table}")
         if table is not None:
             write_csv(file, table, sys.stdout)

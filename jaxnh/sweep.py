@@ -17,7 +17,7 @@ from jaxnh.cli.report import report
 from jaxnh.cli.terminal import progress
 from jaxnh.config.schema import schema
 from jaxnh.engine import dask_workers
-from jaxnh.engine.run import How, check_output, is_there, run_to_file
+from jaxnh.engine.run import How, check_output, file_of, is_there, run_to_file
 from jaxnh.exceptions import ArgumentError, BusyError
 from jaxnh.storage import tiles
 
@@ -54,7 +54,7 @@ def sweep(
     if dask:
         dask_workers.check(dask)
     experiment = experiment_of(config, overrides)
-    path = output or Path("results") / f"{Path(experiment.label).stem}.h5"
+    path = file_of(output or Path("results") / f"{Path(experiment.label).stem}.h5")
     if is_there(experiment, path, fresh=fresh):
         tiles.tidy(tiles.folder_of(path))
         if not quiet:

@@ -19,6 +19,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 from jaxnh.engine.progress import Progress, Silent
+from jaxnh.engine.xla_options import machine
 from jaxnh.exceptions import ResultError
 from jaxnh.maps.iterate import iterate
 from jaxnh.storage.calls import Calls, Part
@@ -70,6 +71,11 @@ class Lanes:
             raise
         finally:
             self._kept = None
+
+    @property
+    def machine(self) -> dict[str, str]:
+        """The kind of processor and XLA's options (`xla_options.machine`)."""
+        return machine(self.devices[0])
 
     @property
     def earlier_seconds(self) -> float:

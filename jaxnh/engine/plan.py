@@ -104,12 +104,14 @@ def job_of(
     plan: Plan,
     chosen: Mapping[str, Mapping[str, int]],
     requested: Requested,
+    machine: Mapping[str, str],
     tile: int | None = None,
     parts: int = 1,
 ) -> Job:
     """How a sweep is cut, with what has been decided for it.
 
     Args:
+        machine: what computes it (`xla_options.machine`).
         tile: lanes a tile in place of those that the work of a lane suggests.
         parts: among how many the tiles are to be shared: there are at least as many.
     """
@@ -130,11 +132,18 @@ def job_of(
         independent=tuple(analysis.name for analysis, _ in split),
         axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in axes),
         tile=min(tile, -(-count // parts)),
+        machine=machine,
     )
 
 
-def decide(experiment: Experiment, lanes: Lanes, tile: int | None = None, parts: int = 1) -> Job:
-    """Everything that holds for the whole sweep of an experiment.
+def decide(
+    experiment: Experiment,
+    lanes: Lanes,
+    tile: int | None = None,
+    parts: int = 1,
+    machine: Mapping[str, str] | None = None,
+) -> Job:
+    """Everything that holds for the whole sweep of an experiment, which is computed here unless a machine is named.
 
     Raises:
         AccuracyError: no solver meets the target.
@@ -143,7 +152,7 @@ def decide(experiment: Experiment, lanes: Lanes, tile: int | None = None, parts:
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
         plan = plan_of(experiment, calibrate(experiment, axes, lanes))
         chosen = choose(experiment, axes, plan, requested, lanes)
-    return job_of(experiment, axes, plan, chosen, requested, tile, parts)
+    return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
 
 
 def work_of(analyses: Requested, lanes: int) -> float:

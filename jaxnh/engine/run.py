@@ -25,10 +25,10 @@ from jaxnh.engine.plan import (
     work_of_pieces,
 )
 from jaxnh.engine.progress import Heeding, Progress, Silent
-from jaxnh.engine.xla_options import configure
+from jaxnh.engine.xla_options import configure, differing
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
 from jaxnh.storage import hdf5, tiles
-from jaxnh.storage.atomic import check_writable
+from jaxnh.storage.atomic import check_writable, target_of
 from jaxnh.storage.calls import Calls, left
 from jaxnh.storage.merge import DamagedPieceError, Extra, merge
 from jaxnh.storage.pieces import Job, Piece, share
@@ -103,10 +103,12 @@ def run_to_file(
 def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
     """Whether a file is the result of this very experiment. Anything else is only replaced when that is asked for.
 
+    All of it is read and compared with its checksums.
+
     Raises:
-        ArgumentError: the file is something else.
+        ArgumentError: the file is something else, or damaged.
     """
-    if fresh or not path.exists():
+    if fresh or not path.is_file():
         return False
     try:
         attrs = hdf5.read_attrs(path)
@@ -116,6 +118,10 @@ def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
     if not same:
         other = other_than(experiment, attrs.get("system_file"))
         raise ArgumentError("output", f"{path} holds the result of {other}", "replaces it")
+    try:
+        hdf5.verify(path)
+    except DamagedError as error:
+        raise ArgumentError("output", f"{error}: the result of this config, but damaged", "computes it again") from None
     return True
 
 
@@ -127,6 +133,18 @@ def check_output(path: Path) -> None:
     """
     try:
         check_writable(path)
+    except ResultError as error:
+        raise ArgumentError("output", str(error)) from None
+
+
+def file_of(output: Path) -> Path:
+    """The file that is read and written where this is the output: of a link the one it points to, there or not.
+
+    Raises:
+        ArgumentError: it is a link that leads nowhere.
+    """
+    try:
+        return target_of(output)
     except ResultError as error:
         raise ArgumentError("output", str(error)) from None
 
@@ -187,20 +205,33 @@ class _Run:
             if job.config_sha256 != self._experiment.sha256:
                 other = f"of {other_than(self._experiment, tiles.origin(self._folder).user_text)}"
             other = other or ("of other versions of the libraries" if dict(job.versions) != versions() else "")
+            other = other or self._elsewhere(job)
             if not other:
                 self._earlier = tiles.origin(self._folder).spent.seconds
                 return job
             if not self._how.fresh or self._how.part:
-                raise ArgumentError("output", f"{self._folder} holds tiles {other}", "drops them")
+                remedy = "without --part drops them" if self._how.part else "drops them"
+                raise ArgumentError("output", f"{self._folder} holds tiles {other}", remedy)
             tiles.clear(self._folder)
         if self._how.merge:
             raise ArgumentError("merge", f"there are no tiles in {self._folder}")
         lanes = self._make_lanes()
-        job = decide(self._experiment, lanes, self._how.tile, self._how.part[1] if self._how.part else 1)
+        machine = dask_workers.machine(self._how.dask, lanes, self._check) if self._how.dask else lanes.machine
+        parts = self._how.part[1] if self._how.part else 1
+        job = decide(self._experiment, lanes, self._how.tile, parts, machine)
         self._check()
         cost = spent(lanes, time.perf_counter() - self._began)
         own = self._experiment.user_file
         return tiles.publish(self._folder, job, tiles.Origin(self._experiment.text, own and own.text, cost))
+
+    def _elsewhere(self, job: Job) -> str:
+        """How the machines of a job differ from this one, which is to go on with it; "" where they do not.
+
+        Joining tiles computes nothing, and Dask workers look for themselves.
+        """
+        if self._how.merge or self._how.dask:
+            return ""
+        return differing(job.machine, self._make_lanes().machine)
 
     def _make_lanes(self) -> Lanes:
         if self._lanes is None:
@@ -351,6 +382,7 @@ def attributes(experiment: Experiment, job: Job, total: Spent, command: str = ""
         section=clock.section,
         user_file=UserFile(str(own.path), own.text, own.sha256) if own else None,
         chosen=job.chosen,
+        machine=job.machine,
     )
 
 

@@ -7,7 +7,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import NamedTuple
 
 _WORK = 2e6  # lane-periods a tile: ten to thirty seconds on one core
@@ -51,6 +51,7 @@ class Job:
         independent: those whose lanes know nothing of each other; the others are run along the whole first axis.
         axes: of the sweep, in the order of results: name, size, and whether all lanes of a program share its value.
         tile: lanes a tile.
+        machine: kind of processor and options of the compiler, which the last bits of chaotic lanes rest on.
     """
 
     config_sha256: str
@@ -64,6 +65,7 @@ class Job:
     independent: tuple[str, ...]
     axes: tuple[tuple[str, int, bool], ...]
     tile: int
+    machine: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def id(self) -> str:
