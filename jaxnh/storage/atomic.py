@@ -138,9 +138,12 @@ def target_of(path: Path) -> Path:
         ResultError: links that point to each other.
     """
     try:
-        return path.resolve() if path.is_symlink() else path
-    except (OSError, RuntimeError) as error:
-        raise ResultError(f"{path} is a link that leads nowhere") from error
+        target = path.resolve() if path.is_symlink() else path
+    except (OSError, RuntimeError):
+        target = path
+    if target.is_symlink():  # in a circle
+        raise ResultError(f"{path} is a link that leads nowhere")
+    return target
 
 
 def sync(path: Path) -> None:

@@ -14,8 +14,8 @@ import pytest
 from conftest import ROOT
 from measure import SYSTEMS
 from test_batch import CONFIG, GO_ON, Job, content
+from test_pieces import job
 
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine import lanes as engine
 from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import Stopped
@@ -53,12 +53,12 @@ storage.Calls.add = added
 """
 
 
-def calls_of(job, *arguments):
+def calls_of(batch, *arguments):
     """Run to the end in this process: the programs' calls that were made for pieces."""
     with mock.patch.object(Calls, "add", autospec=True) as add:
-        code, _, err = job.run_here(*arguments)
+        code, _, err = batch.run_here(*arguments)
     assert code == 0, err
-    assert job.left() == {"job.h5"}
+    assert batch.left() == {"job.h5"}
     return add.call_count
 
 
@@ -75,28 +75,28 @@ def test_stopped_within_a_piece(tmp_path, text, tile, number, at):
     """No call that was over is made again, and the result is that of a run that nothing disturbs, bit for bit."""
     (tmp_path / "whole").mkdir()
     (tmp_path / "stopped").mkdir()
-    whole, job = Job(tmp_path / "whole", text, tile), Job(tmp_path / "stopped", text, tile)
+    whole, stopped = Job(tmp_path / "whole", text, tile), Job(tmp_path / "stopped", text, tile)
     every = calls_of(whole)
-    process = job.start(head=HEAD.format(at=at, signal=int(number), wait=1.0))
+    process = stopped.start(head=HEAD.format(at=at, signal=int(number), wait=1.0))
     _, err = process.communicate(timeout=300)
     assert process.returncode == (-number if number == signal.SIGKILL else 75), err
     if number != signal.SIGKILL:
         assert err.splitlines()[-1].startswith(f"stopped by {number.name} with 0 of ")
         assert err.splitlines()[-1].endswith(f"tiles done; {GO_ON}")
-    assert job.done() == []
-    assert calls_of(job) == every - at - 1
-    assert content(job.output) == content(whole.output)
+    assert stopped.done() == []
+    assert calls_of(stopped) == every - at - 1
+    assert content(stopped.output) == content(whole.output)
 
 
 @pytest.mark.slow
 def test_call_that_does_not_end(tmp_path):
     """A signal is heeded within seconds all the same: the process ends, and the run can go on."""
-    job = Job(tmp_path, CARRIED)
-    process = job.start(head=HEAD.format(at=2, signal=int(signal.SIGINT), wait=300.0))
+    stopped = Job(tmp_path, CARRIED)
+    process = stopped.start(head=HEAD.format(at=2, signal=int(signal.SIGINT), wait=300.0))
     _, err = process.communicate(timeout=120)
     assert process.returncode == 75
     assert err.splitlines()[-1] == f"stopped by SIGINT; {GO_ON}"
-    assert len(list(job.tiles.glob("*.calls"))) == 1
+    assert len(list(stopped.tiles.glob("*.calls"))) == 1
 
 
 # ---- lanes and their calls
@@ -146,26 +146,22 @@ class StopsAt:
 
 
 def _grown(by, x, pair):
-    return {"sum": x + pair[0] + by, "rest": (pair[1], x > 3)}
+    return {"sum": x + pair[0] + by, "rest": (pair[1], x > 3.0)}
 
 
 def test_call_stopped_between_tiles(tmp_path):
     """Its first lanes are found, on another number of devices as well; the account is that of all that is there."""
-    experiment = Experiment.from_text(CARRIED)
-    from jaxnh.engine.plan import decide
-
-    job = decide(experiment, Lanes())
-    pieces = job.pieces()
-    x, pair = np.arange(40.0), (np.arange(40) % 3, np.arange(80.0).reshape(40, 2))
+    pieces = job().pieces()
+    x, pair = np.arange(40.0), (np.arange(40.0) % 3, np.arange(80.0).reshape(40, 2))
     expected = Lanes(tile=4)(_grown, (np.float64(1.0),), (x, pair), periods=2)
     lanes = Lanes(StopsAt(30), devices=jax.devices("cpu")[:2], tile=4)
-    with pytest.raises(Stopped), lanes.keeping(Calls(tmp_path, job, pieces)):
+    with pytest.raises(Stopped), lanes.keeping(Calls(tmp_path, job(), pieces)):
         lanes(_grown, (np.float64(1.0),), (x, pair), periods=2)
     assert lanes.lane_periods == 32
     lanes = Lanes(devices=jax.devices("cpu")[:1], tile=4)
     with (
         mock.patch.object(Calls, "add", autospec=True) as add,
-        lanes.keeping(kept := Calls(tmp_path, job, pieces)),
+        lanes.keeping(kept := Calls(tmp_path, job(), pieces)),
     ):
         assert lanes.earlier_seconds > 0
         found = lanes(_grown, (np.float64(1.0),), (x, pair), periods=2)
