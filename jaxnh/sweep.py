@@ -39,7 +39,10 @@ def sweep(
     part: Annotated[str | None, typer.Option(metavar="K/N", help="Do only share K of N; --merge joins them")] = None,
     merge_only: Annotated[bool, typer.Option("--merge", help="Join what the parts have done")] = False,
     tile: Annotated[
-        int | None, typer.Option(min=1, metavar="LANES", help="Lanes a tile; by default some ten seconds of work")
+        int | None,
+        typer.Option(
+            min=1, metavar="LANES", help="Lanes a tile; by default some ten seconds of work, no part without tiles"
+        ),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors")] = False,
     print_schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of a config")] = False,

@@ -313,7 +313,10 @@ class _Run:
                 for batch in found:
                     self._check()
                     calls = Calls(self._folder, job, batch)
-                    self._earlier += calls.seconds
+                    if calls.seconds:
+                        self._earlier += calls.seconds
+                        numbers = ", ".join(str(piece.number) for piece in batch)
+                        self._progress.note(f"tiles {numbers}: going on after {calls.seconds:.0f} s of work")
                     with lanes.keeping(calls):
                         computed = compute(self._experiment, self._axes, self._requested, job, batch, lanes)
                     settle()
