@@ -33,6 +33,8 @@ def inspect(
     try:
         store.read_attrs(file)
         with h5py.File(file, "r") as content:
+            for group in store.groups(content).values():
+                store.variables(group)  # nothing is said of a file that is laid out as no result is
             if table is None:
                 show(file, content)
             elif table not in store.groups(content):
