@@ -11,7 +11,7 @@ import hashlib
 import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -20,7 +20,6 @@ from jax.sharding import Mesh, PartitionSpec
 
 from jaxnh.engine.progress import Progress, Silent
 from jaxnh.engine.xla_options import machine
-from jaxnh.exceptions import ResultError
 from jaxnh.maps.iterate import iterate
 from jaxnh.storage.calls import Calls, Part
 
@@ -66,8 +65,7 @@ class Lanes:
         try:
             yield
         except BaseException:
-            with suppress(ResultError):  # that of a full disk, say, on the way out of something else
-                kept.close(remove=False)
+            kept.close(remove=False)
             raise
         finally:
             self._kept = None
@@ -216,7 +214,7 @@ def _padded(leaf: np.ndarray, length: int) -> np.ndarray:
 def _digest(function: Callable[..., Any], *arguments: Any) -> str:
     """What a call is, the same in every process: its function and all arguments, numbers bit for bit."""
     leaves, structure = jax.tree.flatten(arguments)
-    words = f"{function.__module__}.{function.__qualname__} {structure}"
+    words = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', function)} {structure}"
     found = hashlib.sha256(re.sub(r" at 0x[0-9a-f]+", "", words).encode())  # addresses of a user's functions
     for leaf in leaves:
         data = np.asarray(leaf)

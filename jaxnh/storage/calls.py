@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnh.exceptions import ResultError
 from jaxnh.storage.pieces import Job, Piece
 
 _OFTEN = 5.0  # seconds of work that may be lost
@@ -60,7 +59,7 @@ class Calls:
         self._parts: dict[int, dict[int, Part]] = {}
         self._new: list[Part] = []
         self._handle: int | None = None
-        self._taken = False
+        self._closed = False
         self._since = time.monotonic()
         self.seconds, self._sound = 0.0, 0
         for head, parts, end in _records(self._path):
@@ -80,22 +79,14 @@ class Calls:
         return parts
 
     def add(self, part: Part) -> None:
-        """One more part; written with others after some seconds of work.
-
-        Raises:
-            ResultError: the folder or the disk refuses.
-        """
+        """One more part; written with others after some seconds of work."""
         self._new.append(part)
         size = sum(leaf.nbytes for part in self._new for leaf in part.leaves)
         if time.monotonic() - self._since > max(_OFTEN, size / _BYTES):
             self.flush()
 
     def flush(self) -> None:
-        """Have all of it on the disk.
-
-        Raises:
-            ResultError: the folder or the disk refuses.
-        """
+        """Have all of it on the disk; where there is no room for it, what the tiles need goes first."""
         if not self._new:
             return
         seconds = time.monotonic() - self._since
@@ -105,8 +96,9 @@ class Calls:
                 with open(handle, "wb", closefd=False) as file:
                     file.write(_record({**self._of, "seconds": seconds}, self._new))
                 os.fsync(handle)
-        except OSError as error:
-            raise ResultError(f"cannot write {self._path}: {error.strerror or error}") from error
+        except OSError:  # where a tile cannot be written either, that is said
+            self.close(remove=True)
+            self._closed = True
         self._new, self._since = [], time.monotonic()
 
     def _opened(self) -> int | None:
@@ -114,13 +106,13 @@ class Calls:
 
         A worker that is thought to be lost may be.
         """
-        if self._handle is None and not self._taken:
+        if self._handle is None and not self._closed:
             self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
             try:
                 fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 os.close(self._handle)
-                self._handle, self._taken = None, True
+                self._handle, self._closed = None, True
             else:
                 os.ftruncate(self._handle, self._sound)
                 os.lseek(self._handle, 0, os.SEEK_END)
@@ -128,17 +120,14 @@ class Calls:
 
     def close(self, *, remove: bool) -> None:
         """Be done with the file: without it, or with all that is known in it."""
-        try:
-            if remove:
-                self._path.unlink(missing_ok=True)
-            else:
-                self.flush()
-        except OSError as error:
-            raise ResultError(f"cannot write {self._path}: {error.strerror or error}") from error
-        finally:
+        if not remove:
+            self.flush()
+        with contextlib.suppress(OSError):
             if self._handle is not None:
                 os.close(self._handle)
-                self._handle = None
+            if remove:
+                self._path.unlink(missing_ok=True)
+        self._handle = None
 
 
 def left(folder: Path, job: Job) -> list[list[int]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from unittest import mock
 
 import numpy as np
@@ -122,3 +123,20 @@ def test_two_at_the_same_pieces(tmp_path, parts):
     found = Calls(tmp_path, JOB, PIECES)
     same(found.found(0, "d"), parts[:2])
     assert found.found(1, "d") == []
+
+
+def test_no_room(folder, parts):
+    """A disk that is full is no reason to end: tiles may still fit. Half a record is not left, nor what it took."""
+    kept = Calls(folder, JOB, PIECES)
+    kept.add(parts[3])
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    [path] = folder.iterdir()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 50, before[1]))
+    try:
+        kept.flush()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert list(folder.iterdir()) == []
+    kept.add(parts[4])
+    kept.close(remove=False)
+    assert list(folder.iterdir()) == []
