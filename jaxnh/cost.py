@@ -187,7 +187,7 @@ def _studies(bench: Bench, times: dict[str, float]) -> dict[str, xr.Dataset]:
 def _write(bench: Bench, path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     """The file, with what decides its numbers as attributes."""
     experiment = bench.experiment
-    job = job_of(experiment, experiment.axes, bench.plan, {}, experiment.requested())
+    job = job_of(experiment, experiment.axes, bench.plan, {}, experiment.requested(), bench.lanes.machine)
     total = spent(bench.lanes, time.perf_counter() - bench.began)
     attrs = attributes(experiment, job, total, called("jaxnh.cost"))
     attrs = {("cost_of" if name == "config_sha256" else name): value for name, value in attrs.items()}

@@ -33,9 +33,11 @@ def inspect(
     try:
         store.read_attrs(file)
         with h5py.File(file, "r") as content:
+            for group in store.groups(content).values():
+                store.variables(group)  # nothing is said of a file that is laid out as no result is
             if table is None:
                 show(file, content)
-            elif table not in content:
+            elif table not in store.groups(content):
                 raise InputError(f"command line: --csv: {file} has the groups {', '.join(content)}, and no {table}")
         if table is not None:
             write_csv(file, table, sys.stdout)

@@ -17,7 +17,7 @@ from jaxnh.cli.report import report
 from jaxnh.cli.terminal import progress
 from jaxnh.config.schema import schema
 from jaxnh.engine import dask_workers
-from jaxnh.engine.run import How, check_output, is_there, run_to_file
+from jaxnh.engine.run import How, check_output, file_of, is_there, run_to_file
 from jaxnh.exceptions import ArgumentError, BusyError
 from jaxnh.storage import tiles
 
@@ -39,7 +39,10 @@ def sweep(
     part: Annotated[str | None, typer.Option(metavar="K/N", help="Do only share K of N; --merge joins them")] = None,
     merge_only: Annotated[bool, typer.Option("--merge", help="Join what the parts have done")] = False,
     tile: Annotated[
-        int | None, typer.Option(min=1, metavar="LANES", help="Lanes a tile; by default some ten seconds of work")
+        int | None,
+        typer.Option(
+            min=1, metavar="LANES", help="Lanes a tile; by default some ten seconds of work, no part without tiles"
+        ),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors")] = False,
     print_schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of a config")] = False,
@@ -54,7 +57,7 @@ def sweep(
     if dask:
         dask_workers.check(dask)
     experiment = experiment_of(config, overrides)
-    path = output or Path("results") / f"{Path(experiment.label).stem}.h5"
+    path = file_of(output or Path("results") / f"{Path(experiment.label).stem}.h5")
     if is_there(experiment, path, fresh=fresh):
         tiles.tidy(tiles.folder_of(path))
         if not quiet:

@@ -19,14 +19,15 @@ from pydantic import Field, model_validator
 
 from jaxnh.analyses.base import LANE, Analysis, LaneRunner, OptionError, Options, Scene, Setting, rule
 from jaxnh.analyses.poincare import strobe_states
-from jaxnh.analyses.states import check_transient, count, section_attrs, state_variables
+from jaxnh.analyses.states import check_transient, count, section_attrs, settled, state_variables
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Parameters, State
 
-_CARRIED_AT_ONCE = 32  # values that a call carries a state along: the steps of the progress shown
+_CARRIED_AT_ONCE = 32  # values that a call carries a state along at most: the steps of the progress shown
+_CARRIED_PERIODS = 1 << 15  # of such a call: some seconds, that a run that is killed may lose
 _FOR_RANDOM = ("starts", "seed", "box")
 _CARRIED = ("up", "down")
 
@@ -138,13 +139,8 @@ def random_starts(options: DiagramOptions, scene: Scene) -> tuple[State, Paramet
 def _side_by_side(options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, p: Parameters) -> State:
     """A lane for each start state and its parameters: components (lanes, strobes)."""
     state, strobe = _at_phase(options, scene, lanes, start, p)
-    return lanes(
-        strobe_states,
-        (strobe, np.int32(options.transient)),
-        (state, p),
-        periods=options.transient + options.strobes - 1,
-        static=(options.strobes,),
-    )
+    state = settled(lanes, strobe, options.transient, state, p)
+    return lanes(strobe_states, (strobe,), (state, p), periods=options.strobes - 1, static=(options.strobes,))
 
 
 def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:
@@ -154,16 +150,18 @@ def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:
     if options.start == "down":
         order = order[::-1]
     state, strobe = _at_phase(options, scene, lanes, *scene.take(order[:1]).lanes)
+    each = options.transient + options.strobes - 1
+    at_once = min(_CARRIED_AT_ONCE, max(1, _CARRIED_PERIODS // max(each, 1)))
     met = []
-    for first in range(0, len(order), _CARRIED_AT_ONCE):
-        part = order[first : first + _CARRIED_AT_ONCE]
-        padded = np.append(part, np.full(_CARRIED_AT_ONCE - len(part), part[-1]))
+    for first in range(0, len(order), at_once):
+        part = order[first : first + at_once]
+        padded = np.append(part, np.full(at_once - len(part), part[-1]))
         p = {name: lane_values[None, padded] for name, lane_values in scene.p.items()}
         state, states = lanes(
             carried,
             (strobe, np.int32(options.transient)),
             (state, p),
-            periods=len(part) * (options.transient + options.strobes - 1),
+            periods=len(part) * each,
             tile=1,
             static=(options.strobes,),
         )
@@ -193,7 +191,7 @@ def carried(strobe: Strobe, transient: ArrayLike, state: State, p: Parameters, c
     """Of one lane: a state carried along parameters (values,), and the states (values, count) met at each of them."""
 
     def at(z: State, p: Parameters) -> tuple[State, State]:
-        states = strobe_states(strobe, transient, z, p, count)
+        states = strobe_states(strobe, iterate(strobe, transient, z, p), p, count)
         return jax.tree.map(lambda component: component[-1], states), states
 
     return lax.scan(at, state, p)

@@ -9,12 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jax.typing import ArrayLike
 from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Scene, Setting, variable
-from jaxnh.analyses.states import TILE, check_transient, count, section_attrs, state_variables
-from jaxnh.maps.iterate import iterate, record
+from jaxnh.analyses.states import TILE, check_transient, count, section_attrs, settled, state_variables
+from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Parameters, State
 
@@ -43,15 +42,11 @@ def check(options: PoincareOptions, setting: Setting) -> None:
 
 def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """States at `strobes` strobes after the transient, from the start states, dimensions (lane, strobe)."""
-    total = periods(options, scene.count)
-    with lanes.stage(f"poincare: {options.strobes} strobes of {scene.count:,} lanes", total):
+    strobe, (start, p) = scene.strobe(), scene.lanes
+    with lanes.stage(f"poincare: {options.strobes} strobes of {scene.count:,} lanes", periods(options, scene.count)):
+        start = settled(lanes, strobe, options.transient, start, p, TILE)
         states = lanes(
-            strobe_states,
-            (scene.strobe(), np.int32(options.transient)),
-            scene.lanes,
-            periods=total / scene.count,
-            tile=TILE,
-            static=(options.strobes,),
+            strobe_states, (strobe,), (start, p), periods=options.strobes - 1, tile=TILE, static=(options.strobes,)
         )
     variables = {}
     if scene.flow is scene.system:  # else every crossing has its own time
@@ -62,11 +57,10 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     return xr.Dataset(variables, attrs={**section_attrs(scene), **panel})
 
 
-def strobe_states(strobe: Strobe, transient: ArrayLike, state: State, p: Parameters, count: int) -> State:
-    """Of one lane: states (count,) after `transient` periods and each one after; `transient` may be traced."""
-    first = iterate(strobe, transient, state, p)
-    _, following = record(strobe, first, p, count - 1)
-    return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), first, following)
+def strobe_states(strobe: Strobe, state: State, p: Parameters, count: int) -> State:
+    """Of one lane: its state and those after each of the next periods, (count,)."""
+    _, following = record(strobe, state, p, count - 1)
+    return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), state, following)
 
 
 ANALYSIS = Analysis(

@@ -6,13 +6,11 @@ import jax
 import numpy as np
 import xarray as xr
 from jax import lax
-from jax.typing import ArrayLike
 from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Price, Program, Scene, map_alone, variable
-from jaxnh.analyses.states import TILE, count, state_variables
+from jaxnh.analyses.states import TILE, count, settled, state_variables
 from jaxnh.maps.build import make_parts
-from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Parameters, State
@@ -41,13 +39,14 @@ def numbers(options: PortraitOptions) -> int:
 def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Trajectories of `periods` periods after the transient, from the start states, dimensions (lane, time)."""
     scene = scene.in_time()
-    total = periods(options, scene.count)
-    with lanes.stage(f"portrait: {options.periods} periods of {scene.count:,} lanes", total):
+    start, p = scene.lanes
+    with lanes.stage(f"portrait: {options.periods} periods of {scene.count:,} lanes", periods(options, scene.count)):
+        start = settled(lanes, scene.strobe(), options.transient, start, p, TILE)
         states = lanes(
             trajectory,
-            (scene.strobe(), _parts(options, scene), np.int32(options.transient)),
-            scene.lanes,
-            periods=total / scene.count,
+            (_parts(options, scene),),
+            (start, p),
+            periods=options.periods,
             tile=TILE,
             static=(options.periods,),
         )
@@ -61,8 +60,8 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     return xr.Dataset(variables, attrs={"panel": "trajectories", "panel_variables": " ".join(scene.system.plane)})
 
 
-def trajectory(strobe: Strobe, parts: Strobe, transient: ArrayLike, state: State, p: Parameters, count: int) -> State:
-    """Of one lane: states (count · samples,) over `count` periods after a transient, which may be traced.
+def trajectory(parts: Strobe, state: State, p: Parameters, count: int) -> State:
+    """Of one lane: states (count · samples,) over `count` periods.
 
     `parts` are the maps over the parts of a period, stacked (`maps.build.make_parts`).
     """
@@ -73,7 +72,7 @@ def trajectory(strobe: Strobe, parts: Strobe, transient: ArrayLike, state: State
     def period(z: State, _: None) -> tuple[State, State]:
         return lax.scan(sample, z, parts)
 
-    _, path = lax.scan(period, iterate(strobe, transient, state, p), length=count)
+    _, path = lax.scan(period, state, length=count)
     return jax.tree.map(lambda component: component.reshape(-1), path)
 
 
@@ -82,8 +81,7 @@ def price(options: PortraitOptions, scene: Scene) -> Price:
     scene = scene.in_time()
     parts = _parts(options, scene)
     turns = (1.0, float(options.samples), *parts.turns)
-    shared = (scene.strobe(), parts, np.int32(0))
-    program = Program(trajectory, shared, scene.lanes, turns, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)
+    program = Program(trajectory, (parts,), scene.lanes, turns, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)
     return Price(program, map_alone(scene, tile=TILE), "every sample ends a step, and is kept")
 
 

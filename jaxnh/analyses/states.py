@@ -1,4 +1,4 @@
-"""What the analyses that keep states have in common: variables of states, sections in words, and counts."""
+"""What the analyses that keep states have in common: transients, variables of states, sections in words, counts."""
 
 from __future__ import annotations
 
@@ -9,12 +9,23 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, OptionError, Scene, Setting, variable
+from jaxnh.analyses.base import Entry, LaneRunner, OptionError, Scene, Setting, variable
+from jaxnh.maps.iterate import iterate
+from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.section import SectionedFlow
-from jaxnh.systems.flow import Flow, State
+from jaxnh.systems.flow import Flow, Parameters, State
 
 TILE = 16
 """Lanes a tile where few lanes are followed for long: small tiles take a period sooner."""
+
+
+def settled(
+    lanes: LaneRunner, strobe: Strobe, transient: int, start: State, p: Parameters, tile: int | None = None
+) -> State:
+    """Lanes after a transient: in calls of their own, of which a long one takes several, so that a run can stop."""
+    if not transient:
+        return start
+    return lanes(iterate, (strobe, np.int32(transient)), (start, p), periods=transient, tile=tile)
 
 
 def state_variables(

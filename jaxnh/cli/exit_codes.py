@@ -20,7 +20,7 @@ GO_ON = "run the same command again to go on"
 RESUME = 75
 """Exit code of a run that was stopped and can go on: the temporary failure of sysexits.h."""
 
-_GRACE = 20.0  # seconds after a signal in which work in hand may come to a place to stop
+_GRACE = 5.0  # seconds after a signal in which work in hand may come to a place to stop
 # The base of all faults of a command line, wherever typer keeps its parser.
 _UsageError: type[Any] = typer.BadParameter.__mro__[1]
 
@@ -29,7 +29,7 @@ class Stop:
     """Inside this context SIGINT and SIGTERM ask the run to stop, where it comes to a `check`.
 
     A thread hears the signals, since the interpreter only does between two calls of compiled programs. Where none of
-    them ends within 20 seconds the process ends all the same: what is on disk is whole at any moment.
+    them ends within 5 seconds the process ends all the same: what is on disk is whole at any moment.
 
     Attributes:
         signal: name of the signal that came, or "".

@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from jaxnh.config.experiment import Experiment
+from jaxnh.engine import xla_options
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.plan import compute
-from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
 from jaxnh.storage import tiles
+from jaxnh.storage.calls import Calls
 from jaxnh.storage.pieces import Job, Piece
 from jaxnh.storage.tiles import Receipt
 
@@ -98,6 +99,22 @@ def run(
                 client.cancel(list(futures), force=True)
 
 
+def machine(where: str, lanes: Lanes, heed: Callable[[], None]) -> dict[str, str]:
+    """The kind of processor and XLA's options of the workers of a cluster, by the first that answers.
+
+    Raises:
+        ArgumentError: there is no such cluster.
+        Stopped: the cluster is gone.
+    """
+    if _LOCAL.fullmatch(where):
+        return xla_options.machine(lanes.devices[0], xla_options.flags_of_a_process())
+    with _cluster(where) as client:
+        future = client.submit(_machine, pure=False)
+        while not _ended(client, [future]):
+            heed()
+        return future.result()
+
+
 def _receipt(future: Any, piece: Piece) -> Receipt:
     from distributed import CancelledError
 
@@ -169,7 +186,7 @@ def _lanes() -> Lanes:
     number = _NUMBERED.fullmatch(str(get_worker().name))
     if len(cores) > 1 and number:
         os.sched_setaffinity(0, {cores[int(number[1]) % len(cores)]})
-    configure(1)
+    xla_options.configure(1)
     return Lanes()
 
 
@@ -182,13 +199,24 @@ def _experiment(folder: Path, job_id: str) -> tuple[Experiment, Job]:
     return Experiment.from_text(origin.config, origin.user_text), job
 
 
+def _machine() -> dict[str, str]:
+    with _AT_ONCE:
+        return _lanes().machine
+
+
 def _piece(folder: str, job_id: str, index: int) -> Receipt:
     """Compute a piece and write it, unless it is there; runs in a worker, one at a time."""
     with _AT_ONCE:
         lanes = _lanes()
         experiment, job = _experiment(Path(folder), job_id)
+        if other := xla_options.differing(job.machine, lanes.machine):
+            raise RuntimeError(f"the tiles are {other}")
         piece = job.pieces()[index]
         with contextlib.suppress(FileNotFoundError, DamagedError):
             return tiles.check(Path(folder), job, piece)
-        [done] = compute(experiment, experiment.axes, experiment.requested(), job, [piece], lanes)
-        return tiles.write_piece(Path(folder), job, *done)
+        calls = Calls(Path(folder), job, [piece])
+        with lanes.keeping(calls):
+            [done] = compute(experiment, experiment.axes, experiment.requested(), job, [piece], lanes)
+        receipt = tiles.write_piece(Path(folder), job, *done)
+        calls.close(remove=True)
+        return receipt

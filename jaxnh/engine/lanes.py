@@ -7,6 +7,8 @@ number of lanes, tiles or devices.
 
 from __future__ import annotations
 
+import hashlib
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,9 +19,19 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 from jaxnh.engine.progress import Progress, Silent
+from jaxnh.engine.xla_options import machine
+from jaxnh.maps.iterate import iterate
+from jaxnh.storage.calls import Calls, Part
 
 TILE = 256
 """Lanes a tile: large enough to hide what a kernel call costs, small enough for a core's first cache."""
+
+_LONGEST = 1 << 15
+"""Lane-periods of a map's iterates in one call and on one device: a program that runs can neither be stopped nor kept.
+
+They take a tenth of a second of the fast maps and some seconds of slow ones, and a call a millisecond of its own. It is
+no measured rate that decides, so that a later run makes the same calls.
+"""
 
 
 class Lanes:
@@ -40,6 +52,33 @@ class Lanes:
         self.run_seconds = 0.0
         self._progress = progress or Silent()
         self._programs: dict[Any, Any] = {}
+        self._kept: Calls | None = None
+        self._calls = 0
+
+    @contextmanager
+    def keeping(self, kept: Calls) -> Iterator[None]:
+        """Keep the results of the calls inside, and take those from there that a stopped run has left.
+
+        The calls inside have to follow from each other alone: the same ones in every run.
+        """
+        self._kept, self._calls = kept, 0
+        try:
+            yield
+        except BaseException:
+            kept.close(remove=False)
+            raise
+        finally:
+            self._kept = None
+
+    @property
+    def machine(self) -> dict[str, str]:
+        """The kind of processor and XLA's options (`xla_options.machine`)."""
+        return machine(self.devices[0])
+
+    @property
+    def earlier_seconds(self) -> float:
+        """Seconds that a stopped run has spent on what is found of the calls being made."""
+        return self._kept.seconds if self._kept else 0.0
 
     @contextmanager
     def stage(self, label: str, total: float) -> Iterator[None]:
@@ -73,20 +112,60 @@ class Lanes:
         Returns:
             The function's results as NumPy arrays with the lanes as first axis.
         """
-        chunk = self._tile(shared, tile) * len(self.devices)
         lanes = jax.tree.map(np.asarray, lanes)
-        count = len(jax.tree.leaves(lanes)[0])
-        results = []
-        for start in range(0, count, chunk):
-            part = jax.tree.map(lambda leaf, start=start: _padded(leaf[start : start + chunk], chunk), lanes)
+        tile = self._tile(shared, tile)
+        if function is iterate and int(shared[1]) > (longest := max(1, _LONGEST // tile)):
+            return self._iterates(longest, shared, lanes, tile=tile)
+        call, digest = self._calls, _digest(function, shared, lanes, static, tile) if self._kept else ""
+        self._calls += 1
+        chunk, count = tile * len(self.devices), len(jax.tree.leaves(lanes)[0])
+        results = self._found(call, digest, function, shared, lanes, static)
+        start = sum(len(jax.tree.leaves(result)[0]) for result in results)
+        if start:
+            self._account(periods * start)
+        for first in range(start, count, chunk):
+            part = jax.tree.map(lambda leaf, first=first: _padded(leaf[first : first + chunk], chunk), lanes)
             program = self._program(function, static, shared, part)
             began = time.perf_counter()
-            results.append(jax.tree.map(np.asarray, program(shared, part)))
+            result = jax.tree.map(np.asarray, program(shared, part))
             self.run_seconds += time.perf_counter() - began
-            done = periods * min(chunk, count - start)
-            self.lane_periods += done
-            self._progress.advance(done)
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *results)
+            some = min(chunk, count - first)
+            results.append(jax.tree.map(lambda leaf, some=some: leaf[:some], result))
+            if self._kept:
+                self._kept.add(Part(call, first, digest, tuple(jax.tree.leaves(results[-1]))))
+            self._account(periods * some)
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
+
+    def _iterates(self, longest: int, shared: tuple[Any, ...], lanes: tuple[Any, ...], *, tile: int) -> Any:
+        """Iterates of a map in several calls: the same program, whose count is an argument, and so the same bits."""
+        strobe, left = shared[0], int(shared[1])
+        state, p = lanes
+        while left:
+            some = min(left, longest)
+            state = self(iterate, (strobe, np.int32(some)), (state, p), periods=some, tile=tile)
+            left -= some
+        return state
+
+    def _account(self, lane_periods: float) -> None:
+        self.lane_periods += lane_periods
+        self._progress.advance(lane_periods)
+
+    def _found(
+        self,
+        call: int,
+        digest: str,
+        function: Callable[..., Any],
+        shared: tuple[Any, ...],
+        lanes: tuple[Any, ...],
+        static: tuple[Any, ...],
+    ) -> list[Any]:
+        """Results of the first lanes of a call that a stopped run has left."""
+        parts = self._kept.found(call, digest) if self._kept else []
+        if not parts:
+            return []
+        lane = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), lanes)
+        structure = jax.tree.structure(jax.eval_shape(lambda lane: function(*shared, *lane, *static), lane))
+        return [jax.tree.unflatten(structure, part.leaves) for part in parts]
 
     def program(
         self,
@@ -130,3 +209,15 @@ def _padded(leaf: np.ndarray, length: int) -> np.ndarray:
     """The leaf with its last row repeated up to a length."""
     missing = length - len(leaf)
     return leaf if not missing else np.concatenate([leaf, np.repeat(leaf[-1:], missing, axis=0)])
+
+
+def _digest(function: Callable[..., Any], *arguments: Any) -> str:
+    """What a call is, the same in every process: its function and all arguments, numbers bit for bit."""
+    leaves, structure = jax.tree.flatten(arguments)
+    words = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', function)} {structure}"
+    found = hashlib.sha256(re.sub(r" at 0x[0-9a-f]+", "", words).encode())  # addresses of a user's functions
+    for leaf in leaves:
+        data = np.asarray(leaf)
+        found.update(f"{data.dtype} {data.shape}".encode() if data.dtype.kind != "U" else str(data).encode())
+        found.update(np.ascontiguousarray(data).tobytes())
+    return found.hexdigest()

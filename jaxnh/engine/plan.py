@@ -25,6 +25,7 @@ from jaxnh.storage.tiles import Spent
 Requested = Sequence[tuple[Analysis, Options]]
 
 _BATCH_BYTES = 1 << 28  # of results that are computed at once
+_TILES_A_PART = 4  # at least, so that parts differ by one in four at most
 
 
 class Done(NamedTuple):
@@ -103,15 +104,22 @@ def job_of(
     plan: Plan,
     chosen: Mapping[str, Mapping[str, int]],
     requested: Requested,
+    machine: Mapping[str, str],
     tile: int | None = None,
+    parts: int = 1,
 ) -> Job:
     """How a sweep is cut, with what has been decided for it.
 
     Args:
+        machine: what computes it (`xla_options.machine`).
         tile: lanes a tile in place of those that the work of a lane suggests.
+        parts: among how many the tiles are to be shared: there are at least as many.
     """
     count = int(np.prod([len(axis.values) for axis in axes]))
     split = [(analysis, options) for analysis, options in requested if analysis.independent(options)]
+    if tile is None:
+        tile = tile_lanes(work_of(split, count), numbers_of(split), count)
+        parts *= _TILES_A_PART if parts > 1 else 1
     return Job(
         config_sha256=experiment.sha256,
         versions=versions(),
@@ -123,12 +131,19 @@ def job_of(
         order=tuple(analysis.name for analysis, _ in requested),
         independent=tuple(analysis.name for analysis, _ in split),
         axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in axes),
-        tile=tile or tile_lanes(work_of(split, count), numbers_of(split), count),
+        tile=min(tile, -(-count // parts)),
+        machine=machine,
     )
 
 
-def decide(experiment: Experiment, lanes: Lanes, tile: int | None = None) -> Job:
-    """Everything that holds for the whole sweep of an experiment.
+def decide(
+    experiment: Experiment,
+    lanes: Lanes,
+    tile: int | None = None,
+    parts: int = 1,
+    machine: Mapping[str, str] | None = None,
+) -> Job:
+    """Everything that holds for the whole sweep of an experiment, which is computed here unless a machine is named.
 
     Raises:
         AccuracyError: no solver meets the target.
@@ -137,12 +152,20 @@ def decide(experiment: Experiment, lanes: Lanes, tile: int | None = None) -> Job
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
         plan = plan_of(experiment, calibrate(experiment, axes, lanes))
         chosen = choose(experiment, axes, plan, requested, lanes)
-    return job_of(experiment, axes, plan, chosen, requested, tile)
+    return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
 
 
 def work_of(analyses: Requested, lanes: int) -> float:
     """Expected lane-periods a lane."""
     return sum(analysis.periods(options, lanes) for analysis, options in analyses) / lanes
+
+
+def work_of_pieces(requested: Requested, job: Job, pieces: Sequence[Piece]) -> dict[int, float]:
+    """Expected lane-periods of pieces, by their numbers."""
+    options = {analysis.name: (analysis, options) for analysis, options in requested}
+    kinds = {piece.names for piece in pieces}
+    each = {names: work_of([options[name] for name in names], job.lanes) for names in kinds}
+    return {piece.number: each[piece.names] * piece.lanes for piece in pieces}
 
 
 def numbers_of(analyses: Requested) -> int:
@@ -202,7 +225,7 @@ def compute(
     lanes: Lanes,
 ) -> list[Done]:
     """The datasets of pieces of the same analyses and shared values, each what it is if computed alone, bit for bit."""
-    began, before = time.perf_counter(), spent(lanes, 0.0)
+    began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
     names, line = batch[0].names, batch[0].names != job.independent
     places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
     at = points(experiment, axes, places)

@@ -22,13 +22,14 @@ from jaxnh.engine.plan import (
     count_warnings,
     decide,
     spent,
-    work_of,
+    work_of_pieces,
 )
 from jaxnh.engine.progress import Heeding, Progress, Silent
-from jaxnh.engine.xla_options import configure
+from jaxnh.engine.xla_options import configure, differing
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
 from jaxnh.storage import hdf5, tiles
-from jaxnh.storage.atomic import check_writable
+from jaxnh.storage.atomic import check_writable, target_of
+from jaxnh.storage.calls import Calls, left
 from jaxnh.storage.merge import DamagedPieceError, Extra, merge
 from jaxnh.storage.pieces import Job, Piece, share
 from jaxnh.storage.provenance import Method, UserFile, root_attributes, versions
@@ -102,10 +103,12 @@ def run_to_file(
 def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
     """Whether a file is the result of this very experiment. Anything else is only replaced when that is asked for.
 
+    All of it is read and compared with its checksums.
+
     Raises:
-        ArgumentError: the file is something else.
+        ArgumentError: the file is something else, or damaged.
     """
-    if fresh or not path.exists():
+    if fresh or not path.is_file():
         return False
     try:
         attrs = hdf5.read_attrs(path)
@@ -115,6 +118,10 @@ def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
     if not same:
         other = other_than(experiment, attrs.get("system_file"))
         raise ArgumentError("output", f"{path} holds the result of {other}", "replaces it")
+    try:
+        hdf5.verify(path)
+    except DamagedError as error:
+        raise ArgumentError("output", f"{error}: the result of this config, but damaged", "computes it again") from None
     return True
 
 
@@ -126,6 +133,18 @@ def check_output(path: Path) -> None:
     """
     try:
         check_writable(path)
+    except ResultError as error:
+        raise ArgumentError("output", str(error)) from None
+
+
+def file_of(output: Path) -> Path:
+    """The file that is read and written where this is the output: of a link the one it points to, there or not.
+
+    Raises:
+        ArgumentError: it is a link that leads nowhere.
+    """
+    try:
+        return target_of(output)
     except ResultError as error:
         raise ArgumentError("output", str(error)) from None
 
@@ -156,7 +175,8 @@ class _Run:
         """Everything from what is there to the result, or to the end of the part."""
         job = self._job()
         every = job.pieces()
-        self._pieces = share(every, self._how.part) if self._how.part else every
+        work = work_of_pieces(self._requested, job, every)
+        self._pieces = share(job, self._how.part, work) if self._how.part else every
         self._find(job)
         self._earlier += sum(receipt.spent.seconds for receipt in self._receipts.values())
         try:
@@ -185,20 +205,33 @@ class _Run:
             if job.config_sha256 != self._experiment.sha256:
                 other = f"of {other_than(self._experiment, tiles.origin(self._folder).user_text)}"
             other = other or ("of other versions of the libraries" if dict(job.versions) != versions() else "")
+            other = other or self._elsewhere(job)
             if not other:
                 self._earlier = tiles.origin(self._folder).spent.seconds
                 return job
             if not self._how.fresh or self._how.part:
-                raise ArgumentError("output", f"{self._folder} holds tiles {other}", "drops them")
+                remedy = "without --part drops them" if self._how.part else "drops them"
+                raise ArgumentError("output", f"{self._folder} holds tiles {other}", remedy)
             tiles.clear(self._folder)
         if self._how.merge:
             raise ArgumentError("merge", f"there are no tiles in {self._folder}")
         lanes = self._make_lanes()
-        job = decide(self._experiment, lanes, self._how.tile)
+        machine = dask_workers.machine(self._how.dask, lanes, self._check) if self._how.dask else lanes.machine
+        parts = self._how.part[1] if self._how.part else 1
+        job = decide(self._experiment, lanes, self._how.tile, parts, machine)
         self._check()
         cost = spent(lanes, time.perf_counter() - self._began)
         own = self._experiment.user_file
         return tiles.publish(self._folder, job, tiles.Origin(self._experiment.text, own and own.text, cost))
+
+    def _elsewhere(self, job: Job) -> str:
+        """How the machines of a job differ from this one, which is to go on with it; "" where they do not.
+
+        Joining tiles computes nothing, and Dask workers look for themselves.
+        """
+        if self._how.merge or self._how.dask:
+            return ""
+        return differing(job.machine, self._make_lanes().machine)
 
     def _make_lanes(self) -> Lanes:
         if self._lanes is None:
@@ -235,19 +268,25 @@ class _Run:
             raise ArgumentError(
                 "merge", f"{len(missing)} of {len(self._pieces)} tiles are missing ({lost}); run their parts again"
             )
-        options = {analysis.name: (analysis, options) for analysis, options in self._requested}
-        each = {names: work_of([options[n] for n in names], job.lanes) for names in {piece.names for piece in missing}}
-        cost = {piece.number: each[piece.names] * piece.lanes for piece in missing}
+        cost = work_of_pieces(self._requested, job, missing)
         if self._how.dask:
             self._over(missing, cost, lambda: self._on_workers(job, missing, cost))
             return
         lanes = self._make_lanes()
-        found = batches(self._requested, job, missing, len(lanes.devices))
+        found = self._batches(job, missing, len(lanes.devices))
         cut = [batch for batch in found if batch[0].names == job.independent]
         if len(cut) > 1:
-            found = found[len(cut) :]
+            found = [batch for batch in found if batch[0].names != job.independent]
             self._over([piece for batch in cut for piece in batch], cost, lambda: self._in_turn(job, cut, lanes, cost))
         self._in_turn(job, found, lanes, {})
+
+    def _batches(self, job: Job, missing: Sequence[Piece], devices: int) -> list[list[Piece]]:
+        """Pieces that are computed together, those first that a stopped run has begun together."""
+        rest, begun = {piece.number: piece for piece in missing}, list[list[Piece]]()
+        for numbers in left(self._folder, job):
+            if rest.keys() >= set(numbers):  # those of another part are not ours to go on with
+                begun.append([rest.pop(number) for number in numbers])
+        return begun + batches(self._requested, job, list(rest.values()), devices)
 
     def _over(self, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""
@@ -273,14 +312,22 @@ class _Run:
             try:
                 for batch in found:
                     self._check()
-                    computed = compute(self._experiment, self._axes, self._requested, job, batch, lanes)
+                    calls = Calls(self._folder, job, batch)
+                    if calls.seconds:
+                        self._earlier += calls.seconds
+                        numbers = ", ".join(str(piece.number) for piece in batch)
+                        self._progress.note(f"tiles {numbers}: going on after {calls.seconds:.0f} s of work")
+                    with lanes.keeping(calls):
+                        computed = compute(self._experiment, self._axes, self._requested, job, batch, lanes)
                     settle()
-                    written.append(writer.submit(self._write, job, computed))
+                    written.append(writer.submit(self._write, job, computed, calls))
             finally:
                 settle()
 
-    def _write(self, job: Job, computed: Sequence[Done]) -> list[Receipt]:
-        return [tiles.write_piece(self._folder, job, *done) for done in computed]
+    def _write(self, job: Job, computed: Sequence[Done], calls: Calls) -> list[Receipt]:
+        receipts = [tiles.write_piece(self._folder, job, *done) for done in computed]
+        calls.close(remove=True)
+        return receipts
 
     def _on_workers(self, job: Job, missing: list[Piece], cost: dict[int, float]) -> None:
         where = self._how.dask or ""
@@ -338,6 +385,7 @@ def attributes(experiment: Experiment, job: Job, total: Spent, command: str = ""
         section=clock.section,
         user_file=UserFile(str(own.path), own.text, own.sha256) if own else None,
         chosen=job.chosen,
+        machine=job.machine,
     )
 
 

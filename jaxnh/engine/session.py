@@ -28,7 +28,7 @@ from jaxnh.engine.plan import (
     spent,
 )
 from jaxnh.engine.progress import Calling, Progress, Silent
-from jaxnh.engine.run import How, attributes, check_output, is_there, run_to_file
+from jaxnh.engine.run import How, attributes, check_output, file_of, is_there, run_to_file
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import InputError
 from jaxnh.storage.hdf5 import open_result
@@ -128,7 +128,7 @@ class Session:
         axes, requested, lanes = experiment.axes, experiment.requested(), self._lanes
         plan = self._plan_for(experiment, axes)
         chosen = choose(experiment, axes, plan, requested, lanes)
-        job = job_of(experiment, axes, plan, chosen, requested)
+        job = job_of(experiment, axes, plan, chosen, requested, lanes.machine)
         parts: dict[str, list[Any]] = {name: [] for name in job.order}
         counts: dict[str, dict[str, int]] = {name: {} for name in job.order}
         for batch in batches(requested, job, job.pieces(), len(lanes.devices)):
@@ -176,9 +176,9 @@ def run(
         if dask or tile:
             raise InputError("dask and tile are for a run with an output")
         return Session(experiment, progress=progress).tree()
-    path = Path(output)
     if dask:
         dask_workers.check(dask)
+    path = file_of(Path(output))
     if not is_there(experiment, path, fresh=fresh):
         check_output(path)
         run_to_file(experiment, path, How(fresh=fresh, dask=dask, tile=tile), as_progress(progress))

@@ -8,9 +8,13 @@ results are as accurate, and come more slowly.
 from __future__ import annotations
 
 import os
+import platform
+import re
 import warnings
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -27,6 +31,9 @@ _XLA_OPTIONS = {
 # ends the process at an option that it does not know, so this one is kept to releases it was tried with.
 _LLVM_OPTION, _LLVM_TRIED = "-force-vector-interleave=2", "0.10."
 _WIDTH = "--xla_cpu_prefer_vector_width"
+_VECTORS = re.compile(r"avx2?|avx512(f|dq|vl|bw)|fma|asimd|sve2?")  # what arithmetic in float64 is compiled to
+_NO_MATTER = re.compile(r"--xla_dump\w*|--xla_force_host_platform_device_count")  # options that change no number
+_in_effect: list[str] = []  # XLA_FLAGS as JAX has read them, once it is known
 
 
 def configure(devices: int | None = None) -> None:
@@ -44,6 +51,8 @@ def configure(devices: int | None = None) -> None:
     jax.config.update("jax_enable_x64", True)
     wanted = _flags(os.environ.get("XLA_FLAGS", ""))
     late = wanted != os.environ.get("XLA_FLAGS") and _started()
+    if not _in_effect:
+        _in_effect.append(os.environ.get("XLA_FLAGS", "") if late else wanted)
     os.environ["XLA_FLAGS"] = wanted
     os.environ.setdefault("EQX_ON_ERROR", "nan")  # no host callbacks: they keep diffrax programs out of the cache
     if "JAX_NUM_CPU_DEVICES" not in os.environ and not _started():
@@ -60,6 +69,47 @@ def configure(devices: int | None = None) -> None:
             JaxStartedWarning,
             stacklevel=3,
         )
+
+
+def machine(device: Any, flags: str | None = None) -> dict[str, str]:
+    """What the bits of a result rest on beside the versions of libraries: the kind of processor, and XLA's options.
+
+    Args:
+        device: of JAX.
+        flags: XLA_FLAGS, by default those in effect in this process.
+
+    Returns:
+        `processor`: of a CPU its architecture and vector extensions, of another device its kind; `xla_options`.
+    """
+    options = (_in_effect[0] if _in_effect else os.environ.get("XLA_FLAGS", "")) if flags is None else flags
+    kept = sorted(option for option in options.split() if not _NO_MATTER.match(option))
+    kind = _processor() if device.platform == "cpu" else f"{device.platform} {device.device_kind}"
+    return {"processor": kind, "xla_options": " ".join(kept)}
+
+
+def differing(made: Mapping[str, str], here: Mapping[str, str]) -> str:
+    """In words, how tiles made on one machine differ from those that another would make; "" where they do not."""
+    if made == here:
+        return ""
+    key, what = ("processor", "") if made.get("processor") != here["processor"] else ("xla_options", "XLA options ")
+    told = f"of {what}[{made.get(key, 'unknown')}], and here it is {what}[{here[key]}], whose last bits may differ"
+    return f"{told}: go on where they were made"
+
+
+def flags_of_a_process() -> str:
+    """XLA_FLAGS of a process that this one starts, once that is configured."""
+    return _flags(os.environ.get("XLA_FLAGS", ""))
+
+
+def _processor() -> str:
+    """Architecture and vector extensions of this machine's CPU."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        words = next(line for line in lines if line.startswith(("flags", "Features"))).split(":", 1)[1].split()
+    except (OSError, StopIteration, IndexError):
+        words = []  # no Linux: the name has to do
+    found = sorted(filter(_VECTORS.fullmatch, words))
+    return " ".join([platform.machine(), *(found or [platform.processor()])]).strip()
 
 
 def _flags(given: str) -> str:

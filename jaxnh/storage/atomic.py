@@ -120,14 +120,30 @@ def check_writable(path: Path) -> None:
     Raises:
         ResultError: it cannot; the message names the folder and the reason.
     """
-    if path.is_dir():
-        raise ResultError(f"{path} is a folder, not a file to write")
+    if path.exists() and not path.is_file():
+        what = "a folder" if path.is_dir() else "a device or a pipe"
+        raise ResultError(f"{path} is {what}, not a file to write")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path.parent):
             pass
     except OSError as error:
         raise ResultError(f"cannot write in {path.parent}: {error.strerror or error}") from error
+
+
+def target_of(path: Path) -> Path:
+    """The file that is written where a path is an output: of a link what it points to, there already or not.
+
+    Raises:
+        ResultError: links that point to each other.
+    """
+    try:
+        target = path.resolve() if path.is_symlink() else path
+    except (OSError, RuntimeError):
+        target = path
+    if target.is_symlink():  # in a circle
+        raise ResultError(f"{path} is a link that leads nowhere")
+    return target
 
 
 def sync(path: Path) -> None:

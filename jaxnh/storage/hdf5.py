@@ -46,6 +46,11 @@ _AS_STORED = {"engine": "h5netcdf", "decode_times": False, "mask_and_scale": Fal
 
 _Item = TypeVar("_Item")
 
+
+class LayoutError(DamagedError, TypeError):
+    """Something in a file that no result has, as a variable outside of groups; the message is a sentence."""
+
+
 Attributes = dict[str, Any]
 """Attributes by name: text, numbers, or arrays of one dimension."""
 
@@ -250,7 +255,7 @@ def groups(file: h5py.File) -> dict[str, h5py.Group]:
     """Groups of a file, in their order.
 
     Raises:
-        TypeError: there is something else in it.
+        LayoutError: there is something else in it.
     """
     return {name: _expected(item, h5py.Group) for name, item in file.items()}
 
@@ -259,7 +264,7 @@ def variables(group: h5py.Group) -> dict[str, h5py.Dataset]:
     """Variables of a group, in their order.
 
     Raises:
-        TypeError: there is something else in it.
+        LayoutError: there is something else in it.
     """
     return {name: _expected(item, h5py.Dataset) for name, item in group.items()}
 
@@ -269,14 +274,16 @@ def variable(group: h5py.Group, name: str) -> h5py.Dataset:
 
     Raises:
         KeyError: there is none.
-        TypeError: it is something else.
+        LayoutError: it is something else.
     """
     return _expected(group[name], h5py.Dataset)
 
 
-def _expected(item: object, kind: type[_Item]) -> _Item:
+def _expected(item: h5py.HLObject, kind: type[_Item]) -> _Item:
     if not isinstance(item, kind):
-        raise TypeError(f"{item} is not what results of jaxnh have there")
+        what, name = ("group", str(item.name)) if isinstance(item, h5py.Group) else ("variable", str(item.name))
+        where = "within a group" if what == "group" else "outside of all groups"
+        raise LayoutError(f"{item.file.filename} has the {what} {name} {where}, and no result of jaxnh has")
     return item
 
 

@@ -7,7 +7,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import NamedTuple
 
 _WORK = 2e6  # lane-periods a tile: ten to thirty seconds on one core
@@ -51,6 +51,7 @@ class Job:
         independent: those whose lanes know nothing of each other; the others are run along the whole first axis.
         axes: of the sweep, in the order of results: name, size, and whether all lanes of a program share its value.
         tile: lanes a tile.
+        machine: kind of processor and options of the compiler, which the last bits of chaotic lanes rest on.
     """
 
     config_sha256: str
@@ -64,6 +65,7 @@ class Job:
     independent: tuple[str, ...]
     axes: tuple[tuple[str, int, bool], ...]
     tile: int
+    machine: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def id(self) -> str:
@@ -147,7 +149,39 @@ def slab(dims: Sequence[str], piece: Piece, axes: Sequence[str]) -> tuple[slice,
     return tuple(slice(*places[dim]) if dim in places else slice(None) for dim in dims)
 
 
-def share(pieces: Sequence[Piece], part: tuple[int, int]) -> Sequence[Piece]:
-    """The pieces of part (k, n), k from 1: neighbours, and for n parts every piece in exactly one."""
+def share(job: Job, part: tuple[int, int], work: Mapping[int, float]) -> list[Piece]:
+    """The pieces of part (k, n), k from 1; for n parts every piece in exactly one.
+
+    What runs along the whole first axis goes in turn to the part that has least to do. The tiles then make the parts
+    equal, as far as they can, and those of a part are neighbours.
+
+    Args:
+        work: of every piece, by its number, in any unit.
+    """
     k, n = part
-    return pieces[(k - 1) * len(pieces) // n : k * len(pieces) // n]
+    pieces, loads, mine = job.pieces(), [0.0] * n, list[Piece]()
+    work = {piece.number: work[piece.number] or piece.lanes for piece in pieces}  # of start states alone it is zero
+    lines = [piece for piece in pieces if piece.names != job.independent]
+    for piece in sorted(lines, key=lambda piece: -work[piece.number]):
+        least = loads.index(min(loads))
+        loads[least] += work[piece.number]
+        mine += [piece] if least == k - 1 else []
+    tiles = [piece for piece in pieces if piece.names == job.independent]
+    room = _rooms(loads, sum(work[piece.number] for piece in tiles))
+    ends, done = list(itertools.accumulate(room)), 0.0
+    for piece in tiles:
+        middle = done + work[piece.number] / 2
+        done += work[piece.number]
+        if next((i for i, end in enumerate(ends) if middle < end), n - 1) == k - 1:
+            mine.append(piece)
+    return sorted(mine)
+
+
+def _rooms(loads: Sequence[float], more: float) -> list[float]:
+    """How much of something more makes loads as equal as it can: the lower ones are filled up to one level."""
+    level = next(
+        level
+        for number in range(len(loads), 0, -1)
+        if (level := (more + sum(sorted(loads)[:number])) / number) >= sorted(loads)[number - 1]
+    )
+    return [max(0.0, level - load) for load in loads]

@@ -61,6 +61,7 @@ def root_attributes(
     section: str = "",
     user_file: UserFile | None = None,
     chosen: Mapping[str, Mapping[str, int]] | None = None,
+    machine: Mapping[str, str] | None = None,
 ) -> Attributes:
     """Root attributes of a result file, in their order.
 
@@ -75,6 +76,7 @@ def root_attributes(
         section: the section in words, of a flow without a clock.
         user_file: of a user's system.
         chosen: what analyses have chosen from the whole sweep; None for what cannot be computed again from the file.
+        machine: kind of processor and options of the compiler, each under its name.
     """
     libraries = {name: number for name, number in versions.items() if name != "jaxnh"}
     period = np.ravel(np.asarray(strobe_period, np.float64))  # netCDF has attributes of one dimension alone
@@ -95,6 +97,7 @@ def root_attributes(
         "compile_seconds": spent.compile_seconds,
         "lane_periods": spent.lane_periods,
         "device": spent.device,
+        **(machine or {}),
         "strobe_period": period if np.ndim(strobe_period) else period[0],
         "axes": " ".join(axes),
     }

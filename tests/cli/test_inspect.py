@@ -238,3 +238,22 @@ def test_what_is_no_result(made, tmp_path):
         assert len(run.stderr.splitlines()) == 1
         assert run.stderr.startswith("command line: ")
         assert said in run.stderr
+
+
+@pytest.mark.parametrize("arguments", [(), ("--csv", "x"), ("--verify",)])
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("x", "has the variable /x outside of all groups"),
+        ("diagram/below/x", "has the group /diagram/below within a group"),
+    ],
+)
+def test_layout_of_no_result(made, tmp_path, place, words, arguments):
+    """A variable in the root, or a group in a group: one line in plain words."""
+    other = tmp_path / "other.h5"
+    other.write_bytes(made.read_bytes())
+    with h5py.File(other, "r+") as file:
+        file[place] = np.zeros(3)
+    run = inspect(other, *arguments)
+    assert (run.returncode, run.stdout) == (2, "")
+    assert run.stderr == f"command line: FILE: {other} {words}, and no result of jaxnh has\n"

@@ -186,6 +186,50 @@ def test_other_file_is_not_replaced(sweep, config, content):
     assert message == "command line: --output: other.h5 is there and is no result of jaxnh; --fresh replaces it"
 
 
+def test_damaged_result_is_not_there(sweep, done):
+    """One bit of its data, as inspect finds it: it is said, with what to do, and nothing is touched until then."""
+    config, path, _, _ = done
+    with h5py.File(path) as file:
+        at = file["doubling/b"].id.get_offset()
+    data = bytearray(path.read_bytes())
+    data[at] ^= 1
+    path.write_bytes(data)
+    message = refused(sweep, config.parent, config.name, "--output", path.name)
+    assert message == (
+        "command line: --output: small.h5: the data of /doubling/b do not fit their checksum: "
+        "the result of this config, but damaged; --fresh computes it again"
+    )
+
+
+@pytest.mark.parametrize("fresh", [[], ["--fresh"]])
+@pytest.mark.parametrize(("output", "what"), [("below", "a folder"), ("pipe", "a device or a pipe")])
+def test_output_that_is_no_file(sweep, config, output, what, fresh):
+    """--fresh would not help, and is not advised."""
+    (config.parent / "below").mkdir()
+    os.mkfifo(config.parent / "pipe")
+    message = refused(sweep, config.parent, config.name, "--output", output, *fresh)
+    assert message == f"command line: --output: {output} is {what}, not a file to write"
+
+
+def test_output_that_is_a_link(sweep, config, tmp_path_factory):
+    """The file that it leads to is written, and read again; the link stays. Of links in a circle a line."""
+    disk = tmp_path_factory.mktemp("disk")
+    link = config.parent / "link.h5"
+    link.symlink_to(disk / "result.h5")
+    for words in ("wrote", "the result of this config is there"):
+        run = sweep(config.name, QUICK, "--output", link.name, cwd=config.parent)
+        assert run.returncode == 0, run.stderr
+        assert words in run.stdout
+        assert link.is_symlink()
+        assert [path.name for path in disk.iterdir()] == ["result.h5"]
+    assert "diagram" in h5py.File(link)
+    circle = config.parent / "circle.h5"
+    circle.symlink_to(circle.name)
+    run = sweep(config.name, QUICK, "--output", circle.name, cwd=config.parent)
+    assert run.returncode == 2
+    assert run.stderr.splitlines() == ["command line: --output: circle.h5 is a link that leads nowhere"]
+
+
 def test_fresh_replaces(sweep, done):
     """Another config's result by the one asked for; and the same config gives the same numbers bit for bit."""
     config, path, _, _ = done

@@ -17,13 +17,16 @@ import time
 from unittest import mock
 
 import h5py
+import jax
 import numpy as np
 import psutil
 import pytest
 from conftest import ROOT, run_here
 
+from jaxnh.engine import dask_workers, xla_options
 from jaxnh.engine import plan as work
 from jaxnh.storage import hdf5 as store
+from jaxnh.storage import tiles
 
 # Chaotic, so that a bit that differs grows as large as the attractor; 12 tiles of 256 lanes; about a second's work.
 CONFIG = """\
@@ -162,6 +165,65 @@ def test_four_parts_at_once(job, whole):
         assert process.returncode == 0, err
         assert out == f"part {k}/4: 3 of {TILES} tiles\n"
     finish(job, whole, "--merge")
+
+
+@pytest.mark.parametrize("tile", [None, 1000])
+def test_parts_of_a_small_sweep(tmp_path, tile):
+    """Forty lanes, fewer than a tile of their own would have: each of two parts computes half of them."""
+    small = Job(tmp_path, CONFIG.replace("count: 3000", "count: 40"), tile)
+    lanes = []
+    for k in (1, 2):
+        before = set(small.done())
+        code, _, err = small.run_here("--part", f"{k}/2")
+        assert code == 0, err
+        own = []
+        for path in set(small.done()) - before:
+            with h5py.File(path) as file:
+                own.append(int((file.attrs["end"] - file.attrs["begin"]).prod()))
+        lanes.append(sum(own))
+    assert lanes == [20, 20]
+    assert small.run_here("--merge")[0] == 0
+    joined = content(small.output)
+    small.output.unlink()
+    assert small.run_here()[0] == 0
+    assert content(small.output) == joined
+
+
+OTHER = {"processor": "x86_64 avx avx2 fma avx512f", "xla_options": "--xla_some_option=1"}
+
+
+@pytest.mark.parametrize("key", OTHER)
+def test_machine_of_another_kind(job, whole, key):
+    """Tiles of two kinds of processor, or of other XLA options, are not put together: a resumed run, a part and a
+    worker refuse, in a line. What is done can be joined anywhere, and --fresh begins anew."""
+    here = xla_options.machine
+
+    def elsewhere(*arguments):
+        return here(*arguments) | {key: OTHER[key]}
+
+    with mock.patch("jaxnh.engine.lanes.machine", elsewhere):
+        assert job.run_here("--part", "1/12")[0] == 0
+    before = {path: path.read_bytes() for path in job.done()}
+    assert len(before) == 1
+    for arguments, remedy in (((), "--fresh drops them"), (("--part", "2/12"), "--fresh without --part drops them")):
+        code, _, err = job.run_here(*arguments)
+        assert code == 2
+        assert len(err) == 1
+        assert err[0].startswith("command line: --output: job.h5.tiles holds tiles of ")
+        assert f"[{OTHER[key]}], and here it is" in err[0]
+        assert err[0].endswith(f": go on where they were made; {remedy}")
+    assert {path: path.read_bytes() for path in job.done()} == before
+    code, _, err = job.run_here("--merge")
+    assert (code, err[-1].split(" are missing")[0]) == (2, "command line: --merge: 11 of 12 tiles")
+    lanes = mock.Mock(machine=here(jax.devices()[0]))
+    with (
+        mock.patch("jaxnh.engine.dask_workers._lanes", return_value=lanes),
+        pytest.raises(RuntimeError, match=r"the tiles are of .*: go on where they were made"),
+    ):
+        dask_workers._piece(str(job.tiles), tiles.read_job(job.tiles).id, 1)
+    finish(job, whole, "--fresh")
+    with h5py.File(job.output) as file:
+        assert {name: file.attrs[name] for name in OTHER} == lanes.machine
 
 
 def test_dask_worker_killed(job, whole):

@@ -144,10 +144,29 @@ def test_slabs():
 
 @pytest.mark.parametrize("parts", [1, 2, 3, 7, 50])
 def test_parts_share_all_pieces(parts):
-    pieces = job((("b", 100, False),)).pieces()
-    shares = [share(pieces, (k, parts)) for k in range(1, parts + 1)]
-    assert [piece for share in shares for piece in share] == pieces
+    whole = job((("b", 100, False),), order=("diagram",))
+    work = dict.fromkeys(range(25), 7.0)
+    shares = [share(whole, (k, parts), work) for k in range(1, parts + 1)]
+    assert [piece for share in shares for piece in share] == whole.pieces()
     assert max(map(len, shares)) - min(map(len, shares)) <= 1
+
+
+AXES_OF_PARTS = st.lists(st.integers(1, 5), min_size=1, max_size=3).map(
+    lambda sizes: tuple((f"axis{k}", size, False) for k, size in enumerate(sizes))
+)
+
+
+@settings(deadline=None, max_examples=100)
+@given(AXES_OF_PARTS, st.integers(1, 9), st.integers(1, 9), st.floats(0.0, 50.0))
+def test_parts_share_lines_as_well(axes, tile, parts, line):
+    """Each piece is in one part; no part does more than an equal share and one piece."""
+    whole = job(axes, tile, ("diagram", "doubling"))
+    pieces = whole.pieces()
+    work = {p.number: float(p.lanes) if p.names == ("diagram",) else line for p in pieces}
+    shares = [share(whole, (k, parts), work) for k in range(1, parts + 1)]
+    assert sorted(piece for share in shares for piece in share) == pieces
+    loads = [sum(work[piece.number] for piece in share) for share in shares]
+    assert max(loads) <= sum(work.values()) / parts + max(max(work.values()), tile) + max(line, 1.0)
 
 
 def test_job_is_known_by_all_of_it():
