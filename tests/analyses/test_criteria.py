@@ -16,7 +16,7 @@ from measure import scene_of, turned
 
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.base import spread
-from jaxnh.analyses.growth import advance, gram_schmidt, window
+from jaxnh.analyses.growth import gram_schmidt, window
 from jaxnh.costs.operations import count
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
