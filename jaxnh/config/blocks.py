@@ -186,9 +186,16 @@ class SectionBlock(Block, abc.ABC):
     """Where a flow without a clock is looked at."""
 
     direction: Literal["up", "down", "both"] = Field(default="up", description="In which it passes the value")
-    longest_return: float = Field(
-        default=LONGEST, gt=0, description="Time without a crossing after which a lane has failed, in units of time"
+    longest_return: float | None = Field(
+        default=None,
+        gt=0,
+        description=f"Time without a crossing after which a lane has failed, in units of time; by default {LONGEST:g}",
     )
+
+    @property
+    def longest(self) -> float:
+        """Time without a crossing after which a lane has failed."""
+        return self.longest_return or LONGEST
 
     @abc.abstractmethod
     def of(self, flow: Flow) -> SectionedFlow:

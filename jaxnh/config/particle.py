@@ -89,7 +89,7 @@ class PoincareSection(SectionBlock):
     def of(self, flow: Flow) -> SectionedFlow:
         """A flow on this section."""
         number = ("x1", "y1").index(self.coordinate)
-        return SectionedFlow(flow, self.coordinate, number, self.value, self.direction, longest=self.longest_return)
+        return SectionedFlow(flow, self.coordinate, number, self.value, self.direction, longest=self.longest)
 
 
 # ---- system

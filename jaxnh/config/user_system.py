@@ -117,13 +117,13 @@ class UserSection(SectionBlock):
         """A flow on this section."""
         if self.coordinate is not None:
             number = self._names.index(self.coordinate)
-            return SectionedFlow(flow, self.coordinate, number, self.value, self.direction, longest=self.longest_return)
+            return SectionedFlow(flow, self.coordinate, number, self.value, self.direction, longest=self.longest)
         given = self.normal or {}
         normal = tuple(given.get(name, 0.0) for name in self._names)
         number = int(np.argmax(np.abs(normal)))
         words = " ".join(f"{weight:+g} {name}" for name, weight in given.items() if weight).removeprefix("+")
         made = SectionedFlow(flow, self._names[number], number, self.value, self.direction, normal)
-        return replace(made, longest=self.longest_return, title=words)
+        return replace(made, longest=self.longest, title=words)
 
 
 class UserSystem(SystemBlock, UserBlock):
