@@ -25,16 +25,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax.core import Tracer
-from jax.extend import core
 from jax.typing import ArrayLike
 
 from jaxnh.exceptions import UserFileError
 from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
+from jaxnh.systems.tracing import Known, Program
 
 _ALWAYS = ("coordinates", "period", "time_unit", "angles")
 _FIRST_ORDER = ("rhs", *_ALWAYS)
@@ -231,17 +230,12 @@ class UserFile:
 
     def _traced(self, evaluate: Callable[..., Any], vectors: int) -> tuple[list[Any], bool]:
         """Shapes of what a function of (parameters, t, vectors) returns, and whether t has a part in it."""
-        number = jax.ShapeDtypeStruct((), jnp.float64)
-        at = (number,) * len(self.coordinates)
-        # t comes first among what is traced: the parameters are closed over by their names, in one dict.
-        traced = jax.make_jaxpr(lambda t, p, *vectors: evaluate(p, t, *vectors))
-        program = self._guarded(lambda: traced(number, dict.fromkeys(self.parameters, number), *(at,) * vectors)).jaxpr
-        reached = {program.invars[0]}
-        for equation in program.eqns:
-            if any(not isinstance(atom, core.Literal) and atom in reached for atom in equation.invars):
-                reached |= set(equation.outvars)
-        outputs = [atom for atom in program.outvars if not isinstance(atom, core.Literal)]
-        return [atom.aval for atom in program.outvars], any(atom in reached for atom in outputs)
+        at, parameters = (0.0,) * len(self.coordinates), dict.fromkeys(self.parameters, 0.0)
+        traced = self._guarded(
+            lambda: Program(lambda t, p, *vectors: evaluate(p, t, *vectors), 0.0, parameters, *(at,) * vectors)
+        )
+        depends = traced.depends([1, *[0] * (len(traced.inputs) - 1)])
+        return traced.shapes, any(not isinstance(slot, Known) and depends[slot] for slot in traced.outputs)
 
     def _line_of(self, name: str) -> int:
         definition = self.define(**self.parameters)
