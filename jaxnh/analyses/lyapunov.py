@@ -320,6 +320,7 @@ ANALYSIS = Analysis(
     LyapunovOptions,
     periods,
     run,
+    in_time=True,
     choose=choose,
     check=check,
     price=price,

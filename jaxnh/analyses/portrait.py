@@ -92,6 +92,14 @@ def _parts(options: PortraitOptions, scene: Scene) -> Strobe:
 
 
 ANALYSIS = Analysis(
-    "portrait", PortraitOptions, periods, run, numbers=numbers, count=count, price=price, brief={"transient": 1}
+    "portrait",
+    PortraitOptions,
+    periods,
+    run,
+    in_time=True,
+    numbers=numbers,
+    count=count,
+    price=price,
+    brief={"transient": 1},
 )
 """The entry of this analysis in the table."""

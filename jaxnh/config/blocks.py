@@ -26,6 +26,7 @@ from pydantic import (
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Options, rule
 from jaxnh.config.messages import close_match, shown
+from jaxnh.maps.section import LONGEST, SectionedFlow
 from jaxnh.solvers import RUNGE_KUTTA, SOLVERS
 from jaxnh.systems.flow import Flow
 
@@ -179,6 +180,26 @@ class SystemBlock(Block, abc.ABC):
     def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Whether all lanes of a program must have the same of these values of a parameter."""
         return flow.shares(name)
+
+
+class SectionBlock(Block, abc.ABC):
+    """Where a flow without a clock is looked at."""
+
+    direction: Literal["up", "down", "both"] = Field(default="up", description="In which it passes the value")
+    longest_return: float | None = Field(
+        default=None,
+        gt=0,
+        description=f"Time without a crossing after which a lane has failed, in units of time; by default {LONGEST:g}",
+    )
+
+    @property
+    def longest(self) -> float:
+        """Time without a crossing after which a lane has failed."""
+        return self.longest_return or LONGEST
+
+    @abc.abstractmethod
+    def of(self, flow: Flow) -> SectionedFlow:
+        """A flow on this section."""
 
 
 # ---- accuracy, analyses, published values

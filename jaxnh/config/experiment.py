@@ -19,10 +19,10 @@ from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_valid
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Axis, OptionError, Options, Setting, rule
-from jaxnh.config.blocks import Accuracy, Analyses, Block, Evenly, Named, Published, SystemBlock
+from jaxnh.config.blocks import Accuracy, Analyses, Block, Evenly, Named, Published, SectionBlock, SystemBlock
 from jaxnh.config.messages import Layout, close_match, first_fault
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, PrescribedSpeed, Sweep
-from jaxnh.config.user_system import UserInitial, UserSweep, UserSystem
+from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_source import Source, from_dict, from_text, read
 from jaxnh.config.yaml_tree import KeyPath
 from jaxnh.maps.section import Crossing
@@ -155,10 +155,7 @@ class Experiment(Block):
             raise rule(f"float32 is too coarse for Newton on orbits, which {name} rests on", "accuracy.precision")
         if setting.autonomous and analysis.clock:
             others = ", ".join(other.name for other in ANALYSES.values() if not other.clock)
-            message = (
-                f"{name} is for a scene with a clock, and this one has neither forcing nor disturbance; "
-                f"without them there are {others}"
-            )
+            message = f"{name} is for a scene with a clock, and this one has none; without one there are {others}"
             raise rule(message, f"analyses.{name}", "system.without")
         try:
             analysis.check(options, setting)
@@ -167,6 +164,10 @@ class Experiment(Block):
             raise rule(str(error), key, f"analyses.{name}", *(f"sweep.{axis}" for axis in self.sweep.grids)) from None
 
     # ---- what is run
+
+    def _default_section(self) -> SectionBlock:
+        """Where a scene without a clock is looked at if the config does not say."""
+        return PoincareSection()
 
     @property
     def _block(self) -> SystemBlock:
@@ -185,7 +186,7 @@ class Experiment(Block):
             shared: values of shared axes; the first value of each where it is not named.
         """
         flow = self._in_time(shared or {})
-        return (self.section or PoincareSection()).of(flow) if flow.autonomous else flow
+        return (self.section or self._default_section()).of(flow) if flow.autonomous else flow
 
     def start(
         self,
@@ -287,7 +288,7 @@ class Experiment(Block):
         if len(names := tuple(self.sweep.grids)) > 1:
             content["sweep"] = [[name, content["sweep"][name]] for name in names]
         if self.autonomous:
-            content["section"] = (self.section or PoincareSection()).model_dump(mode="json")
+            content["section"] = (self.section or self._default_section()).model_dump(mode="json")
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -311,6 +312,25 @@ class UserExperiment(Experiment):
     sweep: UserSweep = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
         description="The parameters and start coordinates that differ from lane to lane: their values"
     )
+    section: UserSection | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        default=None, description="Of a system without a clock, the section whose crossings take the strobe's place"
+    )
+
+    @model_validator(mode="after")
+    def _check_section(self) -> UserExperiment:
+        """What is found at crossings needs a section."""
+        seen = [analysis.name for analysis, _ in self.requested() if not analysis.in_time]
+        if self.autonomous and self.section is None and seen:
+            first = self.user_file.coordinates[0]
+            message = (
+                f"the system has no period, and {seen[0]} looks at it on a section: give one, "
+                f"as section: {{coordinate: {first}, value: 0.0, direction: up}}"
+            )
+            raise rule(message, "section", f"analyses.{seen[0]}", "analyses")
+        return self
+
+    def _default_section(self) -> SectionBlock:
+        return UserSection.model_validate({"coordinate": self.user_file.coordinates[0]}, context=self.user_file)
 
     @property
     def user_file(self) -> UserFile:
@@ -351,6 +371,7 @@ def _layout(axes: Iterable[str], user: bool = False) -> Layout:
     models, variants, selectors = dict(_MODELS), grids, dict.fromkeys(grids, "values")
     if user:
         models |= {(): UserExperiment, ("system",): UserSystem, ("initial",): UserInitial, ("sweep",): UserSweep}
+        models[("section",)] = UserSection
     else:
         variants, selectors = {("system",): _SYSTEMS, **grids}, {("system",): "constraint", **selectors}
     return Layout(models, variants, selectors)

@@ -11,7 +11,16 @@ from jaxtyping import Float
 from pydantic import ConfigDict, Field, field_validator
 
 from jaxnh.analyses.base import rule
-from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, OrderedBlock, SweepBlock, SystemBlock
+from jaxnh.config.blocks import (
+    Evenly,
+    Grid,
+    InitialBlock,
+    Named,
+    OrderedBlock,
+    SectionBlock,
+    SweepBlock,
+    SystemBlock,
+)
 from jaxnh.config.messages import close_match, listed, shown
 from jaxnh.exceptions import InputError
 from jaxnh.maps.section import SectionedFlow
@@ -71,16 +80,16 @@ class Sweep(OrderedBlock, SweepBlock):
         return tuple(type(self).model_fields)
 
 
-class PoincareSection(Block):
+class PoincareSection(SectionBlock):
     """Where a flow without a clock is looked at: where one of its positions passes a value."""
 
     coordinate: Literal["x1", "y1"] = Field(default="x1", description="Position that decides")
     value: float = Field(default=0.0, description="Its value on the section")
-    direction: Literal["up", "down", "both"] = Field(default="up", description="In which it passes the value")
 
     def of(self, flow: Flow) -> SectionedFlow:
         """A flow on this section."""
-        return SectionedFlow(flow, self.coordinate, ("x1", "y1").index(self.coordinate), self.value, self.direction)
+        number = ("x1", "y1").index(self.coordinate)
+        return SectionedFlow(flow, self.coordinate, number, self.value, self.direction, longest=self.longest)
 
 
 # ---- system

@@ -6,6 +6,7 @@ Which keys there are is known from the user's file, which the blocks find in the
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated
 
 import jax
@@ -15,8 +16,10 @@ from jaxtyping import Float
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
 from jaxnh.analyses.base import rule
-from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, SweepBlock, SystemBlock
+from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, SectionBlock, SweepBlock, SystemBlock
 from jaxnh.config.messages import listed, unknown
+from jaxnh.maps.section import SectionedFlow
+from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.lagrangian import Lagrangian
 from jaxnh.systems.user_file import DIMENSIONS, UserFile
@@ -58,8 +61,8 @@ class UserInitial(InitialBlock, UserBlock):
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Coordinates, each with its velocity."""
-        return tuple(key for name in self._file.coordinates for key in (name, f"{name}_dot"))
+        """Coordinates, of mechanics each with its velocity."""
+        return self._file.states
 
     def coordinates(self) -> Mapping[str, float]:
         """Coordinates and velocities by name."""
@@ -81,8 +84,46 @@ class UserSweep(SweepBlock, UserBlock):
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Parameters, then coordinates, each with its velocity."""
-        return (*self._file.parameters, *(k for name in self._file.coordinates for k in (name, f"{name}_dot")))
+        """Parameters, then coordinates, of mechanics each with its velocity."""
+        return (*self._file.parameters, *self._file.states)
+
+
+class UserSection(SectionBlock):
+    """Where a user's flow without a clock is looked at: where a coordinate, or a sum of several, passes a value."""
+
+    coordinate: str | None = Field(default=None, description="Coordinate that decides; of mechanics a position")
+    normal: dict[str, float] | None = Field(
+        default=None, description="In place of a coordinate the normal of a plane: a number for each that has a part"
+    )
+    value: float = Field(default=0.0, description="Its value on the section")
+
+    _names: tuple[str, ...] = PrivateAttr()
+
+    @model_validator(mode="after")
+    def _check(self, info: ValidationInfo) -> UserSection:
+        assert isinstance(info.context, UserFile)
+        self._names = info.context.coordinates
+        if (self.coordinate is None) == (self.normal is None):
+            raise rule("a section is by a coordinate or by the normal of a plane; give one of them", "coordinate")
+        for name in self.normal or (self.coordinate,):
+            if name not in self._names:
+                key = "coordinate" if self.normal is None else f"normal.{name}"
+                raise rule(unknown(str(name), self._names), key)
+        if self.normal is not None and not any(self.normal.values()):
+            raise rule("a normal has a length; one number at least must not be 0", "normal")
+        return self
+
+    def of(self, flow: Flow) -> SectionedFlow:
+        """A flow on this section."""
+        if self.coordinate is not None:
+            number = self._names.index(self.coordinate)
+            return SectionedFlow(flow, self.coordinate, number, self.value, self.direction, longest=self.longest)
+        given = self.normal or {}
+        normal = tuple(given.get(name, 0.0) for name in self._names)
+        number = int(np.argmax(np.abs(normal)))
+        words = " ".join(f"{weight:+g} {name}" for name, weight in given.items() if weight).removeprefix("+")
+        made = SectionedFlow(flow, self._names[number], number, self.value, self.direction, normal)
+        return replace(made, longest=self.longest, title=words)
 
 
 class UserSystem(SystemBlock, UserBlock):
@@ -113,9 +154,9 @@ class UserSystem(SystemBlock, UserBlock):
         """Coordinates and velocities of the start state."""
         return initial.coordinates()
 
-    def flow(self, parameters: Mapping[str, float]) -> Lagrangian:
-        """The system, with these parameters in place of its own."""
-        return self._file.flow({**self.parameters, **parameters})
+    def flow(self, parameters: Mapping[str, float]) -> Lagrangian | FirstOrder:
+        """The system, with these parameters, which lanes may have of their own, in place of its own."""
+        return self._file.flow({**self.parameters, **parameters}, tuple(parameters))
 
     def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Whether the strobe period depends on a parameter."""
@@ -144,7 +185,7 @@ def _check_constraints(system: UserSystem, initial: UserInitial, sweep: SweepBlo
     lanes = len(next(iter(axes.values())))
     parameters = {name: values for name, values in axes.items() if name in system.known}
     flow = system.flow({name: float(values[0]) for name, values in parameters.items()})
-    if not flow.constraints:
+    if isinstance(flow, FirstOrder) or not flow.constraints:
         return
     coordinates = {name: np.full(lanes, value) for name, value in initial.coordinates().items()}
     start = flow.start(coordinates | {name: values for name, values in axes.items() if name in coordinates})

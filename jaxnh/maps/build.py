@@ -7,7 +7,6 @@ at the end says which flows have a way of their own; all others go by Runge–Ku
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import diffrax
@@ -15,7 +14,7 @@ import jax
 import numpy as np
 
 from jaxnh.maps.crossings import EventStrobe, SteppedStrobe
-from jaxnh.maps.general_flow import GeneralStrobe, general_strobe
+from jaxnh.maps.general_flow import general_strobe, unit_step
 from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.maps.protocol import Strobe
@@ -27,7 +26,6 @@ from jaxnh.systems.particle import IsokineticParticle
 
 _SMALLEST_TABLE = 1024
 _SMALLEST_STEP = 64  # kicks of a step: as many as any splitting has, so that all run through one program
-_LONGEST_RETURN = 1000.0  # time without a crossing after which a lane has failed
 
 
 # ---- ways to integrate
@@ -120,15 +118,8 @@ class Kicks:
         return KickStrobe(_stacked(flow.tabulated(), parts), *table, compensated)
 
 
-@dataclass(frozen=True)
 class Steps:
-    """By Runge–Kutta steps, of any flow.
-
-    Attributes:
-        rolled: whether the stages of a step are a loop, as large fields need it to compile.
-    """
-
-    rolled: bool = True
+    """By Runge–Kutta steps, of any flow."""
 
     solvers: ClassVar[tuple[Solver, ...]] = (dopri8, tsit5)
     reference: ClassVar[Solver] = dopri8
@@ -136,10 +127,10 @@ class Steps:
     rough_steps: ClassVar[int] = 128
 
     def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> Strobe:
-        return general_strobe(flow, _fitting(solver), step_grid(flow, steps, span), rolled=self.rolled)
+        return general_strobe(flow, _fitting(solver), step_grid(flow, steps, span))
 
     def step(self, flow: Any, solver: Any) -> Strobe:
-        return GeneralStrobe(flow, _fitting(solver), np.array([0.0, 1.0]), np.int32(1), self.rolled)
+        return unit_step(flow, _fitting(solver))
 
     def parts(
         self,
@@ -151,10 +142,10 @@ class Steps:
         *,
         compensated: bool,
     ) -> Strobe:
-        return general_strobe(_stacked(flow, len(grid)), _fitting(solver), grid, rolled=self.rolled)
+        return general_strobe(flow, _fitting(solver), grid)
 
     def cut(self, flow: Any, solver: Any, each: int, grid: np.ndarray, *, compensated: bool) -> Strobe:
-        return general_strobe(_stacked(flow, len(grid)), _fitting(solver), grid, rolled=self.rolled)
+        return general_strobe(flow, _fitting(solver), grid)
 
 
 def _fitting(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:
@@ -169,7 +160,7 @@ def _stacked(flow: Any, parts: int) -> Any:
 
 
 WAYS: dict[type[Flow], tuple[Way, Way]] = {
-    IsokineticParticle: (Kicks(), Steps(rolled=False)),
+    IsokineticParticle: (Kicks(), Steps()),
     Flow: (Steps(), Steps()),
 }
 """The registry: how flows of a kind are integrated by solvers of that way, and by others."""
@@ -203,7 +194,7 @@ def make_strobe(
         TypeError: the solver is none for flows of this kind.
     """
     if isinstance(system, SectionedFlow):
-        most = math.ceil(_LONGEST_RETURN * steps / system.period)
+        most = math.ceil(system.longest * steps)
         return EventStrobe(system, _unit_step(system.flow, solver), system.period / steps, np.int32(most))
     t0, t1 = span or (0.0, system.period)
     if system.autonomous:

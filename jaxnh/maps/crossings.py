@@ -122,10 +122,10 @@ class EventStrobe(Strobe):
         share = self._locate(before, search, p)
         last = _pushed_on(self._partly(share), search.carried, p)
         moving = jax.jvp(lambda share: self._partly(share)(before, p), (share,), (jnp.ones_like(share),))[1]
-        speed = moving[0][self.system.number]
+        speed = self.system.across(moving)
         pushed = []
         for old, new in zip(tangents, last.tangents, strict=True):
-            later = -new.state[0][self.system.number] / speed  # of the step, that all stays on the section
+            later = -self.system.across(new.state) / speed  # of the step, that all stays on the section
             moved = jax.tree.map(lambda dz, v, later=later: dz + v * later, new.state, moving)
             pushed.append(Tangent(Crossing(moved, old.state.t + later * self.step, jnp.zeros_like(later)), old.p))
         volume = last.volume * self.system.rate(state.state, p) / self.system.rate(last.state, p)

@@ -1,15 +1,18 @@
 """The strobe map of any flow by a Runge–Kutta method, each step projected on the constraints, on a grid of steps.
 
 The loop does the arithmetic of `solvers.projected.Projected` under `diffrax.diffeqsolve`, and so many steps are data:
-one program serves every accuracy. Solvers that are not the package's run under `diffeqsolve` itself. Derivatives go
-through the constraints as well: in 2k coordinates and velocities the map has m multipliers zero.
+one program serves every accuracy. What the field makes of time alone is in a table (`time_tables`). Tangents and volume
+go along with the state, stage by stage, by the field's linearisation, which is the exact derivative of the steps.
+Solvers that are not the package's run under `diffeqsolve` itself. Derivatives go through the constraints as well: in 2k
+coordinates and velocities the map has m multipliers zero.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -20,13 +23,31 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxnh.maps.protocol import Pushed, Strobe, Tangent
+from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow, Parameters, State
 
 _SMALLEST_GRID = 1024
-_FEW_LANES = 32  # a step carries all its stages: more lanes do not fit a core's first cache
+_LARGEST_STEP = 3000  # equations that are written out in a step; larger ones compile for minutes, and get a loop
+_CACHE = 24 << 10  # bytes of a core's first cache for the stages of a tile
+_MOST_LANES, _FEWEST_LANES = 256, 32
 
-Field = Callable[[Any, Any, Any], Any]
+StageField = Callable[[Any, Any], Any]
+"""(stage, state) to its rate: the stage a number of the program, or of a loop."""
+
+
+class Moving(NamedTuple):
+    """What goes from step to step.
+
+    Attributes:
+        state: of the flow.
+        tangents: of it, one each.
+        log_volume: ∫ divergence dt; None where no tangents go along.
+    """
+
+    state: State
+    tangents: tuple[State, ...] = ()
+    log_volume: Any = None
 
 
 class GeneralStrobe(Strobe):
@@ -37,86 +58,128 @@ class GeneralStrobe(Strobe):
         solver: a Runge–Kutta method of the package, or any diffrax solver that takes one term.
         grid: ends of the steps, (capacity + 1,); the last one repeats where not all are in use.
         steps: how many are in use.
-        rolled: whether the stages of a step are a loop: large fields compile ten times as fast then, and run half as
-            fast.
+        values: what time alone decides, at the stages of all steps, each (capacity, stages).
+        rolled: whether the stages of a step are a loop; None: where written out they are too many equations.
     """
 
     system: Flow
     solver: diffrax.AbstractSolver = eqx.field(static=True)
     grid: ArrayLike
     steps: ArrayLike
-    rolled: bool = eqx.field(static=True, default=True)
+    values: tuple[Any, ...] = ()
+    rolled: bool | None = eqx.field(static=True, default=None)
 
     @property
     def most_lanes(self) -> int | None:
-        """Few, where a loop carries all stages."""
-        return _FEW_LANES if self._rolls else None
+        """As many as have their stages in a core's first cache."""
+        if not isinstance(self.solver, WrittenOutRungeKutta):
+            return None
+        each = 8 * (self.solver.stages + 2) * len(self.system.coordinates)
+        return int(np.clip(1 << (_CACHE // each).bit_length() >> 1, _FEWEST_LANES, _MOST_LANES))
 
     @property
     def turns(self) -> tuple[float, ...]:
         """Of the loop over steps, and of the loop over stages where there is one."""
         steps = float(np.mean(self.steps))
-        return (steps, float(self.solver.stages)) if self._rolls else (steps,)  # pyright: ignore[reportAttributeAccessIssue]
+        return (steps, float(self.solver.stages)) if self._rolls(0) else (steps,)  # pyright: ignore[reportAttributeAccessIssue]
 
-    @property
-    def _rolls(self) -> bool:
-        return self.rolled and isinstance(self.solver, WrittenOutRungeKutta)
+    def _rolls(self, tangents: int) -> bool:
+        if not isinstance(self.solver, WrittenOutRungeKutta):
+            return False
+        if self.rolled is not None:
+            return self.rolled
+        return split_of(self.system).size * (1 + tangents) * self.solver.stages > _LARGEST_STEP
 
     def stretched(self, factor: ArrayLike) -> GeneralStrobe:
         """The map over so many times the time, of a flow without a clock."""
-        return GeneralStrobe(self.system, self.solver, self.grid * factor, self.steps, self.rolled)
+        return GeneralStrobe(self.system, self.solver, self.grid * factor, self.steps, (), self.rolled)
 
     def with_room_of(self, other: Strobe) -> GeneralStrobe:
         if not isinstance(self.solver, WrittenOutRungeKutta):  # diffrax takes no step of no length
             return self
         assert isinstance(other, GeneralStrobe)
-        grid = np.asarray(self.grid)
-        return replace(self, grid=np.pad(grid, (0, len(np.asarray(other.grid)) - len(grid)), mode="edge"))
+        more = len(np.asarray(other.grid)) - len(np.asarray(self.grid))
+        values = tuple(np.pad(value, [(0, more), *[(0, 0)] * (np.ndim(value) - 1)]) for value in self.values)
+        return replace(self, grid=np.pad(self.grid, (0, more), mode="edge"), values=values)
 
     def __call__(self, state: State, p: Parameters) -> State:
-        return self._solve(self.system.rhs, lambda t, y: self.system.project(t, y, p), state, p)
+        if not isinstance(self.solver, WrittenOutRungeKutta):
+            return self._by_diffrax(state, p)
+        own = self._own(p)
+
+        def field(values: Sequence[Any], y: Moving) -> Moving:
+            return Moving(split_of(self.system).rest(values, self.system, (y.state, own)))
+
+        def project(t: Any, y: Moving) -> Moving:
+            return Moving(self.system.project(t, y.state, p))
+
+        return self._march(field, project, Moving(state), 0).state
 
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
-        moved: tuple[Tangent, ...] = ()
-        if tangents:
-            still = jax.tree.map(jnp.zeros_like, dict(p))
-            directions = [(t.state, {**still, **(t.p or {})}) for t in tangents]
-            stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *directions)
-            images = jax.vmap(lambda direction: jax.jvp(self, (state, dict(p)), direction)[1])(stacked)
-            parts = [jax.tree.map(lambda leaf, i=i: leaf[i], images) for i in range(len(tangents))]
-            moved = tuple(Tangent(dz, t.p) for dz, t in zip(parts, tangents, strict=True))
-        return Pushed(self(state, p), moved, self._volume(state, p))
+        if not isinstance(self.solver, WrittenOutRungeKutta):
+            return self._push_by_diffrax(state, p, tangents)
+        own = self._own(p)
+        still = jax.tree.map(jnp.zeros_like, own)
+        by_p = [{**still, **(t.p or {})} for t in tangents]
+        changing = any(t.p for t in tangents)
 
-    def _volume(self, state: State, p: Parameters) -> Any:
-        """exp ∫ divergence dt, integrated beside the state."""
+        def along(function: Callable[[State, Any], Any], y: State, p: Any, moved: Sequence[State]) -> tuple[Any, Any]:
+            """A function's value, and its derivative along every tangent."""
+            if not moved:
+                return function(y, p), ()
+            if not changing:
+                value, slope = jax.linearize(lambda y: function(y, p), y)
+                return value, tuple(slope(dy) for dy in moved)
+            value, slope = jax.linearize(function, y, p)
+            return value, tuple(slope(dy, dp) for dy, dp in zip(moved, by_p, strict=True))
 
-        def field(t: Any, y: tuple[State, Any], p: Parameters) -> tuple[State, Any]:
-            return self.system.rhs(t, y[0], p), self.system.divergence(t, y[0], p)
+        def field(values: Sequence[Any], y: Moving) -> Moving:
+            def rate(z: State, own: Any) -> State:
+                return split_of(self.system).rest(values, self.system, (z, own))
 
-        def project(t: Any, y: tuple[State, Any]) -> tuple[State, Any]:
-            return self.system.project(t, y[0], p), y[1]
+            value, moved = along(rate, y.state, own, y.tangents)
+            spread = self.system.divergence_of(lambda z: rate(z, own), y.state)
+            return Moving(value, moved, spread)
+
+        def project(t: Any, y: Moving) -> Moving:
+            value, moved = along(lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents)
+            return Moving(value, moved, y.log_volume)
 
         zero = jnp.zeros_like(jax.tree.leaves(state)[0])
-        return jnp.exp(self._solve(field, project, (state, zero), p)[1])
+        begun = Moving(state, tuple(t.state for t in tangents), zero)
+        ended = self._march(field, project, begun, len(tangents) + 1)
+        moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
+        return Pushed(ended.state, moved, jnp.exp(ended.log_volume))
 
-    def _solve(self, field: Field, project: Callable[[Any, Any], Any], y: Any, p: Parameters) -> Any:
-        grid, term = jnp.asarray(self.grid), diffrax.ODETerm(field)
-        solver = self.solver
-        if isinstance(solver, WrittenOutRungeKutta):
+    def _own(self, p: Parameters) -> dict[str, Any]:
+        """The parameters that lanes may have of their own."""
+        return own_parameters(self.system, p)
 
-            def step(i: Any, y: Any) -> Any:
-                t0, t1 = grid[i], grid[i + 1]
-                after = (
-                    solver.rolled_step(term, t0, t1, y, p)
-                    if self.rolled
-                    else solver.step(term, t0, t1, y, p, None, False)[0]
-                )
-                return project(t1, after)
+    def _march(
+        self,
+        field: Callable[[Sequence[Any], Moving], Moving],
+        project: Callable[[Any, Moving], Moving],
+        y: Moving,
+        tangents: int,
+    ) -> Moving:
+        """All steps, each projected."""
+        solver, grid = self.solver, jnp.asarray(self.grid)
+        assert isinstance(solver, WrittenOutRungeKutta)
+        advance = solver.rolled_stages if self._rolls(tangents) else solver.written_stages
+        values = [jnp.asarray(value) for value in self.values]
 
-            return lax.fori_loop(0, self.steps, step, y)
+        def step(i: Any, y: Moving) -> Moving:
+            rows = [value[i] for value in values]
+            after = advance(lambda s, y: field([row[s] for row in rows], y), grid[i + 1] - grid[i], y)
+            return project(grid[i + 1], after)
+
+        return lax.fori_loop(0, self.steps, step, y)
+
+    def _by_diffrax(self, y: State, p: Parameters) -> State:
+        grid = jnp.asarray(self.grid)
         solution = diffrax.diffeqsolve(
-            term,
-            solver,
+            diffrax.ODETerm(self.system.rhs),
+            self.solver,
             t0=grid[0],
             t1=grid[-1],
             dt0=None,
@@ -129,13 +192,56 @@ class GeneralStrobe(Strobe):
         )
         return jax.tree.map(lambda leaf: leaf[-1], solution.ys)
 
+    def _push_by_diffrax(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+        still = jax.tree.map(jnp.zeros_like, dict(p))
+        moved = []
+        for t in tangents:
+            image = jax.jvp(self.__call__, (state, dict(p)), (t.state, {**still, **(t.p or {})}))[1]
+            moved.append(Tangent(image, t.p))
+        return Pushed(self(state, p), tuple(moved), jnp.full_like(jax.tree.leaves(state)[0], jnp.nan))
+
+
+def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:
+    """The parameters that lanes may have of their own, from the flow where a lane has none."""
+    if unknown := set(p) - set(system.own):
+        raise ValueError(f"lanes have {', '.join(sorted(unknown))} of their own, which the flow does not know of")
+    return {name: p[name] if name in p else system.parameters[name] for name in system.own}
+
+
+def split_of(system: Flow) -> TimeSplit:
+    """What time decides in a flow's rate, and what its lanes do; traced once for all flows of a structure."""
+    shapes = tuple((np.shape(leaf)) for leaf in jax.tree.leaves(system))
+    return _split(jax.tree.structure(system), shapes)
+
+
+@functools.lru_cache(maxsize=256)
+def _split(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> TimeSplit:
+    system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
+
+    def rate(t: Any, system: Flow, lane: tuple[State, Mapping[str, Any]]) -> State:
+        state, own = lane
+        return system.rhs(t, state, own)
+
+    state = jax.eval_shape(system.unchart, jax.ShapeDtypeStruct((system.dimension,), jnp.float64))
+    return TimeSplit(rate, system, (state, dict.fromkeys(system.own, 0.0)))
+
 
 def general_strobe(
-    system: Flow, solver: diffrax.AbstractSolver, grid: np.ndarray, *, rolled: bool = True
+    system: Flow, solver: diffrax.AbstractSolver, grid: np.ndarray, *, rolled: bool | None = None
 ) -> GeneralStrobe:
-    """The map over a grid (..., steps + 1), or stacked maps."""
-    count = grid.shape[-1] - 1
+    """The map over a grid (steps + 1,), or stacked maps of one flow over grids (parts, steps + 1)."""
+    count, parts = grid.shape[-1] - 1, grid.shape[:-1]
+    values: tuple[Any, ...] = ()
     if isinstance(solver, WrittenOutRungeKutta):
         capacity = max(_SMALLEST_GRID, 1 << (count - 1).bit_length())
         grid = np.concatenate([grid, np.repeat(grid[..., -1:], capacity - count, axis=-1)], axis=-1)
-    return GeneralStrobe(system, solver, grid, np.full(grid.shape[:-1], count, np.int32), rolled)
+        times = grid[..., :-1, None] + np.diff(grid)[..., None] * np.asarray(solver.c[: solver.stages])
+        values = tuple(np.asarray(value) for value in split_of(system).table(times, system))
+    if parts:
+        system = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
+    return GeneralStrobe(system, solver, grid, np.full(parts, count, np.int32), values, rolled)
+
+
+def unit_step(system: Flow, solver: diffrax.AbstractSolver) -> GeneralStrobe:
+    """One step as long as the unit of time, of a flow without a clock."""
+    return GeneralStrobe(system, solver, np.array([0.0, 1.0]), np.int32(1))

@@ -16,11 +16,14 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxnh.systems.flow import Flow, Output, Parameters, State, Vector
-from jaxnh.systems.lagrangian import FAULTS
+from jaxnh.systems.flow import FAULTS, Flow, Output, Parameters, State, Vector
 
 NOT_FINITE, NO_RETURN = FAULTS.index("not_finite"), len(FAULTS)
-"""Why a lane has failed here, continuing `lagrangian.FAULTS`."""
+"""Why a lane has failed here, continuing `flow.FAULTS`."""
+
+
+LONGEST = 200.0
+"""Time without a crossing after which a lane has failed, in units of the flow's own, where nothing is said."""
 
 
 class Crossing(NamedTuple):
@@ -45,6 +48,10 @@ class SectionedFlow(Flow):
         coordinate, number: name and number of the position that decides.
         value: where it does.
         direction: "up" or "down", in which it passes the value, or "both".
+        normal: where not one position but a plane decides, its normal over the positions; `number` is that of its
+            largest component, which the other coordinates then give.
+        title: the plane in words.
+        longest: time without a crossing after which a lane has failed, in units of the flow's own.
     """
 
     inner: Flow
@@ -52,21 +59,30 @@ class SectionedFlow(Flow):
     number: int = eqx.field(static=True)
     value: float = eqx.field(static=True)
     direction: str = eqx.field(static=True)
+    normal: tuple[float, ...] | None = eqx.field(static=True, default=None)
+    longest: float = eqx.field(static=True, default=LONGEST)
+    title: str = eqx.field(static=True, default="")
+
+    def across(self, y: State) -> Any:
+        """The component across the section of a state of the flow, of its rate or of a tangent of it."""
+        if self.normal is None:
+            return y[0][self.number]
+        return sum(weight * x for weight, x in zip(self.normal, y[0], strict=True) if weight)
 
     def height(self, y: State) -> Any:
         """How far a state of the flow is from the section: above zero after a passage up, or down if that is wanted."""
-        above = y[0][self.number] - self.value
+        above = self.across(y) - self.value
         return -above if self.direction == "down" else above
 
     def rate(self, y: State, p: Parameters) -> Any:
         """Its time derivative."""
-        rate = self.inner.rhs(jnp.zeros_like(y[0][0]), y, p)[0][self.number]
+        rate = self.across(self.inner.rhs(jnp.zeros_like(y[0][0]), y, p))
         return -rate if self.direction == "down" else rate
 
     @property
     def section(self) -> str:
         """The section in words."""
-        return f"{self.coordinate} = {self.value:g}, {self.direction}"
+        return f"{self.title or self.coordinate} = {self.value:g}, {self.direction}"
 
     @property
     def flow(self) -> Flow:
@@ -91,12 +107,8 @@ class SectionedFlow(Flow):
 
     @property
     def plane(self) -> tuple[str, str]:
-        """The first position that the section does not fix, and its velocity."""
-        position, velocity = self.inner.plane
-        if position != self.coordinate:
-            return position, velocity
-        names = self.inner.coordinates
-        return names[2], names[3]
+        """The first plane of the flow that does not have the coordinate that the section gives."""
+        return next((pair for pair in self.inner.planes if self.coordinate not in pair), self.inner.plane)
 
     @property
     def period(self) -> float:
@@ -115,6 +127,11 @@ class SectionedFlow(Flow):
     def rhs(self, t: ArrayLike, y: State, p: Parameters) -> State:
         """That of the flow, at one of its states."""
         return self.inner.rhs(t, y, p)
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """As the flow."""
+        return self.inner.own
 
     def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Any:
         """That of the flow, at one of its states."""
@@ -147,6 +164,9 @@ class SectionedFlow(Flow):
         """The point with these coordinates, at t = 0."""
         zero = jnp.zeros_like(u[0])
         value = jnp.full_like(u[:1], self.value)
+        if self.normal is not None:
+            others = [weight for i, weight in enumerate(self.normal) if i != self.number]
+            value = (value - sum(w * u[i] for i, w in enumerate(others) if w)) / self.normal[self.number]
         return Crossing(self.inner.unchart(jnp.concatenate([u[: self.number], value, u[self.number :]])), zero, zero)
 
     def wrap(self, difference: Any) -> Any:

@@ -6,6 +6,7 @@ costs ten times the arithmetic. Here every stage is an expression of its own, an
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import diffrax
@@ -77,17 +78,34 @@ class WrittenOutRungeKutta(diffrax.AbstractAdaptiveSolver):
         """One step; the third value carries what third-order Hermite interpolation needs."""
         del solver_state, made_jump
         h = terms.contr(t0, t1)
-        stages: list[Any] = []
-        for row, c in zip(self.a, self.c, strict=True):
-            y = _combine(y0, row, stages)
-            stages.append(terms.prod(terms.vf(t0 + c * (t1 - t0), y, args), h))
+        stages = self._stages(
+            lambda i, y: terms.vf(t0 + self.c[i] * (t1 - t0), y, args), h, y0, len(self.b), terms.prod
+        )
         y1 = _combine(y0, self.b, stages)
         error = _combine(None, self.b_error, stages)
         end = terms.prod(terms.vf(t1, y1, args), h)
         return y1, error, {"y0": y0, "y1": y1, "k0": stages[0], "k1": end}, None, diffrax.RESULTS.successful
 
+    def written_stages(self, field: Callable[[int, Any], Any], h: Any, y0: Any) -> Any:
+        """The state after a step h under a field of (number of the stage, state), stages written out."""
+        return _combine(y0, self.b[: self.stages], self._stages(field, h, y0, self.stages, _times))
+
+    def _stages(
+        self, field: Callable[[int, Any], Any], h: Any, y0: Any, count: int, prod: Callable[[Any, Any], Any]
+    ) -> list[Any]:
+        """Rates at the first stages, times h."""
+        stages: list[Any] = []
+        for i in range(count):
+            stages.append(prod(field(i, _combine(y0, self.a[i], stages)), h))
+        return stages
+
     def rolled_step(self, terms: diffrax.AbstractTerm, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
-        """The state after one step, its stages in a loop: one vector field in the program where `step` has them all.
+        """The state after one step, its stages in a loop."""
+        nodes = jnp.asarray(self.c[: self.stages])
+        return self.rolled_stages(lambda i, y: terms.vf(t0 + nodes[i] * (t1 - t0), y, args), terms.contr(t0, t1), y0)
+
+    def rolled_stages(self, field: Callable[[Any, Any], Any], h: Any, y0: Any) -> Any:
+        """As `written_stages`, with the stages in a loop: one field in the program where that has them all.
 
         Some twice as slow to run and ten times as fast to compile, as large fields and their derivatives need it. The
         loop carries what every later stage has summed up so far, and each stage adds its share to all of them.
@@ -99,15 +117,18 @@ class WrittenOutRungeKutta(diffrax.AbstractAdaptiveSolver):
         shares = np.zeros((count, count))
         for i in range(count):
             shares[i, : count - i] = rows[i + 1 :, i]
-        weights, nodes = jnp.asarray(shares), jnp.asarray(self.c[:count])
-        h = terms.contr(t0, t1)
+        weights = jnp.asarray(shares)
 
         def stage(i: Any, ahead: tuple[Any, ...]) -> tuple[Any, ...]:
-            k = terms.prod(terms.vf(t0 + nodes[i] * (t1 - t0), ahead[0], args), h)
+            k = _times(field(i, ahead[0]), h)
             added = [jax.tree.map(lambda y, kj, j=j: y + weights[i, j] * kj, ahead[j + 1], k) for j in range(count)]
             return (*added, ahead[-1])
 
         return lax.fori_loop(0, count, stage, (y0,) * (count + 1))[0]
+
+
+def _times(rate: Any, h: Any) -> Any:
+    return jax.tree.map(lambda leaf: leaf * h, rate)
 
 
 def _combine(base: Any, weights: tuple[float, ...], stages: list[Any]) -> Any:

@@ -7,7 +7,8 @@ differ between lanes to its own values; all other parameters are the flow's.
 from __future__ import annotations
 
 import abc
-from collections.abc import Mapping
+import itertools
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -31,6 +32,10 @@ State = Any
 
 Parameters = Mapping[str, ArrayLike]
 """Name to value, of the parameters that a lane has of its own; of lanes side by side each (lanes,)."""
+
+
+FAULTS = ("none", "singular", "off_constraint", "not_finite")
+"""Why a lane has failed, by number; 0 where it has not."""
 
 
 class Output(NamedTuple):
@@ -69,6 +74,11 @@ class Flow(eqx.Module):
         """The two coordinates that portraits are drawn over: the first position and its velocity."""
 
     @property
+    def planes(self) -> tuple[tuple[str, str], ...]:
+        """All planes that a motion may be drawn over, the first choice first."""
+        return (self.plane, *itertools.combinations(self.coordinates, 2))
+
+    @property
     def flow(self) -> Flow:
         """The flow in continuous time: itself, or of a section the flow that it is of."""
         return self
@@ -94,6 +104,11 @@ class Flow(eqx.Module):
     def shares(self, name: str) -> bool:
         """Whether all lanes of a program must have the same value of a parameter: it changes their clock or table."""
 
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Names of the parameters that lanes may have of their own; all that only the flow has may decide a table."""
+        return tuple(self.parameters)
+
     def density(self, t: np.ndarray) -> np.ndarray:
         """Steps a unit of time, up to a factor, that suit all lanes; t of any shape."""
         return np.ones_like(t)
@@ -104,9 +119,23 @@ class Flow(eqx.Module):
     def rhs(self, t: ArrayLike, y: State, p: Parameters) -> State:
         """Time derivative of a state; components (...,) in and out."""
 
-    @abc.abstractmethod
     def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Number:
         """Divergence of the flow; its mean is the sum of the Lyapunov exponents."""
+        return self.divergence_of(lambda z: self.rhs(t, z, p), y)
+
+    def divergence_of(self, rate: Callable[[State], State], y: State) -> Number:
+        """Divergence at a state of a rate that is this flow's: Σ ∂ẏ_i/∂y_i over the components that are compared."""
+        leaves, structure = jax.tree.flatten(y)
+        marks = jax.tree.leaves(self.compared(jax.tree.unflatten(structure, list(range(len(leaves))))))
+
+        def component(i: int) -> Callable[[Number], Number]:
+            def moved(x: Number) -> Number:
+                return jax.tree.leaves(rate(jax.tree.unflatten(structure, [*leaves[:i], x, *leaves[i + 1 :]])))[i]
+
+            return moved
+
+        slopes = [jax.jvp(component(i), (leaves[i],), (jnp.ones_like(leaves[i]),))[1] for i in marks]
+        return sum(slopes[1:], slopes[0])
 
     @property
     def contraction(self) -> str:
@@ -199,3 +228,13 @@ class Flow(eqx.Module):
     def reports(self, y: State) -> dict[str, Output]:
         """What there is to report of each trajectory (..., points), such as why it has failed."""
         return {}
+
+
+def turned(angle: Number) -> Number:
+    """An angle in [−π, π)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def unit_of_time(definition: Mapping[str, Any]) -> float:
+    """The period that a definition says; where it has no clock its unit of time, 1 unless it says."""
+    return float(definition["period"] if "period" in definition else definition.get("time_unit", 1.0))

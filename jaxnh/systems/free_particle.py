@@ -39,6 +39,11 @@ class FreeParticle(Lagrangian):
         """a, b and ω."""
         return {name: self.values[name] for name in ("a", "b", "omega")}
 
+    @property
+    def own(self) -> tuple[str, ...]:
+        """a and b; ω is in the table of times."""
+        return "a", "b"
+
     def words(self, name: str) -> str:
         """What a parameter or coordinate is called."""
         return WORDS[name]

@@ -14,7 +14,7 @@ matrices is ever formed, and no library is called to solve them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from jax.core import Tracer
 
 from jaxnh.systems.elimination import definite, eliminate, known, minus
 from jaxnh.systems.flow import Number, Vector
+from jaxnh.systems.tracing import constants
 
 Energy = Callable[[Vector, Vector, Number], Number]
 """(q, q̇, t) to a number."""
@@ -115,10 +116,12 @@ def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Acce
     at = (*q, *v, t)
     energy, f = _flat(equations.T, k), constraint_functions(equations, k)
     forces = [known(force) for force in equations.Q(q, v, t)]
-    with jax.ensure_compile_time_eval():  # what does not depend on the state is a number, not a part of the program
+
+    def inertia_and_pull(*at: Number) -> tuple[list[Number], list[Number]]:
         momenta = [lambda *at, i=i: slope(energy, at, k + i) for i in range(k)]
-        inertia = [_read(_along_motion(momentum, at, k), at) for momentum in momenta]
-        pull = [_read(slope(energy, at, i), at) for i in range(k)]
+        return [_along_motion(momentum, at, k) for momentum in momenta], [slope(energy, at, i) for i in range(k)]
+
+    inertia, pull = _read(inertia_and_pull, at)
     mass, slopes = matrices(equations, at, k)
     right = [minus(force, minus(i, p)) for force, i, p in zip(forces, inertia, pull, strict=True)]
     right += [-rate for rate in (_along_motion(f, at, k) if slopes else ())]
@@ -129,14 +132,24 @@ def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Acce
 
 def matrices(equations: Equations, at: Vector, k: int) -> tuple[list[list[Number]], list[list[Number]]]:
     """M and A at components (q, q̇, t), floats where they are known while the program is traced."""
-    with jax.ensure_compile_time_eval():
-        mass, slopes = mass_matrix(equations, at, k), constraint_slopes(equations, at, k)
-        return [[_read(x, at) for x in row] for row in mass], [[_read(x, at) for x in row] for row in slopes]
+    return _read(
+        lambda *at: (mass_matrix(equations, at, k), [list(a) for a in constraint_slopes(equations, at, k)]), at
+    )
 
 
-def _read(x: Number, at: Vector) -> Number:
-    """`known` while a program is traced; outside of one everything is known, and nothing is to be kept of it."""
-    return known(x) if isinstance(at[0], Tracer) else x
+def _read(function: Callable[..., Any], at: Vector) -> Any:
+    """A function's results at components, as floats where they are known while a program is traced.
+
+    What does not depend on the state is then a number, and no part of the program. Outside of one everything is known,
+    and nothing is to be kept of it.
+    """
+    found = function(*at)
+    if not isinstance(at[0], Tracer):
+        return found
+    known, leaves = constants(function, *at), jax.tree.leaves(found)
+    kept = jax.tree.leaves(known, is_leaf=lambda leaf: leaf is None)
+    values = [leaf if number is None else number for leaf, number in zip(leaves, kept, strict=True)]
+    return jax.tree.unflatten(jax.tree.structure(found), values)
 
 
 def bordered(mass: list[list[Number]], slopes: list[list[Number]]) -> list[list[Number]]:

@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxnh.systems.elimination import definite, eliminate, largest_of
-from jaxnh.systems.flow import Flow, Number, Output, Parameters, Vector
+from jaxnh.systems.flow import FAULTS, Flow, Number, Output, Parameters, Vector, turned, unit_of_time
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
     Equations,
@@ -27,14 +27,11 @@ from jaxnh.systems.jourdain import (
     bordered,
     constraint_functions,
     matrices,
-    slope,
 )
 
 Definition = Mapping[str, Any]
-"""What a system says of itself: `T`, `Q`, `coordinates`, `period`, and where it has them `f`, `angles`, `ignorable`."""
-
-FAULTS = ("none", "singular", "off_constraint", "not_finite")
-"""Meanings of the codes in `Motion.watch`: why a lane has failed, 0 where it has not."""
+"""What a system says of itself: `T`, `Q`, `coordinates`, with a clock its `period`, without one if wanted a
+`time_unit`, and where it has them `f`, `angles`, `ignorable`."""
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
@@ -66,6 +63,8 @@ class Lagrangian(Flow):
         constraints: number m of constraints.
         angles: for each coordinate, whether it is an angle, which returns after 2π.
         ignorable: for each, whether nothing depends on it: such coordinates are left out of the section.
+        of_lanes: names of the parameters that lanes may have of their own; None: of all.
+        clock: whether there is one.
     """
 
     define: Callable[..., Definition] = eqx.field(static=True)
@@ -74,6 +73,8 @@ class Lagrangian(Flow):
     constraints: int = eqx.field(static=True)
     angles: tuple[bool, ...] = eqx.field(static=True)
     ignorable: tuple[bool, ...] = eqx.field(static=True)
+    of_lanes: tuple[str, ...] | None = eqx.field(static=True, default=None)
+    clock: bool = eqx.field(static=True, default=True)
 
     # ---- names
 
@@ -86,6 +87,11 @@ class Lagrangian(Flow):
     def parameters(self) -> Parameters:
         """All parameters by name."""
         return self.values
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Names of the parameters that lanes may have of their own."""
+        return tuple(self.values) if self.of_lanes is None else self.of_lanes
 
     def words(self, name: str) -> str:
         """What a parameter or coordinate is called."""
@@ -100,24 +106,29 @@ class Lagrangian(Flow):
         name = self.names[self.kept[0]]
         return name, f"{name}_dot"
 
+    @property
+    def planes(self) -> tuple[tuple[str, str], ...]:
+        """Each coordinate of the section with its velocity."""
+        return tuple(zip(self.coordinates[::2], self.coordinates[1::2], strict=True))
+
     # ---- time
 
     @property
     def period(self) -> float:
-        """Strobe period, from the definition."""
-        return float(self.define(**self.values)["period"])
+        """Strobe period, or the unit of time, from the definition."""
+        return unit_of_time(self.define(**self.values))
 
     @property
     def autonomous(self) -> bool:
-        """Of T, Q and f it is not known whether they have a clock: one is taken to be there."""
-        return False
+        """Whether there is no clock."""
+        return not self.clock
 
     def shares(self, name: str) -> bool:
         """Whether the strobe period depends on a parameter."""
         if name not in self.values:
             return False
         other = self.define(**{**self.values, name: self.values[name] + 1.0})
-        return float(other["period"]) != self.period
+        return unit_of_time(other) != self.period
 
     # ---- motion
 
@@ -131,15 +142,6 @@ class Lagrangian(Flow):
         solved = accelerations(self.equations(p), y.q, y.v, t)
         zero = jnp.zeros_like(y.q[0])
         return Motion(y.v, solved.a, (zero, jnp.where(solved.singular, jnp.nan, zero)))
-
-    def divergence(self, t: ArrayLike, y: Motion, p: Parameters) -> Number:
-        """Σ ∂q̈_i/∂q̇_i; its mean is the sum of the 2k − m Lyapunov exponents, as those across f = 0 are zero."""
-        equations, k = self.equations(p), len(y.q)
-
-        def acceleration(i: int) -> Callable[..., Number]:
-            return lambda *v: accelerations(equations, y.q, v, t).a[i]
-
-        return sum(slope(acceleration(i), tuple(y.v), i) for i in range(k))
 
     def multipliers(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
         """The m multipliers λ of (6)."""
@@ -214,7 +216,7 @@ class Lagrangian(Flow):
 
     def chart(self, y: Motion) -> jax.Array:
         """Section coordinates of a state, (dimension,); angles in [−π, π)."""
-        q = [_turned(y.q[i]) if self.angles[i] else y.q[i] for i in self.kept]
+        q = [turned(y.q[i]) if self.angles[i] else y.q[i] for i in self.kept]
         return jnp.stack([*q, *y.v])
 
     def unchart(self, u: Number) -> Motion:
@@ -229,7 +231,7 @@ class Lagrangian(Flow):
         """A difference of section coordinates (..., dimension), its angles in [−π, π)."""
         xp = np if isinstance(difference, np.ndarray) else jnp
         turns = [j for j, i in enumerate(self.kept) if self.angles[i]]
-        columns = [_turned(difference[..., j]) if j in turns else difference[..., j] for j in range(self.dimension)]
+        columns = [turned(difference[..., j]) if j in turns else difference[..., j] for j in range(self.dimension)]
         return xp.stack(columns, axis=-1)
 
     def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -285,7 +287,7 @@ class Lagrangian(Flow):
         """Coordinates and velocities of states by name: x, x_dot, y, y_dot, …"""
         found: dict[str, Output] = {}
         for name, q, v, is_angle in zip(self.names, y.q, y.v, self.angles, strict=True):
-            found[name] = Output(_turned(q), f"angle {name}") if is_angle else Output(q, f"coordinate {name}")
+            found[name] = Output(turned(q), f"angle {name}") if is_angle else Output(q, f"coordinate {name}")
             found[f"{name}_dot"] = Output(v, f"velocity {name}_dot = d{name}/dt")
         return found
 
@@ -299,19 +301,17 @@ class Lagrangian(Flow):
         }
 
 
-def _turned(angle: Number) -> Number:
-    """An angle in [−π, π)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
-
-
-def lagrangian(define: Callable[..., Definition], parameters: Mapping[str, float]) -> Lagrangian:
+def lagrangian(
+    define: Callable[..., Definition], parameters: Mapping[str, float], of_lanes: tuple[str, ...] | None = None
+) -> Lagrangian:
     """The system that a function of its parameters defines.
 
     Args:
         define: parameters by name to a mapping with `T`, `Q` and, unless the system is free, `f`: functions of
-            (q, q̇, t), with q and q̇ tuples of k numbers; `coordinates`, their k names; `period`, that of the strobe; and
-            where there are some, names of coordinates that are `angles` or `ignorable`.
+            (q, q̇, t), with q and q̇ tuples of k numbers; `coordinates`, their k names; with a clock its `period`,
+            that of the strobe; and where there are some, names of coordinates that are `angles` or `ignorable`.
         parameters: values of all parameters.
+        of_lanes: names of those that lanes may have of their own, by default all.
     """
     definition = define(**parameters)
     names = tuple(definition["coordinates"])
@@ -319,7 +319,8 @@ def lagrangian(define: Callable[..., Definition], parameters: Mapping[str, float
     zeros = (jnp.zeros(()),) * len(names)
     equations = Equations(definition["T"], definition["Q"], definition.get("f"))
     m = len(jax.eval_shape(lambda q, t: constraint_functions(equations, len(q))(*q, *q, t), zeros, zeros[0]))
-    return Lagrangian(define, dict(parameters), names, m, angles, ignorable)
+    clock = "period" in definition
+    return Lagrangian(define, dict(parameters), names, m, angles, ignorable, of_lanes, clock)
 
 
 def at_rest(k: int) -> Motion:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from fractions import Fraction
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -98,6 +99,11 @@ class IsokineticParticle(Flow):
         own = {"a": self.a, "b": self.b, "c": self.c, "d": self.d, "omega": self.omega}
         return {name: value for name, value in own.items() if value is not None}
 
+    @property
+    def own(self) -> tuple[str, ...]:
+        """a and b; the others are in the table of kicks."""
+        return "a", "b"
+
     def words(self, name: str) -> str:
         """What a parameter or coordinate is called."""
         return WORDS[name]
@@ -106,6 +112,11 @@ class IsokineticParticle(Flow):
     def plane(self) -> tuple[str, str]:
         """(x1, x2)."""
         return "x1", "x2"
+
+    @property
+    def planes(self) -> tuple[tuple[str, str], ...]:
+        """Each position with its velocity."""
+        return tuple(zip(self.coordinates[::2], self.coordinates[1::2], strict=True))
 
     # ---- time
 
@@ -233,6 +244,20 @@ class IsokineticParticle(Flow):
         q, n = y
         f = self.force(q, self.forcing(t), 1.0, p)
         return -(n[0] * f[0] + n[1] * f[1]) / self.speed(t)
+
+    def divergence_of(self, rate: Callable[[State], State], y: State) -> Array:
+        """The same of a rate that is this flow's, over (x1, y1, θ)."""
+        (x1, y1), (n1, n2) = y
+        one = jnp.ones_like(x1)
+
+        def turning(angle: Array) -> Array:
+            n = n1 - angle * n2, n2 + angle * n1
+            turn = rate(((x1, y1), n))[1]
+            return n[0] * turn[1] - n[1] * turn[0]
+
+        along = jax.jvp(lambda x: rate(((x, y1), (n1, n2)))[0][0], (x1,), (one,))[1]
+        across = jax.jvp(lambda x: rate(((x1, x), (n1, n2)))[0][1], (y1,), (one,))[1]
+        return along + across + jax.jvp(turning, (jnp.zeros_like(x1),), (one,))[1]
 
     @property
     def contraction(self) -> str:

@@ -1,13 +1,17 @@
-"""A system of the user's own: a Python file with one function `system`, read, tried out and turned into equations.
+"""A system of the user's own: a Python file with one function `system`, read, tried out and turned into a flow.
 
-    def system(mass=1.0, drive=0.5):     # parameters, each with its default
-        def T(q, v, t): ...              # kinetic energy: a number
-        def Q(q, v, t): ...              # generalised forces: a number a coordinate
-        def f(q, v, t): ...              # constraints: numbers that are zero; without any, leave it out
+    def system(sigma=10.0, rho=28.0, beta=8 / 3):     # parameters, each with its default
+        def rhs(y, t): ...                            # a right-hand side: a number a coordinate
+        return dict(rhs=rhs, coordinates=("x", "y", "z"))
+
+    def system(mass=1.0, drive=0.5):
+        def T(q, v, t): ...                           # or mechanics: kinetic energy, a number
+        def Q(q, v, t): ...                           # generalised forces: a number a coordinate
+        def f(q, v, t): ...                           # constraints: numbers that are zero; without any, leave it out
         return dict(T=T, Q=Q, f=f, coordinates=("x", "y"), period=2 * jnp.pi)
 
-`q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. Whatever is wrong with the file
-is said in one line with its place in it.
+`y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. What depends on t has a
+`period`; what does not may have a `time_unit`. Whatever is wrong with the file is said in one line with its place.
 """
 
 from __future__ import annotations
@@ -17,20 +21,24 @@ import hashlib
 import inspect
 import math
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxnh.exceptions import UserFileError
+from jaxnh.systems.first_order import FirstOrder, first_order
+from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
+from jaxnh.systems.tracing import Known, Program
 
-_NEEDED = ("T", "Q", "coordinates", "period")
-_KNOWN = (*_NEEDED, "f", "angles", "ignorable")
+_ALWAYS = ("coordinates", "period", "time_unit", "angles")
+_FIRST_ORDER = ("rhs", *_ALWAYS)
+_MECHANICS = ("T", "Q", "f", "ignorable", *_ALWAYS)
+_CLOCKS = ("period", "time_unit")
 _KEYS = ("file", "constraint")  # of a config, beside the parameters
 _BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "failure")  # in results, beside the coordinates
 
@@ -46,6 +54,7 @@ class UserFile:
         text: its text.
         parameters: names of the parameters with their defaults.
         coordinates: names of the coordinates.
+        mechanical: whether it says T and Q, so that each coordinate has a velocity.
     """
 
     def __init__(self, path: Path, text: str | None = None) -> None:
@@ -67,7 +76,18 @@ class UserFile:
         self.parameters = self._defaults()
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
-        self._try()
+        self.mechanical = "rhs" not in definition
+        uses_time = self._try_mechanics() if self.mechanical else self._try_rhs()
+        if uses_time and "period" not in definition:
+            raise self._fault(self._line_of("rhs"), "the system depends on t: give its period, period=2 * jnp.pi")
+        if not uses_time and "period" in definition:
+            message = "nothing depends on t: leave period out (time_unit says what lengths of time are counted in)"
+            raise self._fault(self._line_of("rhs"), message)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the coordinates of a state: of mechanics each coordinate, and its velocity NAME_dot."""
+        return self.coordinates if not self.mechanical else _with_velocities(self.coordinates)
 
     @property
     def sha256(self) -> str:
@@ -83,33 +103,46 @@ class UserFile:
         definition = self._guarded(lambda: self._define(**parameters))
         line = self._define.__code__.co_firstlineno
         if not isinstance(definition, Mapping):
-            raise self._fault(line, "system must return dict(T=..., Q=..., f=..., coordinates=..., period=...)")
+            raise self._fault(line, "system must return dict(rhs=..., coordinates=...), or dict(T=..., Q=..., ...)")
+        known = _FIRST_ORDER if "rhs" in definition else _MECHANICS
         for name in definition:
-            if name not in _KNOWN:
-                close = difflib.get_close_matches(str(name), _KNOWN, n=1)
+            if name not in known:
+                close = difflib.get_close_matches(str(name), known, n=1)
                 meant = f" (did you mean {close[0]}?)" if close else ""
-                raise self._fault(
-                    line, f"system returns {name!r}, which is unknown{meant}; known are {', '.join(_KNOWN)}"
-                )
-        for name in _NEEDED:
+                message = f"system returns {name!r}, which is unknown{meant}; known are {', '.join(known)}"
+                if name in _MECHANICS:
+                    message = f"system returns rhs and {name!r}; a system is a right-hand side, or T and Q"
+                raise self._fault(line, message)
+        needed = ("rhs", "coordinates") if "rhs" in definition else ("T", "Q", "coordinates")
+        for name in needed:
             if name not in definition:
-                raise self._fault(line, f"system must also return {name}")
-        for name in ("T", "Q", "f"):
+                other = ", or a right-hand side rhs" if name == "T" else ""
+                raise self._fault(line, f"system must also return {name}{other}")
+        for name in ("rhs", "T", "Q", "f"):
             if definition.get(name) is not None and not callable(definition[name]):
-                raise self._fault(line, f"{name} must be a function of (q, v, t)")
+                raise self._fault(line, f"{name} must be a function of {'(y, t)' if name == 'rhs' else '(q, v, t)'}")
         self._check_names(definition, line)
-        period = definition["period"]
-        if not isinstance(period, Tracer) and not (math.isfinite(float(period)) and float(period) > 0):
-            raise self._fault(line, f"period must be a positive number, not {period}")
+        if all(name in definition for name in _CLOCKS):
+            raise self._fault(line, "period and time_unit exclude each other: with a period, it is the unit of time")
+        for name in _CLOCKS:
+            length = definition.get(name, 1.0)
+            if not isinstance(length, Tracer) and not (math.isfinite(float(length)) and float(length) > 0):
+                raise self._fault(line, f"{name} must be a positive number, not {length}")
         return definition
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:
-        """Strobe period with these parameters."""
-        return float(self.define(**parameters)["period"])
+        """Strobe period, or the unit of time, with these parameters."""
+        return unit_of_time(self.define(**parameters))
 
-    def flow(self, parameters: Mapping[str, float]) -> Lagrangian:
-        """The system with these parameters."""
-        return lagrangian(self.define, parameters)
+    def flow(self, parameters: Mapping[str, float], of_lanes: tuple[str, ...] = ()) -> Lagrangian | FirstOrder:
+        """The system with these parameters.
+
+        Args:
+            parameters: values of all of them.
+            of_lanes: names of those that lanes have of their own.
+        """
+        made = lagrangian if self.mechanical else first_order
+        return made(self.define, parameters, of_lanes)
 
     def _function(self) -> Callable[..., Any]:
         scope: dict[str, Any] = {"__name__": self.path.stem, "__file__": str(self.path)}
@@ -121,7 +154,9 @@ class UserFile:
             ) from None
         self._guarded(lambda: exec(code, scope))
         if not inspect.isfunction(scope.get("system")):
-            raise self._fault(1, "there is no function system(...) that returns T, Q, f, coordinates and period")
+            raise self._fault(
+                1, "there is no function system(...) that returns rhs and coordinates, or T, Q, f and coordinates"
+            )
         return scope["system"]
 
     def _defaults(self) -> dict[str, float]:
@@ -140,7 +175,7 @@ class UserFile:
         names = definition["coordinates"]
         if isinstance(names, str) or not names or not all(isinstance(n, str) and n.isidentifier() for n in names):
             raise self._fault(line, 'coordinates must be names, as in coordinates=("x", "y")')
-        every = [*names, *(f"{name}_dot" for name in names)]
+        every = list(names) if "rhs" in definition else list(_with_velocities(names))
         if len(set(every)) < len(every) or set(every) & set(_BESIDE_STATES):
             raise self._fault(line, f"coordinates must differ, and not be one of {', '.join(_BESIDE_STATES)}")
         for name in every:
@@ -153,24 +188,20 @@ class UserFile:
         if len(set(definition.get("ignorable", ()))) == len(names):
             raise self._fault(line, "one coordinate at least must not be ignorable")
 
-    def _try(self) -> None:
-        """Trace T, Q and f with parameters that lanes decide, and look at what comes out."""
-        number = jax.ShapeDtypeStruct((), jnp.float64)
-        parameters = dict.fromkeys(self.parameters, number)
-        k = len(self.coordinates)
+    def _try_mechanics(self) -> bool:
+        """Trace T, Q and f with parameters that lanes decide, and look at what comes out; whether they use time."""
+        k, uses_time = len(self.coordinates), False
         for name, count in (("T", None), ("Q", k), ("f", 0)):
 
-            def evaluate(p: Mapping[str, Any], q: Any, v: Any, t: Any, name: str = name) -> Any:
+            def evaluate(p: Mapping[str, Any], t: Any, q: Any, v: Any, name: str = name) -> Any:
                 function = self.define(**p).get(name)
                 found = () if function is None else function(q, v, t)
                 if name != "T" and not isinstance(found, tuple | list) and jnp.ndim(found) != 1:
                     raise self._fault(self._line_of(name), f"{name} must return a tuple of numbers")
                 return found if name == "T" else tuple(jnp.asarray(x) for x in found)
 
-            shape = self._guarded(
-                lambda e=evaluate: jax.eval_shape(e, parameters, (number,) * k, (number,) * k, number)
-            )
-            leaves = jax.tree.leaves(shape)
+            leaves, timed = self._traced(evaluate, 2)
+            uses_time |= timed
             line = self._line_of(name)
             if any(leaf.shape for leaf in leaves) or (count is None and len(leaves) != 1):
                 raise self._fault(line, f"{name} must return {'a number' if count is None else 'a tuple of numbers'}")
@@ -178,9 +209,37 @@ class UserFile:
                 raise self._fault(line, f"Q must return {k} numbers, one a coordinate, not {len(leaves)}")
             if name == "f" and len(leaves) >= k:
                 raise self._fault(line, f"f returns {len(leaves)} numbers; {k} coordinates can have {k - 1} at most")
+        return uses_time
+
+    def _try_rhs(self) -> bool:
+        """Trace the right-hand side likewise."""
+        line, d = self._line_of("rhs"), len(self.coordinates)
+
+        def evaluate(p: Mapping[str, Any], t: Any, y: Any) -> Any:
+            found = self.define(**p)["rhs"](y, t)
+            if not isinstance(found, tuple | list) and jnp.ndim(found) != 1:
+                raise self._fault(line, "rhs must return a tuple of numbers")
+            return tuple(jnp.asarray(x) for x in found)
+
+        leaves, uses_time = self._traced(evaluate, 1)
+        if any(leaf.shape for leaf in leaves):
+            raise self._fault(line, "rhs must return a tuple of numbers")
+        if len(leaves) != d:
+            raise self._fault(line, f"rhs must return {d} numbers, one a coordinate, not {len(leaves)}")
+        return uses_time
+
+    def _traced(self, evaluate: Callable[..., Any], vectors: int) -> tuple[list[Any], bool]:
+        """Shapes of what a function of (parameters, t, vectors) returns, and whether t has a part in it."""
+        at, parameters = (0.0,) * len(self.coordinates), dict.fromkeys(self.parameters, 0.0)
+        traced = self._guarded(
+            lambda: Program(lambda t, p, *vectors: evaluate(p, t, *vectors), 0.0, parameters, *(at,) * vectors)
+        )
+        depends = traced.depends([1, *[0] * (len(traced.inputs) - 1)])
+        return traced.shapes, any(not isinstance(slot, Known) and depends[slot] for slot in traced.outputs)
 
     def _line_of(self, name: str) -> int:
-        code = getattr(self.define(**self.parameters).get(name), "__code__", None)
+        definition = self.define(**self.parameters)
+        code = getattr(definition.get(name) or definition.get("T"), "__code__", None)
         return code.co_firstlineno if code else self._define.__code__.co_firstlineno
 
     def _guarded(self, body: Callable[[], Any]) -> Any:
@@ -196,3 +255,8 @@ class UserFile:
 
     def _fault(self, line: int, message: str) -> UserFileError:
         return UserFileError(f"{self.path}:{line}: {message}")
+
+
+def _with_velocities(names: Sequence[str]) -> tuple[str, ...]:
+    """Each coordinate, and its velocity."""
+    return tuple(word for name in names for word in (name, f"{name}_dot"))

@@ -222,7 +222,11 @@ FAULTS = {
     "a name in Q": (("b * y,", "beta * y,"), "own.py:9: NameError: name 'beta' is not defined"),
     "math on what a lane decides": (("jnp.sin(omega * t)", "__import__('math').sin(omega * t)"), "own.py:8: "),
     "too few forces": (("+ b * y, -g", "+ b * y - g"), "own.py:7: Q must return a tuple of numbers"),
-    "no period": ((", period=2 * jnp.pi / omega", ""), "own.py:3: system must also return period"),
+    "no period": ((", period=2 * jnp.pi / omega", ""), "own.py:4: the system depends on t: give its period"),
+    "a period of nothing": (("jnp.sin(omega * t)", "omega"), "own.py:4: nothing depends on t: leave period out"),
+    "a clock and a unit": (("period=", "time_unit=1.0, period="), "own.py:3: period and time_unit exclude each other"),
+    "both ways": (("f=f", "rhs=f"), "own.py:3: system returns rhs and 'T'; a system is a right-hand side, or T and Q"),
+    "neither way": (("T=T, ", ""), "own.py:3: system must also return T, or a right-hand side rhs"),
     "unknown key": (("f=f", "F=f"), "own.py:3: system returns 'F', which is unknown; known are T, Q"),
     "no default": (("a=0.5", "a"), "own.py:3: parameter a of system needs a number as its default"),
     "taken name": (('("x1", "y1")', '("x1", "t")'), "own.py:3: coordinates must differ, and not be one of"),
@@ -320,7 +324,7 @@ def test_constraint_that_is_no_number_at_the_start(tmp_path):
 def test_system_without_parameters(tmp_path):
     text = """
 def system():
-    return dict(T=lambda q, v, t: 0.5 * v[0] ** 2, Q=lambda q, v, t: (-q[0],), coordinates=("x",), period=1.0)
+    return dict(T=lambda q, v, t: 0.5 * v[0] ** 2, Q=lambda q, v, t: (t - q[0],), coordinates=("x",), period=1.0)
 """
     config = "system: {file: own.py}\nsweep: {x: {values: [0.1, 0.2]}}\nanalyses: {poincare: {}}\n"
     (axis,) = load(write(tmp_path, text, config)).axes
@@ -332,7 +336,7 @@ def test_names_of_our_own_are_as_good_as_others(tmp_path):
     text = """
 def system(copy=1.0, model_config=2.0, flow=3.0, known=4.0, check=5.0):
     def Q(q, v, t):
-        return -copy * model_config * q[0], -flow * known * check * q[1]
+        return t - copy * model_config * q[0], -flow * known * check * q[1]
 
     return dict(T=lambda q, v, t: 0.5 * (v[0] ** 2 + v[1] ** 2), Q=Q, coordinates=("given", "json"), period=1.0)
 """

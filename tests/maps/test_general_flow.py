@@ -55,7 +55,8 @@ def test_derivatives_of_runge_kutta(lanes):
 def test_steps_are_diffeqsolve_with_projected_steps(name, flow, rolled):
     """The loop of steps is the written-out solver, projected, under `diffrax.diffeqsolve`, to rounding.
 
-    A hundred steps of some 15 sums each, which the flow of one period enlarges a hundredfold at most.
+    A hundred steps of some 15 sums each, which the flow of one period enlarges a hundredfold at most; roundings are
+    shares of the state.
     """
     (system, start), solver = FLOWS[flow], RUNGE_KUTTA[name]
     start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
@@ -68,7 +69,7 @@ def test_steps_are_diffeqsolve_with_projected_steps(name, flow, rolled):
     )  # fmt: skip
     exact = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
     for one, other in zip(jax.tree.leaves(moved(strobe, start, p)), jax.tree.leaves(exact), strict=True):
-        assert abs(float(one) - float(other)) < 1e-12
+        assert abs(float(one) - float(other)) < 1e-12 * max(1.0, abs(float(other)))
 
 
 def test_rolled_steps_are_those_written_out():

@@ -1,0 +1,81 @@
+"""What of a field depends on time alone, taken out of the lanes: a table at the times of the stages, shared by all.
+
+A field is traced into its list of equations. Those that reach from t to a number without the state of a lane or its
+own parameters need to be solved once a time, and not in every lane: forcing, a moving constraint, any function of t.
+What is left is the field of the lanes, which takes their values from the table. Users need not say a word about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import primitives
+
+from jaxnh.maps.elementary import cosine, sine
+from jaxnh.systems.tracing import Known, Program, Step
+
+_TIME, _LANE = 1, 2  # what a value depends on, at most
+_IN_LANES: dict[Any, Callable[[Any], Any]] = {primitives.sin_p: sine, primitives.cos_p: cosine}
+
+
+class TimeSplit:
+    """A function of (t, shared, lane) in two: what t decides, and what the lane does with it.
+
+    Attributes:
+        size: number of equations that are left to the lanes.
+    """
+
+    def __init__(self, function: Callable[[Any, Any, Any], Any], shared: Any, lane: Any) -> None:
+        """Trace it.
+
+        Args:
+            function: (t, shared, lane) to a pytree; t of shape ().
+            shared: pytree of what all lanes have alike.
+            lane: pytree of what each lane has of its own, leaves of any shape.
+        """
+        self._program = program = Program(function, 0.0, shared, lane)
+        of_shared, of_lane = (len(jax.tree.leaves(tree)) for tree in (shared, lane))
+        self._level = program.depends([_TIME] + [0] * of_shared + [_LANE] * of_lane)
+        self._needed = program.needed(program.outputs)
+        lanes = [step for step in program.steps if self._in_lanes(step)]
+        read = {slot for step in lanes for slot in step.reads if not isinstance(slot, Known)}
+        read |= {slot for slot in program.outputs if not isinstance(slot, Known)}
+        self._table = sorted(slot for slot in read if self._level[slot] == _TIME)
+        self._before = program.needed(self._table)
+        self.size = len(lanes)
+
+    @property
+    def width(self) -> int:
+        """Number of values in the table at a time."""
+        return len(self._table)
+
+    def table(self, t: Any, shared: Any) -> tuple[Any, ...]:
+        """The values at times t of any shape (...), each (..., its own shape)."""
+        if not self._table:
+            return ()
+
+        def at(t: Any) -> tuple[Any, ...]:
+            found = dict(zip(self._program.inputs, [t, *jax.tree.leaves(shared)], strict=False))
+            self._program.run(found, lambda step: not self._before.isdisjoint(step.makes))
+            return tuple(found[slot] for slot in self._table)
+
+        times = jnp.asarray(t)
+        values = jax.vmap(at)(times.ravel())
+        return tuple(value.reshape(*times.shape, *value.shape[1:]) for value in values)
+
+    def rest(self, values: Sequence[Any], shared: Any, lane: Any) -> Any:
+        """What the function is, with the values of the table at its time."""
+        leaves = [*jax.tree.leaves(shared), *jax.tree.leaves(lane)]
+        found = dict(zip(self._program.inputs[1:], leaves, strict=True))
+        found |= dict(zip(self._table, values, strict=True))
+        self._program.run(found, self._after, _IN_LANES)
+        return self._program.results(found)
+
+    def _in_lanes(self, step: Step) -> bool:
+        return self._level[step.makes[0]] == _LANE and not self._needed.isdisjoint(step.makes)
+
+    def _after(self, step: Step) -> bool:
+        return self._level[step.makes[0]] != _TIME and not self._needed.isdisjoint(step.makes)

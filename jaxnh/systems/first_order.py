@@ -1,0 +1,198 @@
+"""Any system of differential equations ẏ = rhs(y, t) as a flow: its coordinates are those of its section.
+
+There is no constraint to keep, and nothing to report but whether a state is finite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxnh.systems.flow import FAULTS, Flow, Number, Output, Parameters, Vector, turned, unit_of_time
+
+Definition = Mapping[str, Any]
+"""What a system says of itself: `rhs`, `coordinates`, and where it has them `period` or `time_unit`, and `angles`."""
+
+
+class Point(NamedTuple):
+    """State of a lane.
+
+    Attributes:
+        y: d coordinates.
+    """
+
+    y: Vector
+
+
+class FirstOrder(Flow):
+    """Any system of a right-hand side; made by `first_order`.
+
+    Attributes:
+        define: parameters by name to the system's definition, whose `rhs` is read; called in every lane.
+        values: all parameters by name; those that a lane has of its own replace them.
+        names: names of the d coordinates.
+        angles: for each coordinate, whether it is an angle, which returns after 2π.
+        clock: whether there is one.
+        of_lanes: names of the parameters that lanes may have of their own; None: of all.
+    """
+
+    define: Callable[..., Definition] = eqx.field(static=True)
+    values: dict[str, ArrayLike]
+    names: tuple[str, ...] = eqx.field(static=True)
+    angles: tuple[bool, ...] = eqx.field(static=True)
+    clock: bool = eqx.field(static=True)
+    of_lanes: tuple[str, ...] | None = eqx.field(static=True, default=None)
+
+    # ---- names
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """As the system names them."""
+        return self.names
+
+    @property
+    def parameters(self) -> Parameters:
+        """All parameters by name."""
+        return self.values
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Names of the parameters that lanes may have of their own."""
+        return tuple(self.values) if self.of_lanes is None else self.of_lanes
+
+    def words(self, name: str) -> str:
+        """What a parameter or coordinate is called."""
+        if name not in self.names:
+            return f"parameter {name}"
+        return f"{'angle' if self.angles[self.names.index(name)] else 'coordinate'} {name}"
+
+    @property
+    def plane(self) -> tuple[str, str]:
+        """The first coordinate, and the second where there is one."""
+        return self.names[0], self.names[min(1, len(self.names) - 1)]
+
+    # ---- time
+
+    @property
+    def period(self) -> float:
+        """Strobe period, or the unit of time, from the definition."""
+        return unit_of_time(self.define(**self.values))
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether there is no clock."""
+        return not self.clock
+
+    def shares(self, name: str) -> bool:
+        """Whether the strobe period depends on a parameter."""
+        if name not in self.values:
+            return False
+        return unit_of_time(self.define(**{**self.values, name: self.values[name] + 1.0})) != self.period
+
+    # ---- motion
+
+    def rhs(self, t: ArrayLike, y: Point, p: Parameters) -> Point:
+        """Time derivative of a state."""
+        rates = self.define(**{**self.values, **p})["rhs"](tuple(y.y), t)
+        return Point(tuple(jnp.asarray(rate, jnp.float64) + jnp.zeros_like(y.y[0]) for rate in rates))
+
+    # ---- the section: all coordinates
+
+    @property
+    def dimension(self) -> int:
+        """Number of coordinates."""
+        return len(self.names)
+
+    @property
+    def exponents(self) -> int:
+        """One a coordinate."""
+        return self.dimension
+
+    def chart(self, y: Point) -> Float[Array, " dimension"]:
+        """The coordinates, angles in [−π, π)."""
+        return jnp.stack([turned(x) if angle else x for x, angle in zip(y.y, self.angles, strict=True)])
+
+    def unchart(self, u: Number) -> Point:
+        """The state with these coordinates."""
+        return Point(tuple(u[i] for i in range(self.dimension)))
+
+    def wrap(self, difference: Number) -> Number:
+        """A difference of coordinates (..., dimension), its angles in [−π, π)."""
+        xp = np if isinstance(difference, np.ndarray) else jnp
+        columns = [difference[..., i] for i in range(self.dimension)]
+        return xp.stack([turned(x) if angle else x for x, angle in zip(columns, self.angles, strict=True)], axis=-1)
+
+    def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Largest difference of coordinates between points (..., dimension): (...,)."""
+        return np.max(np.abs(self.wrap(one - other)), axis=-1)
+
+    def signal(self, y: Point) -> Number:
+        """The first coordinate."""
+        return y.y[0]
+
+    # ---- tangents
+
+    def directions(self, k: int) -> tuple[Vector, ...]:
+        """k tangents to begin with, in no special direction."""
+        draws = np.linalg.qr(np.random.default_rng(0).normal(size=(self.dimension, self.dimension)))[0]
+        return tuple(tuple(row.tolist()) for row in draws[:k])
+
+    def lift(self, y: Point, tangent: Vector) -> Point:
+        """The tangent itself."""
+        return Point(tuple(tangent))
+
+    def lower(self, y: Point, tangent: Point) -> Vector:
+        """The tangent itself."""
+        return tuple(tangent.y)
+
+    # ---- host: start states and results
+
+    def start(self, coordinates: Mapping[str, ArrayLike]) -> Point:
+        """The state with coordinates by name."""
+        return Point(tuple(np.asarray(coordinates[name], float) for name in self.names))
+
+    def section_point(self, y: Point) -> Float[np.ndarray, "... dimension"]:
+        """Coordinates of states (...,) on the host."""
+        return np.stack(np.broadcast_arrays(*y.y), axis=-1)
+
+    def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> Point:
+        """Start states of even draws (lanes, dimension) from [−1, 1], times the box; angles times π."""
+        return Point(tuple(draws[:, i] * (np.pi if angle else box) for i, angle in enumerate(self.angles)))
+
+    def outputs(self, y: Point, t: np.ndarray) -> dict[str, Output]:
+        """The coordinates by name."""
+        return {
+            name: Output(turned(x) if angle else x, self.words(name))
+            for name, x, angle in zip(self.names, y.y, self.angles, strict=True)
+        }
+
+    def reports(self, y: Point) -> dict[str, Output]:
+        """Of each trajectory (..., points), by the last of its states, why it has failed."""
+        finite = np.all([np.isfinite(x[..., -1]) for x in y.y], axis=0)
+        flags = {"flag_values": np.arange(len(FAULTS), dtype=np.int8), "flag_meanings": " ".join(FAULTS)}
+        reason = np.where(finite, 0, FAULTS.index("not_finite")).astype(np.int8)
+        return {"failure": Output(reason, "why the trajectory has failed", flags)}
+
+
+def first_order(
+    define: Callable[..., Definition], parameters: Mapping[str, float], of_lanes: tuple[str, ...] | None = None
+) -> FirstOrder:
+    """The system that a function of its parameters defines.
+
+    Args:
+        define: parameters by name to a mapping with `rhs`, a function of (y, t) to d numbers, y being a tuple of d;
+            `coordinates`, their d names; with a clock its `period`, without one if wanted a `time_unit` that lengths of
+            time are counted in; and where there are some, names of coordinates that are `angles`.
+        parameters: values of all parameters.
+        of_lanes: names of those that lanes may have of their own, by default all.
+    """
+    definition = define(**parameters)
+    names = tuple(definition["coordinates"])
+    angles = tuple(name in definition.get("angles", ()) for name in names)
+    return FirstOrder(define, dict(parameters), names, angles, "period" in definition, of_lanes)

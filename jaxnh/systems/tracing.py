@@ -1,0 +1,167 @@
+"""A function as its list of equations: which results depend on which arguments, and parts of it run alone.
+
+What a program calls is written out in it, so that one equation of a function that is compiled by itself may be known
+where another is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.api_util import debug_info
+from jax.core import Tracer
+from jax.extend import core
+
+_INLINED = ("jit", "pjit", "closed_call", "core_call")
+
+Slot = int
+"""Number of a value of a program."""
+
+
+class Known(NamedTuple):
+    """A number that the program itself has."""
+
+    value: Any
+
+
+class Step(NamedTuple):
+    """One equation: what it does, what it reads, and what it makes."""
+
+    equation: Any
+    reads: tuple[Slot | Known, ...]
+    makes: tuple[Slot, ...]
+
+
+class Program:
+    """The equations of a function, in order.
+
+    Attributes:
+        steps: they.
+        inputs: a slot for each leaf of its arguments.
+        outputs: a slot, or a number, for each leaf of what it returns.
+        structure: of what it returns.
+        shapes: of its leaves, with their types.
+        unread: slots of numbers of an outer program that the function closes over, with their values.
+    """
+
+    def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Trace it.
+
+        Args:
+            function: of pytrees.
+            arguments: pytrees of numbers or arrays; their shapes are read, and all are taken in double precision.
+        """
+        closed, out = jax.make_jaxpr(function, return_shape=True)(*(_abstract(a) for a in arguments))
+        self.steps: list[Step] = []
+        self.size = 0
+        self.inputs = [self._slot() for _ in closed.jaxpr.invars]
+        self.structure, self.shapes = jax.tree.structure(out), jax.tree.leaves(out)
+        self.unread: dict[Slot, Any] = {}
+        self.outputs = self._inline(closed.jaxpr, closed.consts, self.inputs)
+
+    def depends(self, levels: Sequence[int]) -> list[int]:
+        """For each slot the largest of the numbers, above zero, of the arguments that it depends on; 0: on none."""
+        found = [0] * self.size
+        for slot, level in zip(self.inputs, levels, strict=True):
+            found[slot] = level
+        for slot in self.unread:
+            found[slot] = max(levels, default=1)
+        for step in self.steps:
+            level = max((found[slot] for slot in step.reads if not isinstance(slot, Known)), default=0)
+            for slot in step.makes:
+                found[slot] = level
+        return found
+
+    def needed(self, slots: Sequence[Slot | Known]) -> set[Slot]:
+        """All slots that these are made of, and they."""
+        found = {slot for slot in slots if not isinstance(slot, Known)}
+        for step in reversed(self.steps):
+            if not found.isdisjoint(step.makes):
+                found |= {slot for slot in step.reads if not isinstance(slot, Known)}
+        return found
+
+    def run(
+        self,
+        found: dict[Slot, Any],
+        wanted: Callable[[Step], bool],
+        instead: Mapping[Any, Callable[..., Any]] | None = None,
+    ) -> None:
+        """Solve the equations that are wanted, in order, from values that are found and into them.
+
+        Args:
+            instead: functions in place of primitives.
+        """
+        for step in filter(wanted, self.steps):
+            values = [slot.value if isinstance(slot, Known) else found[slot] for slot in step.reads]
+            primitive = step.equation.primitive
+            if instead and primitive in instead:
+                results = [instead[primitive](*values)]
+            elif primitive.name.startswith("custom_"):  # its parameters are not those that it is bound with
+                results = _alone(step.equation)(*values)
+            else:
+                bound = primitive.bind(*values, **step.equation.params)
+                results = bound if primitive.multiple_results else [bound]
+            found |= dict(zip(step.makes, results, strict=True))
+
+    def results(self, found: Mapping[Slot, Any]) -> Any:
+        """What the function returns, from values."""
+        leaves = [slot.value if isinstance(slot, Known) else found[slot] for slot in self.outputs]
+        return jax.tree.unflatten(self.structure, leaves)
+
+    def _slot(self) -> Slot:
+        self.size += 1
+        return self.size - 1
+
+    def _inline(self, jaxpr: Any, constants: Sequence[Any], inputs: Sequence[Slot | Known]) -> list[Slot | Known]:
+        """Add the equations of a program, those of the programs that it calls among them; what it returns."""
+        slots: dict[Any, Slot | Known] = dict(zip(jaxpr.invars, inputs, strict=True))
+        for variable, value in zip(jaxpr.constvars, constants, strict=True):
+            slots[variable] = self._slot() if isinstance(value, Tracer) else Known(value)
+            if isinstance(value, Tracer):
+                self.unread[slots[variable]] = value  # pyright: ignore[reportArgumentType]
+
+        def read(atom: Any) -> Slot | Known:
+            return Known(atom.val) if isinstance(atom, core.Literal) else slots[atom]
+
+        for equation in jaxpr.eqns:
+            reads = tuple(read(atom) for atom in equation.invars)
+            if equation.primitive.name in _INLINED:
+                inner = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
+                made: Sequence[Slot | Known] = self._inline(inner.jaxpr, inner.consts, reads)
+            else:
+                made = [self._slot() for _ in equation.outvars]
+                self.steps.append(Step(equation, reads, tuple(made)))
+            slots |= dict(zip(equation.outvars, made, strict=True))
+        return [read(atom) for atom in jaxpr.outvars]
+
+
+def constants(function: Callable[..., Any], *arguments: Any) -> Any:
+    """What a function returns, a float in place of each result that depends on no argument, and None of others."""
+    program = Program(function, *arguments)
+    depends = program.depends([1] * len(program.inputs))
+    free = [slot for slot in program.outputs if isinstance(slot, Known) or not depends[slot]]
+    needed, found = program.needed(free), dict[Slot, Any]()
+    with jax.ensure_compile_time_eval():
+        program.run(found, lambda step: not needed.isdisjoint(step.makes))
+    leaves = []
+    for slot in program.outputs:
+        value = slot.value if isinstance(slot, Known) else found.get(slot)
+        leaves.append(None if value is None or jnp.ndim(value) else float(value))
+    return jax.tree.unflatten(program.structure, leaves)
+
+
+def _alone(equation: Any) -> Callable[..., Sequence[Any]]:
+    """A function of what an equation reads, literals among it."""
+    reads = [core.Var(atom.aval) for atom in equation.invars]
+    about = debug_info("equation", _alone, (equation,), {})
+    one = core.Jaxpr((), reads, equation.outvars, [equation.replace(invars=reads)], equation.effects, about)
+    return core.jaxpr_as_fun(core.ClosedJaxpr(one, ()))
+
+
+def _abstract(tree: Any) -> Any:
+    """The tree with shapes in place of numbers, all of them in double precision."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf), jnp.float64), tree)

@@ -1,0 +1,166 @@
+"""Right-hand sides as flows: against closed forms, heyoka, exact divergences, and the same system by T and Q."""
+
+from __future__ import annotations
+
+import heyoka as hy
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnh.analyses.base import spread
+from jaxnh.engine.lanes import Lanes
+from jaxnh.maps.build import cut_strobe, make_strobe
+from jaxnh.maps.iterate import derivatives, iterate
+from jaxnh.maps.section import SectionedFlow
+from jaxnh.solvers import dopri8
+from jaxnh.systems.first_order import Point, first_order
+from jaxnh.systems.lagrangian import Motion, lagrangian
+
+
+def lorenz(sigma=10.0, rho=28.0, beta=8 / 3):
+    def rhs(y, t):
+        x, y_, z = y
+        return sigma * (y_ - x), x * (rho - z) - y_, x * y_ - beta * z
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+
+
+def pendulum(drive=0.9, damping=0.3):
+    def rhs(y, t):
+        return y[1], drive * jnp.cos(t) - jnp.sin(y[0]) - damping * y[1]
+
+    return {"rhs": rhs, "coordinates": ("phi", "rate"), "angles": ("phi",), "period": 2 * np.pi}
+
+
+def pendulum_by_t_and_q(drive=0.9, damping=0.3):
+    def Q(q, v, t):
+        return (drive * jnp.cos(t) - jnp.sin(q[0]) - damping * v[0],)
+
+    return {
+        "T": lambda q, v, t: 0.5 * v[0] ** 2,
+        "Q": Q,
+        "coordinates": ("phi",),
+        "angles": ("phi",),
+        "period": 2 * np.pi,
+    }
+
+
+LORENZ = {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}
+PENDULUM = {"drive": 0.9, "damping": 0.3}
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """One runner, so that equal programs are compiled once."""
+    return Lanes()
+
+
+def by_heyoka(rho, state, time):
+    """Lorenz's states (lanes, 3) a time later, by Taylor series in double precision."""
+    x, y, z = hy.make_vars("x", "y", "z")
+    equations = [(x, 10.0 * (y - x)), (y, x * (hy.par[0] - z) - y), (z, x * y - 8 / 3 * z)]
+    integrator = hy.taylor_adaptive(equations, [0.0] * 3, pars=[28.0], tol=1e-18)
+    found = []
+    for value in rho:
+        integrator.pars[0], integrator.time, integrator.state[:] = value, 0.0, state
+        integrator.propagate_until(time)
+        found.append(integrator.state.copy())
+    return np.array(found)
+
+
+def test_lorenz_for_a_unit_of_time(lanes):
+    """Steps of 1/200: Dopri8 leaves 1e-11 of states near 40 at these rates, which a unit of time enlarges tenfold."""
+    flow, rho = first_order(lorenz, LORENZ, ("rho",)), np.array([20.0, 28.0, 60.0])
+    start = spread(Point((1.0, 1.0, 20.0)), 3)
+    end = lanes(iterate, (make_strobe(flow, dopri8, 200), np.int32(1)), (start, {"rho": rho}))
+    assert np.abs(np.stack(end.y, axis=-1) - by_heyoka(rho, [1.0, 1.0, 20.0], 1.0)).max() < 1e-8
+
+
+def test_volume_of_lorenz_is_exact(lanes):
+    """The divergence −(σ + 1 + β) is a constant, and its integral over a unit of time is that number."""
+    flow = first_order(lorenz, LORENZ, ("rho",))
+    start = spread(Point((1.0, 1.0, 20.0)), 2)
+    strobe = make_strobe(flow, dopri8, 64)
+    volume = lanes(volume_of, (strobe,), (start, {"rho": np.array([28.0, 60.0])}))
+    assert np.abs(np.log(volume) + 10.0 + 1.0 + 8 / 3).max() < 1e-13
+
+
+def volume_of(strobe, state, p):
+    return strobe.push(state, p, ()).volume
+
+
+def test_pendulum_is_the_one_by_t_and_q(lanes):
+    """The same equations of motion by other ways: states and slopes in state and drive, to rounding."""
+    drive = np.array([0.9, 1.1])
+    first, second = first_order(pendulum, PENDULUM, ("drive",)), lagrangian(pendulum_by_t_and_q, PENDULUM, ("drive",))
+    u = np.array([[0.3, 0.1], [2.0, -1.0]])
+    found = [
+        lanes(derivatives, (make_strobe(flow, dopri8, 100), np.int32(2)), (u, {"drive": drive}), static=("drive",))
+        for flow in (first, second)
+    ]
+    for one, other in zip(*found, strict=True):
+        assert np.abs(one - other).max() < 1e-12
+
+
+def test_parameter_of_the_flow_is_that_of_a_lane(lanes):
+    """The drive in the table of times, where all lanes have one value, or with each lane."""
+    start = spread(Point((0.3, 0.1)), 2)
+    one = make_strobe(first_order(pendulum, PENDULUM, ("damping",)), dopri8, 100)
+    other = make_strobe(first_order(pendulum, PENDULUM), dopri8, 100)
+    p = {"damping": np.array([0.3, 0.4])}
+    ends = [lanes(iterate, (strobe, np.int32(1)), (start, p)) for strobe in (one, other)]
+    for x, y in zip(ends[0].y, ends[1].y, strict=True):
+        assert np.abs(x - y).max() < 1e-13
+
+
+def test_parts_of_a_period_are_the_period(lanes):
+    flow = first_order(pendulum, PENDULUM, ("drive",))
+    start, p = spread(Point((0.3, 0.1)), 2), {"drive": np.array([0.9, 1.1])}
+    whole = lanes(iterate, (make_strobe(flow, dopri8, 96), np.int32(1)), (start, p))
+    parts = lanes(in_turn, (cut_strobe(flow, dopri8, 96, 8),), (start, p))
+    for one, other in zip(whole.y, parts.y, strict=True):
+        assert np.abs(one - other).max() < 1e-13
+
+
+def in_turn(strobes, state, p):
+    from jax import lax
+
+    return lax.scan(lambda z, strobe: (strobe(z, p), None), state, strobes)[0]
+
+
+def test_circle_on_a_plane(lanes):
+    """Uniform motion on a circle meets the plane x = y at 45°, upward in x − y once a turn of 2π: a closed form."""
+
+    def circle(omega=1.0):
+        return {"rhs": lambda y, t: (-omega * y[1], omega * y[0], -y[2]), "coordinates": ("x", "y", "z")}
+
+    flow = first_order(circle, {"omega": 1.0}, ("omega",))
+    plane = SectionedFlow(flow, "x", 0, 0.0, "up", (1.0, -1.0, 0.0))
+    omega = np.array([1.0, 2.0])
+    start = plane.start({"x": np.full(2, 1.0), "y": np.zeros(2), "z": np.ones(2)})
+    strobe = make_strobe(plane, dopri8, 40)
+    crossing = lanes(iterate, (strobe, np.int32(2)), (start, {"omega": omega}))
+    # From (1, 0) the angle is 5π/4 at the first passage upward of x − y, and 2π more at the second.
+    assert np.abs(crossing.t - (5 * np.pi / 4 + 2 * np.pi) / omega).max() < 1e-9
+    x, y, z = crossing.state.y
+    assert np.abs(x + np.sqrt(0.5)).max() < 1e-9
+    assert np.abs(x - y).max() < 1e-12
+    assert np.abs(z - np.exp(-crossing.t)).max() < 1e-9
+
+
+def test_states_that_are_not_finite_are_reported():
+    flow = first_order(lorenz, LORENZ)
+    states = Point(tuple(np.array([[1.0, 2.0], [1.0, np.nan]]) for _ in range(3)))
+    report = flow.reports(states)["failure"]
+    assert report.data.tolist() == [0, 3]
+    assert report.attrs["flag_meanings"].split()[3] == "not_finite"
+
+
+def test_names_of_states(lanes):
+    flow = first_order(pendulum, PENDULUM)
+    state = flow.start({"phi": 4.0, "rate": 1.0})
+    outputs = flow.outputs(state, np.zeros(1))
+    assert outputs["phi"].data == pytest.approx(4.0 - 2 * np.pi, abs=1e-15)
+    assert outputs["phi"].long_name == "angle phi"
+    assert flow.plane == ("phi", "rate")
+    assert isinstance(lagrangian(pendulum_by_t_and_q, PENDULUM).start({"phi": 0.0, "phi_dot": 0.0}), Motion)
