@@ -21,6 +21,7 @@ CASES = (
     "On the edge of a doubling",
     "Deep in the cascade",
     "Long chaos",
+    "Verdicts of longer runs",
     "Coexisting attractors",
     "A poisoned lane",
     "float32 on request",

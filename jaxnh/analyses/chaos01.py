@@ -68,6 +68,7 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     }
     attrs = {
         "angles": _ANGLES,
+        "transient": options.transient,
         "panel": "curves",
         "panel_variables": "k",
         "panel_label": "0–1 test, $K$",

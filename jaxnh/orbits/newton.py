@@ -111,7 +111,9 @@ def find_doubled(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Paramet
         whole = mean(matrices)
         middle = 0.5 * (system.wrap(image[0] - m) + system.wrap(image[-1] - m))
         rows = [
-            jnp.concatenate([0.5 * (matrices[0] + matrices[-1]) - one, square * bend, 0.5 * (bend @ v)[:, None]], axis=1),
+            jnp.concatenate(
+                [0.5 * (matrices[0] + matrices[-1]) - one, square * bend, 0.5 * (bend @ v)[:, None]], axis=1
+            ),
             jnp.concatenate([bend, whole + one, cubic[:, None]], axis=1),
             jnp.concatenate([jnp.zeros(d), normal, jnp.zeros(1)])[None],
         ]
