@@ -11,9 +11,9 @@ Newton (0: none up to the limit), μ its largest multiplier, K the 0–1 test, T
 - quasiperiodic: n = 0, |λ1| ≤ ε with ε ≤ 0.005, and K < 0.5, in a flow that knows the time.
 - undecided: everything else, that is whenever the criteria disagree.
 
-On a torus tangents grow in proportion to time, so that λ1 is positive in any finite average: ln N / NT of one, and twice
-that allows for a shear of up to N. Chaos may be a transient: near a window it lasts thousands of periods. So lanes that
-look chaotic are followed, by the map alone, for `longer` times as long as the criteria took, and then no lag of up to
+On a torus tangents grow in proportion to time, so that λ1 is positive in any finite average: ln N / NT, and twice that
+allows for a shear of up to N. Chaos may be a transient: near a window it lasts thousands of periods. So lanes that look
+chaotic are followed, by the map alone, for `longer` times as long as the criteria took, and then no lag of up to
 512 periods may bring 512 points back to within 10⁻⁶ of the extent that the motion had in the beginning: chaos with
 λ1 T > 0.05 parts points from 10⁻¹⁶ to more than that within as many periods.
 
