@@ -73,6 +73,17 @@ def find_orbit(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameter
     return lax.while_loop(unfinished, improve, (*look(u, jnp.int32(0)), jnp.bool_(False)))[0]
 
 
+class _Branches(NamedTuple):
+    """Newton's unknowns of `find_doubled` and how it goes: two points m ± a v, a², steps taken, last two step sizes."""
+
+    m: Any
+    v: Any
+    square: Any
+    steps: Any
+    size: Any
+    before: Any
+
+
 def find_doubled(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters) -> Orbit:
     """An orbit of period 2n near the doubling that it was born in, from a point of it that `find_orbit` has found.
 
@@ -91,55 +102,50 @@ def find_doubled(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Paramet
     """
     system, d = strobe.system, strobe.system.dimension
     one = jnp.eye(d)
-
-    def look(m: Array, v: Array, a: Array) -> tuple[Array, Array]:
-        return jax.vmap(lambda t: derivatives(strobe, n, m + a * t * v, p)[:2])(jnp.array(_NODES))
-
-    def mean(matrices: Array) -> Array:
-        return 0.5 * jnp.tensordot(jnp.array(_WEIGHTS), matrices, axes=1)
-
     half = 0.5 * system.wrap(u - derivatives(strobe, n, u, p).image)
     first = jnp.sqrt(jnp.sum(half**2))
     normal = half / first
-    _, around = look(u - half, normal, first)
+    _, around = _along(strobe, n, u - half, first * normal, p)
     bend = (around[-1] - around[0]) / (2.0 * first)
-    cubic = (mean(around) - around[2]) @ normal / first**2
+    cubic = (_mean(around) - around[2]) @ normal / first**2
 
-    def improve(carry: tuple[Array, Array, Array, Array, Array, Array]) -> tuple[Array, ...]:
-        m, v, square, steps, size, _ = carry
-        image, matrices = look(m, v, jnp.sqrt(square))
-        whole = mean(matrices)
-        middle = 0.5 * (system.wrap(image[0] - m) + system.wrap(image[-1] - m))
+    def improve(at: _Branches) -> _Branches:
+        m, v, square, steps, size, _ = at
+        image, matrices = _along(strobe, n, m, jnp.sqrt(square) * v, p)
+        ends, whole = 0.5 * (matrices[0] + matrices[-1]), _mean(matrices)
         rows = [
-            jnp.concatenate(
-                [0.5 * (matrices[0] + matrices[-1]) - one, square * bend, 0.5 * (bend @ v)[:, None]], axis=1
-            ),
+            jnp.concatenate([ends - one, square * bend, 0.5 * (bend @ v)[:, None]], axis=1),
             jnp.concatenate([bend, whole + one, cubic[:, None]], axis=1),
             jnp.concatenate([jnp.zeros(d), normal, jnp.zeros(1)])[None],
         ]
+        middle = 0.5 * (system.wrap(image[0] - m) + system.wrap(image[-1] - m))
         missing = jnp.concatenate([middle, whole @ v + v, (normal @ v - 1.0)[None]])
         step = solve(jnp.concatenate(rows), -missing)
         moved = square + step[-1]
-        return (
-            m + step[:d],
-            v + step[d:-1],
-            jnp.where(moved > 0.0, moved, square / 16),
-            steps + 1,
-            jnp.max(jnp.abs(step)),
-            size,
-        )
+        moved = jnp.where(moved > 0.0, moved, square / 16)
+        return _Branches(m + step[:d], v + step[d:-1], moved, steps + 1, jnp.max(jnp.abs(step)), size)
 
-    def unfinished(carry: tuple[Array, Array, Array, Array, Array, Array]) -> Array:
-        *_, steps, size, before = carry
-        return (steps < _DOUBLED_STEPS) & ~((size < _NEWTON_TOLERANCE) & (size >= 0.25 * before)) & ~jnp.isnan(size)
+    def unfinished(at: _Branches) -> Array:
+        settled = (at.size < _NEWTON_TOLERANCE) & (at.size >= 0.25 * at.before)
+        return (at.steps < _DOUBLED_STEPS) & ~settled & ~jnp.isnan(at.size)
 
     far = jnp.full((), jnp.inf)
-    start = (u - half, normal, first**2, jnp.int32(0), far, far)
-    m, v, square, steps, size, _ = lax.while_loop(unfinished, improve, start)
-    u = m + jnp.sqrt(square) * v
+    begun = _Branches(u - half, normal, first**2, jnp.int32(0), far, far)
+    found = lax.while_loop(unfinished, improve, begun)
+    u = found.m + jnp.sqrt(found.square) * found.v
     image, monodromy, _ = derivatives(strobe, 2 * jnp.asarray(n), u, p)
     residual = jnp.max(jnp.abs(system.wrap(image - u)))
-    return Orbit(u, jnp.where(size < _NEWTON_TOLERANCE, residual, jnp.inf), monodromy, steps)
+    return Orbit(u, jnp.where(found.size < _NEWTON_TOLERANCE, residual, jnp.inf), monodromy, found.steps)
+
+
+def _along(strobe: Strobe, n: ArrayLike, m: Array, way: Array, p: Parameters) -> tuple[Array, Array]:
+    """Pⁿ and ∂Pⁿ/∂u at the nodes of the line from m − way to m + way: (5, d) and (5, d, d)."""
+    return jax.vmap(lambda t: derivatives(strobe, n, m + t * way, p)[:2])(jnp.array(_NODES))
+
+
+def _mean(matrices: Array) -> Array:
+    """Mean over the line of matrices at its nodes."""
+    return 0.5 * jnp.tensordot(jnp.array(_WEIGHTS), matrices, axes=1)
 
 
 def solve(matrix: Array, right: Array) -> Array:
