@@ -257,6 +257,7 @@ def test_verdict_rule():
         (2, mu, False, expected, 1e-6, 0.9, "undecided"),
         (0, nan, False, 0.1, 0.01, 0.99, "chaotic"),
         (0, nan, False, 0.1, 0.2, 0.99, "undecided"),
+        (0, nan, False, 2e-3, 1e-5, 0.99, "undecided"),  # e^{λ1 N T} is below N²: a torus may do that
         (0, nan, False, 0.1, 0.01, 0.1, "undecided"),
         (0, nan, False, 1e-5, 1e-4, 0.0, "quasiperiodic"),
         (0, nan, False, 1e-3, 1e-1, 0.0, "undecided"),
