@@ -80,16 +80,12 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
         scene.system.period,
         span,
     )
-    timeless = np.flatnonzero(kind == _QUASIPERIODIC)
-    if len(timeless):
-        times = scene.flow.period * (np.arange(_LOOKS) + 0.3) / _LOOKS
-        shared = (scene.strobe(), scene.flow, times)
-        timeless = timeless[lanes(knows_no_time, shared, picked(scene.lanes, timeless), periods=_LOOKS)]
-        cycle = contracts(exponents[timeless], errors[timeless], scene.system.period, span[timeless])
-        kind[timeless] = np.where(cycle, _PERIODIC, _UNDECIDED)
+    timeless = _timeless(scene, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
+    cycle = contracts(exponents[timeless], errors[timeless], scene.system.period, span[timeless])
+    kind[timeless] = np.where(cycle, _PERIODIC, _UNDECIDED)
     again = np.full(scene.count, -1)
-    if options.longer:
-        chaotic = np.flatnonzero(kind == _CHAOTIC)
+    chaotic = np.flatnonzero(kind == _CHAOTIC)
+    if options.longer and len(chaotic):
         taken = span[chaotic] + max(int(done[name].attrs["transient"]) for name in ("period", "chaos01"))
         again[chaotic] = _followed(scene.take(chaotic), lanes, options.longer * taken)
         kind[again > 0] = _UNDECIDED
@@ -103,6 +99,15 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
     }
     attrs = {"longer": options.longer, "panel": "flags", "panel_variables": "kind", "panel_label": "verdict"}
     return xr.Dataset(variables, attrs=attrs)
+
+
+def _timeless(scene: Scene, lanes: LaneRunner, some: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
+    """Those of some lanes whose right-hand side is the same at all times."""
+    if not len(some):
+        return some
+    times = scene.flow.period * (np.arange(_LOOKS) + 0.3) / _LOOKS
+    shared = (scene.strobe(), scene.flow, times)
+    return some[lanes(knows_no_time, shared, picked(scene.lanes, some), periods=_LOOKS)]
 
 
 def _followed(scene: Scene, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
