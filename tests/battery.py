@@ -24,6 +24,7 @@ CASES = (
     "Deep in the cascade",
     "Long chaos",
     "Error bars of exponents",
+    "Verdicts of longer runs",
     "Coexisting attractors",
     "A poisoned lane",
     "float32 on request",

@@ -2,7 +2,9 @@
 
 The strobe values of x1, or of a system's first coordinate, drive a walk in the plane with many fixed angles. Regular
 motion keeps the walk bounded (K near 0), chaos makes its mean square displacement grow in proportion to time (K near
-1).
+1). Where that coordinate is an angle, its cosine and its sine drive a walk each, and what grows is the sum of their
+mean square displacements, which does not depend on where the angle is counted from: an angle that turns and turns would
+drive a walk that whole turns alone make grow.
 
 Chaos in m bands that are visited in turn is a motion of period m with a little noise on it: the large bounded walk of
 the first hides for very long that the second spreads (K = 0.2 after 1000 points where λ1 is ten times its error). So
@@ -10,6 +12,9 @@ the part that repeats after m points is taken off first, with m ≤ 64 chosen as
 """
 
 from __future__ import annotations
+
+from functools import reduce
+from operator import add
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +33,10 @@ _ANGLES = 64
 _TILE = 32
 _LONGEST_PERIOD = 64  # of the part that is taken off
 _NO_MOTION = 1e-9  # a mean square displacement below this, relative to the signal's, is that of a fixed point
+
+
+Signals = tuple[Float[Array, " points"], ...]
+"""Observables of one motion over strobe points."""
 
 
 class Chaos01Options(Options):
@@ -59,6 +68,7 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     }
     attrs = {
         "angles": _ANGLES,
+        "transient": options.transient,
         "panel": "curves",
         "panel_variables": "k",
         "panel_label": "0–1 test, $K$",
@@ -71,45 +81,59 @@ def _growth(
     strobe: Strobe, transient: ArrayLike, angles: Float[Array, " angles"], state: State, p: Parameters, count: int
 ) -> Float[Array, " angles"]:
     """K of one lane for every angle."""
-    signal = strobe.system.signal(record(strobe, iterate(strobe, transient, state, p), p, count)[1])
-    return growth_rates(without_period(signal), angles, jnp.mean(signal**2))
+    signals = strobe.system.signal(record(strobe, iterate(strobe, transient, state, p), p, count)[1])
+    return growth_rates(without_period(signals), angles, mean_square(signals))
 
 
-def without_period(signal: Float[Array, " points"]) -> Float[Array, " points"]:
-    """A signal less its mean over the points that are a multiple of m apart, m the lag of its best recurrence."""
-    count = signal.shape[0]
+def mean_square(signals: Signals) -> Array:
+    """Mean square of signals that stand for one motion, the sum of theirs."""
+    return reduce(add, [jnp.mean(signal**2) for signal in signals])
+
+
+def without_period(signals: Signals) -> Signals:
+    """Signals less their means over the points that are a multiple of m apart, m the lag of their best recurrence."""
+    count = signals[0].shape[0]
     used = count - _LONGEST_PERIOD
     lags = jnp.arange(1, _LONGEST_PERIOD + 1)
-    parting = lax.map(lambda m: jnp.mean((lax.dynamic_slice(signal, (m,), (used,)) - signal[:used]) ** 2), lags)
-    place = jnp.arange(count) % lags[jnp.argmin(parting)]
-    total = jnp.zeros(_LONGEST_PERIOD).at[place].add(signal)
+
+    def part(m: Array) -> Array:
+        parted = (lax.dynamic_slice(signal, (m,), (used,)) - signal[:used] for signal in signals)
+        return reduce(add, [jnp.mean(distance**2) for distance in parted])
+
+    place = jnp.arange(count) % lags[jnp.argmin(lax.map(part, lags))]
     number = jnp.zeros(_LONGEST_PERIOD).at[place].add(1.0)
-    return signal - (total / jnp.maximum(number, 1.0))[place]
+
+    def rest(signal: Array) -> Array:
+        total = jnp.zeros(_LONGEST_PERIOD).at[place].add(signal)
+        return signal - (total / jnp.maximum(number, 1.0))[place]
+
+    return tuple(rest(signal) for signal in signals)
 
 
-def growth_rates(
-    signal: Float[Array, " points"], angles: Float[Array, " angles"], scale: ArrayLike
-) -> Float[Array, " angles"]:
-    """K_c of a signal of N points for every angle c: correlation of the damped displacement D_c(n) with n ≤ N/10.
+def growth_rates(signals: Signals, angles: Float[Array, " angles"], scale: ArrayLike) -> Float[Array, " angles"]:
+    """K_c of signals of N points for every angle c: correlation of the damped displacement D_c(n) with n ≤ N/10.
 
-    A displacement that is nothing beside `scale`, a mean square, is that of regular motion: K_c = 0.
+    Each signal drives a walk of its own; their displacements are added. A displacement that is nothing beside `scale`,
+    a mean square, is that of regular motion: K_c = 0.
     """
-    count = signal.shape[0]
+    count = signals[0].shape[0]
     longest = count // 10
     steps = jnp.arange(1.0, longest + 1)
-    mean = jnp.mean(signal)
+    means = reduce(add, [jnp.mean(signal) ** 2 for signal in signals])
 
     def one(c: Array) -> Array:
         phase = c * jnp.arange(1.0, count + 1)
-        p, q = jnp.cumsum(signal * jnp.cos(phase)), jnp.cumsum(signal * jnp.sin(phase))
+        walks = [(jnp.cumsum(s * jnp.cos(phase)), jnp.cumsum(s * jnp.sin(phase))) for s in signals]
 
         def displacement(n: Array) -> Array:
             used = count - longest
-            dp = lax.dynamic_slice(p, (n.astype(int),), (used,)) - p[:used]
-            dq = lax.dynamic_slice(q, (n.astype(int),), (used,)) - q[:used]
-            return jnp.mean(dp**2 + dq**2)
 
-        moved = lax.map(displacement, steps) - mean**2 * (1 - jnp.cos(steps * c)) / (1 - jnp.cos(c))
+            def moved(walk: Array) -> Array:
+                return lax.dynamic_slice(walk, (n.astype(int),), (used,)) - walk[:used]
+
+            return reduce(add, [jnp.mean(moved(p) ** 2 + moved(q) ** 2) for p, q in walks])
+
+        moved = lax.map(displacement, steps) - means * (1 - jnp.cos(steps * c)) / (1 - jnp.cos(c))
         n = steps - jnp.mean(steps)
         d = moved - jnp.mean(moved)
         spread = jnp.sqrt(jnp.mean(d**2))

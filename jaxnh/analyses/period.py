@@ -32,13 +32,14 @@ from jaxnh.analyses.base import (
 )
 from jaxnh.maps.iterate import derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import Strobe
-from jaxnh.orbits.newton import Orbit, find_orbit
+from jaxnh.orbits.newton import Orbit, find_doubled, find_orbit
 from jaxnh.systems.flow import Parameters, State
 
 CONVERGED = 1e-7
 """Residual of an orbit that Newton has found."""
 
 _CLOSE = 0.03  # strobe points nearer than this may be the same point of a slowly converging orbit
+_NEARLY_NEUTRAL = 1e-3  # |1 − μ| below which an orbit of even period may be one that has just been born in a doubling
 ORBIT_TILE = 64
 
 
@@ -81,6 +82,7 @@ def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Least period of every lane with its residual and largest multiplier."""
     start = section_points(scene) if scene.flow is scene.system else _first_crossings(scene, lanes)
     found = survey(scene, lanes, start, options.limit, "period", options.transient)
+    found = beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
     unit = counted_in(scene.system)
     variables = {
         "period": variable(LANE, found.period, "least period, 0: none up to the limit", unit),
@@ -90,6 +92,7 @@ def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     }
     attrs = {
         "limit": options.limit,
+        "transient": options.transient,
         "panel": "integers",
         "panel_variables": "period",
         "panel_label": "least period",
@@ -150,6 +153,20 @@ def survey(
             period[here], found[here] = d, exact.u
             residual[here], multiplier[here] = exact.residual, largest_multiplier(exact.monodromy)
     return Survey(period, found, residual, multiplier, ~np.all(np.isfinite(points), axis=(1, 2)))
+
+
+def beyond_doublings(lanes: LaneRunner, strobe: Strobe, p: Parameters, found: Survey) -> Survey:
+    """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
+    period, u, residual, multiplier, failed = (leaf.copy() for leaf in found)
+    near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
+    for n in np.unique(period[near]):
+        here = np.flatnonzero(near & (period == n))
+        orbit = lanes(find_doubled, (strobe, np.int32(n // 2)), (u[here], picked(p, here)), tile=ORBIT_TILE)
+        settled = (orbit.residual < CONVERGED) & (strobe.system.apart(orbit.u, u[here]) < 2 * _CLOSE)
+        part = here[settled]
+        u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
+        multiplier[part] = largest_multiplier(orbit.monodromy[settled])
+    return Survey(period, u, residual, multiplier, failed)
 
 
 def orbits(lanes: LaneRunner, strobe: Strobe, u: Float[np.ndarray, "lanes d"], p: Parameters, n: int) -> Orbit:

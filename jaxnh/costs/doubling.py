@@ -206,10 +206,10 @@ def _smallest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.
 
 
 def _recurrence(strobe: Strobe, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, n: int) -> Float[Array, ""]:
-    """Largest distance between the signals n strobes apart, over n strobes after a transient, of one lane."""
+    """Largest distance between signals n strobes apart, over n strobes after a transient, of one lane."""
     system = strobe.system
-    signal = system.signal(record(strobe, iterate(strobe, transient, system.unchart(u), p), p, 2 * n)[1])
-    return jnp.abs(signal[n:] - signal[:n]).max()
+    signals = system.signal(record(strobe, iterate(strobe, transient, system.unchart(u), p), p, 2 * n)[1])
+    return jnp.stack([jnp.abs(signal[n:] - signal[:n]).max() for signal in signals]).max()
 
 
 def _first(beyond: Bool[np.ndarray, " lanes"]) -> int | None:

@@ -151,9 +151,9 @@ class SectionedFlow(Flow):
         """Lyapunov exponents of the flow, that along it included."""
         return self.inner.exponents
 
-    def signal(self, y: Crossing) -> Any:
-        """A position that stands for a motion where one is enough."""
-        return y.state[0][1 if self.number == 0 else 0]
+    def signal(self, y: Crossing) -> Vector:
+        """The first position that the section does not fix."""
+        return (y.state[0][1 if self.number == 0 else 0],)
 
     def chart(self, y: Crossing) -> Float[Array, " dimension"]:
         """Coordinates of a point on the section."""

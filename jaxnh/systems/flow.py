@@ -190,8 +190,11 @@ class Flow(eqx.Module):
         """Largest difference of positions between section points (..., dimension): (...,)."""
 
     @abc.abstractmethod
-    def signal(self, y: State) -> Number:
-        """The position that stands for a motion where one is enough."""
+    def signal(self, y: State) -> Vector:
+        """The observables that stand for a motion where few are enough: one position, or of an angle cosine and sine.
+
+        An angle itself is no observable: it may grow for ever, and whole turns of it are no motion.
+        """
 
     # ---- tangents
 

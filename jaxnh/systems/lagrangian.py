@@ -200,9 +200,10 @@ class Lagrangian(Flow):
         """Numbers of the coordinates that the section has."""
         return tuple(i for i, left_out in enumerate(self.ignorable) if not left_out)
 
-    def signal(self, y: Motion) -> Number:
-        """The first coordinate of the section."""
-        return y.q[self.kept[0]]
+    def signal(self, y: Motion) -> Vector:
+        """The first coordinate of the section; of an angle its cosine and sine."""
+        q = y.q[self.kept[0]]
+        return (jnp.cos(q), jnp.sin(q)) if self.angles[self.kept[0]] else (q,)
 
     @property
     def dimension(self) -> int:

@@ -297,9 +297,9 @@ class IsokineticParticle(Flow):
         """Largest difference of positions between section points (..., 3): (...,)."""
         return np.max(np.abs(one[..., :2] - other[..., :2]), axis=-1)
 
-    def signal(self, y: State) -> Number:
+    def signal(self, y: State) -> Vector:
         """The position x1."""
-        return y[0][0]
+        return (y[0][0],)
 
     def directions(self, k: int) -> tuple[Vector, ...]:
         """k tangents of three components to begin with: coordinate directions."""

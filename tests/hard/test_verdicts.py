@@ -1,0 +1,130 @@
+"""Verdicts that stay: those of random lanes beside the verdicts of runs ten times as long, and transients of chaos."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from measure import scene_of
+
+from jaxnh.analyses import chaos01, lyapunov, period, verdict
+from jaxnh.engine.lanes import Lanes
+from jaxnh.solvers import SOLVERS, SPLITTINGS
+from jaxnh.systems.lagrangian import lagrangian
+from jaxnh.systems.particle import constant_speed, disturbed_speed
+
+START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
+SYSTEMS = {"constant speed": (constant_speed(), 0.1), "disturbed speed": (disturbed_speed(), 0.01)}
+PERIODIC, QUASIPERIODIC, CHAOTIC = (verdict.KINDS.index(name) for name in ("periodic", "quasiperiodic", "chaotic"))
+TRANSIENTS = [5.22, 5.261818]
+"""Values of b at constant speed at which chaos goes on for thousands of periods before the lane finds its orbit."""
+
+
+def pendulum(damping=0.0, drive=1.0):
+    """An angle under a periodic torque; without one the right-hand side knows no time."""
+    return {
+        "T": lambda q, v, t: 0.5 * v[0] ** 2,
+        "Q": lambda q, v, t: (-damping * v[0] - jnp.sin(q[0]) + drive * jnp.cos(2 * t / 3),),
+        "coordinates": ("angle",),
+        "period": 3 * math.pi,
+        "angles": ("angle",),
+    }
+
+
+def van_der_pol(stiffness=1.0):
+    """A limit cycle, seen by a strobe that has nothing to do with it."""
+    return {
+        "T": lambda q, v, t: 0.5 * v[0] ** 2,
+        "Q": lambda q, v, t: (stiffness * (1.0 - q[0] ** 2) * v[0] - q[0],),
+        "coordinates": ("x",),
+        "period": 2.0,
+    }
+
+
+def judged(scene, lanes, transient, averaged, times=1):
+    """The dataset `verdict` of a scene, its criteria taken over so many times as long."""
+    options = {"transient": times * transient}
+    done = {"period": period.run(period.PeriodOptions(limit=16, **options), scene, lanes)}
+    spectrum = lyapunov.LyapunovOptions(periods=times * averaged, exponents=2, **options)
+    done["lyapunov"] = lyapunov.run(spectrum, scene, lanes)
+    done["chaos01"] = chaos01.run(chaos01.Chaos01Options(periods=times * averaged, **options), scene, lanes)
+    return verdict.run(verdict.VerdictOptions(), scene, lanes, done)
+
+
+def particle(name, b):
+    """Lanes of the paper's particle from its start state; the map of a period is right to about 1e-7."""
+    return scene_of(SYSTEMS[name][0], START, b, SPLITTINGS["blanes_moan6"], 160, error=1e-7)
+
+
+def turned_over(battery, scenes, lanes, lengths, what):
+    """The row of lanes that are called periodic or chaotic, and otherwise in a run ten times as long."""
+    kinds = [judged(scene, lanes, *lengths)["kind"].to_numpy() for scene in scenes]
+    longer = [judged(scene, lanes, *lengths, times=10)["kind"].to_numpy() for scene in scenes]
+    kind, later = np.concatenate(kinds), np.concatenate(longer)
+    decided = (kind == PERIODIC) | (kind == CHAOTIC)
+    turned = int(np.sum(kind[decided] != later[decided]))
+    shown = (
+        f"{what}: of {int(decided.sum()):,} lanes, {int(np.sum(kind == CHAOTIC)):,} of them chaotic, in a longer run"
+    )
+    battery.row(shown, turned, len(kind) // 500, "otherwise:")
+    battery.note(f"{what}: {int(np.sum(~decided)):,} of {len(kind):,} lanes are neither periodic nor chaotic.")
+    return kind
+
+
+@pytest.mark.case("Verdicts of longer runs")
+def test_verdicts_of_random_lanes(battery):
+    """Over the paper's ranges, and again within the gaps between neighbours of which one is chaotic: edges of windows."""
+    count, lengths = (400, (512, 1024)) if battery.full else (12, (128, 256))
+    lanes = Lanes() if battery.full else Lanes(tile=8)
+    for number, (name, (_, low)) in enumerate(SYSTEMS.items()):
+        draw = np.random.default_rng([2, number])
+        b = np.sort(draw.uniform(low, 6.0, count))
+        kind = judged(particle(name, b), lanes, *lengths)["kind"].to_numpy()
+        gaps = np.flatnonzero((kind[1:] == CHAOTIC) != (kind[:-1] == CHAOTIC))
+        edges = np.concatenate([draw.uniform(b[i], b[i + 1], 4 if battery.full else 1) for i in gaps])
+        turned_over(battery, [particle(name, np.concatenate([b, edges]))], lanes, lengths, name)
+
+
+@pytest.mark.case("Verdicts of longer runs")
+def test_verdicts_of_pendula(battery):
+    """With and without damping: swings, whole turns, chaos, and tori, on which nothing is chaotic."""
+    count, lengths = (128, (256, 512)) if battery.full else (6, (64, 128))
+    lanes = Lanes() if battery.full else Lanes(tile=8)
+    draw, scenes = np.random.default_rng(3), []
+    for damping, most in ((0.5, 1.6), (0.0, 0.34)):
+        flow = lagrangian(pendulum, {"damping": damping, "drive": 1.0})
+        start = flow.start({"angle": 0.3, "angle_dot": 0.2})
+        drives = draw.uniform(0.9 if damping else 0.02, most, count)
+        scenes.append(scene_of(flow, start, drives, SOLVERS["dopri5"], 120, name="drive", error=1e-8))
+    kind = turned_over(battery, scenes, lanes, lengths, "pendula")
+    # Below a drive of 0.34 those without damping swing on tori: at 0.02 steps of it, λ1 falls there like ln t / t.
+    battery.row("tori without damping", int(np.sum(kind[count:] == CHAOTIC)), 0, "called chaotic:")
+
+
+@pytest.mark.case("Verdicts of longer runs")
+def test_transients_of_chaos(battery):
+    """Chaos over the whole of the average that ends later is not called chaos, and what it ends in is said."""
+    lanes = Lanes(tile=8)
+    b = TRANSIENTS if battery.full else TRANSIENTS[:1]
+    found = judged(particle("constant speed", b), lanes, 512, 1024)
+    battery.row(f"b = {b}, 512 + 1,024 periods", int(np.sum(found["kind"] == CHAOTIC)), 0, "called chaotic:")
+
+
+@pytest.mark.case("Verdicts of longer runs")
+def test_limit_cycle_beside_a_strobe(battery):
+    """Where the right-hand side knows no time a limit cycle is periodic; a pendulum without damping is undecided."""
+    lanes = Lanes(tile=8)
+    flow = lagrangian(van_der_pol, {"stiffness": 1.0})
+    start = flow.start({"x": 0.5, "x_dot": 0.0})
+    cycles = scene_of(flow, start, [0.5, 1.0], SOLVERS["dopri5"], 60, name="stiffness", error=1e-8)
+    kind = judged(cycles, lanes, 128, 256)["kind"].to_numpy()
+    battery.row("limit cycles of van der Pol", int(np.sum(kind == QUASIPERIODIC)), 0, "called quasiperiodic:")
+    assert CHAOTIC not in kind
+    free = lagrangian(pendulum, {"damping": 0.0, "drive": 0.0})
+    start = free.start({"angle": 0.3, "angle_dot": 0.2})
+    swings = scene_of(free, start, [0.0, 0.0], SOLVERS["dopri5"], 60, name="drive", error=1e-8)
+    kind = judged(swings, lanes, 128, 256)["kind"].to_numpy()
+    battery.row("swings of a free pendulum", int(np.sum(kind == QUASIPERIODIC)), 0, "called quasiperiodic:")
+    assert CHAOTIC not in kind
