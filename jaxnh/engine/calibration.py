@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ from jaxnh.engine.axes import Points
 from jaxnh.engine.lanes import TILE, Lanes
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe, way_of
-from jaxnh.maps.iterate import iterate
+from jaxnh.maps.iterate import iterate, worst_on_the_way
 from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
@@ -23,7 +24,8 @@ from jaxnh.systems.flow import Flow, Parameters, State
 SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
 
-_SAMPLED_TIMES = (0, 1, 2, 5, 12, 29, 70, 169)  # periods after the start at which sample states are taken
+_STRETCHES = (0, 1, 2, 5, 12, 29, 70, 120, 169)  # periods after the start; of each stretch one state is a sample
+_LONGEST = 4  # times as many periods, at most, where the lanes are few
 _SAFETY = 2.0  # the sample's largest error is taken this many times: some lane of the sweep has a larger one
 _REFERENCE_STEPS = 96
 _ROUNDING = 1e-12  # references nearer to each other than this are the same
@@ -171,7 +173,12 @@ class Calibration:
         )
 
     def _take_samples(self, rows: Sequence[Points]) -> _Samples:
-        """Sample states across the sweep, and from the start towards the attractor."""
+        """States across the sweep and from the start to the attractor: of each stretch of a lane the one whose period errs most.
+
+        Errors of a period have a heavy tail on chaotic motion, where a few states enlarge every error a thousand times:
+        samples at fixed times would miss nearly all of these. So every period on the way is taken with half the steps
+        as well, and what differs most is kept.
+        """
         number = np.concatenate([np.full(len(jax.tree.leaves(row.start)[0]), i) for i, row in enumerate(rows)])
         start, p, where = (
             jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
@@ -179,15 +186,16 @@ class Calibration:
         )
         now = _Samples(start, p, number, where)
         steps = self._seed_steps(now)
-        states, before = [], 0
-        # A sweep of few lanes is sampled more often, up to what one tile holds at no further cost.
-        often = np.linspace(0, _SAMPLED_TIMES[-1], min(_SAMPLED_TIMES[-1] + 1, TILE // len(number) + 1)).round()
-        for periods in sorted({*_SAMPLED_TIMES, *often.astype(int).tolist()} if len(often) > 8 else _SAMPLED_TIMES):
-            now = now._replace(states=self._later(self._maps(self._way.reference, steps), now, periods - before))
-            states.append(now.states)
-            before = periods
-        repeated = jax.tree.map(lambda leaf: np.tile(leaf, len(states)), (now.p, now.row, now.where))
-        return _Samples(jax.tree.map(lambda *leaves: np.concatenate(leaves), *states), *repeated)
+        finer, coarser = (self._maps(self._way.reference, n) for n in (steps, max(1, steps // 2)))
+        taken = []
+        for begin, end in itertools.pairwise(_stretches(len(number))):
+            later, hardest = self._by_flow(
+                worst_on_the_way, lambda flow: (finer(flow), coarser(flow)), now, end - begin, 2
+            )
+            now = now._replace(states=later)
+            taken.append(hardest)
+        repeated = jax.tree.map(lambda leaf: np.tile(leaf, len(taken)), (now.p, now.row, now.where))
+        return _Samples(jax.tree.map(lambda *leaves: np.concatenate(leaves), *taken), *repeated)
 
     def _drop_lost(self) -> None:
         """Leave out samples that overflow whatever the steps, as those of an absurd b: their lanes are marked failed.
@@ -249,16 +257,27 @@ class Calibration:
 
     def _later(self, strobe: Callable[[Flow], Strobe], samples: _Samples, periods: int) -> State:
         """States so many periods on, each under the map of its own flow."""
+        return self._by_flow(iterate, lambda flow: (strobe(flow),), samples, periods)
+
+    def _by_flow(
+        self,
+        function: Callable[..., Any],
+        maps: Callable[[Flow], tuple[Strobe, ...]],
+        samples: _Samples,
+        periods: int,
+        price: int = 1,
+    ) -> Any:
+        """function(*maps, periods, state, p) of every sample, with the maps of its own flow; `price` maps a period."""
         whole: Any = None
         for k in np.unique(samples.row):
             here = np.flatnonzero(samples.row == k)
             part = samples.take(here)
-            arguments = (part.states, part.p)
-            states = self._lanes(iterate, (strobe(self._flows[k]), np.int32(periods)), arguments, periods=periods)
+            shared = (*maps(self._flows[k]), np.int32(periods))
+            found = self._lanes(function, shared, (part.states, part.p), periods=price * periods)
             if len(here) == len(samples.row):
-                return states
-            whole = whole or jax.tree.map(lambda leaf: np.empty(len(samples.row), leaf.dtype), states)
-            for leaf, new in zip(jax.tree.leaves(whole), jax.tree.leaves(states), strict=True):
+                return found
+            whole = whole or jax.tree.map(lambda leaf: np.empty(len(samples.row), leaf.dtype), found)
+            for leaf, new in zip(jax.tree.leaves(whole), jax.tree.leaves(found), strict=True):
                 leaf[here] = new
         return whole
 
@@ -266,6 +285,16 @@ class Calibration:
         """What a map makes of the samples, component by component, without what flows only report."""
         states = self._later(strobe, samples, 1)
         return [np.array(leaf) for leaf in jax.tree.leaves(self._flows[0].compared(states))]
+
+
+def _stretches(lanes: int) -> list[int]:
+    """Ends of the stretches of which each lane gives a sample; of few lanes there are more, up to what a tile holds."""
+    few = TILE // lanes
+    if few <= len(_STRETCHES):
+        return list(_STRETCHES)
+    longest = _STRETCHES[-1] * min(_LONGEST, few // len(_STRETCHES))
+    more = np.unique(np.linspace(0, longest, min(longest, few) + 1).round().astype(int)).tolist()
+    return sorted({*_STRETCHES, *more})
 
 
 def _gaps(one: list[np.ndarray], other: list[np.ndarray]) -> Float[np.ndarray, " samples"]:
