@@ -12,11 +12,25 @@ import xarray as xr
 from jax.typing import ArrayLike
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Scene, Setting, variable
+from jaxnh.analyses.base import (
+    LANE,
+    Analysis,
+    LaneRunner,
+    Options,
+    Price,
+    Program,
+    Scene,
+    Setting,
+    map_alone,
+    variable,
+)
 from jaxnh.analyses.states import TILE, check_transient, count, section_attrs, state_variables
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Parameters, State
+
+
+_PRICED_STROBES = 65
 
 
 class PoincareOptions(Options):
@@ -69,7 +83,36 @@ def strobe_states(strobe: Strobe, transient: ArrayLike, state: State, p: Paramet
     return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), first, following)
 
 
+def price(options: PoincareOptions, scene: Scene) -> Price:
+    """Every strobe is kept; the transient is the map alone."""
+    return Price(recording(scene, TILE), map_alone(scene, tile=TILE), "every strobe is kept")
+
+
+def recording(scene: Scene, tile: int | None = None) -> Program:
+    """The program that keeps every strobe, of some periods."""
+    strobe, start = scene.strobe(), np.zeros((), np.int32)
+    turns = (0.0, *strobe.turns)
+    return Program(
+        strobe_states,
+        (strobe, start),
+        scene.lanes,
+        turns,
+        (_PRICED_STROBES,),
+        _PRICED_STROBES - 1,
+        tile,
+        whole=True,
+    )
+
+
 ANALYSIS = Analysis(
-    "poincare", PoincareOptions, periods, run, numbers=numbers, count=count, check=check, brief={"transient": 1}
+    "poincare",
+    PoincareOptions,
+    periods,
+    run,
+    numbers=numbers,
+    count=count,
+    check=check,
+    price=price,
+    brief={"transient": 1},
 )
 """The entry of this analysis in the table."""

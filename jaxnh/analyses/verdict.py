@@ -86,8 +86,8 @@ def judge(
 
 
 def price(options: VerdictOptions, scene: Scene) -> Price:
-    """It computes nothing of its own."""
-    return Price(None, map_alone(scene), "from what the others have found")
+    """It integrates nothing and compiles nothing."""
+    return Price(None, map_alone(scene), "not measured: some comparisons a lane of what the others have found")
 
 
 ANALYSIS = Analysis(
