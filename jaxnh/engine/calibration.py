@@ -25,7 +25,7 @@ SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
 
 _STRETCHES = (0, 1, 2, 5, 12, 29, 70, 120, 169)  # periods after the start; of each stretch one state is a sample
-_LONGEST = 4  # times as many periods, at most, where the lanes are few
+_LONGEST = 5  # times as many periods, at most, where the lanes are few
 _SAFETY = 2.0  # the sample's largest error is taken this many times: some lane of the sweep has a larger one
 _REFERENCE_STEPS = 96
 _ROUNDING = 1e-12  # references nearer to each other than this are the same
@@ -288,13 +288,15 @@ class Calibration:
 
 
 def _stretches(lanes: int) -> list[int]:
-    """Ends of the stretches of which each lane gives a sample; of few lanes there are more, up to what a tile holds."""
-    few = TILE // lanes
-    if few <= len(_STRETCHES):
-        return list(_STRETCHES)
-    longest = _STRETCHES[-1] * min(_LONGEST, few // len(_STRETCHES))
-    more = np.unique(np.linspace(0, longest, min(longest, few) + 1).round().astype(int)).tolist()
-    return sorted({*_STRETCHES, *more})
+    """Ends of the stretches of which each lane gives a sample.
+
+    The tail of the errors is as well known as there are periods looked at: fewer lanes are followed for longer. What a
+    tile holds at no further cost are samples as well.
+    """
+    longest = _STRETCHES[-1] * min(_LONGEST, max(1, SAMPLED_LANES // lanes))
+    count = max(len(_STRETCHES), min(longest, TILE // lanes))
+    more = np.linspace(0, longest, count + 1).round().astype(int).tolist()
+    return sorted({*_STRETCHES, *more}) if lanes < SAMPLED_LANES // 2 else list(_STRETCHES)
 
 
 def _gaps(one: list[np.ndarray], other: list[np.ndarray]) -> Float[np.ndarray, " samples"]:

@@ -19,9 +19,7 @@ def iterate(strobe: Strobe, n: ArrayLike, state: State, p: Parameters) -> State:
     return lax.fori_loop(0, n, lambda _, z: strobe(z, p), state)
 
 
-def worst_on_the_way(
-    strobe: Strobe, other: Strobe, n: ArrayLike, state: State, p: Parameters
-) -> tuple[State, State]:
+def worst_on_the_way(strobe: Strobe, other: Strobe, n: ArrayLike, state: State, p: Parameters) -> tuple[State, State]:
     """Pⁿ(z; p), and of z, P(z), …, Pⁿ⁻¹(z) the state whose image under another map differs most from that under P."""
 
     def period(_: int, carry: tuple[State, State, Array]) -> tuple[State, State, Array]:
@@ -30,7 +28,11 @@ def worst_on_the_way(
         pairs = zip(*(jax.tree.leaves(strobe.system.compared(y)) for y in (image, other(z, p))), strict=True)
         gap = jnp.max(jnp.stack([jnp.abs(one - two) for one, two in pairs]))
         worse = gap > largest
-        return image, jax.tree.map(lambda new, old: jnp.where(worse, new, old), z, worst), jnp.where(worse, gap, largest)
+        return (
+            image,
+            jax.tree.map(lambda new, old: jnp.where(worse, new, old), z, worst),
+            jnp.where(worse, gap, largest),
+        )
 
     end, worst, _ = lax.fori_loop(0, n, period, (state, state, jnp.float64(-1.0)))
     return end, worst

@@ -48,8 +48,8 @@ def other_lanes(lanes, system, first, last):
 
 @pytest.mark.parametrize(("name", "first", "last"), RANGES.values(), ids=RANGES)
 def test_estimate_is_honest(lanes, name, first, last):
-    """On lanes on the way and on the attractors the true error is below three times the estimate, which is below the
-    target; and with every digit asked for there are more kicks."""
+    """On lanes that were no samples, on the way and on the attractors, the true error is below the estimate, which is
+    below the target; and with every digit asked for there are more kicks."""
     system = SYSTEMS[name]
     calibration = calibrated(system, START, np.linspace(first, last, 1000), lanes)
     b, u = other_lanes(lanes, system, first, last)
@@ -59,7 +59,7 @@ def test_estimate_is_honest(lanes, name, first, last):
         plan = calibration.cheapest(target)
         strobe = make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated)
         error = apart(lanes(section_map, (strobe, np.int32(1)), (u, {"b": b})), exact).max()
-        assert error < 3 * plan.error_estimate <= 3 * target
+        assert error < plan.error_estimate <= target
         kicks.append(plan.steps * plan.solver.stages)
     assert kicks == sorted(set(kicks))
 

@@ -83,7 +83,11 @@ def certificate(tmp_path):
 def settings_of(pair, authority):
     """Dask's settings of one pair, as variables of the environment."""
     key, cert = pair
-    roles = {f"{TLS}{role}__{what}": str(path) for role in ("SCHEDULER", "WORKER", "CLIENT") for what, path in (("KEY", key), ("CERT", cert))}
+    roles = {
+        f"{TLS}{role}__{what}": str(path)
+        for role in ("SCHEDULER", "WORKER", "CLIENT")
+        for what, path in (("KEY", key), ("CERT", cert))
+    }
     return {f"{TLS}CA_FILE": str(authority), **roles, "DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "True"}
 
 
@@ -100,13 +104,13 @@ def test_run_over_tls(certificate, tmp_path):
     silent = {"env": inside, "cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     module, common = [sys.executable, "-m"], ["--no-dashboard", "--scheduler-file", str(place)]
     scheduler = [*module, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--protocol", "tls"]
-    worker = [*module, "distributed.cli.dask_worker", "--nthreads", "1", "--death-timeout", "30", "--no-nanny"]
+    worker = [*module, "distributed.cli.dask_worker", "--nthreads", "1", "--death-timeout", "120", "--no-nanny"]
     processes = [subprocess.Popen([*scheduler, *common], **silent)]
 
     def run(environment, output, *arguments):
         command = [*module, "jaxnh.sweep", "job.yaml", "--output", output, "--quiet", *arguments]
         return subprocess.run(
-            command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
+            command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False
         )
 
     try:
@@ -121,7 +125,9 @@ def test_run_over_tls(certificate, tmp_path):
         for environment in (outside, bare):
             refused = run(environment, "refused.h5", "--tile", "256", "--dask", address)
             assert refused.returncode == 2, refused.stderr
-            assert refused.stderr.splitlines()[-1].startswith(f"command line: --dask: no scheduler answers at {address}")
+            assert refused.stderr.splitlines()[-1].startswith(
+                f"command line: --dask: no scheduler answers at {address}"
+            )
             assert not (tmp_path / "refused.h5").exists()
     finally:
         for process in processes[::-1]:
