@@ -29,7 +29,6 @@ from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Parameters, State
 
-
 _PRICED_STROBES = 65
 
 

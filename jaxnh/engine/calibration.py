@@ -26,7 +26,9 @@ SAMPLED_LANES = 1024
 
 _STRETCHES = (0, 1, 2, 5, 12, 29, 70, 120, 169)  # periods after the start; of each stretch one state is a sample
 _LONGEST = 5  # times as many periods, at most, where the lanes are few
-_SAFETY = 2.0  # the sample's largest error is taken this many times: some lane of the sweep has a larger one
+_SAFETY = 2.0  # the sample's largest error is taken this many times at least: some lane of the sweep has a larger one
+_TAIL = 32  # largest errors, which tell how heavy the tail is
+_MORE_PERIODS = 4.0  # than were looked at, of which the estimate is to be the largest error
 _REFERENCE_STEPS = 96
 _ROUNDING = 1e-12  # references nearer to each other than this are the same
 _ROUGH = 1e-8  # references further apart than this say nothing: more steps may yet help
@@ -168,12 +170,11 @@ class Calibration:
             return in_precision(make_strobe(flow, solver, steps, compensated=compensated), self._precision)
 
         chance = 0.0 if compensated else self._rounding
-        return np.maximum(
-            _SAFETY * np.maximum(_gaps(self._image(strobe, self._samples), self._reference), chance), self._known
-        )
+        gaps = _gaps(self._image(strobe, self._samples), self._reference)
+        return np.maximum(_safety(gaps) * np.maximum(gaps, chance), self._known)
 
     def _take_samples(self, rows: Sequence[Points]) -> _Samples:
-        """States across the sweep and from the start to the attractor: of each stretch of a lane the one whose period errs most.
+        """States across the sweep, from the start to the attractor: of each stretch of a lane that whose period errs most.
 
         Errors of a period have a heavy tail on chaotic motion, where a few states enlarge every error a thousand times:
         samples at fixed times would miss nearly all of these. So every period on the way is taken with half the steps
@@ -285,6 +286,18 @@ class Calibration:
         """What a map makes of the samples, component by component, without what flows only report."""
         states = self._later(strobe, samples, 1)
         return [np.array(leaf) for leaf in jax.tree.leaves(self._flows[0].compared(states))]
+
+
+def _safety(errors: Float[np.ndarray, " samples"]) -> float:
+    """How many times the largest error of the samples the estimate is: twice, or more where few are far above the rest.
+
+    Where the largest errors fall off as a power, P(error > e) ∝ e^(−α), the largest of k times as many periods is about
+    k^(1/α) times that of the samples. 1/α is that of Hill (Ann. Statist. 3 (1975) 1163): the mean logarithm of the
+    largest errors over the next.
+    """
+    top = np.sort(errors[np.isfinite(errors) & (errors > 0)])[::-1][: _TAIL + 1]
+    inverse = float(np.mean(np.log(top[:-1] / top[-1]))) if len(top) > _TAIL else 0.0
+    return max(_SAFETY, _MORE_PERIODS**inverse)
 
 
 def _stretches(lanes: int) -> list[int]:

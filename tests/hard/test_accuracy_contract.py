@@ -7,6 +7,7 @@ looks at N periods and takes twice the worst of them then leaves one in 2N above
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import jax
@@ -98,7 +99,7 @@ def measured(experiment, target, plan, lanes, rng, count):
         for factor, compensated in ((1, plan.compensated), (2, True))
     )
     starts, worst, over = [], [], np.zeros(count, int)
-    for begin, end in zip(STRETCHES[:-1], STRETCHES[1:], strict=True):
+    for begin, end in itertools.pairwise(STRETCHES):
         state, start, gap, missed = lanes(walked, (strobe, finer, np.int32(end - begin), target), (state, own))
         starts.append(flow.section_point(start))
         worst.append(gap)
