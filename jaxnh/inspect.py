@@ -1,4 +1,4 @@
-"""The command `python -m jaxnh.inspect FILE [--verify [--trust]] [--csv GROUP]`: what a result is, from its file alone."""
+"""The command `python -m jaxnh.inspect FILE [--verify [--trust]] [--csv GROUP]`: what a file has in it."""
 
 from __future__ import annotations
 

@@ -73,9 +73,11 @@ class Calibration:
     """Errors of one period's map on sample lanes: up to 1024 lanes across the sweep, at the start and later.
 
     The error of a map is the largest difference of any component of (q, n) from a reference that is refined until it
-    changes no more, over all samples, times two. The reference is in float64 whatever the `precision` of the map. Some
-    sample states lie on the way, most on the attractors. No error is given that is below what the reference itself is
-    known to, and of plain sums none below what their rounding does to the most sensitive sample.
+    changes no more, over all samples, times two, or more where the tail of the errors is heavy: a bound for the lanes
+    of the sweep, kept but for some periods in a million (tests/hard/test_accuracy_contract.py). The reference is in
+    float64 whatever the `precision` of the map. Samples are the worst periods on the way and on the attractors. No error is given that
+    is below what the reference itself is known to, and of plain sums none below what their rounding does to the most
+    sensitive sample.
 
     Attributes:
         floor: how far apart the two finest references are: what rounding leaves, or the steps that there can be.
@@ -174,7 +176,7 @@ class Calibration:
         return np.maximum(_safety(gaps) * np.maximum(gaps, chance), self._known)
 
     def _take_samples(self, rows: Sequence[Points]) -> _Samples:
-        """States across the sweep, from the start to the attractor: of each stretch of a lane that whose period errs most.
+        """States across the sweep, from the start to the attractor: of a stretch of a lane that whose period errs most.
 
         Errors of a period have a heavy tail on chaotic motion, where a few states enlarge every error a thousand times:
         samples at fixed times would miss nearly all of these. So every period on the way is taken with half the steps
