@@ -75,9 +75,9 @@ class Calibration:
     The error of a map is the largest difference of any component of (q, n) from a reference that is refined until it
     changes no more, over all samples, times two, or more where the tail of the errors is heavy: a bound for the lanes
     of the sweep, kept but for some periods in a million (tests/hard/test_accuracy_contract.py). The reference is in
-    float64 whatever the `precision` of the map. Samples are the worst periods on the way and on the attractors. No error is given that
-    is below what the reference itself is known to, and of plain sums none below what their rounding does to the most
-    sensitive sample.
+    float64 whatever the `precision` of the map. Samples are the worst periods on the way and on the attractors. No
+    error is given that is below what the reference itself is known to, and of plain sums none below what their rounding
+    does to the most sensitive sample.
 
     Attributes:
         floor: how far apart the two finest references are: what rounding leaves, or the steps that there can be.
