@@ -56,6 +56,10 @@ def test_estimate_is_honest(lanes, name, first, last):
     exact = taylor.strobe(twin(system), b, u)
     kicks = []
     for target in (1e-4, 1e-6, 1e-8, 1e-10):
+        if target < calibration.floor:  # rounding alone is more, in the most sensitive period of the samples
+            with pytest.raises(AccuracyError, match=f"{target:g}"):
+                calibration.cheapest(target)
+            continue
         plan = calibration.cheapest(target)
         strobe = make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated)
         error = apart(lanes(section_map, (strobe, np.int32(1)), (u, {"b": b})), exact).max()
