@@ -1,4 +1,4 @@
-"""The command `python -m jaxnh.inspect FILE [--verify] [--csv GROUP]`: what a result file is, from the file alone."""
+"""The command `python -m jaxnh.inspect FILE [--verify [--trust]] [--csv GROUP]`: what a file has in it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import typer
 
 from jaxnh.cli.exit_codes import run_app
 from jaxnh.cli.inspection import check_file, run_again, show, write_csv
-from jaxnh.exceptions import InputError, ResultError
+from jaxnh.exceptions import DamagedError, InputError, ResultError
 from jaxnh.storage import hdf5 as store
+from jaxnh.storage.damage import READING, fault_of
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -22,6 +23,9 @@ def inspect(
     file: Annotated[Path, typer.Argument(help="Result file of jaxnh", show_default=False)],
     verify: Annotated[
         bool, typer.Option("--verify", help="Check all checksums, run some lanes again and compare them bit for bit")
+    ] = False,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="With --verify, run the text of a user's system that the file has in it")
     ] = False,
     table: Annotated[
         str | None, typer.Option("--csv", metavar="GROUP", help="Write a group as a table to standard output")
@@ -46,12 +50,14 @@ def inspect(
         raise InputError(f"command line: FILE: {error}") from None
     except BrokenPipeError:
         raise
-    except store.UNREADABLE as error:
-        words = " ".join(str(error).split())[:200]
-        raise InputError(f"command line: FILE: {file} is cut off or damaged: {words}") from None
+    except READING as error:
+        fault = fault_of(file, error)
+        if isinstance(fault, DamagedError):
+            raise InputError(f"command line: FILE: {fault}") from error
+        raise
     if verify:
         check_file(file)
-        run_again(file)
+        run_again(file, trust=trust)
 
 
 def main() -> int:

@@ -286,8 +286,10 @@ class Program(NamedTuple):
 
     Attributes:
         function, shared, lanes, static, tile: as a `LaneRunner` takes them.
-        turns: how often its loops turn in a period, outermost first.
+        turns: how often its loops turn in a period, outermost first; of a `whole` program in a call, where it does not
+            say itself.
         periods: periods a call.
+        whole: whether all of it counts, as it runs, and not the loop of a period alone.
     """
 
     function: Callable[..., Any]
@@ -297,10 +299,11 @@ class Program(NamedTuple):
     static: tuple[Any, ...] = ()
     periods: int = 1
     tile: int | None = None
+    whole: bool = False
 
 
 class Price(NamedTuple):
-    """The program of a period of an analysis (None: it computes nothing of its own), that without it, and a note."""
+    """The program of an analysis (None: it is not measured), that without it, and a note that says why or how."""
 
     with_it: Program | None
     without_it: Program
@@ -353,7 +356,7 @@ class Analysis:
         count: dataset to the number of lanes of each kind: attributes of the group, that add up over parts.
         check: (options, setting) raises `OptionError` where they do not go together.
         table: (dataset, published values by name, their source) to a table for the terminal.
-        price: (options, scene) to what a period of it costs; by default that of the map alone.
+        price: (options, scene) to what a period of it costs; without, it is not measured.
         brief: options that make a run short and leave as many numbers a lane.
     """
 

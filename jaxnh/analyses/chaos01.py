@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Scene, variable
+from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Price, Program, Scene, map_alone, variable
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Parameters, State
@@ -143,5 +143,16 @@ def growth_rates(signals: Signals, angles: Float[Array, " angles"], scale: Array
     return lax.map(one, angles)
 
 
-ANALYSIS = Analysis("chaos01", Chaos01Options, periods, run, brief={"transient": 1})
+def price(options: Chaos01Options, scene: Scene) -> Price:
+    """The whole program, with the walks of all angles at the end, shared out over its periods."""
+    strobe = scene.strobe()
+    angles = np.linspace(np.pi / 5, 4 * np.pi / 5, _ANGLES)  # others than in a run, of the same price
+    shared = (strobe, np.asarray(options.transient, np.int32), angles)
+    turns, total = (float(options.transient), *strobe.turns), options.transient + options.periods
+    program = Program(_growth, shared, scene.lanes, turns, (options.periods,), total, _TILE, whole=True)
+    note = f"walks of {_ANGLES} angles over {options.periods:,} strobes at the end, shared out over {total:,} periods"
+    return Price(program, map_alone(scene, strobe, tile=_TILE), note)
+
+
+ANALYSIS = Analysis("chaos01", Chaos01Options, periods, run, price=price, brief={"transient": 1})
 """The entry of this analysis in the table."""

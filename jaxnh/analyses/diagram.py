@@ -17,8 +17,20 @@ from jax import lax
 from jax.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.base import LANE, Analysis, LaneRunner, OptionError, Options, Scene, Setting, rule
-from jaxnh.analyses.poincare import strobe_states
+from jaxnh.analyses.base import (
+    LANE,
+    Analysis,
+    LaneRunner,
+    OptionError,
+    Options,
+    Price,
+    Program,
+    Scene,
+    Setting,
+    map_alone,
+    rule,
+)
+from jaxnh.analyses.poincare import recording, strobe_states
 from jaxnh.analyses.states import check_transient, count, section_attrs, settled, state_variables
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
@@ -28,6 +40,7 @@ from jaxnh.systems.flow import Parameters, State
 
 _CARRIED_AT_ONCE = 32  # values that a call carries a state along at most: the steps of the progress shown
 _CARRIED_PERIODS = 1 << 15  # of such a call: some seconds, that a run that is killed may lose
+_PRICED = 4, 17  # values and strobes of the program of a carried state that is priced
 _FOR_RANDOM = ("starts", "seed", "box")
 _CARRIED = ("up", "down")
 
@@ -197,6 +210,26 @@ def carried(strobe: Strobe, transient: ArrayLike, state: State, p: Parameters, c
     return lax.scan(at, state, p)
 
 
+def price(options: DiagramOptions, scene: Scene) -> Price:
+    """Every strobe is kept; a carried state is one lane, against the map of one lane."""
+    if options.start not in _CARRIED:
+        return Price(recording(scene), map_alone(scene), "every strobe is kept")
+    strobe, (values, strobes) = scene.strobe(), _PRICED
+    one = scene.take(slice(1))
+    p = {name: np.resize(found, (1, values)) for name, found in scene.p.items()}
+    program = Program(
+        carried,
+        (strobe, np.zeros((), np.int32)),
+        (one.start, p),
+        (1.0, 0.0, *strobe.turns),
+        (strobes,),
+        values * (strobes - 1),
+        1,
+        whole=True,
+    )
+    return Price(program, map_alone(one, strobe, tile=1), "one lane after the other; every strobe is kept")
+
+
 ANALYSIS = Analysis(
     "diagram",
     DiagramOptions,
@@ -206,6 +239,7 @@ ANALYSIS = Analysis(
     numbers=numbers,
     count=count,
     check=check,
+    price=price,
     brief={"transient": 1},
 )
 """The entry of this analysis in the table."""

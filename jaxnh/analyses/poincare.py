@@ -11,11 +11,24 @@ import numpy as np
 import xarray as xr
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Scene, Setting, variable
+from jaxnh.analyses.base import (
+    LANE,
+    Analysis,
+    LaneRunner,
+    Options,
+    Price,
+    Program,
+    Scene,
+    Setting,
+    map_alone,
+    variable,
+)
 from jaxnh.analyses.states import TILE, check_transient, count, section_attrs, settled, state_variables
 from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Parameters, State
+
+_PRICED_STROBES = 65
 
 
 class PoincareOptions(Options):
@@ -63,7 +76,35 @@ def strobe_states(strobe: Strobe, state: State, p: Parameters, count: int) -> St
     return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), state, following)
 
 
+def price(options: PoincareOptions, scene: Scene) -> Price:
+    """Every strobe is kept; the transient is the map alone."""
+    return Price(recording(scene, TILE), map_alone(scene, tile=TILE), "every strobe is kept")
+
+
+def recording(scene: Scene, tile: int | None = None) -> Program:
+    """The program that keeps every strobe, of some periods."""
+    strobe = scene.strobe()
+    return Program(
+        strobe_states,
+        (strobe,),
+        scene.lanes,
+        (0.0, *strobe.turns),
+        (_PRICED_STROBES,),
+        _PRICED_STROBES - 1,
+        tile,
+        whole=True,
+    )
+
+
 ANALYSIS = Analysis(
-    "poincare", PoincareOptions, periods, run, numbers=numbers, count=count, check=check, brief={"transient": 1}
+    "poincare",
+    PoincareOptions,
+    periods,
+    run,
+    numbers=numbers,
+    count=count,
+    check=check,
+    price=price,
+    brief={"transient": 1},
 )
 """The entry of this analysis in the table."""

@@ -190,8 +190,8 @@ def judge(
 
 
 def price(options: VerdictOptions, scene: Scene) -> Price:
-    """The map alone, for lanes that look chaotic."""
-    return Price(None, map_alone(scene), "the map alone for lanes that look chaotic, else what the others have found")
+    """The map alone, for lanes that look chaotic: which, is not known before."""
+    return Price(None, map_alone(scene), "not measured: the map alone for lanes that look chaotic, as many as there are")
 
 
 ANALYSIS = Analysis(

@@ -19,7 +19,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from jaxnh.exceptions import ConfigError, InputError, ResultError
+from jaxnh.exceptions import ArgumentError, ConfigError, InputError, ResultError
 from jaxnh.storage import hdf5 as store
 
 _WIDTH = 110  # columns where the output goes to a file
@@ -235,15 +235,27 @@ def check_file(path: Path) -> None:
     print("all data, names and attributes fit their checksums")
 
 
-def run_again(path: Path) -> None:
+def run_again(path: Path, *, trust: bool = False) -> None:
     """Compute a sample of the lanes of a result anew, compare bit for bit, and print the outcome of each analysis.
 
+    Args:
+        trust: whether to run the Python text of a user's system, where no file of the user's own has the same.
+
     Raises:
+        ArgumentError: the result has such a text in it, and is not trusted.
         InputError: something differs, or the file says too little of how it was made.
     """
     attrs = store.read_attrs(path)
     if "system_file" in attrs:
-        print(_state_of(Path(attrs["system_file_path"]), attrs["system_file"]))
+        own = Path(attrs["system_file_path"])
+        state = _state_of(own, attrs["system_file"])
+        if state and not trust:
+            raise ArgumentError(
+                "verify",
+                f"{own} {state}, and {path} has in it the Python text of a system; --trust runs that text: read it "
+                f'before (it is jaxnh.open_result("{path}").attrs["system_file"])',
+            )
+        print(f"{own} {state}; lanes are run again by its text in the result" if state else f"{own} is as it was")
     from jaxnh.engine import verification  # the only thing here that needs JAX, which takes a second to start
 
     try:
@@ -265,11 +277,8 @@ def run_again(path: Path) -> None:
 
 
 def _state_of(path: Path, text: str) -> str:
-    """A user's file beside what a result says it was."""
+    """A user's file beside what a result says it was: what has become of it, "" where it is the same."""
     try:
-        if path.read_text(encoding="utf-8") == text:
-            return f"{path} is as it was"
-        now = "has changed since"
+        return "" if path.read_text(encoding="utf-8") == text else "has changed since"
     except (OSError, UnicodeDecodeError):
-        now = "is not there"
-    return f"{path} {now}; lanes are run again by its text in the result"
+        return "is not there"

@@ -209,7 +209,10 @@ class Accuracy(Block):
     """How accurate the map of one period is to be, or by which method and steps it is computed."""
 
     target: float = Field(
-        default=1e-10, ge=1e-13, le=1e-2, description="Largest error of one period's map that is allowed"
+        default=1e-10,
+        ge=1e-13,
+        le=1e-2,
+        description="Error of one period's map that is allowed: kept by sample lanes of the sweep, with a factor of two",
     )
     solver: str | None = Field(
         default=None,

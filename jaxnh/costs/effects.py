@@ -115,7 +115,7 @@ def _(flow: IsokineticParticle, scene: Scene) -> Iterator[Row]:
         yield Row("disturbance", "effect", None, base, note="is left out")
     for name in ("coupling", "cubic_stiffness"):
         yield _effect(name, flow.without, base, less)
-    yield Row("damping", "effect", base, base, note=_FREE_OF_COST["damping"])
+    yield Row("damping", "effect", base, less("damping"), note=_FREE_OF_COST["damping"])
     with_it, without_it = (_general(scene, flow, constrained) for constrained in (True, False))
     note = f"by the general route, {dopri8.name} in {_GENERAL_STEPS} steps"
     yield Row("constraint", "effect", with_it, without_it, note=note)
@@ -183,12 +183,11 @@ def _tangents(scene: Scene, most: int) -> Iterator[Row]:
 
 
 def _analyses(scene: Scene, requested: Requested, lanes: LaneRunner) -> Iterator[Row]:
-    """A row an analysis: its program of a period against the map alone, and what it stores."""
+    """A row an analysis: its own program, a period, against the map alone, and what it stores."""
     stored = _stored(scene, requested, lanes)
-    alone = map_alone(scene)
-    in_every_period = Price(alone, alone, "the map alone, in every period")
+    not_measured = Price(None, map_alone(scene), "not measured")
     for analysis, options in requested:
-        found = analysis.price(options, scene) if analysis.price else in_every_period
+        found = analysis.price(options, scene) if analysis.price else not_measured
         yield Row(analysis.name, "analysis", found.with_it, found.without_it, stored[analysis.name], found.note)
 
 
@@ -216,15 +215,14 @@ def _operations(program: Program | None, lanes: Lanes) -> float:
     if program is None:
         return float("nan")
     text, tile = lanes.program(program.function, program.shared, program.lanes, program.static, program.tile)
-    return count(text, tile).total(program.turns)
+    loops = count(text, tile)
+    return loops.whole(program.turns) / program.periods if program.whole else loops.total(program.turns)
 
 
 def _ratio(row: Row, lanes: Lanes, repeats: int) -> float:
     """Time with over time without, the median of pairs, after one run of each to warm up."""
     if row.with_it is None or row.without_it is None:
         return float("nan")
-    if row.with_it is row.without_it:
-        return 1.0
     pair = row.with_it, row.without_it
     periods = []
     for program in pair:

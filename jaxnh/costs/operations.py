@@ -25,6 +25,7 @@ _HEAD = re.compile(r"^(?P<entry>ENTRY )?%(?P<name>[\w.\-]+) .*\{$")
 _LINE = re.compile(
     r"^\s+(?P<root>ROOT )?%(?P<name>[\w.\-]+) = (?P<type>\(.*?\)|\S+) (?P<op>[\w\-]+)\((?P<args>[^)]*)\)(?P<rest>.*)$"
 )
+_TURNS = re.compile(r'"known_trip_count":\{"n":"(\d+)"\}')
 _TOLD = re.compile(r", metadata=\{[^}]*\}|, backend_config=.*$|, frontend_attributes=\{[^}]*\}")
 
 
@@ -35,16 +36,27 @@ class Loop:
     Attributes:
         operations: floating-point operations a lane.
         inner: the loops within it.
+        turns: how often it turns, where the program says; None where a number decides that it is given.
     """
 
     operations: float = 0.0
     inner: list[Loop] = field(default_factory=list)
+    turns: int | None = None
 
     def total(self, turns: Sequence[float]) -> float:
         """Operations of one turn, with so many turns of the loop in it that has most, and so on inwards."""
         if not turns or not self.inner:
             return self.operations
         return self.operations + turns[0] * max(loop.total(turns[1:]) for loop in self.inner)
+
+    def whole(self, turns: Sequence[float]) -> float:
+        """Operations with all loops within it, each with the turns the program says, else with those of its depth.
+
+        Raises:
+            IndexError: a loop lies deeper than there are turns, and the program does not say how often it turns.
+        """
+        inner = [(turns[0] if loop.turns is None else loop.turns, loop) for loop in self.inner]
+        return self.operations + sum(number * loop.whole(turns[1:]) for number, loop in inner)
 
 
 def count(program: str, lanes: int) -> Loop:
@@ -77,15 +89,24 @@ class _Counter:
     def _values(self, name: str, arguments: list[Any], loop: Loop, seen: set[int]) -> Any:
         """What a computation comes to; its operations go to a loop, where they have not been seen."""
         values: dict[str, Any] = {}
+        types = {line["name"]: line["type"] for line in self._computations[name]}
         root = None
         for line in self._computations[name]:
             operands = [values[a] for a in re.findall(r"%([\w.\-]+)", line["args"])]
-            value = self._value(line, operands, arguments, loop, seen)
+            value = self._value(line, operands, arguments, loop, seen, types)
             values[line["name"]] = value
             root = value if line["root"] else root
         return root
 
-    def _value(self, line: re.Match[str], operands: list[Any], arguments: list[Any], loop: Loop, seen: set[int]) -> Any:
+    def _value(
+        self,
+        line: re.Match[str],
+        operands: list[Any],
+        arguments: list[Any],
+        loop: Loop,
+        seen: set[int],
+        types: dict[str, str],
+    ) -> Any:
         op, rest = line["op"], line["rest"]
         if op == "parameter":
             return arguments[int(line["args"])]
@@ -99,15 +120,29 @@ class _Counter:
             return self._values(_named("calls" if op == "fusion" else "to_apply", rest), operands, loop, seen)
         if op == "while":
             loop.inner.append(self.body(_named("body", rest)))
+            told = _TURNS.search(rest)
+            loop.inner[-1].turns = int(told[1]) if told else None
             return self._number(("while", line["name"], *operands))
         if op in _COMMUTE:
             operands = sorted(operands, key=str)
         literal = line["args"] if op == "constant" else ""
         number = self._number((op, literal, line["type"], _TOLD.sub("", rest), *operands))
-        if op in _COUNTED and number not in seen:
+        if number not in seen:
             seen.add(number)
-            loop.operations += self._lanewise(line["type"], op)
+            loop.operations += self._cost(line, types)
         return number
+
+    def _cost(self, line: re.Match[str], types: dict[str, str]) -> int:
+        """Operations of a line: of a reduction about one for each number that goes into a result."""
+        op, shape = line["op"], line["type"]
+        if op in _COUNTED:
+            return self._lanewise(shape, op)
+        if op == "reduce" and not shape.startswith("("):
+            return self._lanewise(types[re.findall(r"%([\w.\-]+)", line["args"])[0]], op)
+        if op == "reduce-window" and not shape.startswith("("):
+            size = re.findall(r"size=([\dx]+)", line["rest"])[0]
+            return self._lanewise(shape, op) * (math.prod(int(n) for n in size.split("x")) - 1)
+        return 0
 
     def _number(self, key: Any) -> int:
         return self._numbers.setdefault(key, len(self._numbers))

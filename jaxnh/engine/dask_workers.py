@@ -1,4 +1,8 @@
-"""Pieces of a sweep to Dask workers: each computes on one core, writes its own file, and returns a receipt."""
+"""Pieces of a sweep to Dask workers: each computes on one core, writes its own file, and returns a receipt.
+
+A worker runs what its scheduler sends it, and the text of a user's system that lies in the plan of the run. Connections
+are secured by Dask's own settings alone (`distributed.comm.tls`, `distributed.comm.require-encryption`).
+"""
 
 from __future__ import annotations
 
@@ -28,6 +32,7 @@ _MOST_LOSSES = 10  # of workers that a piece may have been at: a lost worker is 
 _MOST_LOST = 3  # pieces that have lost so many, before the others are given up as well
 _POLL = 0.5  # seconds between two looks at what is done
 _CONNECT = 30.0  # seconds
+_LOOPBACK = "127.0.0.1"  # a scheduler runs what it is sent: none of ours listens beyond this machine
 _AT_ONCE = threading.Lock()
 _LOCAL = re.compile(r"local(?::([1-9]\d*))?")
 _NUMBERED = re.compile(r"(?!.*://).*?(\d+)")  # names of workers, but for an address: a port says nothing of cores
@@ -44,7 +49,7 @@ def check(where: str) -> None:
         ArgumentError: it is not, or Dask is not installed.
     """
     if not (_LOCAL.fullmatch(where) or "://" in where or Path(where).is_file()):
-        raise ArgumentError("dask", f"{where} is neither local[:N] nor tcp://HOST:PORT nor a scheduler file")
+        raise ArgumentError("dask", f"{where} is neither local[:N] nor tcp:// or tls://HOST:PORT nor a scheduler file")
     if not importlib.util.find_spec("distributed"):
         raise ArgumentError("dask", "this needs the extra dask: pip install 'jaxnh[dask]'")
 
@@ -161,7 +166,7 @@ def _cluster(where: str) -> Iterator[Any]:
             settings.set({"distributed.nanny.pre-spawn-environ": environment})
             settings.set({"distributed.worker.multiprocessing-method": "spawn"})
             layout: dict[str, Any] = {"n_workers": count, "threads_per_worker": 1, "processes": True}
-            layout |= {"dashboard_address": None, "memory_limit": 0}
+            layout |= {"dashboard_address": None, "memory_limit": 0, "host": _LOOPBACK}
             options["address"] = stack.enter_context(LocalCluster(**layout))
         elif "://" in where:
             options["address"] = where
@@ -169,8 +174,10 @@ def _cluster(where: str) -> Iterator[Any]:
             options["scheduler_file"] = where
         try:
             client = stack.enter_context(Client(**options, timeout=_CONNECT))
-        except (OSError, ValueError, TimeoutError) as error:
-            raise ArgumentError("dask", f"no scheduler answers at {where}") from error
+        except (OSError, ValueError, TimeoutError, TypeError, RuntimeError) as error:
+            # Dask has a TypeError for tls:// without certificates, a RuntimeError for tcp:// where it is to encrypt.
+            why = f": {' '.join(str(error).split())[:200]}" if isinstance(error, TypeError | RuntimeError) else ""
+            raise ArgumentError("dask", f"no scheduler answers at {where}{why}") from error
         yield client
 
 

@@ -25,7 +25,8 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     """For every analysis in a file: how many lanes were run again, and how many of them differ in any bit.
 
     Three blocks of neighbouring lanes are taken, from both ends and the middle of all axes; none where an analysis is
-    run along the whole first axis.
+    run along the whole first axis. The text of a user's system that is in the file is run: ask before whether it is
+    to be trusted (`jaxnh.inspect --trust`).
 
     Raises:
         ResultError: the file says too little of how it was made.
@@ -35,7 +36,8 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     if "chosen" not in attrs:
         raise ResultError("it does not say all that decided its numbers")
     configure()
-    experiment = Experiment.from_text(attrs["config"], attrs.get("system_file"))
+    # Of a user's system the text in the result alone, never a file that a config in it may name.
+    experiment = Experiment.from_text(attrs["config"], attrs.get("system_file", ""))
     axes, requested = experiment.axes, experiment.requested()
     job = Job(
         config_sha256=attrs["config_sha256"],

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import MARK, POINT, new_axes
-from jaxnh.plotting.groups import declared_axes, fixed_axes, label_of, other_axes, shown
+from jaxnh.plotting.groups import declared_axes, fixed_axes, label_of, needed, other_axes, shown
 from jaxnh.plotting.labels import symbol_of, title_of, with_units
 
 FEIGENBAUM = 4.669201609102990
@@ -29,6 +29,7 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ResultError: a variable is missing, or another axis has more than one point.
     """
     ax = new_axes(ax)
+    needed(data, _PERIOD, _RATIO, _RATIO_ERROR)
     found = _found(data)
     where = found[parameter(data)]
     level = np.arange(1, len(where) + 1) if "level" not in found else found["level"].to_numpy()
@@ -58,6 +59,7 @@ def mark_doublings(data: xr.Dataset, ax: Axes, axis: str) -> None:
     """
     if parameter(data) != axis:
         return
+    needed(data, _PERIOD)
     found = _found(data)
     low, high = sorted(ax.get_xlim())
     where, period = found[axis].to_numpy(), found[_PERIOD].to_numpy()

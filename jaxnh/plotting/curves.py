@@ -177,6 +177,8 @@ def _meanings(variable: xr.DataArray) -> dict[int, tuple[str, str]]:
     """Words and colour of every flag."""
     words = str(variable.attrs.get("flag_meanings", "")).split()
     values = np.atleast_1d(variable.attrs.get("flag_values", np.arange(len(words))))
+    if len(values) != len(words):
+        raise ResultError(f"{variable.name} has {len(values)} flag_values and {len(words)} flag_meanings")
     others = iter(_OTHER_MEANINGS * len(words))
     return {
         int(value): (word.replace("_", " "), _MEANINGS.get(word) or next(others))

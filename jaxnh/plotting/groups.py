@@ -23,9 +23,19 @@ def shown(data: xr.Dataset) -> list[xr.DataArray]:
         ResultError: none is named, or one is not there.
     """
     names = str(data.attrs.get("panel_variables", "")).split()
-    missing = [name for name in names if name not in data]
-    if missing or not names:
-        raise ResultError(f"there is no variable {missing[0]}" if missing else "panel_variables names nothing to draw")
+    if not names:
+        raise ResultError("panel_variables names nothing to draw")
+    return needed(data, *names)
+
+
+def needed(data: xr.Dataset, *names: str) -> list[xr.DataArray]:
+    """Variables by name.
+
+    Raises:
+        ResultError: one is not there.
+    """
+    if missing := [name for name in names if name not in data]:
+        raise ResultError(f"there is no variable {missing[0]}")
     return [data[name] for name in names]
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import xarray as xr
 
-from jaxnh.exceptions import DamagedError
-from jaxnh.storage.hdf5 import UNREADABLE, open_result
+from jaxnh.storage.damage import READING, fault_of
+from jaxnh.storage.hdf5 import open_result
 
 
 def load_result(path: Path) -> xr.DataTree:
@@ -19,5 +19,5 @@ def load_result(path: Path) -> xr.DataTree:
     with open_result(path) as tree:
         try:
             return tree.load()
-        except UNREADABLE as error:
-            raise DamagedError(f"{path} cannot be read: it is damaged") from error
+        except READING as error:
+            raise fault_of(path, error) from error

@@ -139,8 +139,6 @@ def _of_group(name: str) -> Iterator[None]:
         yield
     except ResultError as error:
         raise ResultError(f"{name} cannot be drawn: {error}") from error
-    except (KeyError, IndexError, ValueError, TypeError, OSError, RuntimeError) as error:
-        raise ResultError(f"{name} is not as jaxnh writes it: {' '.join(str(error).split())}") from error
 
 
 def _provenance(attrs: Mapping[str, object]) -> list[str]:

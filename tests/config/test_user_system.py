@@ -462,7 +462,14 @@ def test_file_goes_with_plan_and_result(tmp_path):
     ):
         if change is not None:
             file.write_text(change) if change else file.unlink()
-        code, out, err = run("inspect", tmp_path, "job.h5", "--verify")
+        if again in said:  # the text in a result runs where it is that of the user's own file, else on request alone
+            code, out, err = run("inspect", tmp_path, "job.h5", "--verify")
+            assert (code, len(err)) == (2, 1)
+            assert err[0].startswith(f"command line: --verify: governor.py {said.split(';')[0]}")
+            assert "--trust runs that text" in err[0]
+            assert equal not in out
+        trust = ["--trust"] if again in said else []
+        code, out, err = run("inspect", tmp_path, "job.h5", "--verify", *trust)
         assert code == 0, err
         assert out[-2:] == [f"governor.py {said}", equal]
     file.write_text(text + "# another\n")

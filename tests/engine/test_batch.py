@@ -572,7 +572,7 @@ def test_killed_between_result_and_tiles(job, whole):
         (["--merge"], "--merge: there are no tiles in job.h5.tiles"),
         (
             ["--dask", "absent.json"],
-            "--dask: absent.json is neither local[:N] nor tcp://HOST:PORT nor a scheduler file",
+            "--dask: absent.json is neither local[:N] nor tcp:// or tls://HOST:PORT nor a scheduler file",
         ),
     ],
 )

@@ -1,0 +1,26 @@
+"""Whether a file that could not be read is damaged: said where its checksums or HDF5 say so, never by default."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from jaxnh.exceptions import DamagedError
+from jaxnh.storage.hdf5 import SEAL, read_attrs, verify
+
+READING = (OSError, KeyError, RuntimeError, ValueError, TypeError)
+"""What h5py and xarray raise where a file is damaged: any of these may as well be a fault of a program."""
+
+
+def fault_of(path: Path, error: Exception) -> Exception:
+    """What an error in the reading of a result is: damage, if the file does not fit its checksums; else that error.
+
+    A file without checksums is called damaged where HDF5 cannot read it, which is an `OSError`.
+    """
+    try:
+        if SEAL in read_attrs(path):
+            verify(path)
+        elif isinstance(error, OSError):
+            return DamagedError(f"{path} cannot be read: {' '.join(str(error).split())[:200]}")
+    except DamagedError as damage:
+        return damage
+    return error

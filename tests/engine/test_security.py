@@ -1,0 +1,138 @@
+"""Who can make a worker run what: our own cluster listens on this machine alone, others by Dask's certificates."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+from conftest import ROOT
+
+from jaxnh.engine import dask_workers
+from jaxnh.exceptions import ArgumentError
+from jaxnh.storage import hdf5 as store
+
+CONFIG = """\
+system: {constraint: constant_speed}
+sweep: {b: {start: 5.2, stop: 5.45, count: 512}}
+accuracy: {solver: blanes_moan6, steps: 40}
+analyses: {poincare: {transient: 8, strobes: 4}}
+"""
+TLS = "DASK_DISTRIBUTED__COMM__TLS__"
+
+
+def addresses(info):
+    return [info["address"], *(name for name, worker in info["workers"].items() for name in (name, worker["nanny"]))]
+
+
+def test_our_own_cluster_is_on_loopback():
+    """Scheduler, workers and their nannies: by their addresses, and by the sockets that their processes listen on."""
+    with dask_workers._cluster("local:1") as client:
+        client.wait_for_workers(1, timeout=60)
+        found = addresses(client.scheduler_info())
+        own = psutil.Process()
+        sockets = [
+            c for p in (own, *own.children(recursive=True)) for c in p.net_connections("inet") if c.status == "LISTEN"
+        ]
+    assert len(found) == 3
+    assert all(address.split("://")[1].startswith("127.0.0.1:") for address in found)
+    assert len(sockets) >= 3
+    assert {socket.laddr.ip for socket in sockets} == {"127.0.0.1"}
+
+
+@pytest.mark.parametrize(
+    ("address", "settings", "words"),
+    [
+        ("tls://127.0.0.1:9", {}, "no scheduler answers at tls://127.0.0.1:9: .*TLS"),
+        ("tcp://127.0.0.1:9", {"distributed.comm.require-encryption": True}, "no scheduler answers .*encr"),
+    ],
+)
+def test_what_is_not_secured_is_said(address, settings, words):
+    """TLS without certificates, and an open address where Dask is told to encrypt: one line each, at once."""
+    import dask
+
+    with dask.config.set(settings), pytest.raises(ArgumentError, match=f"(?i){words}"), dask_workers._cluster(address):
+        pass
+
+
+# ---- TLS
+
+
+@pytest.fixture
+def certificate(tmp_path):
+    """A self-signed certificate and its key, and another one that nobody trusts."""
+    openssl = shutil.which("openssl")
+    if not openssl:
+        pytest.skip("the openssl command, which makes the certificates, is not there")
+
+    def made(name):
+        key, cert = tmp_path / f"{name}.key", tmp_path / f"{name}.pem"
+        request = ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", f"/CN={name}"]
+        where = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(cert)]
+        subprocess.run([openssl, *request, *where], check=True, capture_output=True)
+        return key, cert
+
+    return {name: made(name) for name in ("ours", "theirs")}
+
+
+def settings_of(pair, authority):
+    """Dask's settings of one pair, as variables of the environment."""
+    key, cert = pair
+    roles = {
+        f"{TLS}{role}__{what}": str(path)
+        for role in ("SCHEDULER", "WORKER", "CLIENT")
+        for what, path in (("KEY", key), ("CERT", cert))
+    }
+    return {f"{TLS}CA_FILE": str(authority), **roles, "DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "True"}
+
+
+@pytest.mark.slow
+def test_run_over_tls(certificate, tmp_path):
+    """With Dask's own certificates a run over tls:// gives the same bits; with another certificate it is refused."""
+    (tmp_path / "job.yaml").write_text(CONFIG)
+    quiet = {"DASK_LOGGING__DISTRIBUTED": "critical", "PYTHONPATH": str(ROOT)}
+    ours, theirs = certificate["ours"], certificate["theirs"]
+    inside = {**os.environ, **quiet, **settings_of(ours, ours[1])}
+    outside = {**inside, **settings_of(theirs, ours[1])}
+    bare = {**os.environ, **quiet}
+    place = tmp_path / "scheduler.json"
+    silent = {"env": inside, "cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    module, common = [sys.executable, "-m"], ["--no-dashboard", "--scheduler-file", str(place)]
+    scheduler = [*module, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--protocol", "tls"]
+    worker = [*module, "distributed.cli.dask_worker", "--nthreads", "1", "--death-timeout", "120", "--no-nanny"]
+    processes = [subprocess.Popen([*scheduler, *common], **silent)]
+
+    def run(environment, output, *arguments):
+        command = [*module, "jaxnh.sweep", "job.yaml", "--output", output, "--quiet", *arguments]
+        return subprocess.run(
+            command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False
+        )
+
+    try:
+        while not place.exists():
+            assert processes[0].poll() is None
+            time.sleep(0.05)
+        processes.append(subprocess.Popen([*worker, *common, "--local-directory", str(tmp_path / "space")], **silent))
+        address = json.loads(place.read_text())["address"]
+        assert address.startswith("tls://127.0.0.1:")
+        done = run(inside, "tls.h5", "--tile", "256", "--dask", address)
+        assert done.returncode == 0, done.stderr
+        for environment in (outside, bare):
+            refused = run(environment, "refused.h5", "--tile", "256", "--dask", address)
+            assert refused.returncode == 2, refused.stderr
+            assert refused.stderr.splitlines()[-1].startswith(
+                f"command line: --dask: no scheduler answers at {address}"
+            )
+            assert not (tmp_path / "refused.h5").exists()
+    finally:
+        for process in processes[::-1]:
+            process.kill()
+            process.wait()
+    assert run(bare, "here.h5", "--tile", "256").returncode == 0
+    one, other = (store.read_group(tmp_path / f"{name}.h5", "poincare")["x1"] for name in ("tls", "here"))
+    assert one.values.tobytes() == other.values.tobytes()
