@@ -162,6 +162,7 @@ def by_interpolation(scene: Scene, lanes: LaneRunner, place: Place) -> tuple[lis
         def look(u: np.ndarray, values: np.ndarray) -> Derivatives:
             found, value = period(u, values), float(values[0])
             if np.all(values == value):  # all points of one orbit, at the root of a round
+                roots.pop(value, None)  # the next map begins where the one before has ended
                 roots[value] = Estimate(INTERPOLATION, len(roots) + 1, value, *watch.read())
             return found
 

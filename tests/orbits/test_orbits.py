@@ -299,7 +299,7 @@ def test_doubling_of_nearly_the_same_map():
     """The logistic map with its parameter a little larger: its doubling from the known one, to rounding."""
     pair = np.array([[0.85], [0.44]])
     known = doubling_point(logistic, follow_branch(logistic, pair, 3.4, 3.5, np.asarray), np.asarray)
-    for more in (1e-12, 1e-7, -1e-4, 0.1):
+    for more in (1e-12, 1e-7, -1e-4):
         moved = moved_doubling(lambda u, v, more=more: logistic(u, v * (1 + more)), known, np.asarray)
         assert abs(moved.value * (1 + more) - LOGISTIC[1]) <= moved.error < 1e-13
     assert moved_doubling(lambda u, v: logistic(u, 0.0 * v + 2.0), known, np.asarray) is None  # nothing ever doubles

@@ -54,7 +54,7 @@ def test_a_doubling_is_of_the_first_axis(axes, symbol):
     ax = costs.doubling(price_of_a_doubling().assign_attrs(axes=axes))
     assert ax.get_ylabel() == f"error of the doubling point $|{symbol} - {symbol}^*|$ (V)"
     assert ax.get_title() == f"period 2 → 4 at ${symbol}^*$ = 5.519620900000"
-    assert ax.get_legend().get_texts()[-1].get_text() == f"Newton on orbit, ${symbol}$ and multiplier −1"
+    assert ax.get_legend().get_texts()[-1].get_text() == f"interpolation of det(M + 1) in ${symbol}$"
     ax.figure.draw_without_rendering()
 
 
