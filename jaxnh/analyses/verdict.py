@@ -191,7 +191,7 @@ def judge(
 
 def price(options: VerdictOptions, scene: Scene) -> Price:
     """The map alone, for lanes that look chaotic: which, is not known before."""
-    return Price(None, map_alone(scene), "not measured: the map alone for lanes that look chaotic, as many as there are")
+    return Price(None, map_alone(scene), "not measured: the map alone, for lanes that look chaotic")
 
 
 ANALYSIS = Analysis(

@@ -212,7 +212,7 @@ class Accuracy(Block):
         default=1e-10,
         ge=1e-13,
         le=1e-2,
-        description="Error of one period's map that is allowed: kept by sample lanes of the sweep, with a factor of two",
+        description="Error of one period's map that is allowed: kept by sample lanes with a factor of two",
     )
     solver: str | None = Field(
         default=None,

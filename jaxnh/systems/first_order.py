@@ -132,9 +132,10 @@ class FirstOrder(Flow):
         """Largest difference of coordinates between points (..., dimension): (...,)."""
         return np.max(np.abs(self.wrap(one - other)), axis=-1)
 
-    def signal(self, y: Point) -> Number:
-        """The first coordinate."""
-        return y.y[0]
+    def signal(self, y: Point) -> Vector:
+        """The first coordinate; of an angle its cosine and sine."""
+        first = y.y[0]
+        return (jnp.cos(first), jnp.sin(first)) if self.angles[0] else (first,)
 
     # ---- tangents
 

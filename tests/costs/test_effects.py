@@ -251,14 +251,14 @@ def test_price_of_every_effect(tmp_path, capsys):
     assert all(any(line.startswith(what) for line in out.splitlines()) for what in rows)
 
 
-def test_price_of_the_walks():
+def test_price_of_the_walks(lanes):
     """chaos01 costs more than its map, by what its walks do: counted by hand, to a tenth.
 
     Of N strobes and 64 angles, each has two walks: of the N/10 displacements of both over 9N/10 strobes a difference,
     a square and a sum. Beside these 64 × N/10 × 9N/10 × 6 operations all else is in proportion to N.
     """
     scene = scene_of(constant_speed(), START, np.linspace(5.2, 5.4, LANES), SPLITTING, 10)
-    lanes, strobes = Lanes(tile=LANES), 1000
+    strobes = 1000
     options = chaos01.Chaos01Options(transient=20, periods=strobes)
     found = chaos01.ANALYSIS.price(options, scene)
     text, tile = lanes.program(*found.with_it[:3], found.with_it.static, LANES)
