@@ -1,4 +1,4 @@
-"""Duffing's oscillator x'' + delta x' + alpha x + beta x^3 = gamma cos t, in one well (alpha > 0) or in two (alpha < 0).
+"""Duffing's oscillator x'' + delta x' + alpha x + beta x^3 = gamma cos t, in one well (alpha > 0) or two (alpha < 0).
 
 Of the linear oscillator (beta = 0) the exponents are -delta/2 each; their sum is -delta, exactly, of every motion.
 """

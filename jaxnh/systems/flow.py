@@ -18,6 +18,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxnh.systems.tracing import jacobian_trace
+
 Number = Any
 """A number, or many of any one shape (...,): a JAX array in a lane, a NumPy array or a float on the host.
 
@@ -125,17 +127,7 @@ class Flow(eqx.Module):
 
     def divergence_of(self, rate: Callable[[State], State], y: State) -> Number:
         """Divergence at a state of a rate that is this flow's: Σ ∂ẏ_i/∂y_i over the components that are compared."""
-        leaves, structure = jax.tree.flatten(y)
-        marks = jax.tree.leaves(self.compared(jax.tree.unflatten(structure, list(range(len(leaves))))))
-
-        def component(i: int) -> Callable[[Number], Number]:
-            def moved(x: Number) -> Number:
-                return jax.tree.leaves(rate(jax.tree.unflatten(structure, [*leaves[:i], x, *leaves[i + 1 :]])))[i]
-
-            return moved
-
-        slopes = [jax.jvp(component(i), (leaves[i],), (jnp.ones_like(leaves[i]),))[1] for i in marks]
-        return sum(slopes[1:], slopes[0])
+        return jacobian_trace(rate, y, self.compared)
 
     @property
     def contraction(self) -> str:

@@ -112,5 +112,5 @@ def free_particle(a: float, b: float | None, omega: float, without: Collection[s
     left_out = frozenset(without)
     parameters = {"a": a, "b": 0.0 if b is None else b, "c": 0.0, "d": 0.0, "omega": omega}
     made = lagrangian(definition(left_out), parameters)
-    fields = (made.define, made.values, made.names, made.constraints, made.angles, made.ignorable)
+    fields = (made.define, made.values, made.names, made.constraints, made.angles, made.ignorable, ("a", "b"), True)
     return FreeParticle(*fields, left_out)

@@ -154,6 +154,21 @@ def constants(function: Callable[..., Any], *arguments: Any) -> Any:
     return jax.tree.unflatten(program.structure, leaves)
 
 
+def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], Any]) -> Any:
+    """Σ ∂rate_i/∂y_i over the components of a state that a function picks of it; one derivative each, no matrix."""
+    leaves, structure = jax.tree.flatten(y)
+    numbers = jax.tree.leaves(counted(jax.tree.unflatten(structure, list(range(len(leaves))))))
+
+    def component(i: int) -> Callable[[Any], Any]:
+        def moved(x: Any) -> Any:
+            return jax.tree.leaves(rate(jax.tree.unflatten(structure, [*leaves[:i], x, *leaves[i + 1 :]])))[i]
+
+        return moved
+
+    slopes = [jax.jvp(component(i), (leaves[i],), (jnp.ones_like(leaves[i]),))[1] for i in numbers]
+    return sum(slopes[1:], slopes[0])
+
+
 def _alone(equation: Any) -> Callable[..., Sequence[Any]]:
     """A function of what an equation reads, literals among it."""
     reads = [core.Var(atom.aval) for atom in equation.invars]
