@@ -1,0 +1,138 @@
+"""A user's right-hand side in a config: its clock, its section, its faults, and what runs give of known flows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import ROOT, session_of
+
+import jaxnh
+from jaxnh.exceptions import ConfigError
+from jaxnh.maps.section import SectionedFlow
+
+LORENZ = (ROOT / "configs/flows/lorenz.py").read_text()
+CONFIG = """system: {file: own.py, sigma: 10.0}
+initial: {x: 1.0, y: 1.0, z: 20.0}
+sweep: {rho: {values: [28.0, 60.0]}}
+section: {normal: {x: 1.0, y: -1.0}, value: 0.0, direction: up}
+accuracy: {solver: dopri8, steps: 96}
+analyses:
+  lyapunov: {transient: 16, periods: 256, exponents: 3}
+"""
+CLOCKED = """import jax.numpy as jnp
+
+def system(force=1.0, omega=1.0):
+    def rhs(y, t):
+        return y[1], force * jnp.cos(omega * t) - y[0]
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / omega}
+"""
+
+
+def write(folder, config=CONFIG, text=LORENZ):
+    (folder / "own.py").write_text(text)
+    (folder / "own.yaml").write_text(config)
+    return folder / "own.yaml"
+
+
+def test_system_and_section(tmp_path):
+    experiment = jaxnh.load(write(tmp_path))
+    flow = experiment.flow()
+    assert isinstance(flow, SectionedFlow)
+    assert (flow.autonomous, flow.dimension, flow.exponents, flow.period) == (True, 2, 3, 1.0)
+    assert flow.section == "1 x -1 y = 0, up"
+    assert flow.plane == ("y", "z")
+    assert dict(flow.parameters) == {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}
+    assert flow.own == ("rho",)
+    assert [float(x[0]) for x in experiment.start({}, 1).state.y] == [1.0, 1.0, 20.0]
+
+
+def test_lengths_of_time_and_of_returns(tmp_path):
+    text = LORENZ.replace('"coordinates"', '"time_unit": 0.5, "coordinates"')
+    config = CONFIG.replace("direction: up", "direction: up, longest_return: 30.0")
+    flow = jaxnh.load(write(tmp_path, config, text)).flow()
+    assert (flow.period, flow.longest) == (0.5, 30.0)
+
+
+def test_without_a_section_what_needs_none_runs(tmp_path):
+    config = CONFIG.replace("section: {normal: {x: 1.0, y: -1.0}, value: 0.0, direction: up}\n", "")
+    assert jaxnh.load(write(tmp_path, config)).autonomous
+
+
+FAULTS = {
+    "no section": (
+        ("section: {normal: {x: 1.0, y: -1.0}, value: 0.0, direction: up}\n", ""),
+        ("lyapunov: {transient: 16, periods: 256, exponents: 3}", "diagram: {}"),
+        "6: analyses.diagram: the system has no period, and diagram looks at it on a section: give one, as section: {coordinate: x,",
+    ),
+    "no such coordinate": (("y: -1.0", "w: -1.0"), None, "4: section.normal.w: unknown key w"),
+    "both": (("normal: {", "coordinate: x, normal: {"), None, "4: section.coordinate: a section is by a coordinate or by"),
+    "no normal": (("{x: 1.0, y: -1.0}", "{x: 0.0}"), None, "4: section.normal: a normal has a length"),
+    "no returns": (("direction: up", "longest_return: 0"), None, "4: section.longest_return: "),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("first", "second", "message"), FAULTS.values(), ids=FAULTS)
+def test_fault_in_the_config(tmp_path, first, second, message):
+    config = CONFIG.replace(*first)
+    config = config.replace(*second) if second else config
+    assert config != CONFIG
+    with pytest.raises(ConfigError) as caught:
+        jaxnh.load(write(tmp_path, config))
+    assert str(caught.value).startswith(f"{tmp_path}/own.yaml:{message}")
+
+
+FILE_FAULTS = {
+    "too few": (("x * y_ - beta * z", "x * y_ - beta * z, z"), ":9: rhs must return 3 numbers, one a coordinate, not 4"),
+    "no clock": (("beta * z", "beta * z * t"), ":9: the system depends on t: give its period"),
+    "a name": (("rho - z", "ro - z"), ":11: NameError: name 'ro' is not defined"),
+    "an ignorable coordinate": (('"coordinates"', '"ignorable": ("x",), "coordinates"'), ":8: system returns rhs and 'ignorable'"),
+    "no unit": (('"coordinates"', '"time_unit": -1, "coordinates"'), ":8: time_unit must be a positive number, not -1"),
+    "one number": (("return sigma * (y_ - x), x * (rho - z) - y_, x * y_ - beta * z", "return sigma"), ":9: rhs must return a tuple"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("edit", "message"), FILE_FAULTS.values(), ids=FILE_FAULTS)
+def test_fault_in_the_file(tmp_path, edit, message):
+    assert edit[0] in LORENZ
+    with pytest.raises(ConfigError) as caught:
+        jaxnh.load(write(tmp_path, text=LORENZ.replace(*edit)))
+    assert str(caught.value).startswith(f"{tmp_path}/own.py{message}")
+
+
+def test_a_period_where_nothing_depends_on_time(tmp_path):
+    text = CLOCKED.replace("force * jnp.cos(omega * t)", "force")
+    config = "system: {file: own.py}\nsweep: {force: {values: [1.0]}}\nanalyses: {poincare: {}}\n"
+    with pytest.raises(ConfigError, match="own.py:4: nothing depends on t: leave period out"):
+        jaxnh.load(write(tmp_path, config, text))
+
+
+def test_exponents_of_lorenz(tmp_path):
+    """0.9056, 0, −14.5723 (Sprott 2003, to 5e-5) within the bars; their sum is −(σ + 1 + β) to the error of the steps."""
+    found = session_of(jaxnh.load(write(tmp_path))).run("lyapunov", rho=28.0)
+    exponents, errors = found["exponents"].to_numpy(), found["exponents_error"].to_numpy()
+    assert np.all(np.abs(exponents - [0.9056, 0.0, -14.5723]) <= errors + 5e-5)
+    assert errors[0] < 0.05
+    assert exponents.sum() == pytest.approx(-(10.0 + 1.0 + 8 / 3), abs=1e-6)
+
+
+def test_crossings_of_lorenz_lie_on_the_plane(tmp_path):
+    config = CONFIG.replace(
+        "lyapunov: {transient: 16, periods: 256, exponents: 3}", "diagram: {transient: 4, strobes: 8}"
+    )
+    found = session_of(jaxnh.load(write(tmp_path, config))).run("diagram")
+    x, y, t = (found[name].to_numpy() for name in ("x", "y", "t"))
+    assert x.shape == (2, 8)
+    assert np.abs(x - y).max() < 1e-9
+    assert np.all(np.diff(t, axis=-1) > 0.3)  # a turn about one of the two wings takes some 0.6 units
+
+
+def test_forced_oscillator_against_its_closed_form(tmp_path):
+    """x'' = f cos ωt − x from rest: x(t) = f (cos ωt − cos t) / (1 − ω²), at the strobe t = 2π/ω."""
+    config = (
+        "system: {file: own.py, omega: 1.5}\nsweep: {force: {values: [1.0, 2.0]}}\n"
+        "accuracy: {target: 1.0e-10}\nanalyses: {poincare: {transient: 0, strobes: 2}}\n"
+    )
+    found = session_of(jaxnh.load(write(tmp_path, config, CLOCKED))).run("poincare")
+    exact = np.array([1.0, 2.0]) * (1.0 - np.cos(2 * np.pi / 1.5)) / (1.0 - 1.5**2)
+    assert np.abs(found["x"].to_numpy()[:, 1] - exact).max() < 1e-10
