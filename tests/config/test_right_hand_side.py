@@ -65,7 +65,7 @@ FAULTS = {
         ("lyapunov: {transient: 16, periods: 256, exponents: 3}", "diagram: {}"),
         "6: analyses.diagram: the system has no period, and diagram looks at it on a section: give one, as section: {coordinate: x,",
     ),
-    "no such coordinate": (("y: -1.0", "w: -1.0"), None, "4: section.normal.w: unknown key w"),
+    "no such coordinate": (("y: -1.0", "w: -1.0"), None, "4: section.normal.w: unknown key; known keys are x, y, z"),
     "both": (("normal: {", "coordinate: x, normal: {"), None, "4: section.coordinate: a section is by a coordinate or by"),
     "no normal": (("{x: 1.0, y: -1.0}", "{x: 0.0}"), None, "4: section.normal: a normal has a length"),
     "no returns": (("direction: up", "longest_return: 0"), None, "4: section.longest_return: "),
@@ -103,17 +103,21 @@ def test_fault_in_the_file(tmp_path, edit, message):
 def test_a_period_where_nothing_depends_on_time(tmp_path):
     text = CLOCKED.replace("force * jnp.cos(omega * t)", "force")
     config = "system: {file: own.py}\nsweep: {force: {values: [1.0]}}\nanalyses: {poincare: {}}\n"
-    with pytest.raises(ConfigError, match="own.py:4: nothing depends on t: leave period out"):
+    with pytest.raises(ConfigError, match=r"own\.py:4: nothing depends on t: leave period out"):
         jaxnh.load(write(tmp_path, config, text))
 
 
 def test_exponents_of_lorenz(tmp_path):
-    """0.9056, 0, −14.5723 (Sprott 2003, to 5e-5) within the bars; their sum is −(σ + 1 + β) to the error of the steps."""
+    """0.9056, 0, −14.5723 (Sprott 2003, to 5e-5) within the bars.
+
+    Their sum is −(σ + 1 + β), but for what a window of 256 units keeps of the speed along the flow, which the exponent
+    there, given as zero, leaves out: by its logarithm, no more than that of 1 to 150 on this attractor.
+    """
     found = session_of(jaxnh.load(write(tmp_path))).run("lyapunov", rho=28.0)
     exponents, errors = found["exponents"].to_numpy(), found["exponents_error"].to_numpy()
     assert np.all(np.abs(exponents - [0.9056, 0.0, -14.5723]) <= errors + 5e-5)
     assert errors[0] < 0.05
-    assert exponents.sum() == pytest.approx(-(10.0 + 1.0 + 8 / 3), abs=1e-6)
+    assert exponents.sum() == pytest.approx(-(10.0 + 1.0 + 8 / 3), abs=np.log(150.0) / 256)
 
 
 def test_crossings_of_lorenz_lie_on_the_plane(tmp_path):
