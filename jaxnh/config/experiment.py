@@ -288,7 +288,7 @@ class Experiment(Block):
         if len(names := tuple(self.sweep.grids)) > 1:
             content["sweep"] = [[name, content["sweep"][name]] for name in names]
         if self.autonomous:
-            content["section"] = (self.section or self._default_section()).model_dump(mode="json")
+            content["section"] = (self.section or self._default_section()).model_dump(mode="json", exclude_none=True)
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 

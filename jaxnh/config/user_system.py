@@ -159,9 +159,12 @@ class UserSystem(SystemBlock, UserBlock):
         return self._file.flow({**self.parameters, **parameters}, tuple(parameters))
 
     def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
-        """Whether the strobe period depends on a parameter."""
+        """Whether the strobe period depends on a parameter: anywhere near its value, or between these."""
         picked = values[_evenly(len(values), _MOST_CLOCKS)]
-        return len({self._file.period({**dict(flow.parameters), name: float(value)}) for value in picked}) > 1
+        return (
+            flow.shares(name)
+            or len({self._file.period({**dict(flow.parameters), name: float(value)}) for value in picked}) > 1
+        )
 
     def check(self, initial: UserInitial, sweep: SweepBlock) -> None:
         """See that no key says what an axis says, and that f = 0 holds at the start of every lane."""

@@ -22,6 +22,7 @@ import inspect
 import math
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -139,10 +140,11 @@ class UserFile:
 
         Args:
             parameters: values of all of them.
-            of_lanes: names of those that lanes have of their own.
+            of_lanes: names of those that lanes have of their own, but for those that decide the clock of all.
         """
         made = lagrangian if self.mechanical else first_order
-        return made(self.define, parameters, of_lanes)
+        flow = made(self.define, parameters, of_lanes)
+        return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.shares(name)))
 
     def _function(self) -> Callable[..., Any]:
         scope: dict[str, Any] = {"__name__": self.path.stem, "__file__": str(self.path)}

@@ -197,8 +197,9 @@ def test_sum_rule_sees_integration_errors():
     }
     residual = {steps: np.abs(group["sum_rule_residual"].to_numpy()) for steps, group in found.items()}
     for steps, finer in ((30, 60), (60, 120)):
-        # A chaotic lane takes another path with other steps, and the sign of the error changes along it.
-        assert residual[steps].max() > 16 * residual[finer].max()
+        # A chaotic lane takes another path with other steps, where errors are others: the regular one shows the order.
+        assert residual[steps][0] > 16 * residual[finer][0]
+        assert residual[steps].max() > residual[finer].max()
     assert residual[30].max() > 1e-6
     assert all(np.abs(group["volume_residual"].to_numpy()).max() < 1e-11 for group in found.values())
 

@@ -223,7 +223,6 @@ FAULTS = {
     "math on what a lane decides": (("jnp.sin(omega * t)", "__import__('math').sin(omega * t)"), "own.py:8: "),
     "too few forces": (("+ b * y, -g", "+ b * y - g"), "own.py:7: Q must return a tuple of numbers"),
     "no period": ((", period=2 * jnp.pi / omega", ""), "own.py:4: the system depends on t: give its period"),
-    "a period of nothing": (("jnp.sin(omega * t)", "omega"), "own.py:4: nothing depends on t: leave period out"),
     "a clock and a unit": (("period=", "time_unit=1.0, period="), "own.py:3: period and time_unit exclude each other"),
     "both ways": (("f=f", "rhs=f"), "own.py:3: system returns rhs and 'T'; a system is a right-hand side, or T and Q"),
     "neither way": (("T=T, ", ""), "own.py:3: system must also return T, or a right-hand side rhs"),

@@ -113,7 +113,7 @@ def test_analysis_that_needs_others():
     }
     session = session_of(Experiment.from_dict({**CONTENT, "analyses": analyses}))
     found = session.run("verdict")
-    assert list(found.data_vars) == ["kind"]
+    assert list(found.data_vars) == ["kind", "repeats"]
     identical(found, session.tree()["verdict"].to_dataset())
 
 
