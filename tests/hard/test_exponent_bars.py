@@ -189,6 +189,22 @@ def flow_lanes(flow, name, values, x, v):
     return Scene(flow, start, {name: np.asarray(values, float)}, dopri8, 64, False, 1e-8)
 
 
+def still_tori(rng, count, time=4000.0):
+    """Values of b without forcing on whose orbit from the paper's start tangents grow no faster than a power of time.
+
+    By heyoka's variational equations: their logarithm over the whole time is below two of its own, where the chaos that
+    most other b have, at rates of 0.02 and more, comes to 80.
+    """
+    x2 = float(START[1][0])
+    angle = np.array([[*START[0], np.arctan2(np.sqrt(1.0 - x2 * x2), x2)]], float)
+    found = []
+    while len(found) < count:
+        b = rng.uniform(0.01, 0.06)
+        if float(taylor.still_exponents(angle, b, time)[0]) < 2.0 * np.log(time) / time:
+            found.append(b)
+    return np.array(found)
+
+
 @pytest.mark.case("Error bars of exponents")
 def test_flows_whose_largest_exponent_is_zero(battery, lanes):
     """Tori of pendulums, limit cycles seen by a strobe, and tori without forcing: zero is within the bar."""
@@ -205,8 +221,8 @@ def test_flows_whose_largest_exponent_is_zero(battery, lanes):
             "pendulum, drive 0.001": flow_lanes(PENDULUM, "drive", still + 1e-3, rng.uniform(1.0, 2.0, count), still),
         }
     flow = IsokineticParticle(0.5, 1.0, 0.0, 1.0, None, frozenset({"forcing", "disturbance"}))
-    b = rng.uniform(0.02, 0.2, count)
-    scenes["tori without forcing, b in [0.02, 0.2]"] = scene_of(flow, START, b, SPLITTINGS["blanes_moan6"], 60)
+    b = still_tori(rng, count)
+    scenes["tori without forcing, b in [0.01, 0.06]"] = scene_of(flow, START, b, SPLITTINGS["blanes_moan6"], 60)
     for what, scene in scenes.items():
         lengths = (64, 256, 1024) if battery.full else (64,)
         zero = np.zeros((count, 1))
