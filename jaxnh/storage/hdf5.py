@@ -279,7 +279,9 @@ def variable(group: h5py.Group, name: str) -> h5py.Dataset:
     return _expected(group[name], h5py.Dataset)
 
 
-def _expected(item: h5py.HLObject, kind: type[_Item]) -> _Item:
+def _expected(item: h5py.HLObject | None, kind: type[_Item]) -> _Item:
+    if item is None:
+        raise TypeError("a name in the file leads nowhere")
     if not isinstance(item, kind):
         what, name = ("group", str(item.name)) if isinstance(item, h5py.Group) else ("variable", str(item.name))
         where = "within a group" if what == "group" else "outside of all groups"

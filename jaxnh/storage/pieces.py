@@ -160,7 +160,8 @@ def share(job: Job, part: tuple[int, int], work: Mapping[int, float]) -> list[Pi
     """
     k, n = part
     pieces, loads, mine = job.pieces(), [0.0] * n, list[Piece]()
-    work = {piece.number: work[piece.number] or piece.lanes for piece in pieces}  # of start states alone it is zero
+    if not any(work[piece.number] for piece in pieces):  # start states alone
+        work = {piece.number: piece.lanes for piece in pieces}
     lines = [piece for piece in pieces if piece.names != job.independent]
     for piece in sorted(lines, key=lambda piece: -work[piece.number]):
         least = loads.index(min(loads))

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.api_util import debug_info
 from jax.core import Tracer
 from jax.extend import core
 
@@ -56,6 +55,7 @@ class Program:
             arguments: pytrees of numbers or arrays; their shapes are read, and all are taken in double precision.
         """
         closed, out = jax.make_jaxpr(function, return_shape=True)(*(_abstract(a) for a in arguments))
+        self._program = closed.jaxpr
         self.steps: list[Step] = []
         self.size = 0
         self.inputs = [self._slot() for _ in closed.jaxpr.invars]
@@ -101,7 +101,7 @@ class Program:
             if instead and primitive in instead:
                 results = [instead[primitive](*values)]
             elif primitive.name.startswith("custom_"):  # its parameters are not those that it is bound with
-                results = _alone(step.equation)(*values)
+                results = _alone(step.equation, self._program)(*values)
             else:
                 bound = primitive.bind(*values, **step.equation.params)
                 results = bound if primitive.multiple_results else [bound]
@@ -169,11 +169,16 @@ def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], 
     return sum(slopes[1:], slopes[0])
 
 
-def _alone(equation: Any) -> Callable[..., Sequence[Any]]:
-    """A function of what an equation reads, literals among it."""
+def _alone(equation: Any, program: Any) -> Callable[..., Sequence[Any]]:
+    """A function of what an equation of a program reads, literals among it."""
     reads = [core.Var(atom.aval) for atom in equation.invars]
-    about = debug_info("equation", _alone, (equation,), {})
-    one = core.Jaxpr((), reads, equation.outvars, [equation.replace(invars=reads)], equation.effects, about)
+    one = program.replace(
+        constvars=(),
+        invars=reads,
+        outvars=equation.outvars,
+        eqns=[equation.replace(invars=reads)],
+        effects=equation.effects,
+    )
     return core.jaxpr_as_fun(core.ClosedJaxpr(one, ()))
 
 
