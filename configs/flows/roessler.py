@@ -1,7 +1,6 @@
 """The Roessler system (Phys. Lett. A 57 (1976) 397).
 
-Exponents at a = b = 0.2, c = 5.7: 0.0714, 0, -5.3943 (Sprott, Chaos and Time-Series Analysis, 2003). At a = b = 0.2 the
-limit cycle doubles first at c = 2.8324 and again at c = 3.8374.
+Exponents at a = b = 0.2, c = 5.7: 0.0714, 0, -5.3943 (Sprott, Chaos and Time-Series Analysis, 2003).
 """
 
 
