@@ -12,11 +12,12 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import dask.config
 import numpy as np
 import pytest
 import xarray as xr
@@ -108,6 +109,13 @@ def same_tree(tree: xr.DataTree, expected: xr.DataTree) -> None:
 def same_attrs(found: Mapping[Any, Any], expected: Mapping[Any, Any]) -> None:
     for key, value in expected.items():
         np.testing.assert_array_equal(found[key], value, err_msg=str(key))
+
+
+@pytest.fixture(autouse=True)
+def no_scheduler_left() -> Iterator[None]:
+    """Dask's settings of a run that was stopped are no other test's."""
+    yield
+    dask.config.config.pop("scheduler", None)
 
 
 @pytest.fixture(scope="session")

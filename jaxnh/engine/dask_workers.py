@@ -173,7 +173,7 @@ def _cluster(where: str) -> Iterator[Any]:
         else:
             options["scheduler_file"] = where
         try:
-            client = stack.enter_context(Client(**options, timeout=_CONNECT))
+            client = stack.enter_context(Client(**options, set_as_default=False, timeout=_CONNECT))
         except (OSError, ValueError, TimeoutError, TypeError, RuntimeError) as error:
             # Dask has a TypeError for tls:// without certificates, a RuntimeError for tcp:// where it is to encrypt.
             why = f": {' '.join(str(error).split())[:200]}" if isinstance(error, TypeError | RuntimeError) else ""

@@ -57,7 +57,7 @@ def test_screen(made):
     assert "blanes_moan6, 40 steps a period, plain sums" in text
     assert f"{steps:,.0f} lane-periods" in text
     assert f"exponents b 50 × exponent 2 1/time {exponents.min():.5g} … {exponents.max():.5g}" in text
-    assert "x1 b 50 × start 2 × strobe 3" in text
+    assert "x1 b 50 × start 2 × strobe" in text
     assert "diagram: start random, phase 0, trajectories 100, not_finite 0" in text
     assert "doubling: along b, delta_limit nan, delta_limit_error nan, levels_found 1" in text
 
