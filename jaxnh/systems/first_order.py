@@ -6,18 +6,15 @@ There is no constraint to keep, and nothing to report but whether a state is fin
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxnh.systems.flow import FAULTS, Flow, Number, Output, Parameters, Vector, turned, unit_of_time
-
-Definition = Mapping[str, Any]
-"""What a system says of itself: `rhs`, `coordinates`, and where it has them `period` or `time_unit`, and `angles`."""
+from jaxnh.systems.defined import Defined, Definition, marked
+from jaxnh.systems.flow import FAULTS, Number, Output, Parameters, Vector, turned
 
 
 class Point(NamedTuple):
@@ -30,24 +27,8 @@ class Point(NamedTuple):
     y: Vector
 
 
-class FirstOrder(Flow):
-    """Any system of a right-hand side; made by `first_order`.
-
-    Attributes:
-        define: parameters by name to the system's definition, whose `rhs` is read; called in every lane.
-        values: all parameters by name; those that a lane has of its own replace them.
-        names: names of the d coordinates.
-        angles: for each coordinate, whether it is an angle, which returns after 2π.
-        clock: whether there is one.
-        of_lanes: names of the parameters that lanes may have of their own; None: of all.
-    """
-
-    define: Callable[..., Definition] = eqx.field(static=True)
-    values: dict[str, ArrayLike]
-    names: tuple[str, ...] = eqx.field(static=True)
-    angles: tuple[bool, ...] = eqx.field(static=True)
-    clock: bool = eqx.field(static=True)
-    of_lanes: tuple[str, ...] | None = eqx.field(static=True, default=None)
+class FirstOrder(Defined):
+    """Any system of a right-hand side, its definition's `rhs`; made by `first_order`."""
 
     # ---- names
 
@@ -55,16 +36,6 @@ class FirstOrder(Flow):
     def coordinates(self) -> tuple[str, ...]:
         """As the system names them."""
         return self.names
-
-    @property
-    def parameters(self) -> Parameters:
-        """All parameters by name."""
-        return self.values
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Names of the parameters that lanes may have of their own."""
-        return tuple(self.values) if self.of_lanes is None else self.of_lanes
 
     def words(self, name: str) -> str:
         """What a parameter or coordinate is called."""
@@ -77,29 +48,11 @@ class FirstOrder(Flow):
         """The first coordinate, and the second where there is one."""
         return self.names[0], self.names[min(1, len(self.names) - 1)]
 
-    # ---- time
-
-    @property
-    def period(self) -> float:
-        """Strobe period, or the unit of time, from the definition."""
-        return unit_of_time(self.define(**self.values))
-
-    @property
-    def autonomous(self) -> bool:
-        """Whether there is no clock."""
-        return not self.clock
-
-    def shares(self, name: str) -> bool:
-        """Whether the strobe period depends on a parameter."""
-        if name not in self.values:
-            return False
-        return unit_of_time(self.define(**{**self.values, name: self.values[name] + 1.0})) != self.period
-
     # ---- motion
 
     def rhs(self, t: ArrayLike, y: Point, p: Parameters) -> Point:
         """Time derivative of a state."""
-        rates = self.define(**{**self.values, **p})["rhs"](tuple(y.y), t)
+        rates = self.definition(p)["rhs"](tuple(y.y), t)
         return Point(tuple(jnp.asarray(rate, jnp.float64) + jnp.zeros_like(y.y[0]) for rate in rates))
 
     # ---- the section: all coordinates
@@ -138,11 +91,6 @@ class FirstOrder(Flow):
         return (jnp.cos(first), jnp.sin(first)) if self.angles[0] else (first,)
 
     # ---- tangents
-
-    def directions(self, k: int) -> tuple[Vector, ...]:
-        """k tangents to begin with, in no special direction."""
-        draws = np.linalg.qr(np.random.default_rng(0).normal(size=(self.dimension, self.dimension)))[0]
-        return tuple(tuple(row.tolist()) for row in draws[:k])
 
     def lift(self, y: Point, tangent: Vector) -> Point:
         """The tangent itself."""
@@ -194,6 +142,5 @@ def first_order(
         of_lanes: names of those that lanes may have of their own, by default all.
     """
     definition = define(**parameters)
-    names = tuple(definition["coordinates"])
-    angles = tuple(name in definition.get("angles", ()) for name in names)
-    return FirstOrder(define, dict(parameters), names, angles, "period" in definition, of_lanes)
+    names, clock = tuple(definition["coordinates"]), "period" in definition
+    return FirstOrder(define, dict(parameters), of_lanes, names, marked(definition, "angles"), clock)

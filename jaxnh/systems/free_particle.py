@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxnh.systems.defined import Definition
 from jaxnh.systems.flow import Number, Output, Parameters
-from jaxnh.systems.lagrangian import Definition, Lagrangian, Motion, lagrangian
+from jaxnh.systems.lagrangian import Lagrangian, Motion, lagrangian
 from jaxnh.systems.particle import WORDS
 
 
@@ -111,6 +112,5 @@ def free_particle(a: float, b: float | None, omega: float, without: Collection[s
     """The particle of equation (1) without some of `particle.EFFECTS`; b is None where every lane has its own."""
     left_out = frozenset(without)
     parameters = {"a": a, "b": 0.0 if b is None else b, "c": 0.0, "d": 0.0, "omega": omega}
-    made = lagrangian(definition(left_out), parameters)
-    fields = (made.define, made.values, made.names, made.constraints, made.angles, made.ignorable, ("a", "b"), True)
-    return FreeParticle(*fields, left_out)
+    made = lagrangian(definition(left_out), parameters, of_lanes=("a", "b"))
+    return FreeParticle(**vars(made), without=left_out)

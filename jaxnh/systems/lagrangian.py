@@ -8,7 +8,7 @@ the mass.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,8 +18,9 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from jaxnh.systems.defined import Defined, Definition, marked
 from jaxnh.systems.elimination import definite, eliminate, largest_of
-from jaxnh.systems.flow import FAULTS, Flow, Number, Output, Parameters, Vector, turned, unit_of_time
+from jaxnh.systems.flow import FAULTS, Number, Output, Parameters, Vector, turned
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
     Equations,
@@ -28,10 +29,6 @@ from jaxnh.systems.jourdain import (
     constraint_functions,
     matrices,
 )
-
-Definition = Mapping[str, Any]
-"""What a system says of itself: `T`, `Q`, `coordinates`, with a clock its `period`, without one if wanted a
-`time_unit`, and where it has them `f`, `angles`, `ignorable`."""
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
@@ -53,28 +50,16 @@ class Motion(NamedTuple):
     watch: Vector
 
 
-class Lagrangian(Flow):
-    """Any system of T, Q and f; made by `lagrangian`.
+class Lagrangian(Defined):
+    """Any system of a definition's `T`, `Q` and, where it has constraints, `f`; made by `lagrangian`.
 
     Attributes:
-        define: parameters by name to the system's definition, whose `T`, `Q` and `f` are read; called in every lane.
-        values: all parameters by name; those that a lane has of its own replace them.
-        names: names of the k coordinates.
         constraints: number m of constraints.
-        angles: for each coordinate, whether it is an angle, which returns after 2π.
-        ignorable: for each, whether nothing depends on it: such coordinates are left out of the section.
-        of_lanes: names of the parameters that lanes may have of their own; None: of all.
-        clock: whether there is one.
+        ignorable: for each coordinate, whether nothing depends on it: such are left out of the section.
     """
 
-    define: Callable[..., Definition] = eqx.field(static=True)
-    values: dict[str, ArrayLike]
-    names: tuple[str, ...] = eqx.field(static=True)
     constraints: int = eqx.field(static=True)
-    angles: tuple[bool, ...] = eqx.field(static=True)
     ignorable: tuple[bool, ...] = eqx.field(static=True)
-    of_lanes: tuple[str, ...] | None = eqx.field(static=True, default=None)
-    clock: bool = eqx.field(static=True, default=True)
 
     # ---- names
 
@@ -82,16 +67,6 @@ class Lagrangian(Flow):
     def coordinates(self) -> tuple[str, ...]:
         """Each coordinate and its velocity: x, x_dot, y, y_dot, …"""
         return tuple(word for name in self.names for word in (name, f"{name}_dot"))
-
-    @property
-    def parameters(self) -> Parameters:
-        """All parameters by name."""
-        return self.values
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Names of the parameters that lanes may have of their own."""
-        return tuple(self.values) if self.of_lanes is None else self.of_lanes
 
     def words(self, name: str) -> str:
         """What a parameter or coordinate is called."""
@@ -111,30 +86,11 @@ class Lagrangian(Flow):
         """Each coordinate of the section with its velocity."""
         return tuple(zip(self.coordinates[::2], self.coordinates[1::2], strict=True))
 
-    # ---- time
-
-    @property
-    def period(self) -> float:
-        """Strobe period, or the unit of time, from the definition."""
-        return unit_of_time(self.define(**self.values))
-
-    @property
-    def autonomous(self) -> bool:
-        """Whether there is no clock."""
-        return not self.clock
-
-    def shares(self, name: str) -> bool:
-        """Whether the strobe period depends on a parameter."""
-        if name not in self.values:
-            return False
-        other = self.define(**{**self.values, name: self.values[name] + 1.0})
-        return unit_of_time(other) != self.period
-
     # ---- motion
 
     def equations(self, p: Parameters) -> Equations:
         """T, Q and f of a lane."""
-        definition = self.define(**{**self.values, **p})
+        definition = self.definition(p)
         return Equations(definition["T"], definition["Q"], definition.get("f"))
 
     def rhs(self, t: ArrayLike, y: Motion, p: Parameters) -> Motion:
@@ -249,11 +205,6 @@ class Lagrangian(Flow):
         """Section coordinates of states (...,) on the host."""
         return np.stack(np.broadcast_arrays(*(y.q[i] for i in self.kept), *y.v), axis=-1)
 
-    def directions(self, k: int) -> tuple[Vector, ...]:
-        """k tangents to begin with, in no special direction: none is lost on the constraints."""
-        draws = np.linalg.qr(np.random.default_rng(0).normal(size=(self.dimension, self.dimension)))[0]
-        return tuple(tuple(row.tolist()) for row in draws[:k])
-
     def lift(self, y: Motion, tangent: Vector) -> Motion:
         """δ(q, q̇) of a tangent in section coordinates."""
         zero = jnp.zeros_like(tangent[0])
@@ -316,12 +267,11 @@ def lagrangian(
     """
     definition = define(**parameters)
     names = tuple(definition["coordinates"])
-    angles, ignorable = (tuple(name in definition.get(kind, ()) for name in names) for kind in ("angles", "ignorable"))
     zeros = (jnp.zeros(()),) * len(names)
     equations = Equations(definition["T"], definition["Q"], definition.get("f"))
     m = len(jax.eval_shape(lambda q, t: constraint_functions(equations, len(q))(*q, *q, t), zeros, zeros[0]))
-    clock = "period" in definition
-    return Lagrangian(define, dict(parameters), names, m, angles, ignorable, of_lanes, clock)
+    angles, ignorable = marked(definition, "angles"), marked(definition, "ignorable")
+    return Lagrangian(define, dict(parameters), of_lanes, names, angles, "period" in definition, m, ignorable)
 
 
 def at_rest(k: int) -> Motion:

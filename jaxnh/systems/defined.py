@@ -1,0 +1,76 @@
+"""What all systems share that a function of their parameters defines: names, time, lanes' own values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxnh.systems.flow import Flow, Parameters, Vector, unit_of_time
+
+Definition = Mapping[str, Any]
+"""What a system says of itself: its equations of motion, `coordinates`, with a clock its `period`, without one if
+wanted a `time_unit` that lengths of time are counted in, and where it has some, which of its names are `angles`."""
+
+
+class Defined(Flow):
+    """A flow whose equations are those of a definition, made anew of the parameters of each lane.
+
+    Attributes:
+        define: parameters by name to the system's definition; called in every lane.
+        values: all parameters by name; those that a lane has of its own replace them.
+        of_lanes: names of the parameters that lanes may have of their own; None: of all.
+        names: names of the coordinates that the definition has.
+        angles: for each of them, whether it is an angle, which returns after 2π.
+        clock: whether there is one.
+    """
+
+    define: Callable[..., Definition] = eqx.field(static=True)
+    values: dict[str, ArrayLike]
+    of_lanes: tuple[str, ...] | None = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    angles: tuple[bool, ...] = eqx.field(static=True)
+    clock: bool = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> Parameters:
+        """All parameters by name."""
+        return self.values
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Names of the parameters that lanes may have of their own."""
+        return tuple(self.values) if self.of_lanes is None else self.of_lanes
+
+    @property
+    def period(self) -> float:
+        """Strobe period, or the unit of time, from the definition."""
+        return unit_of_time(self.define(**self.values))
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether there is no clock."""
+        return not self.clock
+
+    def shares(self, name: str) -> bool:
+        """Whether the strobe period depends on a parameter."""
+        if name not in self.values:
+            return False
+        return unit_of_time(self.define(**{**self.values, name: self.values[name] + 1.0})) != self.period
+
+    def definition(self, p: Parameters) -> Definition:
+        """The definition of a lane."""
+        return self.define(**{**self.values, **p})
+
+    def directions(self, k: int) -> tuple[Vector, ...]:
+        """k tangents to begin with, in no special direction: none is lost on constraints or invariant planes."""
+        draws = np.linalg.qr(np.random.default_rng(0).normal(size=(self.dimension, self.dimension)))[0]
+        return tuple(tuple(row.tolist()) for row in draws[:k])
+
+
+def marked(definition: Definition, kind: str) -> tuple[bool, ...]:
+    """For each coordinate of a definition, whether it is named among those of a kind."""
+    return tuple(name in definition.get(kind, ()) for name in definition["coordinates"])
