@@ -23,6 +23,7 @@ REAL = np.longdouble if np.finfo(np.longdouble).nmant == 63 else np.float64
 
 TWO_PI = 8 * np.arctan(REAL(1))  # np.pi only has 53 bits
 
+_LARGEST_STEP = 10.0  # of Newton on an orbit: the paper's motion is confined to |x|, |y| < 5, and a turn is 2 pi
 _SHORTER = (256, 1024, 4096, 16384)  # parts of a period that a step must not exceed
 
 
@@ -297,9 +298,9 @@ def periodic_orbit(par, n, b, points):
         image, monodromy, _ = strobe_jacobian(par, b, points, real=np.float64)
         step = np.linalg.solve(cyclic(monodromy), -closed(points, image).ravel()).reshape(n, 3)
         points += step
-        if np.abs(step).max() < 1e-11:
+        if not 1e-11 <= np.abs(step).max() < _LARGEST_STEP:
             break
-    else:
+    if not np.abs(step).max() < 1e-11:
         raise ArithmeticError(f"no orbit of period {n} found at b = {b}")
     if n > 1 and np.abs(closed(points[[0, n // 2]], points[[0, n // 2]])).max() < 1e-6:
         raise ArithmeticError(f"the orbit found at b = {b} has period {n // 2}, not {n}")

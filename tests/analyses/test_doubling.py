@@ -149,24 +149,6 @@ def test_terminal_says_what_the_file_says(table):
 # ---- other systems
 
 
-def reference(par, first, b):
-    """b of the doublings of the periods first, 2 first, ... near the given ones, by the reference.
-
-    Each orbit is met midway from the doubling before, where it attracts fast, and followed to the guess.
-    """
-    before = b[0] - (b[1] - b[0] if len(b) > 1 else 0.02)
-    found = []
-    for level, guess in enumerate(b):
-        n = first << level
-        middle = (before + guess) / 2
-        points = taylor.orbit(par, n, middle, taylor.attractor(par, middle, par.start(), 400 + 60 * n)[0])
-        for value in np.linspace(middle, guess, 5):
-            points = taylor.periodic_orbit(par, n, value, points)
-        found.append(taylor.doubling_point(par, n, guess, points[0])[0])
-        before = guess
-    return np.array(found)
-
-
 @pytest.mark.parametrize(("config", "overrides", "par"), OTHERS.values(), ids=OTHERS)
 def test_other_systems(result, request, config, overrides, par):
     """Other parameters, periods of the forcing, first periods and directions of the sweep: as the reference has them."""
@@ -176,7 +158,8 @@ def test_other_systems(result, request, config, overrides, par):
     b, first = group["b"].values, int(group["period"].values[0])
     assert np.isfinite(b).all()
     assert "warning" not in err
-    difference = np.abs(b - reference(par, first, b))
+    before = b[0] - (b[1] - b[0] if len(b) > 1 else 0.02) / 2
+    difference = np.abs(b - [float(point) for point, _, _ in taylor.cascade(par, b, first=first, before=before)])
     assert np.all(difference < 1e-9)
     assert np.all(difference <= group["b_error"].values)
     np.testing.assert_array_equal(group["period"].values, first * 2 ** np.arange(len(b)))
