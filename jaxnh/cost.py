@@ -27,8 +27,9 @@ from jaxnh.costs import STUDIES, effects, solvers, tables
 from jaxnh.engine.axes import points
 from jaxnh.engine.calibration import Calibration, Plan
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.output import check_output
 from jaxnh.engine.plan import calibrate, job_of, plan_of, scene_of, spent, work_of
-from jaxnh.engine.run import attributes, check_output
+from jaxnh.engine.run import attributes
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ArgumentError, ConfigError, ResultError
 from jaxnh.maps.build import way_of

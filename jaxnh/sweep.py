@@ -17,7 +17,8 @@ from jaxnh.cli.report import report
 from jaxnh.cli.terminal import progress
 from jaxnh.config.schema import schema
 from jaxnh.engine import dask_workers
-from jaxnh.engine.run import How, check_output, file_of, is_there, run_to_file
+from jaxnh.engine.output import check_output, file_of, is_there
+from jaxnh.engine.run import How, run_to_file
 from jaxnh.exceptions import ArgumentError, BusyError
 from jaxnh.storage import tiles
 

@@ -1,30 +1,31 @@
 """The experiment: what a config says, as frozen records that are valid once they exist. Nothing below sees a raw dict.
 
 The whole lives here; the blocks of all systems in blocks.py, of the particle in particle.py and of users' systems in
-user_system.py, YAML and its lines in yaml_source.py, the words for a fault in messages.py.
+user_system.py, YAML and its lines in yaml_source.py, the words for a fault in
+messages.py, and which block stands where in layout.py.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Axis, OptionError, Options, Setting, rule
-from jaxnh.config.blocks import Accuracy, Analyses, Block, Evenly, Named, Published, SectionBlock, SystemBlock
-from jaxnh.config.messages import Layout, close_match, first_fault
+from jaxnh.config.blocks import Accuracy, Analyses, Block, Published, SectionBlock, SystemBlock
+from jaxnh.config.layout import layout, user_layout
+from jaxnh.config.messages import close_match, first_fault
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, PrescribedSpeed, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_source import Source, from_dict, from_text, read
-from jaxnh.config.yaml_tree import KeyPath
 from jaxnh.maps.section import Crossing
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS
 from jaxnh.systems.flow import Flow, State
@@ -347,35 +348,6 @@ class UserExperiment(Experiment):
 
 # ---- from a source to an experiment
 
-_GRIDS: Mapping[str, type[BaseModel]] = {"start, stop, count": Evenly, "values": Named}
-_MODELS: Mapping[KeyPath, type[BaseModel]] = {
-    (): Experiment,
-    ("initial",): Initial,
-    ("sweep",): Sweep,
-    ("section",): PoincareSection,
-    ("accuracy",): Accuracy,
-    ("analyses",): Analyses,
-    **{("analyses", name): analysis.options for name, analysis in ANALYSES.items()},
-    **{("compare", name): Published for name in ANALYSES},
-}
-_SYSTEMS: Mapping[str, type[BaseModel]] = {
-    "constant_speed": ConstantSpeed,
-    "disturbed_speed": DisturbedSpeed,
-    "free": Free,
-}
-
-
-def _layout(axes: Iterable[str], user: bool = False) -> Layout:
-    """Which model stands where, of a config whose sweep has these axes."""
-    grids: dict[KeyPath, Any] = {("sweep", name): _GRIDS for name in axes}
-    models, variants, selectors = dict(_MODELS), grids, dict.fromkeys(grids, "values")
-    if user:
-        models |= {(): UserExperiment, ("system",): UserSystem, ("initial",): UserInitial, ("sweep",): UserSweep}
-        models[("section",)] = UserSection
-    else:
-        variants, selectors = {("system",): _SYSTEMS, **grids}, {("system",): "constraint", **selectors}
-    return Layout(models, variants, selectors)
-
 
 def _said(value: Any) -> str:
     return "not given" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
@@ -407,16 +379,16 @@ def _validated(
     file = system.get("file") if isinstance(system, dict) else None
     axes = sweep if isinstance(sweep, dict) else ()
     if not isinstance(file, str):
-        model, layout, context = Experiment, _layout(Sweep.model_fields), None
+        model, where, context = Experiment, layout(Experiment, Sweep.model_fields), None
     else:
         if user_file is None and user_text is None and not (folder / file).is_file():
             raise source.error(("system", "file"), f"there is no file {folder / file}")
         context = user_file or UserFile(folder / file, user_text)
-        model, layout = UserExperiment, _layout(axes, user=True)
+        model, where = UserExperiment, user_layout(UserExperiment, axes)
     try:
         experiment = model.model_validate(source.data, context=context)
     except ValidationError as error:
-        raise first_fault(error, source, layout) from None
+        raise first_fault(error, source, where) from None
     experiment._origin = source
     return experiment
 

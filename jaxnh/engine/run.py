@@ -14,6 +14,7 @@ from typing import NamedTuple
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.output import other_than
 from jaxnh.engine.plan import (
     Done,
     batches,
@@ -27,8 +28,7 @@ from jaxnh.engine.plan import (
 from jaxnh.engine.progress import Heeding, Progress, Silent
 from jaxnh.engine.xla_options import configure, differing
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
-from jaxnh.storage import hdf5, tiles
-from jaxnh.storage.atomic import check_writable, target_of
+from jaxnh.storage import tiles
 from jaxnh.storage.calls import Calls, left
 from jaxnh.storage.merge import DamagedPieceError, Extra, merge
 from jaxnh.storage.pieces import Job, Piece, share
@@ -98,55 +98,6 @@ def run_to_file(
     began = time.perf_counter()
     with tiles.hold(tiles.folder_of(path), how.part):
         return _Run(experiment, path, how, progress, check, began).run()
-
-
-def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
-    """Whether a file is the result of this very experiment. Anything else is only replaced when that is asked for.
-
-    All of it is read and compared with its checksums.
-
-    Raises:
-        ArgumentError: the file is something else, or damaged.
-    """
-    if fresh or not path.is_file():
-        return False
-    try:
-        attrs = hdf5.read_attrs(path)
-        same = attrs["config_sha256"] == experiment.sha256
-    except (ResultError, KeyError):
-        raise ArgumentError("output", f"{path} is there and is no result of jaxnh", "replaces it") from None
-    if not same:
-        other = other_than(experiment, attrs.get("system_file"))
-        raise ArgumentError("output", f"{path} holds the result of {other}", "replaces it")
-    try:
-        hdf5.verify(path)
-    except DamagedError as error:
-        raise ArgumentError("output", f"{error}: the result of this config, but damaged", "computes it again") from None
-    return True
-
-
-def check_output(path: Path) -> None:
-    """Make the folder of an output.
-
-    Raises:
-        ArgumentError: nothing can be written there.
-    """
-    try:
-        check_writable(path)
-    except ResultError as error:
-        raise ArgumentError("output", str(error)) from None
-
-
-def file_of(output: Path) -> Path:
-    """The file that is read and written where this is the output: of a link the one it points to, there or not.
-
-    Raises:
-        ArgumentError: it is a link that leads nowhere.
-    """
-    try:
-        return target_of(output)
-    except ResultError as error:
-        raise ArgumentError("output", str(error)) from None
 
 
 class _Run:
@@ -387,12 +338,6 @@ def attributes(experiment: Experiment, job: Job, total: Spent, command: str = ""
         chosen=job.chosen,
         machine=job.machine,
     )
-
-
-def other_than(experiment: Experiment, user_text: str | None) -> str:
-    """What something is of that is not of this config, made with a user's file of that text."""
-    own = experiment.user_file
-    return f"another text of {own.path}" if own and user_text not in (None, own.text) else "another config"
 
 
 def _counts(name: str, receipts: Sequence[Receipt]) -> dict[str, int]:

@@ -17,6 +17,7 @@ from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers
 from jaxnh.engine.calibration import Plan
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.output import check_output, file_of, is_there
 from jaxnh.engine.plan import (
     batches,
     calibrate,
@@ -28,7 +29,7 @@ from jaxnh.engine.plan import (
     spent,
 )
 from jaxnh.engine.progress import Calling, Progress, Silent
-from jaxnh.engine.run import How, attributes, check_output, file_of, is_there, run_to_file
+from jaxnh.engine.run import How, attributes, run_to_file
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import InputError
 from jaxnh.storage.hdf5 import open_result
