@@ -53,7 +53,7 @@ slow: $(INSTALLED)
 
 # The hard cases at full size; writes results/hard.md and its pictures.
 hard: $(INSTALLED)
-	$(RUN)/pytest --numprocesses 2 --dist worksteal --hard --page results/hard.md tests/hard
+	$(RUN)/pytest --numprocesses 2 --dist worksteal -m "" --hard --page results/hard.md tests/hard
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache

@@ -1,6 +1,6 @@
 """The battery of hard cases (tests/hard): sizes, rows of its report, and the page results/hard.md that `make hard` writes.
 
-A test there measures at small sizes in `make test`, and at full ones with `--hard`. Each number goes through
+A test there measures at small sizes in `make test` or, where these take long too, `make slow`, and at full ones with `--hard`. Each number goes through
 `Battery.row`, which keeps it and asserts its limit, so that page and test cannot differ.
 """
 
@@ -40,7 +40,7 @@ class Battery:
     """What a hard case is given: whether sizes are full, and where its numbers and picture go.
 
     Attributes:
-        full: full sizes, as `make hard` asks for; else those of `make test`.
+        full: full sizes, as `make hard` asks for; else small ones.
     """
 
     def __init__(self, case, full, folder, keep):

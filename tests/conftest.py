@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import fcntl
+import importlib
 import io
 import os
 import shutil
@@ -45,7 +46,6 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 from jaxnh.config.experiment import Experiment  # noqa: E402
 from jaxnh.engine.lanes import Lanes  # noqa: E402
 from jaxnh.engine.session import Session  # noqa: E402
-from jaxnh.sweep import main  # noqa: E402
 
 pytest_plugins = ["battery"]
 
@@ -62,17 +62,19 @@ def lanes_with_kept_programs(*arguments: object) -> Lanes:
     return lanes
 
 
-def run_here(*arguments: object, cwd: Path = ROOT) -> subprocess.CompletedProcess:
-    """`python -m jaxnh.sweep ARGUMENTS` in a folder, without a process of its own: JAX has started already."""
+def run_here(*arguments: object, cwd: Path = ROOT, command: str = "sweep") -> subprocess.CompletedProcess:
+    """`python -m jaxnh.COMMAND ARGUMENTS` in a folder, without a process of its own: JAX has started already."""
     assert threading.current_thread() is threading.main_thread()  # as signals need it
     out, err = io.StringIO(), io.StringIO()
-    argv = ["jaxnh.sweep", *map(str, arguments)]
+    argv = [f"jaxnh.{command}", *map(str, arguments)]
+    main = importlib.import_module(f"jaxnh.{command}").main
     with (
         contextlib.chdir(cwd),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
         mock.patch.object(sys, "argv", argv),
         mock.patch("jaxnh.engine.run.Lanes", lanes_with_kept_programs),
+        mock.patch("jaxnh.engine.verification.Lanes", lanes_with_kept_programs),
     ):
         code = main()
     return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())

@@ -7,6 +7,7 @@ import functools
 import diffrax
 import jax
 import numpy as np
+import pytest
 import taylor
 
 from jaxnh.analyses.base import Axis, Scene, spread
@@ -16,6 +17,18 @@ from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
 from jaxnh.solvers import IsokineticSplitting, isokinetic_terms
 from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart
+
+
+def some_slow(cases, *quick):
+    """Parameters of a test by their ids, of which those named run in `make test` and the others in `make slow`."""
+    assert set(quick) < set(cases)
+    return [
+        pytest.param(
+            *(case if isinstance(case, tuple) else (case,)), id=name, marks=[] if name in quick else pytest.mark.slow
+        )
+        for name, case in cases.items()
+    ]
+
 
 UNIT = np.finfo(float).eps / 2  # roundoff of one operation
 SYSTEMS = {

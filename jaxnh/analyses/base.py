@@ -21,7 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from jaxnh.exceptions import InputError
 from jaxnh.maps.build import make_strobe
-from jaxnh.maps.iterate import iterate
+from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
@@ -88,12 +88,14 @@ class Setting(NamedTuple):
         autonomous: whether it has no clock and is seen on a section.
         axes: of the sweep.
         precision: "float64" or "float32".
+        flow_at: the system in continuous time at a value of the first axis; raises ValueError where there is none.
     """
 
     flow: Flow
     autonomous: bool
     axes: tuple[Axis, ...]
     precision: str
+    flow_at: Callable[[float], Flow]
 
     @property
     def advice(self) -> str:
@@ -118,6 +120,7 @@ class Scene:
         error_estimate: estimated largest error of one period's map.
         place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
         along: the first axis, where the lanes are those along it, at one point of all others.
+        flow_at: where all lanes share the parameter that is this axis, the system at a value of it; else None.
         chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
         precision: "float64" or, where asked for, "float32", of the arithmetic within a period.
     """
@@ -131,6 +134,7 @@ class Scene:
     error_estimate: float
     place: Int[np.ndarray, " lanes"] | None = None
     along: Axis | None = None
+    flow_at: Callable[[float], Flow] | None = None
     chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     precision: str = "float64"
 
@@ -184,6 +188,11 @@ class Scene:
 
         start, p = jax.tree.map(repeated, (self.start, dict(self.p)))
         return replace(self, start=start, p={**p, along.name: along.values}, place=None, along=along)
+
+    def moved(self, value: float) -> Scene:
+        """The scene under the system at a value of the first axis, which all lanes share."""
+        assert self.flow_at is not None
+        return replace(self, system=self.flow_at(value), flow_at=None)
 
     def strobe(self, refinement: float = 1) -> Strobe:
         """P with `refinement` times the steps that the accuracy asks for."""
@@ -314,6 +323,15 @@ def map_alone(scene: Scene, strobe: Strobe | None = None, tile: int | None = Non
     """One period of the scene's own map, or of another one of the same lanes, and nothing else."""
     strobe = scene.strobe() if strobe is None else strobe
     return Program(iterate, (strobe, np.int32(1)), scene.lanes, (1.0, *strobe.turns), tile=tile)
+
+
+def newton_price(scene: Scene, tile: int) -> Price:
+    """A period of Newton on orbits: the map with a tangent for every coordinate, against the map alone."""
+    strobe = scene.strobe()
+    lanes = section_points(scene), dict(scene.p)
+    program = Program(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=tile)
+    note = f"{scene.system.dimension} tangents in every period of Newton, the map alone before it"
+    return Price(program, map_alone(scene, tile=tile), note)
 
 
 def _always(options: Any) -> bool:

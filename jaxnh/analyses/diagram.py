@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 from jax import lax
 from jax.typing import ArrayLike
+from jaxtyping import Int
 from pydantic import Field, model_validator
 
 from jaxnh.analyses.base import (
@@ -92,9 +93,6 @@ def check(options: DiagramOptions, setting: Setting) -> None:
     if setting.autonomous and options.phase:
         raise OptionError("there is no period to have a phase in; leave it out", "phase")
     first = setting.axes[0]
-    if options.start in _CARRIED and first.kind == "shared":
-        message = f"a state is carried along the first axis of the sweep, and all lanes share {first.name}"
-        raise OptionError(message + setting.advice, "start")
     if options.start in _CARRIED and first.kind == "start":
         message = f"there is nothing to carry along {first.name}, a coordinate of the start state"
         raise OptionError(message + setting.advice, "start")
@@ -162,6 +160,8 @@ def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:
     order = np.argsort(values, kind="stable")
     if options.start == "down":
         order = order[::-1]
+    if scene.flow_at is not None:
+        return _under_each_flow(options, scene, lanes, order)
     state, strobe = _at_phase(options, scene, lanes, *scene.take(order[:1]).lanes)
     each = options.transient + options.strobes - 1
     at_once = min(_CARRIED_AT_ONCE, max(1, _CARRIED_PERIODS // max(each, 1)))
@@ -181,6 +181,22 @@ def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:
         met.append(states)
     back = np.argsort(order)
     return jax.tree.map(lambda *components: np.concatenate(components, axis=1)[0, back], *met)
+
+
+def _under_each_flow(
+    options: DiagramOptions, scene: Scene, lanes: LaneRunner, order: Int[np.ndarray, " lanes"]
+) -> State:
+    """As `_in_turn`, along a parameter that all lanes share: a call for each value, in that order."""
+    met, (state, p) = [], scene.take(order[:1]).lanes
+    for value in scene.line.values[order].tolist():
+        here = scene.moved(value)
+        begun, strobe = _at_phase(options, here, lanes, state, p)
+        state = settled(lanes, strobe, options.transient, state if met else begun, p, tile=1)
+        periods = options.strobes - 1
+        met.append(lanes(strobe_states, (strobe,), (state, p), periods=periods, tile=1, static=(options.strobes,)))
+        state = jax.tree.map(lambda component: component[:, -1], met[-1])
+    back = np.argsort(order)
+    return jax.tree.map(lambda *components: np.concatenate(components)[back], *met)
 
 
 def _at_phase(

@@ -10,6 +10,7 @@ import xarray as xr
 from jaxtyping import Float
 from pydantic import Field
 
+from jaxnh.analyses.along import one_by_one
 from jaxnh.analyses.base import (
     Analysis,
     Axis,
@@ -17,19 +18,17 @@ from jaxnh.analyses.base import (
     OptionError,
     Options,
     Price,
-    Program,
     Scene,
     Setting,
     Table,
-    map_alone,
-    section_points,
+    newton_price,
     variable,
 )
 from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow
 from jaxnh.analyses.locating import PERIOD_TILE
-from jaxnh.maps.iterate import derivatives
 
 _NUMBERS = ("delta_limit", "delta_limit_error", "levels_found")  # a cascade; attributes of the only one of a file
+_BETWEEN = np.array([1.0, math.pi]) / (1.0 + math.pi)  # shares of two values: no ratio of whole numbers
 _OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
 _MOST_SHOWN = 16  # cascades in a table of many
 _FALL = 0.25  # of corrections to δ, a level
@@ -56,21 +55,30 @@ def independent(options: DoublingOptions) -> bool:
 
 
 def check(options: DoublingOptions, setting: Setting) -> None:
-    """See that the first axis is a parameter of the lanes' own, by which the map has a derivative."""
+    """See that the first axis is a parameter, and one that there is something of between two values of it."""
     first = setting.axes[0]
     if first.name in _OWN_NAMES:
         raise OptionError(f"{first.name} is what doubling calls a number of its own; rename the parameter")
-    if first.kind == "lane":
-        return
-    shared = first.kind == "shared"
-    why = f"all lanes share {first.name}" if shared else f"{first.name} is a coordinate of the start state"
-    message = f"doubling follows the first axis of the sweep by its derivatives, and {why}"
-    raise OptionError(message + setting.advice)
+    if first.kind == "start":
+        what = f"{first.name} is a coordinate of the start state"
+        message = f"doubling follows orbits along the first axis of the sweep, and {what}"
+        raise OptionError(message + setting.advice)
+    if first.kind == "shared" and options.search and "search" in options.model_fields_set:
+        message = f"it looks beyond the sweep, and all lanes share {first.name}: the system may not exist there"
+        raise OptionError(f"{message}; leave it out", "search")
+    if first.kind == "shared":
+        try:
+            _ = setting.flow_at(float(_BETWEEN @ first.values[[0, -1]])).period
+        except ValueError as error:
+            message = f"doubling looks between the values of {first.name}, and there {error}"
+            raise OptionError(message + setting.advice) from None
 
 
 def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
-    return _dataset(scene.line, options.levels, follow(scene, lanes, options.levels, search=options.search))
+    search = options.search and scene.flow_at is None
+    found = follow(*one_by_one(scene, lanes), options.levels, search=search)
+    return _dataset(scene.line, options.levels, found)
 
 
 def _dataset(axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
@@ -216,11 +224,7 @@ def _cell(text: str) -> str:
 
 def price(options: DoublingOptions, scene: Scene) -> Price:
     """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
-    strobe = scene.strobe()
-    lanes = section_points(scene), dict(scene.p)
-    program = Program(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=PERIOD_TILE)
-    note = f"{scene.system.dimension} tangents in every period of Newton, the map alone before it"
-    return Price(program, map_alone(scene, tile=PERIOD_TILE), note)
+    return newton_price(scene, PERIOD_TILE)
 
 
 ANALYSIS = Analysis(

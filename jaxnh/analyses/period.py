@@ -22,15 +22,14 @@ from jaxnh.analyses.base import (
     LaneRunner,
     Options,
     Price,
-    Program,
     Scene,
     counted_in,
-    map_alone,
+    newton_price,
     picked,
     section_points,
     variable,
 )
-from jaxnh.maps.iterate import derivatives, iterate, record, section_map
+from jaxnh.maps.iterate import iterate, record, section_map
 from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.newton import Orbit, find_doubled, find_orbit
 from jaxnh.systems.flow import Parameters, State
@@ -208,12 +207,8 @@ def _strobe_points(
 
 
 def price(options: PeriodOptions, scene: Scene) -> Price:
-    """Newton carries a tangent for every coordinate and the parameter; before it comes the map alone."""
-    strobe = scene.strobe()
-    lanes = section_points(scene), dict(scene.p)
-    program = Program(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=ORBIT_TILE)
-    note = f"{scene.system.dimension + 1} tangents in every period of Newton, the map alone before it"
-    return Price(program, map_alone(scene, tile=ORBIT_TILE), note)
+    """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
+    return newton_price(scene, ORBIT_TILE)
 
 
 ANALYSIS = Analysis(

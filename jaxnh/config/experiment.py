@@ -127,7 +127,10 @@ class Experiment(Block):
         self._check_accuracy()
         if self.section and not self.autonomous:
             raise rule("this scene has a clock, and is seen at its strobes; leave section out", "section")
-        setting = Setting(self._in_time({}), self.autonomous, self.axes, self.precision)
+        axes = self.axes
+        setting = Setting(
+            self._in_time({}), self.autonomous, axes, self.precision, lambda value: self._in_time({axes[0].name: value})
+        )
         for analysis, options in self.requested():
             self._check_analysis(analysis, options, setting)
         return self

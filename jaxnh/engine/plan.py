@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -230,6 +231,9 @@ def compute(
     places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
     at = points(experiment, axes, places)
     scene = scene_of(at, plan_of_job(job), experiment.precision, job.chosen, places[0], axes[0] if line else None)
+    if line and axes[0].kind == "shared":
+        shared = {axis.name: float(at.where[axis.name][0]) for axis in axes[1:] if axis.kind == "shared"}
+        scene = replace(scene, flow_at=lambda value: experiment.flow({**shared, axes[0].name: value}))
     options = {analysis.name: options for analysis, options in requested}
     groups: dict[str, xr.Dataset] = {}
     for name in names:

@@ -188,6 +188,7 @@ def test_sum_rule(case):
         assert group["transverse"].to_numpy()[i] == pytest.approx(2 * mean, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_sum_rule_sees_integration_errors():
     """Steps of order 6 that are halved leave some 2⁶ times less; the determinants of the steps see no error at all."""
     b, options = [2.5, 4.1, 5.3], lyapunov.LyapunovOptions(transient=16, periods=32)

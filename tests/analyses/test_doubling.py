@@ -11,6 +11,7 @@ import xarray as xr
 from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
+from measure import some_slow
 
 from jaxnh.analyses.doubling import _delta_limit, _deltas
 from jaxnh.config.experiment import load
@@ -149,7 +150,9 @@ def test_terminal_says_what_the_file_says(table):
 # ---- other systems
 
 
-@pytest.mark.parametrize(("config", "overrides", "par"), OTHERS.values(), ids=OTHERS)
+@pytest.mark.parametrize(
+    ("config", "overrides", "par"), some_slow(OTHERS, "d", "omega, from period 2", "omega, disturbed")
+)
 def test_other_systems(result, request, config, overrides, par):
     """Other parameters, periods of the forcing, first periods and directions of the sweep: as the reference has them."""
     name = request.node.callspec.id.replace(",", "").replace(" ", "_")
@@ -266,7 +269,7 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize(("system", "values", "par", "place"), HIDDEN.values(), ids=HIDDEN)
+@pytest.mark.parametrize(("system", "values", "par", "place"), some_slow(HIDDEN, "the longest chain is a jump"))
 def test_hidden_cascades(result, request, system, values, par, place):
     """A longer chain of runs that is none; 8 → 16 between one lane and the next; 48 → 96, of which no lane is seen."""
     name = request.node.callspec.id.replace(" ", "_")

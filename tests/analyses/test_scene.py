@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -128,12 +129,13 @@ def test_words_without_a_clock(lanes):
 
 LANES_B, LANES_A = (Axis(name, B, name) for name in "ba")
 SHARED = Axis("d", B, "disturbance d", "shared")
+CLOCKS = Axis("omega", np.array([1.0, 2.0]), "frequency omega", "shared")
 START_X1 = Axis("x1", B, "position x1", "start")
 REFUSED = {
     "exponents": ("lyapunov", {"exponents": 4}, (LANES_B,), "exponents", "must be at most 3, not 4"),
-    "doubling, shared": ("doubling", {}, (SHARED, LANES_A), "", "doubling follows the first axis of the sweep by its derivatives, and all lanes share d; put a parameter such as a first"),
-    "doubling, start": ("doubling", {}, (START_X1,), "", "doubling follows the first axis of the sweep by its derivatives, and x1 is a coordinate of the start state; put a parameter such as b first"),
-    "up, shared": ("diagram", {"start": "up"}, (SHARED, LANES_B), "start", "a state is carried along the first axis of the sweep, and all lanes share d; put a parameter such as b first"),
+    "search, shared": ("doubling", {"search": True}, (SHARED, LANES_A), "search", "it looks beyond the sweep, and all lanes share d: the system may not exist there; leave it out"),
+    "doubling, no clock": ("doubling", {}, (CLOCKS,), "", "doubling looks between the values of omega, and there sin(1.75855 t) and the disturbance sin t have no common period to strobe at; omega must be a ratio p/q of whole numbers with q up to 64; put a parameter such as b first"),
+    "doubling, start": ("doubling", {}, (START_X1,), "", "doubling follows orbits along the first axis of the sweep, and x1 is a coordinate of the start state; put a parameter such as b first"),
     "down, start": ("diagram", {"start": "down"}, (START_X1,), "start", "there is nothing to carry along x1, a coordinate of the start state; put a parameter such as b first"),
     "random, start": ("diagram", {"start": "random"}, (LANES_B, START_X1), "start", "random starts and the axis x1 of start states exclude each other; leave one out"),
 }  # fmt: skip
@@ -142,7 +144,9 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_does_not_go_together(case):
     name, options, axes, key, message = REFUSED[case]
-    setting = Setting(disturbed_speed(b=1.0), False, axes, "float64")
+    setting = Setting(
+        disturbed_speed(b=1.0), False, axes, "float64", lambda value: disturbed_speed(b=1.0, **{axes[0].name: value})
+    )
     with pytest.raises(OptionError) as caught:
         ANALYSES[name].check(ANALYSES[name].options(**options), setting)
     assert (str(caught.value), caught.value.key) == (message, key)
@@ -154,14 +158,19 @@ def test_what_does_not_go_together(case):
 )  # fmt: skip
 def test_what_a_section_has_no_place_for(name, options, key):
     analysis, flow = ANALYSES[name], free_particle(0.5, None, 1.0, ("forcing",))
-    analysis.check(analysis.options(**options), Setting(flow, False, (LANES_B,), "float64"))
+    analysis.check(analysis.options(**options), Setting(flow, False, (LANES_B,), "float64", lambda value: flow))
     with pytest.raises(OptionError) as caught:
-        analysis.check(analysis.options(**options), Setting(flow, True, (LANES_B,), "float64"))
+        analysis.check(analysis.options(**options), Setting(flow, True, (LANES_B,), "float64", lambda value: flow))
     assert caught.value.key == key
 
 
 def test_defaults_go_with_everything_along_a_parameter():
     """No default is refused: three exponents are cut down to those that there are."""
     for flow in (constant_speed(), free_particle(0.5, None, 1.0)):
+        setting = Setting(flow, False, (LANES_B, SHARED), "float64", functools.partial(_same, flow))
         for analysis in ANALYSES.values():
-            analysis.check(analysis.options(), Setting(flow, False, (LANES_B, SHARED), "float64"))
+            analysis.check(analysis.options(), setting)
+
+
+def _same(flow, value):
+    return flow

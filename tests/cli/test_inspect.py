@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from conftest import ROOT
+from conftest import ROOT, run_here
 
 from jaxnh.storage import hdf5 as store
 
@@ -36,9 +36,7 @@ def made(result, tmp_path_factory):
 
 
 def inspect(*arguments):
-    command = [sys.executable, "-m", "jaxnh.inspect", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    return run_here(*arguments, command="inspect")
 
 
 def test_screen(made):

@@ -278,6 +278,7 @@ def test_coarse_accuracy(sweep, config, exact):
         assert abs(file["doubling/b"][0] - exact) <= file["doubling/b_error"][0]
 
 
+@pytest.mark.slow
 def test_compiled_programs_are_kept(sweep_process, config, monkeypatch):
     """A run leaves its programs in the cache, and the same run again finds every one: it adds none."""
     cache = config.parent / "cache"
@@ -333,6 +334,7 @@ def started(config, stage):
     raise AssertionError(f"it ended before the stage {stage}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", ["accuracy", "doubling"])
 def test_killed_run_leaves_no_result(config, stage):
     """Nor anything else but the folder in which it began; what a kill keeps is shown in test_batch.py."""
@@ -346,6 +348,7 @@ def test_killed_run_leaves_no_result(config, stage):
     assert {path.parent.name for path in left} == {"killed.h5.tiles"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_run_says_so(config, number):
     """Control-C or a scheduler's preemption: one line after the stages, no traceback, and the code to go on."""

@@ -211,9 +211,9 @@ REFUSED = {
     "too fast": (("  b: {", "  x2: {values: [0.1, -1.5]}\n  b: {"), "FILE:5: sweep.x2: the speed at t = 0 is 1, and |x2| cannot be above it; x2 is -1.5"),
     "too fast at one c": (("  d: {values: [0.1, 0.2]}", "  c: {values: [1, 0.25]}\n  x2: {values: [0.1, 0.6]}"), "FILE:5: sweep.x2: the speed at t = 0 is 0.5, and |x2| cannot be above it; x2 is 0.6"),
     "too many lanes": (("count: 3", "count: 2000000"), "FILE:3: sweep: 2 x 2,000,000 x 4 are 16,000,000 lanes, and 10,000,000 is the most"),
-    "doubling along d": (("lyapunov: {}", "doubling: {}"), "FILE:8: analyses.doubling: doubling follows the first axis of the sweep by its derivatives, and all lanes share d; put a parameter such as b first"),
-    "doubling along x1": (("  d: {values: [0.1, 0.2]}", "  x2: {values: [0.1, 0.2]}"), ("lyapunov: {}", "doubling: {}"), "FILE:8: analyses.doubling: doubling follows the first axis of the sweep by its derivatives, and x2 is a coordinate of the start state; put a parameter such as b first"),
-    "carried along d": (("lyapunov: {}", "diagram: {start: up}"), "FILE:8: analyses.diagram.start: a state is carried along the first axis of the sweep, and all lanes share d; put a parameter such as b first"),
+    "search along d": (("lyapunov: {}", "doubling: {search: true}"), "FILE:8: analyses.doubling.search: it looks beyond the sweep, and all lanes share d: the system may not exist there; leave it out"),
+    "doubling along omega": (("  d: {values: [0.1, 0.2]}", "  omega: {values: [1, 2]}"), ("lyapunov: {}", "doubling: {}"), "FILE:8: analyses.doubling: doubling looks between the values of omega, and there sin(1.75855 t) and the disturbance sin t have no common period to strobe at; omega must be a ratio p/q of whole numbers with q up to 64; put a parameter such as b first"),
+    "doubling along x1": (("  d: {values: [0.1, 0.2]}", "  x2: {values: [0.1, 0.2]}"), ("lyapunov: {}", "doubling: {}"), "FILE:8: analyses.doubling: doubling follows orbits along the first axis of the sweep, and x2 is a coordinate of the start state; put a parameter such as b first"),
     "carried along x2": (("  d: {values: [0.1, 0.2]}", "  x2: {values: [0.1, 0.2]}"), ("lyapunov: {}", "diagram: {start: down}"), "FILE:8: analyses.diagram.start: there is nothing to carry along x2, a coordinate of the start state; put a parameter such as b first"),
     "two kinds of starts": (("lyapunov: {}", "diagram: {start: random}"), "FILE:8: analyses.diagram.start: random starts and the axis x1 of start states exclude each other; leave one out"),
 }  # fmt: skip

@@ -107,6 +107,7 @@ def test_a_period_where_nothing_depends_on_time(tmp_path):
         jaxnh.load(write(tmp_path, config, text))
 
 
+@pytest.mark.slow
 def test_exponents_of_lorenz(tmp_path):
     """0.9056, 0, −14.5723 (Sprott 2003, to 5e-5) within the bars.
 

@@ -92,6 +92,7 @@ def test_map_is_diffeqsolve_with_projected_steps(tmp_path):
     assert np.abs(moved - exact).max() < 1e-11
 
 
+@pytest.mark.slow
 def test_map_and_its_derivatives_are_those_of_the_splitting(tmp_path):
     """Two methods that share no code: positions after a period, and their slopes in positions and in b.
 

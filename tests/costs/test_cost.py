@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from conftest import ROOT
+from conftest import ROOT, run_here
 from measure import scene_of
 
 from jaxnh.costs import exponent
@@ -62,6 +62,7 @@ def rows(solvers, name, summation="plain"):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SPLITTINGS)
 def test_errors_fall_at_the_order(solvers, name):
     """The last rows above what rounding leaves; what still falls faster has larger terms of higher orders."""
@@ -76,6 +77,7 @@ def test_errors_fall_at_the_order(solvers, name):
         assert order < SPLITTINGS[name].convergence_order + 1.5
 
 
+@pytest.mark.slow
 def test_every_method_has_a_row(solvers):
     """The solvers of the package, and those of diffrax with constant and with adaptive steps."""
     stock = {f"diffrax {name}{kind}" for name in ("Tsit5", "Dopri8") for kind in ("", " adaptive")}
@@ -86,6 +88,7 @@ def test_every_method_has_a_row(solvers):
     assert np.all(solvers["seconds_least"] > 0)
 
 
+@pytest.mark.slow
 def test_written_out_and_stock_are_one_method(solvers):
     """The same tableau on the same steps: equal errors, but for rounding."""
     for written_out, stock in (("tsit5", "diffrax Tsit5"), ("dopri8", "diffrax Dopri8")):
@@ -94,6 +97,7 @@ def test_written_out_and_stock_are_one_method(solvers):
         np.testing.assert_allclose(ours["error"], theirs["error"], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_compensated_sums_go_below_plain_ones(solvers):
     """Rounding is what ends the rows of plain sums of high order, and compensation lowers it (DESIGN section 3).
 
@@ -105,6 +109,7 @@ def test_compensated_sums_go_below_plain_ones(solvers):
         assert compensated < plain
 
 
+@pytest.mark.slow
 def test_mark_is_at_the_cheapest(tree, solvers):
     """Among splittings with plain sums, the fewest kicks that meet the target; the engine looks for them to 2%."""
     picked = solvers.isel(setting=np.flatnonzero(solvers["picked"].to_numpy()))
@@ -121,6 +126,7 @@ def test_mark_is_at_the_cheapest(tree, solvers):
     assert picked["forces"].item() <= 1.02 * meeting.min()
 
 
+@pytest.mark.slow
 def test_projected_time_is_that_of_the_analyses(solvers):
     """Lane-periods that the analyses expect, of lanes padded to whole tiles, times the time of one."""
     work = solvers.attrs["projected_lane_periods"]
@@ -128,6 +134,7 @@ def test_projected_time_is_that_of_the_analyses(solvers):
     assert work >= 32 * 512
 
 
+@pytest.mark.slow
 def test_price_of_a_doubling(tree):
     """Detection comes too early and gains with N; both ways by the orbit end at the error of the steps, or below."""
     data = tree["doubling_cost"].to_dataset()
@@ -150,6 +157,7 @@ def test_price_of_a_doubling(tree):
     np.testing.assert_allclose(data["error"], np.abs(data["b"] - reference), atol=1e-15)
 
 
+@pytest.mark.slow
 def test_file_and_figures(run, tree):
     """Provenance at the root, units everywhere, figures beside the file; no figure of what was not asked for."""
     path, out = run
@@ -207,7 +215,7 @@ def scene(values):
     ],
 )
 def test_bad_input(arguments, line):
-    done = command("-m", "jaxnh.cost", *arguments)
+    done = run_here(*arguments, command="cost")
     assert done.returncode == 2
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1

@@ -165,6 +165,7 @@ def test_motion_that_comes_to_rest(lanes, exponents):
         np.testing.assert_allclose(found.sum(axis=1), -1.0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_other_analyses_on_a_section(lanes, spectrum):
     """The 0–1 test parts order from chaos on crossings; nothing is attracting, so that no period is found."""
     scene, group = spectrum
@@ -211,6 +212,7 @@ def config(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_run_of_a_scene_without_a_clock(result, config):
     """One config to one file that opens: crossings with their times, a portrait in time, the exponents."""
     path, out, _ = result("effects", config)
@@ -228,6 +230,7 @@ def test_run_of_a_scene_without_a_clock(result, config):
     assert "error of one return" in out
 
 
+@pytest.mark.slow
 def test_price_of_every_effect(tmp_path, capsys):
     """Of each effect: fewer operations without it, or as many in another program; tangents add up; storage is counted."""
     overrides = ["accuracy={solver: blanes_moan6, steps: 40}", "analyses.portrait={periods: 2, samples: 16}"]

@@ -145,6 +145,7 @@ def test_lanes_are_chaotic(whole):
     assert np.median(np.abs(np.diff(x1[:, 0, -1]))) > 0.01
 
 
+@pytest.mark.slow
 def test_one_core(job, whole):
     """One device in place of two, and twelve tiles in place of one."""
     found, _, err = job.run(environment={"JAX_NUM_CPU_DEVICES": "1"})
@@ -154,6 +155,7 @@ def test_one_core(job, whole):
     assert job.left() == {"job.h5"}
 
 
+@pytest.mark.slow
 def test_four_parts_at_once(job, whole):
     """On one folder: two processes, and two parts here meanwhile; then the join."""
     processes = {k: job.start("--part", f"{k}/4") for k in (1, 3)}
@@ -192,6 +194,7 @@ def test_parts_of_a_small_sweep(tmp_path, tile):
 OTHER = {"processor": "x86_64 avx avx2 fma avx512f", "xla_options": "--xla_some_option=1"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", OTHER)
 def test_machine_of_another_kind(job, whole, key):
     """Tiles of two kinds of processor, or of other XLA options, are not put together: a resumed run, a part and a
@@ -226,6 +229,7 @@ def test_machine_of_another_kind(job, whole, key):
         assert {name: file.attrs[name] for name in OTHER} == lanes.machine
 
 
+@pytest.mark.slow
 def test_dask_worker_killed(job, whole):
     """Two workers of a local cluster, each killed in turn while at work: the run ends well, and nothing is lost."""
     process = job.start("--dask", "local:2")
@@ -316,6 +320,7 @@ def test_dask_scheduler_killed(job, whole, by):
 # ---- ends in the middle
 
 
+@pytest.mark.slow
 def test_killed_then_resumed(job, whole):
     """Killed once tiles are there, which a later run goes on from, whatever was half done."""
     for count in (2, 6):
@@ -358,6 +363,7 @@ def test_killed_at_random_moments(job, whole):
     finish(job, whole)
 
 
+@pytest.mark.slow
 def test_stopped_by_a_signal(job, whole):
     """The code to go on, and a line with how far it came; asked to be quiet, the rest is done without a word."""
     process = job.start()

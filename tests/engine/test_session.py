@@ -199,7 +199,7 @@ def test_refused(session, arguments, axes, said):
 
 @pytest.mark.parametrize(
     ("first", "analysis", "options"),
-    [("d", "doubling", {"levels": 1}), ("x1", "doubling", {"levels": 1}), ("d", "diagram", {"start": "up"})],
+    [("x1", "doubling", {"levels": 1}), ("x1", "diagram", {"start": "up"})],
 )
 def test_first_axis_that_nothing_can_be_carried_along(first, analysis, options):
     """With advice which axis to put first."""
@@ -210,7 +210,8 @@ def test_first_axis_that_nothing_can_be_carried_along(first, analysis, options):
     }
     session = session_of(Experiment.from_dict(content))
     with pytest.raises(
-        jaxnh.InputError, match=rf"analyses\.{analysis}.* first axis .*; put a parameter such as b first$"
+        jaxnh.InputError,
+        match=rf"analyses\.{analysis}.* x1, a coordinate of the start state; put a parameter such as b first$",
     ):
         session.run(analysis, options)
 

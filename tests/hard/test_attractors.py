@@ -103,6 +103,7 @@ def means(lanes, strobe, state, p, periods):
     return state, total / (periods // block * block)
 
 
+@pytest.mark.slow
 @pytest.mark.case("Long chaos")
 def test_long_chaos(battery, lanes):
     """An attractor that is its own mirror image: odd means vanish within their error, over lanes that forgot their start."""
@@ -158,6 +159,7 @@ def test_long_chaos(battery, lanes):
         show_sum_rule(battery, f"d = {system.d:g}, b = {b}, {options.periods:,} periods", found, 2e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.case("Long chaos")
 def test_long_chaos_in_tiles(battery, tmp_path):
     """The command on chaotic lanes: undisturbed, and in tiles on disk, stopped by a scheduler's signal and resumed."""
@@ -290,6 +292,7 @@ def attractors(lanes, scene, found, left):
 # ---- a poisoned lane
 
 
+@pytest.mark.slow
 @pytest.mark.case("A poisoned lane")
 def test_poisoned_lane(battery, lanes, tmp_path):
     """Not a number, infinite, or so large that the force overflows: that lane is marked failed, the others keep their bits."""

@@ -60,6 +60,7 @@ def climb(one_period, first, levels):
 # ---- on the edge of a doubling
 
 
+@pytest.mark.slow
 @pytest.mark.case("On the edge of a doubling")
 def test_on_the_edge_of_a_doubling(battery, lanes, first):
     """Newton decides right on both sides, however near, and takes no more steps for it."""

@@ -120,6 +120,7 @@ def show(battery, what, bars):
             )
 
 
+@pytest.mark.slow
 @pytest.mark.case("Error bars of exponents")
 def test_random_lanes(battery, lanes):
     """Random lanes of both systems, averages of 64 to 4,096 periods, targets 1e-5 to 1e-10."""
@@ -205,6 +206,7 @@ def still_tori(rng, count, time=4000.0):
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.case("Error bars of exponents")
 def test_flows_whose_largest_exponent_is_zero(battery, lanes):
     """Tori of pendulums, limit cycles seen by a strobe, and tori without forcing: zero is within the bar."""

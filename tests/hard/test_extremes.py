@@ -29,6 +29,7 @@ CONFIG = "system: {constraint: disturbed_speed, c: 1.0, d: 0.1}\nsweep: {b: {val
 # ---- speed nearly vanishing
 
 
+@pytest.mark.slow
 @pytest.mark.case("Speed nearly vanishing")
 def test_speed_nearly_vanishing(battery, lanes):
     """The speed falls to 0.003: step grids refine towards that moment, errors keep the estimate, spectra are finite."""
@@ -70,6 +71,7 @@ STRONG = {  # (b, c, x1 at the start): target, and whether it is held; else refu
 }
 
 
+@pytest.mark.slow
 @pytest.mark.case("Strong force")
 def test_strong_force(battery, lanes):
     """Steps are raised until the estimate meets the target, or the scene is refused, by name; what would run is finite."""
@@ -143,6 +145,7 @@ def test_slow_forcing(battery, lanes):
 OMEGAS = sorted({p / q for p in range(1, 9) for q in range(1, 5)})
 
 
+@pytest.mark.slow
 @pytest.mark.case("Random systems")
 def test_random_systems(battery, lanes):
     """a, b, c, d, ω and start states over wide ranges: within the estimate, or refused with a reason."""

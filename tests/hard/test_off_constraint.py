@@ -124,6 +124,7 @@ def test_growth_of_a_speed_error(battery, lanes):
         assert max(predicted) > math.log(10)
 
 
+@pytest.mark.slow
 def test_which_die(battery, lanes):
     """From the start state, on the constraint: four equations die on many b; unit vectors keep |n| = 1 on all.
 

@@ -73,6 +73,7 @@ def turned_over(battery, scenes, lanes, lengths, what):
     return kind
 
 
+@pytest.mark.slow
 @pytest.mark.case("Verdicts of longer runs")
 def test_verdicts_of_random_lanes(battery):
     """Over the paper's ranges, and again within the gaps between neighbours of which one is chaotic: edges of windows."""
@@ -87,6 +88,7 @@ def test_verdicts_of_random_lanes(battery):
         turned_over(battery, [particle(name, np.concatenate([b, edges]))], lanes, lengths, name)
 
 
+@pytest.mark.slow
 @pytest.mark.case("Verdicts of longer runs")
 def test_verdicts_of_pendula(battery):
     """With and without damping: swings, whole turns, chaos, and tori, on which nothing is chaotic."""
@@ -103,6 +105,7 @@ def test_verdicts_of_pendula(battery):
     battery.row("tori without damping", int(np.sum(kind[count:] == CHAOTIC)), 0, "called chaotic:")
 
 
+@pytest.mark.slow
 @pytest.mark.case("Verdicts of longer runs")
 def test_transients_of_chaos(battery):
     """Chaos over the whole of the average that ends later is not called chaos, and what it ends in is said."""
@@ -112,6 +115,7 @@ def test_transients_of_chaos(battery):
     battery.row(f"b = {b}, 512 + 1,024 periods", int(np.sum(found["kind"] == CHAOTIC)), 0, "called chaotic:")
 
 
+@pytest.mark.slow
 @pytest.mark.case("Verdicts of longer runs")
 def test_limit_cycle_beside_a_strobe(battery):
     """Where the right-hand side knows no time a limit cycle is periodic; a pendulum without damping is undecided."""

@@ -125,6 +125,7 @@ def test_return_in_one_step():
         assert (float(fine.state[1][1]) > 0) == (expected == "first")
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_return(lanes):
     """∂P/∂u and ∂P/∂b of the return map are those of differences; det ∂P/∂u is what the flux through the section says.
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from calm import check_convergence, check_derivatives, image
-from measure import CALM, UNIT, apart
+from measure import CALM, UNIT, apart, some_slow
 
 from jaxnh.analyses.base import spread
 from jaxnh.engine.lanes import Lanes
@@ -50,7 +50,7 @@ def test_derivatives_of_runge_kutta(lanes):
 
 
 @pytest.mark.parametrize("rolled", [True, False], ids=["rolled", "written out"])
-@pytest.mark.parametrize("flow", FLOWS)
+@pytest.mark.parametrize("flow", some_slow(dict(zip(FLOWS, FLOWS, strict=True)), "free"))
 @pytest.mark.parametrize("name", ["dopri8", "tsit5"])
 def test_steps_are_diffeqsolve_with_projected_steps(name, flow, rolled):
     """The loop of steps is the written-out solver, projected, under `diffrax.diffeqsolve`, to rounding.
@@ -123,6 +123,7 @@ def jacfwd(strobe, u, p):
     return jax.jacfwd(lambda u, p: section_map(strobe, 1, u, p), argnums=(0, 1))(u, p)
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_system_of_its_own_parameters(lanes):
     """∂P/∂a of T, Q and f is that of jacfwd of the map."""
     system, start = FLOWS["constrained"]

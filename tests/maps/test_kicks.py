@@ -21,7 +21,7 @@ from calm import (
     start_states,
     systems,
 )
-from measure import CALM, CALM_B, CALM_STATES, apart, twin
+from measure import CALM, CALM_B, CALM_STATES, apart, some_slow, twin
 
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
@@ -120,7 +120,7 @@ def by_tangents(lanes, system, p, name, compensated):
         yield lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, p), static=(name,), tile=16)
 
 
-@systems
+@pytest.mark.parametrize("system", some_slow(CALM, "disturbed"))
 def test_derivatives_of_kicks(lanes, system):
     """At a hundred steps of order ten the calm map has come down to its roundings, and so have its derivatives.
 
@@ -137,7 +137,7 @@ def test_derivatives_of_kicks(lanes, system):
         assert np.all(ours < ROUNDOFF * size(*right))
 
 
-@systems
+@pytest.mark.parametrize("system", some_slow(CALM, "disturbed"))
 def test_derivatives_in_the_stiffness(lanes, system):
     """∂P/∂a in closed form is that of jacfwd, and that of the reference by differences.
 
