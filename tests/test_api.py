@@ -95,6 +95,7 @@ def test_every_name_resolves():
         jaxnh.sweeps  # noqa: B018
 
 
+@pytest.mark.slow
 def test_jax_started_before():
     """A warning that says what to do, and the same numbers to what they are stated to: here one period's."""
     content = {**CONTENT, "accuracy": {"target": 1e-6}, "analyses": {"poincare": {"transient": 1, "strobes": 1}}}
@@ -120,6 +121,7 @@ def test_jax_started_before():
     )
 
 
+@pytest.mark.slow
 def test_notebook(tmp_path):
     """Table 1 in three lines, and the doublings as the last cell shows them."""
     imported, *body = filter(None, lines().splitlines())
@@ -281,7 +283,11 @@ OTHERS = {
     "ConstructorError": {"config/yaml_tree.py": "caught by the reader of YAML, which says it in a line"},
     "Fault": {"config/yaml_tree.py": "caught at once, and given its line", "config/yaml_source.py": "likewise"},
     "FileNotFoundError": {"storage/tiles.py": "a tile that is not there: caught by those who look for it"},
-    "NotImplementedError": {"config/user_system.py": "a method for subclasses", "maps/protocol.py": "likewise"},
+    "NotImplementedError": {
+        "config/user_system.py": "a method for subclasses",
+        "maps/protocol.py": "likewise",
+        "analyses/along.py": "a map that is for the host alone",
+    },
     "PydanticCustomError": dict.fromkeys(
         (
             "analyses/diagram.py",

@@ -23,6 +23,7 @@ def sweep(system, name, values, accuracy):
     return session_of(Experiment.from_dict(content))
 
 
+@pytest.mark.slow
 def test_doubling_along_a_shared_parameter():
     """Along d at b = 5.6; at this d the reference finds it along b. A change of d moves it by less than ten times in b."""
     system = {"constraint": "disturbed_speed", "b": 5.6}

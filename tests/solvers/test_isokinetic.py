@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from measure import CALM, LANES, STATES, SYSTEMS, UNIT, B, order_of
+from measure import CALM, LANES, STATES, SYSTEMS, UNIT, B, order_of, some_slow
 from scipy.special import ellipe
 
 from jaxnh.engine.lanes import Lanes
@@ -83,7 +83,7 @@ def test_coefficients_sum_to_one(solver):
 
 
 @splittings
-@pytest.mark.parametrize("system", CALM.values(), ids=CALM)
+@pytest.mark.parametrize("system", some_slow(CALM, "disturbed"))
 def test_order_measured(system, solver):
     """Under plain diffrax, or of a processed method, whose processor diffrax does not know, that of the strobe map.
 

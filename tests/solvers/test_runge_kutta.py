@@ -61,6 +61,7 @@ def test_stages_are_those_the_solution_needs(solver):
     assert abs(end(None) - np.exp(-0.1)) < 0.1**solver.convergence_order / 120
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tsit5", "dopri8"])
 def test_adaptive_steps(name):
     """Under a PID controller: the same steps as diffrax's own, and the tolerance of a step, added up, as the error."""

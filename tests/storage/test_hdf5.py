@@ -379,6 +379,7 @@ def full_disk(request, tmp_path_factory):
     return path, status, said, [before] if before else []
 
 
+@pytest.mark.slow
 def test_full_disk_leaves_all_as_it_was(full_disk):
     path, _, said, before = full_disk
     assert f"cannot write {path}: " in said
@@ -428,6 +429,7 @@ print(json.dumps([absent, whole, interrupted]))
 """
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment(tmp_path):
     """Under its final name a file is absent or whole, after kills during the first writing and during later ones."""
     absent, whole, interrupted = run(KILLED, tmp_path, 60)

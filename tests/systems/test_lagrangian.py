@@ -215,6 +215,7 @@ def test_appell_hamel_machine():
     assert abs(float(multiplier) - fall / 2) < 1e-12
 
 
+@pytest.mark.slow
 def test_energy_of_the_appell_hamel_machine_in_springs():
     """f is homogeneous in the velocities, so its reaction does no work: the energy stays to the error of the method."""
     parameters = {"ratio": 0.7, "gravity": 0.0, "stiffness": 1.0}
@@ -376,6 +377,7 @@ def oscillators(q, g, coupling):
     return coupling * y - g * x * (0.5 + x * x), coupling * z - g * y * (1.0 + y * y), coupling * x - g * z
 
 
+@pytest.mark.slow
 def test_three_dimensions():
     """Constant speed in space by an isokinetic splitting and by T, Q and f: two methods that share no code."""
 
