@@ -114,11 +114,12 @@ def _scenes(cases: Sequence[Case]) -> list[TangentScene]:
 
 
 def _true_scene(case: Case) -> TangentScene:
-    from sweeps.peers_heyoka import true_scene  # only in the process above
+    from sweeps.peers_heyoka import equations, true_scene  # only in the process above
     from sweeps.peers_heyoka_tangent import true_derivatives
 
     scene = true_scene(case)
-    return TangentScene(**vars(scene), derivatives=true_derivatives(scene))
+    motion = equations(case.a, case.c, case.d, "angle", "time")
+    return TangentScene(**vars(scene), derivatives=true_derivatives(scene, motion))
 
 
 def _lyapunov(args: argparse.Namespace, scene: TangentScene, core: int, console: Console) -> list[Row]:

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweeps.peers_scene import Errors, Scene, Setting, least_effort, unit
+from sweeps.peers_scene import Errors, Scene, Setting, Truth, least_effort, unit
 
 _PERIODS = 8
 _MOST_STEPS = 1 << 20
@@ -42,15 +42,33 @@ def _field(scene: Scene, form: str) -> Callable[[Any, Any, Any], Any]:
     return field
 
 
-class Contestant:
-    """Both solvers, adaptive or with constant steps, in every form; rtol = atol."""
+class StockContestant:
+    """Both solvers on a flow, adaptive or with constant steps, in every form of the equations; rtol = atol.
 
+    Attributes:
+        forms: of the equations.
+        suffix: of the rows' names.
+    """
+
+    forms: Sequence[str]
     suffix = ""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Truth) -> None:
         jax.config.update("jax_enable_x64", True)
         self.scene = scene
         self._programs: dict[tuple[object, ...], Any] = {}
+
+    def field(self, form: str) -> Callable[[Any, Any, Any], Any]:
+        """The equations, a function of (t, state, parameter), states being tuples."""
+        raise NotImplementedError
+
+    def starts(self, form: str, lanes: np.ndarray) -> np.ndarray:
+        """Start states (lanes, variables) in a form."""
+        raise NotImplementedError
+
+    def compared(self, form: str, ends: np.ndarray) -> np.ndarray:
+        """What is compared of states (lanes, variables): as the scene's `ends`."""
+        raise NotImplementedError
 
     def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
         settings = []
@@ -58,7 +76,7 @@ class Contestant:
         for solver, controller in itertools.product(_SOLVERS, _CONTROLLERS):
             adaptive = controller == "PIDController"
             guess = 30 / target if adaptive else (1e-8 / target) ** (0.125 if solver == "Dopri8" else 0.2) * 400
-            for form in _FORMS:
+            for form in self.forms:
                 key = (solver, controller, form)
                 if only and key not in {hint.key for hint in hints}:
                     continue
@@ -98,11 +116,11 @@ class Contestant:
         # In two halves, so that one compiled program both measures and runs.
         halves = np.split(np.arange(len(self.scene.b)), 2)
         ends = np.concatenate([self._solve(key, half, 1, effort) for half in halves])
-        return self.scene.errors(unit(ends) if key[2] == "angle" else ends)
+        return self.scene.errors(self.compared(key[2], ends))
 
     def _solve(self, key: tuple[Any, ...], lanes: np.ndarray, periods: int, effort: float) -> np.ndarray:
         """States (lanes, variables) some periods later."""
-        start = (self.scene.states if key[2] == "angle" else self.scene.unit_states)[lanes]
+        start = self.starts(key[2], lanes)
         ends = self._program(key)(tuple(start.T), self.scene.b[lanes], effort, periods * self.scene.period)
         return np.stack(ends, axis=-1)
 
@@ -112,7 +130,7 @@ class Contestant:
         solver, controller, form = key
         adaptive = controller == "PIDController"
         period = self.scene.period
-        term = diffrax.ODETerm(_field(self.scene, form))
+        term = diffrax.ODETerm(self.field(form))
 
         def solve(state: Any, b: Any, effort: Any, t1: Any) -> Any:
             solution = diffrax.diffeqsolve(
@@ -134,3 +152,19 @@ class Contestant:
 
         self._programs[key] = jax.jit(jax.vmap(solve, in_axes=(0, 0, None, None)))
         return self._programs[key]
+
+
+class Contestant(StockContestant):
+    """The particle, its velocity as a unit vector or an angle."""
+
+    scene: Scene
+    forms = _FORMS
+
+    def field(self, form: str) -> Callable[[Any, Any, Any], Any]:
+        return _field(self.scene, form)
+
+    def starts(self, form: str, lanes: np.ndarray) -> np.ndarray:
+        return (self.scene.states if form == "angle" else self.scene.unit_states)[lanes]
+
+    def compared(self, form: str, ends: np.ndarray) -> np.ndarray:
+        return unit(ends) if form == "angle" else ends

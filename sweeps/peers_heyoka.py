@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sweeps.peers_cases import Case
-from sweeps.peers_scene import PERIODS, TRANSIENT, Errors, Scene, Setting, unit
+from sweeps.peers_scene import PERIODS, TRANSIENT, Errors, Scene, Setting, Truth, unit
 
 try:
     import heyoka as hy
@@ -26,8 +26,9 @@ except ImportError as error:
 REAL: Any = np.longdouble if np.finfo(np.longdouble).nmant == 63 else np.float64
 TOLERANCE = 1e-18 if REAL is np.longdouble else 1e-15
 MOST_ORDER = 30
+CLOCK = "clock equations"
 # Clock: sin t by heyoka's own time, or sin t and cos t as two more equations.
-_FORMS = tuple(itertools.product(("angle", "unit vector"), ("time", "clock equations")))
+_FORMS = tuple(itertools.product(("angle", "unit vector"), ("time", CLOCK)))
 _BATCHES = (1, 2, 4)  # in recommended SIMD sizes
 _OPTIONS: tuple[tuple[str, ...], ...] = ((), ("fast_math",), ("compact_mode",), ("fast_math", "force_avx512"))
 WIDE = 8  # lanes of a vector of 512 bits
@@ -37,7 +38,7 @@ def equations(a: float, c: float, d: float, form: str, clock: str) -> list[tuple
     """Equations of motion as heyoka takes them; parameter 0 is b. Cubes are products: x**3 is NaN at x = 0."""
     b = hy.par[0]
     x, y = hy.make_vars("x", "y")
-    sine, cosine = hy.make_vars("sine", "cosine") if clock == "clock equations" else (hy.sin(hy.time), None)
+    sine, cosine = hy.make_vars("sine", "cosine") if clock == CLOCK else (hy.sin(hy.time), None)
     n1, n2 = hy.make_vars("n1", "n2")
     theta = hy.make_vars("theta")
     if form == "angle":
@@ -134,35 +135,57 @@ class Batches:
         return self._integrators[key]
 
 
-class Contestant:
-    """The batch integrator in all its forms: angle or unit vector, clock, batch size, and options of the compiler."""
+class BatchContestant:
+    """The batch integrator of a flow in all its forms: of the equations, batch size, and options of the compiler.
 
-    def __init__(self, scene: Scene) -> None:
+    Attributes:
+        forms: of the equations, each a few words, by which `equations` makes them.
+        options: of the compiler.
+        periods: that one call of a timed program integrates over.
+    """
+
+    forms: Sequence[tuple[str, ...]]
+    options: Sequence[tuple[str, ...]] = _OPTIONS
+    periods = PERIODS
+
+    def __init__(self, scene: Truth) -> None:
         self.scene = scene
-        self._batches = Batches(lambda *form: equations(scene.a, scene.c, scene.d, *form))
+        self._batches = Batches(self.equations)
         self._errors: dict[tuple[object, ...], Errors] = {}
+
+    def equations(self, *form: str) -> list[tuple[Any, Any]]:
+        """Equations of motion in a form; parameter 0 is the lane's."""
+        raise NotImplementedError
+
+    def starts(self, form: tuple[str, ...], lanes: np.ndarray) -> np.ndarray:
+        """Start states (lanes, variables) of lanes in a form."""
+        raise NotImplementedError
+
+    def compared(self, form: tuple[str, ...], ends: np.ndarray) -> np.ndarray:
+        """What is compared of states (lanes, variables): as the scene's `ends`."""
+        raise NotImplementedError
 
     def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
         simd = hy.recommended_simd_size()
         settings = []
         wanted = {hint.key for hint in hints}
-        for form, clock in _FORMS:
-            if only and not any(key[:2] == (form, clock) for key in wanted):
+        for form in self.forms:
+            if only and not any(key[:-2] == form for key in wanted):
                 continue
-            order = self._least_order(form, clock, target)
-            for multiple, options in itertools.product(_BATCHES, tried_options(_OPTIONS)):
+            order = self._least_order(form, target)
+            for multiple, options in itertools.product(_BATCHES, tried_options(self.options)):
                 batch = multiple * simd
-                if only and (form, clock, batch, options) not in wanted:
+                if only and (*form, batch, options) not in wanted:
                     continue
-                default = clock == "time" and not options
+                default = form[-1] == "time" and not options
                 settings.append(
                     Setting(
                         peer="heyoka batch, default options" if default else "heyoka batch",
-                        form=", ".join((form, clock, f"batch of {batch}", *options)),
+                        form=", ".join((*form, f"batch of {batch}", *options)),
                         knob=order,
                         label=f"order {order} (tol {math.exp(2 - 2 * order):.1e})",
-                        errors=self._measured(form, clock, batch, options, order),
-                        key=(form, clock, batch, options),
+                        errors=self._measured(*form, batch, options, order),
+                        key=(*form, batch, options),
                     )
                 )
         # Reassociated sums can carry an error that just met the target over it.
@@ -173,32 +196,53 @@ class Contestant:
         lanes = self.scene.timed()
 
         def run() -> float:
-            self._propagate(lanes, 0 if idle else PERIODS, (*setting.key, int(setting.knob)))
-            return len(lanes) * PERIODS
+            self._propagate(lanes, 0 if idle else self.periods, (*setting.key, int(setting.knob)))
+            return len(lanes) * self.periods
 
         return run
 
-    def _least_order(self, form: str, clock: str, target: float) -> int:
+    def _least_order(self, form: tuple[str, ...], target: float) -> int:
         order = max(3, math.ceil(1 - 0.5 * math.log(target)) - 2)
         simd = hy.recommended_simd_size()
-        while order > 3 and self._measured(form, clock, simd, (), order - 1).max <= target:
+        while order > 3 and self._measured(*form, simd, (), order - 1).max <= target:
             order -= 1
-        while self._measured(form, clock, simd, (), order).max > target:
+        while self._measured(*form, simd, (), order).max > target:
             order += 1
             if order > MOST_ORDER:
-                raise ArithmeticError(f"heyoka reaches no error of {target:g} in the {form} form")
+                raise ArithmeticError(f"heyoka reaches no error of {target:g} in the form {' '.join(form)}")
         return order
 
     def _measured(self, *key: Any) -> Errors:
         if key not in self._errors:
             ends = self._propagate(np.arange(len(self.scene.b)), 1, key)
-            self._errors[key] = self.scene.errors(unit(ends[:, :3]) if key[0] == "angle" else ends[:, :4])
+            self._errors[key] = self.scene.errors(self.compared(key[:-3], ends))
         return self._errors[key]
 
     def _propagate(self, lanes: np.ndarray, periods: int, key: tuple[Any, ...]) -> np.ndarray:
         """States (lanes, variables) some periods later, by one run through all of them: no stop at the strobes."""
-        form, clock = key[:2]
-        start = (self.scene.states if form == "angle" else self.scene.unit_states)[lanes]
-        if clock == "clock equations":
-            start = np.column_stack([start, np.zeros(len(lanes)), np.ones(len(lanes))])
-        return self._batches(start, self.scene.b[lanes], (0.0, periods * self.scene.period), (form, clock), *key[2:])
+        *form, batch, options, order = key
+        times = 0.0, periods * self.scene.period
+        start = self.starts(tuple(form), lanes)
+        return self._batches(start, self.scene.b[lanes], times, tuple(form), batch, options, order)
+
+
+class Contestant(BatchContestant):
+    """The particle: angle or unit vector, and its clock."""
+
+    scene: Scene
+    forms = _FORMS
+
+    def equations(self, *form: str) -> list[tuple[Any, Any]]:
+        return equations(self.scene.a, self.scene.c, self.scene.d, *form)
+
+    def starts(self, form: tuple[str, ...], lanes: np.ndarray) -> np.ndarray:
+        start = (self.scene.states if form[0] == "angle" else self.scene.unit_states)[lanes]
+        return with_clock(start) if form[1] == CLOCK else start
+
+    def compared(self, form: tuple[str, ...], ends: np.ndarray) -> np.ndarray:
+        return unit(ends[:, :3]) if form[0] == "angle" else ends[:, :4]
+
+
+def with_clock(start: np.ndarray) -> np.ndarray:
+    """States (lanes, d) and those of the clock equations at t = 0: its sine and cosine."""
+    return np.column_stack([start, np.zeros(len(start)), np.ones(len(start))])

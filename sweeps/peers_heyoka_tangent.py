@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import heyoka as hy
 import numpy as np
 
-from sweeps.peers_heyoka import MOST_ORDER, REAL, TOLERANCE, Batches, equations, tried_options
-from sweeps.peers_scene import Errors, Scene, Setting, TangentScene
+from sweeps.peers_heyoka import CLOCK, MOST_ORDER, REAL, TOLERANCE, Batches, equations, tried_options, with_clock
+from sweeps.peers_scene import Errors, Setting, TangentScene, TangentTruth, Truth
 
 _PERIODS = 8
-_CLOCKS = ("time", "clock equations")
+_CLOCKS = ("time", CLOCK)
 _FORMS: tuple[tuple[int, tuple[str, ...]], ...] = (
     (1, ()),
     (1, ("fast_math",)),
@@ -36,24 +36,28 @@ _EQUAL_TIMES, _WHOLE_STEPS = "at equal times", "after whole steps"
 _OFTEN = ", {:.3g} orthonormalisations a period {}"
 
 
-def tangent_equations(scene: Scene, clock: str) -> list[tuple[Any, Any]]:
-    """Equations of motion, nine variational equations of (x, y, θ), and the clock's."""
-    motion = equations(scene.a, scene.c, scene.d, "angle", clock)
-    states, rates = zip(*motion[:3], strict=True)
-    tangents = [hy.make_vars(*(f"d{state}_{i}" for state in states)) for i in range(3)]
+def tangent_equations(motion: Sequence[tuple[Any, Any]], d: int) -> list[tuple[Any, Any]]:
+    """The first d of some equations of motion, their d² variational equations, and the clock's, which are the rest."""
+    states, rates = zip(*motion[:d], strict=True)
+    tangents = [[hy.expression(f"d{state}_{i}") for state in states] for i in range(d)]
     variations = [
         (column[i], hy.sum([hy.diff(rate, state) * v for state, v in zip(states, column, strict=True)]))
         for column in tangents
         for i, rate in enumerate(rates)
     ]
-    return [*motion[:3], *variations, *motion[3:]]
+    return [*motion[:d], *variations, *motion[d:]]
 
 
-def true_derivatives(scene: Scene) -> np.ndarray:
-    """(lanes, 3, 3) derivatives of one period's map by a Taylor integration at 1e-18 in long double."""
+def true_derivatives(scene: Truth, motion: Sequence[tuple[Any, Any]]) -> np.ndarray:
+    """(lanes, d, d) derivatives of one period's map by a Taylor integration at 1e-18 in long double.
+
+    Args:
+        motion: equations of motion with heyoka's own time.
+    """
+    d = len(motion)
     ta = hy.taylor_adaptive(
-        tangent_equations(scene, "time"),
-        np.zeros(12, dtype=REAL),
+        tangent_equations(motion, d),
+        np.zeros(d + d * d, dtype=REAL),
         pars=np.zeros(1, dtype=REAL),
         tol=REAL(TOLERANCE),
         fp_type=REAL if REAL is not np.float64 else float,
@@ -62,29 +66,29 @@ def true_derivatives(scene: Scene) -> np.ndarray:
     found = []
     for lane in scene.timed():
         ta.pars[0] = REAL(scene.b[lane])
-        ta.state[:3], ta.state[3:] = scene.states[lane], np.eye(3).ravel()
+        ta.state[:d], ta.state[d:] = scene.states[lane], np.eye(d).ravel()
         ta.time = REAL(0)
-        outcome = ta.propagate_until(8 * np.arctan(REAL(1)))[0]
+        outcome = ta.propagate_until(REAL(scene.period))[0]
         if outcome != hy.taylor_outcome.time_limit:
             raise ArithmeticError(f"the reference stopped at t = {ta.time}, b = {scene.b[lane]}: {outcome}")
-        found.append(ta.state[3:].reshape(3, 3).T.copy())
+        found.append(ta.state[d:].reshape(d, d).T.copy())
     return np.array(found)
 
 
-def gram_schmidt() -> Any:
-    """Compiled: the nine components of three tangents to those of orthonormal ones and the logarithms of lengths."""
-    v = hy.make_vars(*(f"v{i}" for i in range(9)))
+def gram_schmidt(d: int) -> Any:
+    """Compiled: the d² components of d tangents to those of orthonormal ones and the logarithms of lengths."""
+    v = [hy.expression(f"v{i}") for i in range(d * d)]
     basis: list[list[Any]] = []
     logs = []
-    for k in range(3):
-        vector = list(v[3 * k : 3 * k + 3])
+    for k in range(d):
+        vector = v[d * k : d * k + d]
         for base in basis:
             overlap = hy.sum([p * q for p, q in zip(vector, base, strict=True)])
             vector = [p - overlap * q for p, q in zip(vector, base, strict=True)]
         square = hy.sum([p * p for p in vector])
         basis.append([p * square**-0.5 for p in vector])
         logs.append(0.5 * hy.log(square))
-    return hy.cfunc([p for vector in basis for p in vector] + logs, list(v))
+    return hy.cfunc([p for vector in basis for p in vector] + logs, v)
 
 
 class _Batch(NamedTuple):
@@ -95,21 +99,34 @@ class _Batch(NamedTuple):
     lanes: slice
 
 
-class Contestant:
+class TangentContestant:
     """Clock as time or as equations, batch size, options of the compiler, and when tangents are orthonormalised.
 
     How often they are, a period, is what jaxnh does: the first hint says it.
+
+    Attributes:
+        clocks: forms of the clock.
+        d: number of components of the state, and of tangents.
+        periods: that one call of a timed program integrates over.
     """
 
-    def __init__(self, scene: TangentScene) -> None:
+    clocks: Sequence[str] = _CLOCKS
+    d: int
+    periods = _PERIODS
+
+    def __init__(self, scene: TangentTruth) -> None:
         self.scene = scene
-        self._batches = Batches(lambda clock: tangent_equations(scene, clock))
-        self._gram_schmidt = gram_schmidt()
+        self._batches = Batches(lambda clock: tangent_equations(self.motion(clock), self.d))
+        self._gram_schmidt = gram_schmidt(self.d)
+
+    def motion(self, clock: str) -> list[tuple[Any, Any]]:
+        """Equations of motion, and after the first d those of the clock; parameter 0 is the lane's."""
+        raise NotImplementedError
 
     def tune(self, target: float, hints: Sequence[Setting], only: bool = False) -> list[Setting]:
         simd, parts = hy.recommended_simd_size(), hints[0].parts
         settings = []
-        for clock, (multiple, options) in itertools.product(_CLOCKS, _FORMS):
+        for clock, (multiple, options) in itertools.product(self.clocks, _FORMS):
             if options not in tried_options([options]):
                 continue
             key = (clock, multiple * simd, options)
@@ -142,20 +159,21 @@ class Contestant:
         fleet = self.fleet((*key, int(setting.knob)))
 
         def run() -> float:
-            self.grown(fleet, setting.parts, 0 if idle else every, 0.0 if idle else self.scene.period)
-            return len(self.scene.timed()) * _PERIODS if idle or not every else self._times(fleet).sum()
+            self.grown(fleet, setting.parts, 0 if idle else every, 0.0 if idle else self.scene.period, self.periods)
+            return len(self.scene.timed()) * self.periods if idle or not every else self._times(fleet).sum()
 
         return run
 
-    def grown(self, fleet: list[_Batch], parts: int, every: int, period: float, periods: int = _PERIODS) -> np.ndarray:
-        """(3, timed lanes) logarithms of growth from the timed states on.
+    def grown(self, fleet: list[_Batch], parts: int, every: int, period: float, periods: int) -> np.ndarray:
+        """(d, timed lanes) logarithms of growth from the timed states on.
 
         Tangents are orthonormalised `parts` times a period: at equal times, or where `every` is not 0, after so many
         steps. A period of 0 makes all calls and integrates over nothing.
         """
         lanes = self.scene.timed()
         states, b, count = self.scene.states[lanes], self.scene.b[lanes], len(lanes)
-        tangents, out, logs = np.empty((9, count)), np.empty((12, count)), np.zeros((3, count))
+        d, square = self.d, self.d**2
+        tangents, out, logs = np.empty((square, count)), np.empty((square + d, count)), np.zeros((d, count))
         for ta, _, part in fleet:
             self.reset(ta, states[part], b[part])
         limits = {"max_steps": every} if every else {}
@@ -165,9 +183,9 @@ class Contestant:
                 ta.propagate_until(end, **limits)
                 tangents[:, part] = view
             self._gram_schmidt(inputs=tangents, outputs=out)
-            np.add(logs, out[9:], out=logs)
+            np.add(logs, out[square:], out=logs)
             for _, view, part in fleet:
-                view[:] = out[:9, part]
+                view[:] = out[:square, part]
         return logs
 
     def _times(self, fleet: list[_Batch]) -> np.ndarray:
@@ -181,16 +199,17 @@ class Contestant:
         fleet = []
         for at in range(0, count, batch):
             ta = copy.deepcopy(one)
-            fleet.append(_Batch(ta, ta.state[3:12], slice(at, at + batch)))
+            fleet.append(_Batch(ta, ta.state[self.d : self.d + self.d**2], slice(at, at + batch)))
         return fleet
 
     def reset(self, ta: Any, states: np.ndarray, b: np.ndarray) -> None:
         """Lanes at their states at t = 0, their tangents along the axes."""
         ta.set_time(0.0)
         ta.pars[0] = b
-        ta.state[:3], ta.state[3:12] = states.T, np.eye(3).reshape(9, 1)
-        if len(ta.state) > 12:
-            ta.state[12], ta.state[13] = 0.0, 1.0
+        d, end = self.d, self.d + self.d**2
+        ta.state[:d], ta.state[d:end] = states.T, np.eye(d).reshape(-1, 1)
+        if len(ta.state) > end:
+            ta.state[end], ta.state[end + 1] = 0.0, 1.0
 
     def _steps_a_period(self, *key: Any) -> float:
         """Steps of a period, the mean over batches of the first few."""
@@ -205,9 +224,19 @@ class Contestant:
     def _measured(self, *key: Any) -> Errors:
         clock, batch, options, order = key
         lanes = self.scene.timed()
-        columns = [self.scene.states[lanes], np.tile(np.eye(3).ravel(), (len(lanes), 1))]
-        if clock == "clock equations":
-            columns.append(np.tile([0.0, 1.0], (len(lanes), 1)))
+        d = self.d
+        start = np.column_stack([self.scene.states[lanes], np.tile(np.eye(d).ravel(), (len(lanes), 1))])
+        start = with_clock(start) if clock == CLOCK else start
         times = (0.0, self.scene.period)
-        ends = self._batches(np.column_stack(columns), self.scene.b[lanes], times, (clock,), batch, options, order)
-        return self.scene.derivative_errors(np.moveaxis(ends[:, 3:12].reshape(-1, 3, 3), 1, 2))
+        ends = self._batches(start, self.scene.b[lanes], times, (clock,), batch, options, order)
+        return self.scene.derivative_errors(np.moveaxis(ends[:, d : d + d * d].reshape(-1, d, d), 1, 2))
+
+
+class Contestant(TangentContestant):
+    """The particle, its velocity as an angle."""
+
+    scene: TangentScene
+    d = 3
+
+    def motion(self, clock: str) -> list[tuple[Any, Any]]:
+        return equations(self.scene.a, self.scene.c, self.scene.d, "angle", clock)

@@ -17,15 +17,15 @@ from rich.table import Table
 from sweeps.peers_cases import HELD_OUT_SEED, LANES, Case
 from sweeps.peers_scene import PERIODS, TRANSIENT, Setting
 
-_PACKAGES = ("jaxnh", "jax", "jaxlib", "diffrax", "equinox", "heyoka", "scipy", "numpy")
+PACKAGES = ("jaxnh", "jax", "jaxlib", "diffrax", "equinox", "heyoka", "scipy", "numpy")
 AT_OWN_ERROR = "jaxnh, at heyoka's own error"
 """Row of jaxnh tuned to the error that heyoka really has, since heyoka's orders are whole numbers."""
 WITHOUT = ", without processed6"
 """Added to the name of a row that the searched splitting has no part in."""
 
-_BY_HAND = "<!-- Below this line: written by hand, kept by the next run. -->"
+BY_HAND = "<!-- Below this line: written by hand, kept by the next run. -->"
 _HEYOKA = " heyoka"  # after a ratio that is not over the row it stands in
-_QUIET = 0.9  # share of a core below which a run was disturbed
+QUIET = 0.9  # share of a core below which a run was disturbed
 _SHOWN_FORMS = 4
 _HELD_OUT = "Scenes held out, at heyoka's own error"
 _SPECTRA = "Lyapunov spectra, 1 core: error of the derivative of one period's map relative to its norm"
@@ -94,7 +94,7 @@ class Study:
     seconds: float
 
 
-class _Grid(NamedTuple):
+class Grid(NamedTuple):
     """A table in both worlds."""
 
     title: str
@@ -104,16 +104,16 @@ class _Grid(NamedTuple):
 
 def show(study: Study, console: Console) -> None:
     """Print the tables."""
-    _print(_grids(study), console)
+    print_tables(_grids(study), console)
     console.print(f"{study.seconds:.0f} s")
 
 
 def show_lyapunov(rows: Sequence[Row], console: Console) -> None:
     """Print the table of Lyapunov spectra."""
-    _print([_spectra(rows)], console)
+    print_tables([_spectra(rows)], console)
 
 
-def _print(grids: Sequence[_Grid], console: Console) -> None:
+def print_tables(grids: Sequence[Grid], console: Console) -> None:
     for grid in grids:
         table = Table(*grid.columns, title=grid.title, title_justify="left")
         for cells in grid.cells:
@@ -123,12 +123,12 @@ def _print(grids: Sequence[_Grid], console: Console) -> None:
 
 def markdown(study: Study, before: str = "") -> str:
     """The page; what people wrote by hand at the end of the page before it is kept."""
-    packages = ", ".join(f"{name} {version(name)}" for name in _PACKAGES)
+    packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
     noun = "core" if study.cores == 1 else "cores"
     parts = [
         "# jaxnh beside other integrators",
         f"Written by `{study.command}` on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, in {study.seconds:.0f} s.",
-        f"{_processor()}; {study.cores} {noun}; Python {platform.python_version()}; {packages}.",
+        f"{processor()}; {study.cores} {noun}; Python {platform.python_version()}; {packages}.",
         study.measured_at,
         f"System `{study.case.name}`: {study.case.words}, {LANES} values of b. The error is that "
         f"of one period's map: the largest of (x1, y1, n1, n2) in a lane, over the start state and the state "
@@ -146,14 +146,14 @@ def markdown(study: Study, before: str = "") -> str:
         "to integrate over is shown as Python's share.",
     ]
     least = min(statistics.median(row.shares) for row in study.rows)
-    if least < _QUIET:
+    if least < QUIET:
         parts.append(f"Not a quiet run: other work left the study down to {least:.0%} of its share of the processor.")
     for grid in (*_grids(study), _tried(study)):
-        parts += [f"## {grid.title}", *_said_before(grid, study), _table(grid)]
-    return "\n\n".join(parts) + f"\n\n{_BY_HAND}\n" + before.partition(f"{_BY_HAND}\n")[2]
+        parts += [f"## {grid.title}", *_said_before(grid, study), table_of(grid)]
+    return "\n\n".join(parts) + f"\n\n{BY_HAND}\n" + before.partition(f"{BY_HAND}\n")[2]
 
 
-def _said_before(grid: _Grid, study: Study) -> list[str]:
+def _said_before(grid: Grid, study: Study) -> list[str]:
     """What a table needs to be understood."""
     if grid.title == _HELD_OUT:
         return [
@@ -173,16 +173,16 @@ def _said_before(grid: _Grid, study: Study) -> list[str]:
     return []
 
 
-def _table(grid: _Grid) -> str:
+def table_of(grid: Grid) -> str:
     lines = [grid.columns, ("---",) * len(grid.columns), *grid.cells]
     return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
 
 
-def _grids(study: Study) -> list[_Grid]:
+def _grids(study: Study) -> list[Grid]:
     noun = "core" if study.cores == 1 else "cores"
     grids = [
         _targets(study, f"jaxnh over each peer, {study.cores} {noun}"),
-        _Grid(
+        Grid(
             "Every row",
             (
                 "target",
@@ -222,24 +222,24 @@ def _grids(study: Study) -> list[_Grid]:
     return [*grids, _spectra(study.lyapunov)]
 
 
-def _held_out(scenes: Sequence[HeldOut]) -> _Grid:
+def _held_out(scenes: Sequence[HeldOut]) -> Grid:
     """A line a scene and target: jaxnh at heyoka's error, with the searched splitting and without it."""
     cells = []
     for case, rows in scenes:
         for target in dict.fromkeys(row.target for row in rows):
             at = {row.name: row for row in rows if row.target == target}
             heyoka = at["heyoka batch"]
-            line = [case.name, f"{target:.0e}", f"{heyoka.setting.errors.max:.1e}", _spread(heyoka.rates)]
+            line = [case.name, f"{target:.0e}", f"{heyoka.setting.errors.max:.1e}", spread(heyoka.rates)]
             for name in (AT_OWN_ERROR, AT_OWN_ERROR + WITHOUT):
                 row = at.get(name)
-                line += [f"{row.setting.form}, {row.setting.kicks:,}", _times(row.ratios)] if row else ["–", "–"]
+                line += [f"{row.setting.form}, {row.setting.kicks:,}", times(row.ratios)] if row else ["–", "–"]
             diffrax = [row for name, row in at.items() if name.startswith("diffrax")]
-            cells.append((*line, _times(diffrax[0].ratios) if diffrax else "–"))
+            cells.append((*line, times(diffrax[0].ratios) if diffrax else "–"))
     columns = ("scene", "target", "heyoka's error", "heyoka, lane-periods/s", "splitting, kicks", "over heyoka")
-    return _Grid(_HELD_OUT, (*columns, "without processed6, kicks", "over heyoka", "over diffrax"), cells)
+    return Grid(_HELD_OUT, (*columns, "without processed6, kicks", "over heyoka", "over diffrax"), cells)
 
 
-def _spectra(rows: Sequence[Row]) -> _Grid:
+def _spectra(rows: Sequence[Row]) -> Grid:
     """Lyapunov spectra: a line a row, with what is wanted of the ratio over heyoka."""
     columns = ("target", "peer", "setting", "max error", "lane-periods/s", "share of core")
     cells = []
@@ -248,16 +248,16 @@ def _spectra(rows: Sequence[Row]) -> _Grid:
         target, name, setting, worst, _, rate, share, over, by_processor = _cells(row)
         if name == AT_OWN_ERROR:
             left = statistics.median(row.ratios) * (1.0 - python[row.target])
-            over = f"{_verdict(row, _WANTED_SPECTRA)}{_HEYOKA}; {left:.2f}× were Python's share nothing"
+            over = f"{verdict(row, _WANTED_SPECTRA)}{_HEYOKA}; {left:.2f}× were Python's share nothing"
         cells.append((target, name, setting, worst, rate, share, over, by_processor))
-    return _Grid(
+    return Grid(
         _SPECTRA,
         (*columns, "jaxnh's spectrum over it", "by processor time"),
         cells,
     )
 
 
-def _targets(study: Study, title: str) -> _Grid:
+def _targets(study: Study, title: str) -> Grid:
     """The targets of the study: a line a peer, a column an error."""
     targets = list(dict.fromkeys(row.target for row in study.rows))
     lines = [
@@ -278,14 +278,14 @@ def _targets(study: Study, title: str) -> _Grid:
         for target in targets:
             rows = [row for row in study.rows if row.target == target and row.name in names]
             goal = wanted if isinstance(wanted, float) else wanted.get(target)
-            line.append(_verdict(min(rows, key=lambda row: statistics.median(row.ratios)), goal) if rows else "–")
+            line.append(verdict(min(rows, key=lambda row: statistics.median(row.ratios)), goal) if rows else "–")
         cells.append(tuple(line))
-    return _Grid(title, ("over", *(f"error ≤ {target:.0e}" for target in targets)), cells)
+    return Grid(title, ("over", *(f"error ≤ {target:.0e}" for target in targets)), cells)
 
 
-def _verdict(row: Row, wanted: float | None) -> str:
+def verdict(row: Row, wanted: float | None) -> str:
     ratio = statistics.median(row.ratios)
-    text = _times(row.ratios)
+    text = times(row.ratios)
     return text if wanted is None else f"{text} ({'meets' if ratio >= wanted else 'below'} {wanted:g})"
 
 
@@ -299,26 +299,26 @@ def _cells(row: Row) -> tuple[str, ...]:
         f"{row.setting.form}; {row.setting.label}{driven}",
         f"{row.setting.errors.max:.1e}",
         f"{row.setting.errors.median:.1e}",
-        _spread(row.rates),
+        spread(row.rates),
         f"{statistics.median(row.shares):.0%}",
-        "1" if itself else _times(row.ratios) + mark,
-        "1" if itself else _times(row.processor_ratios) + mark,
+        "1" if itself else times(row.ratios) + mark,
+        "1" if itself else times(row.processor_ratios) + mark,
     )
 
 
 def _scaling(
     title: str, first: str, cores: int, scalings: Sequence[Scaling], wanted: str, met: Callable[[float], bool]
-) -> _Grid:
+) -> Grid:
     """A section that sets programs beside its first. Undecided: the target is missed, but the cores were not free."""
     cells = []
     for i, s in enumerate(scalings):
         busy = statistics.median(s.busy)
-        verdict = "meets" if met(statistics.median(s.ratios)) else "misses" if busy > _QUIET * cores else "undecided:"
-        cells.append((s.name, _spread(s.rates), f"{busy:.2f}", _times(s.ratios), f"{verdict} {wanted}" if i else ""))
-    return _Grid(title, (first, "lane-periods/s", "cores kept busy", "over the first", "wanted"), cells)
+        word = "meets" if met(statistics.median(s.ratios)) else "misses" if busy > QUIET * cores else "undecided:"
+        cells.append((s.name, spread(s.rates), f"{busy:.2f}", times(s.ratios), f"{word} {wanted}" if i else ""))
+    return Grid(title, (first, "lane-periods/s", "cores kept busy", "over the first", "wanted"), cells)
 
 
-def _tried(study: Study) -> _Grid:
+def _tried(study: Study) -> Grid:
     """The fastest forms of each peer, in the order of the rows; of jaxnh all splittings."""
     cells = []
     for target, settings in study.tried.items():
@@ -329,7 +329,7 @@ def _tried(study: Study) -> _Grid:
                 for s in (forms if peer == "jaxnh" else forms[:_SHOWN_FORMS])
             ]
     columns = ("target", "peer", "form", "setting", "max error", "lane-periods a processor second, short trial")
-    return _Grid("Forms tried, the fastest of each peer", columns, cells)
+    return Grid("Forms tried, the fastest of each peer", columns, cells)
 
 
 def _half_range(values: Sequence[float]) -> float:
@@ -339,18 +339,18 @@ def _half_range(values: Sequence[float]) -> float:
     return 0.5 * (high - low)
 
 
-def _times(ratios: Sequence[float]) -> str:
-    middle, spread = statistics.median(ratios), _half_range(ratios)
+def times(ratios: Sequence[float]) -> str:
+    middle, around = statistics.median(ratios), _half_range(ratios)
     digits = 0 if middle >= 100 else 1 if middle >= 10 else 2
-    return f"{middle:,.{digits}f} ± {spread:,.{digits}f}×"
+    return f"{middle:,.{digits}f} ± {around:,.{digits}f}×"
 
 
-def _spread(rates: Sequence[float]) -> str:
+def spread(rates: Sequence[float]) -> str:
     middle = statistics.median(rates)
     return f"{float(f'{middle:.3g}'):,.0f} ± {_half_range(rates) / middle:.0%}"
 
 
-def _processor() -> str:
+def processor() -> str:
     """The processor's name as Linux has it."""
     info = Path("/proc/cpuinfo")
     if info.exists():

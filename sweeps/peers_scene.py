@@ -1,4 +1,4 @@
-"""What all contestants of `sweeps.peers` share: lanes and true results, errors, settings, and the search for a setting.
+"""What all contestants of `sweeps.peers` and `sweeps.peers_flows` share: lanes and true results, errors, settings, and the search for a setting.
 
 No integrator lives here.
 """
@@ -28,8 +28,57 @@ class Errors(NamedTuple):
     median: float
 
 
+class Truth:
+    """Lanes with what is true of them: each value of a parameter at the start state, then all TRANSIENT periods on.
+
+    Attributes:
+        b: (lanes,) parameter of each lane.
+        states: (lanes, d) start states.
+        ends: (lanes, k) true components one period later, in long double.
+        period: strobe period, or unit of time.
+    """
+
+    b: np.ndarray
+    states: np.ndarray
+    ends: np.ndarray
+    period: float
+
+    @property
+    def values(self) -> np.ndarray:
+        """The values of the parameter."""
+        return self.b[: len(self.b) // 2]
+
+    def timed(self, count: int | None = None) -> np.ndarray:
+        """Indices (count,) of the lanes that are timed: those past the transient, repeated as needed."""
+        lanes = np.arange(len(self.values), len(self.b))
+        return lanes if count is None else np.resize(lanes, count)
+
+    def errors(self, ends: np.ndarray) -> Errors:
+        """Errors of computed ends (lanes, k); a lane that is not finite counts as infinitely wrong."""
+        error = np.abs(ends - self.ends).max(axis=1).astype(float)
+        error[~np.isfinite(error)] = np.inf
+        return Errors(float(error.max()), float(np.median(error)))
+
+
+class TangentTruth(Truth):
+    """The same with the true derivative of one period's map in every timed lane.
+
+    Attributes:
+        derivatives: (timed lanes, d, d) ∂(state one period later)/∂(state).
+    """
+
+    derivatives: np.ndarray
+
+    def derivative_errors(self, derivatives: np.ndarray) -> Errors:
+        """Frobenius norms of the errors of computed derivatives (timed lanes, d, d), relative to those of the true."""
+        norm = np.sqrt((self.derivatives**2).sum(axis=(1, 2)))
+        error = (np.sqrt(((derivatives - self.derivatives) ** 2).sum(axis=(1, 2))) / norm).astype(float)
+        error[~np.isfinite(error)] = np.inf
+        return Errors(float(error.max()), float(np.median(error)))
+
+
 @dataclass(frozen=True)
-class Scene:
+class Scene(Truth):
     """The lanes everybody integrates: every value of b at the start state, then all of them TRANSIENT periods on.
 
     Attributes:
@@ -53,25 +102,9 @@ class Scene:
         """(lanes, 4) start states (x1, y1, n1, n2)."""
         return unit(self.states)
 
-    @property
-    def values(self) -> np.ndarray:
-        """The values of b."""
-        return self.b[: len(self.b) // 2]
-
-    def timed(self, count: int | None = None) -> np.ndarray:
-        """Indices (count,) of the lanes that are timed: those past the transient, repeated as needed."""
-        lanes = np.arange(len(self.values), len(self.b))
-        return lanes if count is None else np.resize(lanes, count)
-
-    def errors(self, ends: np.ndarray) -> Errors:
-        """Errors of computed ends (lanes, 4); a lane that is not finite counts as infinitely wrong."""
-        error = np.abs(ends - self.ends).max(axis=1).astype(float)
-        error[~np.isfinite(error)] = np.inf
-        return Errors(float(error.max()), float(np.median(error)))
-
 
 @dataclass(frozen=True)
-class TangentScene(Scene):
+class TangentScene(Scene, TangentTruth):
     """The same with the true derivative of one period's map in every timed lane.
 
     Attributes:
@@ -79,13 +112,6 @@ class TangentScene(Scene):
     """
 
     derivatives: np.ndarray
-
-    def derivative_errors(self, derivatives: np.ndarray) -> Errors:
-        """Frobenius norms of the errors of computed derivatives (timed lanes, 3, 3), relative to those of the true."""
-        norm = np.sqrt((self.derivatives**2).sum(axis=(1, 2)))
-        error = (np.sqrt(((derivatives - self.derivatives) ** 2).sum(axis=(1, 2))) / norm).astype(float)
-        error[~np.isfinite(error)] = np.inf
-        return Errors(float(error.max()), float(np.median(error)))
 
 
 def unit(states: np.ndarray) -> np.ndarray:
@@ -123,7 +149,7 @@ class Setting:
 class Contestant(Protocol):
     """One integrator in a process of its own."""
 
-    def __init__(self, scene: Scene) -> None: ...
+    def __init__(self, scene: Any) -> None: ...
 
     def tune(self, target: float, hints: Sequence[Setting], only: bool = False) -> list[Setting]:
         """All its ways to a largest error of `target`, tuned to just meet it.

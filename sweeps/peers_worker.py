@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from sweeps.peers_scene import Contestant, Scene, Setting
+from sweeps.peers_scene import Contestant, Setting, Truth
 
 _TRIAL_SECONDS = 0.6  # processor time of the trial by which the forms of one peer are compared
 _MOST_TRIALS = 4
@@ -34,7 +34,7 @@ class Sample(NamedTuple):
 class Peer:
     """A contestant in one process pinned to all the cores, or in one process a core, each with all the lanes."""
 
-    def __init__(self, kind: str, scene: Scene, cores: Sequence[Sequence[int]]) -> None:
+    def __init__(self, kind: str, scene: Truth, cores: Sequence[Sequence[int]]) -> None:
         self.kind = kind
         self._connections: list[Any] = []  # ends of pipes, whose type differs between platforms
         self._processes = []
@@ -46,7 +46,7 @@ class Peer:
             self._connections.append(here)
             self._processes.append(process)
 
-    def enter(self, scene: Scene) -> None:
+    def enter(self, scene: Truth) -> None:
         """Go on with another scene."""
         _ask(self._connections, "enter", self.kind, scene)
 
@@ -82,7 +82,7 @@ def _ask(connections: Sequence[Any], task: str, *args: Any) -> list[Any]:
     return replies
 
 
-def _serve(connection: Any, kind: str, scene: Scene, cores: tuple[int, ...]) -> None:
+def _serve(connection: Any, kind: str, scene: Truth, cores: tuple[int, ...]) -> None:
     """Body of a process."""
     os.sched_setaffinity(0, cores)
     for name in _UNSET:
@@ -108,7 +108,7 @@ def _serve(connection: Any, kind: str, scene: Scene, cores: tuple[int, ...]) -> 
 class _Desk:
     """Answers of a process; programs are kept, warmed up."""
 
-    def __init__(self, kind: str, scene: Scene) -> None:
+    def __init__(self, kind: str, scene: Truth) -> None:
         self._contestant: Contestant = importlib.import_module(f"sweeps.peers_{kind}").Contestant(scene)
         self._programs: dict[Any, Callable[[], float]] = {}
 

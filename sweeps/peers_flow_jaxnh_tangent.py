@@ -1,0 +1,61 @@
+"""jaxnh's Lyapunov spectra of any flow as a contestant: the analysis `lyapunov` as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnh.analyses import lyapunov
+from jaxnh.analyses.base import Scene
+from jaxnh.maps.iterate import derivatives
+from jaxnh.maps.protocol import Strobe
+from sweeps.peers_flow_jaxnh import SOLVERS, FlowMaps
+from sweeps.peers_scene import Errors, Setting
+
+_PERIODS = 256
+
+
+class Contestant(FlowMaps):
+    """Tuned by the derivatives of a period, in the components of the case.
+
+    How often tangents are orthonormalised is the analysis's own choice, made before the timing.
+    """
+
+    def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
+        settings = []
+        for setting in super().tune(target):
+            parts = lyapunov.choose(self._options(), self._scene(setting), self.lanes)["parts"]
+            steps = float(-(-int(setting.knob) // parts) * parts)
+            errors = self.errors(self.strobe(setting.form, steps))
+            label = f"{steps:.0f} steps, {parts} orthonormalisations"
+            settings.append(replace(setting, knob=steps, label=label, errors=errors, parts=parts))
+        return settings
+
+    def errors(self, strobe: Strobe) -> Errors:
+        lanes, picks, embed = self.scene.timed(), list(self.placed.picks), self.placed.embed
+        states = jnp.asarray(self.scene.states[lanes])
+        u, lifts = np.asarray(jax.vmap(embed)(states)), np.asarray(jax.vmap(jax.jacfwd(embed))(states))
+        p = {self.scene.case.parameter: self.scene.b[lanes]}
+        monodromy = self.lanes(derivatives, (strobe, np.int32(1)), (u, p)).monodromy
+        return self.scene.derivative_errors((monodromy @ lifts)[:, picks])
+
+    def program(self, setting: Setting) -> Callable[[], int]:
+        """The analysis from the timed states on."""
+        scene = replace(self._scene(setting), chosen={"lyapunov": {"parts": setting.parts}})
+
+        def run() -> int:
+            lyapunov.run(self._options(), scene, self.lanes)
+            return scene.count * _PERIODS
+
+        return run
+
+    def _scene(self, setting: Setting) -> Scene:
+        state, p = self.started(self.scene.timed())
+        return Scene(self.placed.flow, state, p, SOLVERS[setting.form], int(setting.knob), False, setting.errors.max)
+
+    def _options(self) -> lyapunov.LyapunovOptions:
+        return lyapunov.LyapunovOptions(transient=0, periods=_PERIODS, exponents=self.placed.flow.exponents)
