@@ -1,6 +1,6 @@
-"""What all contestants of `sweeps.peers` and `sweeps.peers_flows` share: lanes and true results, errors, settings, and the search for a setting.
+"""What all contestants of `sweeps.peers` and `sweeps.peers_flows` share: lanes and true results, errors, settings.
 
-No integrator lives here.
+The search for a setting is here as well; no integrator is.
 """
 
 from __future__ import annotations
