@@ -105,11 +105,11 @@ def markdown(study: FlowStudy, before: str = "") -> str:
         f"state {TRANSIENT} periods on, against a Taylor integration at 1e-18 in long double; of a spectrum that of "
         "the map's derivative, relative to its norm. heyoka is tuned until its error meets the target, in several "
         "batch sizes and options, and jaxnh then to the error that heyoka has. Each row runs beside a sample of the "
-        f"other, in processes of their own on one core, {study.repeats} rounds; medians, ± half the interquartile range. "
-        "jaxnh has each flow as its users write it: a right-hand side, or T, Q and f. heyoka and diffrax have the "
-        "governor and the double pendulum solved for the accelerations by hand. In spectra both orthonormalise equally "
-        "often; heyoka carries a tangent for every component, jaxnh without a clock one fewer and the flow's own "
-        "direction. Left out of all timings: compilation, and the search for the settings.",
+        f"other, in processes of their own on one core, {study.repeats} rounds; medians, ± half the interquartile "
+        "range. jaxnh has each flow as its users write it: a right-hand side, or T, Q and f. heyoka and diffrax have "
+        "the governor and the double pendulum solved for the accelerations by hand. In spectra both orthonormalise "
+        "equally often; heyoka carries a tangent for every component, jaxnh without a clock one fewer and the flow's "
+        "own direction. Left out of all timings: compilation, and the search for the settings.",
         "\n".join(
             f"- {f.case.name}: {f.case.words}; {f.case.parameter} in [{f.case.low:g}, {f.case.high:g}]"
             for f in study.flows
