@@ -7,7 +7,7 @@ every value under the map of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +19,6 @@ import numpy as np
 from jaxnh.analyses.base import LaneRunner, Scene, picked
 from jaxnh.maps.protocol import Pushed, Strobe, Tangent
 from jaxnh.systems.flow import Parameters, State
-
 
 _TILE = 8  # lanes a tile, whatever was asked for: most values have one lane
 
@@ -96,12 +95,13 @@ class _Values:
         static: tuple[Any, ...] = (),
     ) -> Any:
         along, *more = shared
-        *arguments, p = lanes
+        where = next(i for i, part in enumerate(lanes) if isinstance(part, Mapping))
+        p = lanes[where]
         found, order = [], []
         for value in np.unique(p[along.name]).tolist():
             here = np.flatnonzero(p[along.name] == value)
             own = {name: values for name, values in p.items() if name != along.name}
-            part = picked((*arguments, own), here)
+            part = picked((*lanes[:where], own, *lanes[where + 1 :]), here)
             strobe = along.at(value)
             found.append(self._lanes(function, (strobe, *more), part, periods=periods, tile=_TILE, static=static))
             order.append(here)

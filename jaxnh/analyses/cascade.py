@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.base import LaneRunner, Scene, section_points
+from jaxnh.analyses.base import LaneRunner, Scene
 from jaxnh.analyses.daughter import FEIGENBAUM, daughters, window
 from jaxnh.analyses.locating import locate
-from jaxnh.analyses.period import survey
+from jaxnh.analyses.period import apart, first_points, survey
 from jaxnh.analyses.runs import Line, Start, seen, starts
 from jaxnh.orbits.doubling_points import DoublingPoint
 
@@ -170,14 +170,17 @@ class _Steps:
         self.scene, self.limit = scene, limit
         self.tried: dict[tuple[int, float, float], int] = {}
         self._lanes = lanes
+        self._size = np.ones(scene.system.dimension)
         self._located: dict[tuple[int, float, float], tuple[DoublingPoint, float] | None] = {}
         self._daughters: dict[tuple[int, float, float, float], Line] = {}
 
     def survey(self, values: Float[np.ndarray, " lanes"], label: str) -> Line:
         """Lanes at these values of the first axis, on their attractors."""
         row = self.scene.at(values)
-        start = section_points(row)
+        start = first_points(row, self._lanes)
         found = survey(row, self._lanes, start, self.limit, label, TRANSIENT, only_doublings=True)
+        if not found.failed.all():
+            self._size = np.median(found.size[~found.failed], axis=0)
         return Line(values, found.period, found.u)
 
     def locate(self, bracket: Line, n: int) -> tuple[DoublingPoint, float] | None:
@@ -195,11 +198,11 @@ class _Steps:
         """Lanes at distances beyond a doubling, on the stable orbit of twice its period where there is one."""
         key = len(born.orbit), born.value, float(distances[0]), float(distances[-1])
         if key not in self._daughters:
-            points = np.concatenate([line.u, section_points(self.scene)])
-            size = float(np.nanmax(self.scene.system.apart(points, born.orbit[0])))
+            points = np.concatenate([line.u, first_points(self.scene, self._lanes)])
+            largest = float(np.nanmax(apart(self.scene.system, points, born.orbit[0], self._size)))
             label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {self.scene.line.name} = {born.value:.9g}"
             with self._lanes.stage(label, 0):
-                self._daughters[key] = daughters(self.scene, self._lanes, born, size, distances)
+                self._daughters[key] = daughters(self.scene, self._lanes, born, largest, self._size, distances)
         return self._daughters[key]
 
     def searched(self, line: Line) -> str:

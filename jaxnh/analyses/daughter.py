@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.base import LaneRunner, Scene, picked
-from jaxnh.analyses.period import CONVERGED, largest_multiplier, least_period, orbits
+from jaxnh.analyses.period import CONVERGED, apart, largest_multiplier, least_period, orbits
 from jaxnh.analyses.runs import Line
 from jaxnh.orbits.doubling_points import DoublingPoint
 
@@ -30,6 +30,7 @@ def daughters(
     lanes: LaneRunner,
     born: DoublingPoint,
     largest: float,
+    size: Float[np.ndarray, " d"],
     distances: Float[np.ndarray, " distances"],
 ) -> Line:
     """Lanes at some distances beyond a doubling, on the stable orbit of twice the period where Newton has found it.
@@ -38,27 +39,30 @@ def daughters(
         scene: the scene; its lanes but for their values of the first axis.
         lanes: runs lanes.
         born: the doubling.
-        largest: amplitude that the daughter orbit does not exceed, where the doubling orbit has only one point.
+        largest: amplitude that the daughter orbit does not exceed, where the doubling orbit has only one point; in
+            sizes of the motion.
+        size: of the motion in each section coordinate.
         distances: from the doubling along the first axis, with sign, nearest first.
 
     Returns:
         A lane a distance, of period 0 where none was found.
     """
-    n, apart = len(born.orbit), scene.system.apart
-    at = int(np.argmax(np.linalg.norm(born.vector, axis=1)))
-    origin, direction = born.orbit[at], born.vector[at] / np.linalg.norm(born.vector[at])
+    n, system = len(born.orbit), scene.system
+    at = int(np.argmax(np.linalg.norm(born.vector / size, axis=1)))
+    origin, direction = born.orbit[at], born.vector[at] / np.linalg.norm(born.vector[at] / size)
     if n > 1:  # half way to the next point of its own the orbit of twice the period has another neighbour
-        largest = float(np.delete(apart(born.orbit, origin), at).min())
+        largest = float(np.delete(apart(system, born.orbit, origin, size), at).min())
     sizes = largest * _RATIO ** -np.arange(_AMPLITUDES)
     growth = np.sqrt(np.abs(distances / distances[-1]))
     amplitude = np.outer(growth, sizes).ravel()
     value = np.repeat(born.value + distances, _AMPLITUDES)
     p = scene.at(value).p
-    orbit = orbits(lanes, scene.strobe(), origin + amplitude[:, None] * direction, p, 2 * n)
+    each = np.tile(size, (len(value), 1))
+    orbit = orbits(lanes, scene.strobe(), origin + amplitude[:, None] * direction, p, 2 * n, each)
     ok = (orbit.residual < CONVERGED) & (largest_multiplier(orbit.monodromy) < 1.0)
-    ok &= apart(orbit.u, origin) <= largest
+    ok &= apart(system, orbit.u, origin, size) <= largest
     found = np.flatnonzero(ok)
-    shortest = least_period(lanes, scene.strobe(), orbit.u[found], picked(p, found), 2 * n)
+    shortest = least_period(lanes, scene.strobe(), orbit.u[found], picked(p, found), 2 * n, each[found])
     ok[found[shortest != 2 * n]] = False
     ok = ok.reshape(len(distances), _AMPLITUDES)
     first = np.arange(len(distances)) * _AMPLITUDES + np.argmax(ok, axis=1)

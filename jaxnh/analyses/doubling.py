@@ -21,11 +21,13 @@ from jaxnh.analyses.base import (
     Scene,
     Setting,
     Table,
+    counted_in,
     newton_price,
     variable,
 )
 from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow
 from jaxnh.analyses.locating import PERIOD_TILE
+from jaxnh.systems.flow import Flow
 
 _NUMBERS = ("delta_limit", "delta_limit_error", "levels_found")  # a cascade; attributes of the only one of a file
 _BETWEEN = np.array([1.0, math.pi]) / (1.0 + math.pi)  # shares of two values: no ratio of whole numbers
@@ -78,10 +80,10 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
     search = options.search and scene.flow_at is None
     found = follow(*one_by_one(scene, lanes), options.levels, search=search)
-    return _dataset(scene.line, options.levels, found)
+    return _dataset(scene.system, scene.line, options.levels, found)
 
 
-def _dataset(axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
+def _dataset(system: Flow, axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
     """Points as the variables of the contract, NaN where a level was not found."""
     name, points = axis.name, found.points
     value = np.full(levels, np.nan)
@@ -93,9 +95,10 @@ def _dataset(axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
     index = np.arange(1, levels + 1)
     period_words = "period n of the orbit that doubles to 2n"
     error_words = f"largest error of {name}, from step refinement and the Newton residual"
+    unit = counted_in(system)
     variables = {
         "level": variable("level", index, "number of the period doubling"),
-        "period": variable("level", found.period * 2 ** (index - 1), period_words, "periods"),
+        "period": variable("level", found.period * 2 ** (index - 1), period_words, unit),
         name: variable("level", value, f"{axis.long_name} at the doubling", ancillary_variables=f"{name}_error"),
         f"{name}_error": variable("level", value_error, error_words),
         "delta": variable(
@@ -234,7 +237,6 @@ ANALYSIS = Analysis(
     run,
     independent=independent,
     newton=True,
-    clock=True,
     check=check,
     table=table,
     price=price,

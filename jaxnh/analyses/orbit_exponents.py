@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.base import LaneRunner, Scene, picked
 from jaxnh.analyses.growth import Growth, average, parts_of
-from jaxnh.analyses.period import ORBIT_TILE, orbits, survey
+from jaxnh.analyses.period import ORBIT_TILE, Survey, orbits, survey
 from jaxnh.orbits.newton import Orbit
 from jaxnh.systems.flow import Flow, Parameters, State
 
@@ -59,7 +59,7 @@ def on_orbits(
         here = np.flatnonzero(found.period[settled] == n)
         some = settled[here]
         coarse, fine = (
-            _logs(scene, lanes, picked(growth, some), picked(p, some), found.u[some], int(n), parts, refinement)
+            _logs(scene, lanes, picked(growth, some), picked(p, some), picked(found, some), int(n), parts, refinement)
             for refinement in (1, 2)
         )
         logs[here] = coarse[0]
@@ -73,14 +73,17 @@ def _logs(
     lanes: LaneRunner,
     growth: Growth,
     p: Parameters,
-    u: Float[np.ndarray, "lanes d"],
+    found: Survey,
     n: int,
     parts: int,
     refinement: int,
 ) -> tuple[Float[np.ndarray, "lanes k"], Float[np.ndarray, "lanes k"]]:
-    """ln|μ|/n of orbits of period n, largest first, with `refinement` times the steps, and its rounding."""
+    """ln|μ|/n of orbits of period n, as a survey has found them, largest first, and its rounding.
+
+    With `refinement` times the steps.
+    """
     k = len(growth.tangents)
-    orbit = orbits(lanes, scene.strobe(refinement), u, p, n)
+    orbit = orbits(lanes, scene.strobe(refinement), found.u, p, n, found.size)
     moduli = np.sort(np.abs(np.linalg.eigvals(orbit.monodromy)), axis=1)[:, ::-1][:, :k]
     share = moduli / np.linalg.norm(orbit.monodromy, axis=(1, 2))[:, None]
     with np.errstate(divide="ignore"):

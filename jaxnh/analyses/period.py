@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
@@ -32,12 +33,12 @@ from jaxnh.analyses.base import (
 from jaxnh.maps.iterate import iterate, record, section_map
 from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.newton import Orbit, find_doubled, find_orbit
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.flow import Flow, Parameters, State
 
 CONVERGED = 1e-7
-"""Residual of an orbit that Newton has found."""
+"""Residual of an orbit that Newton has found, in sizes of the motion."""
 
-_CLOSE = 0.03  # strobe points nearer than this may be the same point of a slowly converging orbit
+_CLOSE = 0.03  # sizes of the motion: strobe points nearer than this may be one point of a slowly converging orbit
 _NEARLY_NEUTRAL = 1e-3  # |1 − μ| below which an orbit of even period may be one that has just been born in a doubling
 ORBIT_TILE = 64
 
@@ -55,9 +56,10 @@ class Survey(NamedTuple):
     Attributes:
         period: least period of the attractor, 0 where it is none up to the limit, (lanes,).
         u: a point of the orbit in section coordinates, (lanes, d).
-        residual: largest component of Pⁿ(u) − u, NaN where no orbit was found, (lanes,).
+        residual: largest component of Pⁿ(u) − u in sizes of the motion, NaN where no orbit was found, (lanes,).
         multiplier: largest modulus of the multipliers, NaN likewise, (lanes,).
         failed: whether the state of the lane is not finite, (lanes,).
+        size: of the motion in each section coordinate, (lanes, d): what `near` means.
     """
 
     period: Int[np.ndarray, " lanes"]
@@ -65,6 +67,7 @@ class Survey(NamedTuple):
     residual: Float[np.ndarray, " lanes"]
     multiplier: Float[np.ndarray, " lanes"]
     failed: Bool[np.ndarray, " lanes"]
+    size: Float[np.ndarray, "lanes d"]
 
 
 def periods(options: PeriodOptions, lanes: int) -> float:
@@ -79,13 +82,14 @@ def numbers(options: PeriodOptions) -> int:
 
 def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Least period of every lane with its residual and largest multiplier."""
-    start = section_points(scene) if scene.flow is scene.system else _first_crossings(scene, lanes)
-    found = survey(scene, lanes, start, options.limit, "period", options.transient)
+    found = survey(scene, lanes, first_points(scene, lanes), options.limit, "period", options.transient)
     found = beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
     unit = counted_in(scene.system)
     variables = {
         "period": variable(LANE, found.period, "least period, 0: none up to the limit", unit),
-        "residual": variable(LANE, found.residual, "largest component of Pⁿ(u) − u of the orbit"),
+        "residual": variable(
+            LANE, found.residual, "largest component of Pⁿ(u) − u of the orbit, in sizes of the motion"
+        ),
         "multiplier": variable(LANE, found.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
         "failed": variable(LANE, found.failed.astype(np.int8), "1 where the state is not finite"),
     }
@@ -99,8 +103,10 @@ def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     return xr.Dataset(variables, attrs=attrs)
 
 
-def _first_crossings(scene: Scene, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
-    """Coordinates of the first point on a section, of every lane."""
+def first_points(scene: Scene, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
+    """Section coordinates of every lane's start, or of its first crossing where there is a section."""
+    if scene.flow is scene.system:
+        return section_points(scene)
     return lanes(_first_crossing, (scene.strobe(),), scene.lanes, periods=1)
 
 
@@ -123,16 +129,22 @@ def survey(
     The period is a multiple of the least n after which the points roughly recur; with `only_doublings`, for a cascade,
     2, 4, 8, … times that alone are tried.
     """
-    strobe, apart, count, p = scene.strobe(), scene.system.apart, scene.count, dict(scene.p)
+    strobe, count, p = scene.strobe(), scene.count, dict(scene.p)
     cost = transient + 2 * limit
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
-        points = lanes(_strobe_points, (strobe, np.int32(transient)), (u, p), periods=cost, static=(2 * limit,))
+        shared, static = (strobe, np.int32(transient)), (2 * limit,)
+        if scene.system.dimensionless:
+            points, size = lanes(_strobe_points, shared, (u, p), periods=cost, static=static), np.ones_like(u)
+        else:
+            radian = 0.0 if scene.system.autonomous else scene.system.period / (2 * np.pi)
+            points, size = lanes(_sized_points, (*shared, radian), (u, p), periods=cost, static=static)
     period = np.zeros(count, int)
     base = np.zeros(count, int)  # least n after which the points recur, roughly: a multiple of it is the period
     found = np.array(points[:, 0])
     residual, multiplier = np.full(count, np.nan), np.full(count, np.nan)
     for n in range(least, limit + 1):
-        recurs = np.max(apart(points[:, n : n + limit], points[:, :limit]), axis=1) < _CLOSE
+        ahead, behind = points[:, n : n + limit], points[:, :limit]
+        recurs = np.max(apart(scene.system, ahead, behind, size[:, None]), axis=1) < _CLOSE
         base[(base == 0) & recurs] = n
         ratio, rest = np.divmod(n, np.maximum(base, 1))
         possible = (rest == 0) & ((ratio & (ratio - 1) == 0) | (not only_doublings))
@@ -140,43 +152,74 @@ def survey(
         if not len(open_):
             continue
         with lanes.stage(f"{label}: orbits of period {n} of {len(open_)} lanes", 0):
-            orbit = orbits(lanes, strobe, found[open_], picked(p, open_), n)
-        near = apart(orbit.u, found[open_]) < 2 * _CLOSE
+            orbit = orbits(lanes, strobe, found[open_], picked(p, open_), n, size[open_])
+        near = apart(scene.system, orbit.u, found[open_], size[open_]) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = (orbit.residual < CONVERGED) & near & (largest < 1.0)
-        shortest = least_period(lanes, strobe, orbit.u[settled], picked(p, open_[settled]), n)
+        some = open_[settled]
+        shortest = least_period(lanes, strobe, orbit.u[settled], picked(p, some), n, size[some])
         for d in np.unique(shortest):
             part = np.flatnonzero(settled)[shortest == d]
             here = open_[part]
-            exact = picked(orbit, part) if d == n else orbits(lanes, strobe, orbit.u[part], picked(p, here), d)
+            exact = picked(orbit, part)
+            if d != n:
+                exact = orbits(lanes, strobe, orbit.u[part], picked(p, here), d, size[here])
             period[here], found[here] = d, exact.u
             residual[here], multiplier[here] = exact.residual, largest_multiplier(exact.monodromy)
-    return Survey(period, found, residual, multiplier, ~np.all(np.isfinite(points), axis=(1, 2)))
+    return Survey(period, found, residual, multiplier, ~np.all(np.isfinite(points), axis=(1, 2)), size)
 
 
 def beyond_doublings(lanes: LaneRunner, strobe: Strobe, p: Parameters, found: Survey) -> Survey:
     """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
-    period, u, residual, multiplier, failed = (leaf.copy() for leaf in found)
+    period, u, residual, multiplier, failed, size = (leaf.copy() for leaf in found)
+    system = strobe.system
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
     for n in np.unique(period[near]):
         here = np.flatnonzero(near & (period == n))
-        orbit = lanes(find_doubled, (strobe, np.int32(n // 2)), (u[here], picked(p, here)), tile=ORBIT_TILE)
-        settled = (orbit.residual < CONVERGED) & (strobe.system.apart(orbit.u, u[here]) < 2 * _CLOSE)
+        arguments = (u[here], picked(p, here), *sizes(system, size[here]))
+        orbit = lanes(find_doubled, (strobe, np.int32(n // 2)), arguments, tile=ORBIT_TILE)
+        settled = (orbit.residual < CONVERGED) & (apart(system, orbit.u, u[here], size[here]) < 2 * _CLOSE)
         part = here[settled]
         u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
         multiplier[part] = largest_multiplier(orbit.monodromy[settled])
-    return Survey(period, u, residual, multiplier, failed)
+    return Survey(period, u, residual, multiplier, failed, size)
 
 
-def orbits(lanes: LaneRunner, strobe: Strobe, u: Float[np.ndarray, "lanes d"], p: Parameters, n: int) -> Orbit:
-    """`find_orbit` of period n over lanes, whose parameters are (lanes,)."""
-    return lanes(find_orbit, (strobe, np.int32(n)), (u, p), tile=ORBIT_TILE)
+def orbits(
+    lanes: LaneRunner,
+    strobe: Strobe,
+    u: Float[np.ndarray, "lanes d"],
+    p: Parameters,
+    n: int,
+    size: Float[np.ndarray, "lanes d"],
+) -> Orbit:
+    """`find_orbit` of period n over lanes, whose parameters are (lanes,) and whose motions have these sizes."""
+    return lanes(find_orbit, (strobe, np.int32(n)), (u, p, *sizes(strobe.system, size)), tile=ORBIT_TILE)
+
+
+def sizes(system: Flow, size: Float[np.ndarray, "lanes d"]) -> tuple[Float[np.ndarray, "lanes d"], ...]:
+    """Sizes as Newton's last argument, which a flow without dimensions has none of."""
+    return () if system.dimensionless else (size,)
+
+
+def apart(
+    system: Flow, one: Float[np.ndarray, "... d"], other: Float[np.ndarray, "... d"], size: Float[np.ndarray, "... d"]
+) -> np.ndarray:
+    """Largest difference (...) between section points in sizes of the motion; without dimensions that of positions."""
+    if system.dimensionless:
+        return system.apart(one, other)
+    return np.max(np.abs(system.wrap(one - other)) / size, axis=-1)
 
 
 def least_period(
-    lanes: LaneRunner, strobe: Strobe, u: Float[np.ndarray, "lanes d"], p: Parameters, n: int
+    lanes: LaneRunner,
+    strobe: Strobe,
+    u: Float[np.ndarray, "lanes d"],
+    p: Parameters,
+    n: int,
+    size: Float[np.ndarray, "lanes d"],
 ) -> Int[np.ndarray, " lanes"]:
-    """Least d that divides n with P^d(u) = u, for points u of orbits of period n.
+    """Least d that divides n with P^d(u) = u, for points u of orbits of period n of motions with these sizes.
 
     A lane that was still on its way may miss its orbit at d and meet it at a multiple.
     """
@@ -186,7 +229,8 @@ def least_period(
         if not len(open_):
             break
         image = lanes(section_map, (strobe, np.int32(d)), picked((u, p), open_), periods=d, tile=ORBIT_TILE)
-        period[open_[np.max(np.abs(strobe.system.wrap(image - u[open_])), axis=1) < CONVERGED]] = d
+        gap = np.abs(strobe.system.wrap(image - u[open_])) / size[open_]
+        period[open_[np.max(gap, axis=1) < CONVERGED]] = d
     return period
 
 
@@ -204,6 +248,28 @@ def _strobe_points(
     system = strobe.system
     settled = iterate(strobe, transient, system.unchart(u), p)
     return jax.vmap(system.chart)(record(strobe, settled, p, count)[1])
+
+
+def _sized_points(
+    strobe: Strobe, transient: ArrayLike, radian: ArrayLike, u: Float[Array, " d"], p: Parameters, count: int
+) -> tuple[Float[Array, "points d"], Float[Array, " d"]]:
+    """Section points after a transient, of one lane, and the size of its motion in each section coordinate.
+
+    The largest of a coordinate at the points, or with a clock of its rate over a radian of the period, which is not
+    small as well where the coordinate happens to be; of an angle it is one. Where all that is zero, one.
+
+    Args:
+        radian: of the period, a length of time; zero without a clock.
+    """
+    system, flow = strobe.system, strobe.system.flow
+    states = record(strobe, iterate(strobe, transient, system.unchart(u), p), p, count)[1]
+    points = jax.vmap(system.chart)(states)
+    size = jnp.max(jnp.abs(points), axis=0)
+    if not flow.autonomous:
+        rates = jax.vmap(lambda y: jnp.stack(flow.lower(y, flow.rhs(0.0, y, p))))(states)
+        size = jnp.maximum(size, jnp.max(jnp.abs(rates), axis=0) * radian)
+    turns = np.abs(system.wrap(np.full(system.dimension, 2 * np.pi))) < 1.0
+    return points, jnp.where(~turns & (size > 0.0) & (size < jnp.inf), size, 1.0)
 
 
 def price(options: PeriodOptions, scene: Scene) -> Price:

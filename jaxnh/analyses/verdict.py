@@ -8,7 +8,7 @@ Newton (0: none up to the limit), μ its largest multiplier, K the 0–1 test, T
 - periodic: n > 0 and |μ| < 1; λ1 agrees with ln|μ|/(nT) within ε + 4/(NT), the second being what a finite average keeps
   of how the lane came to its orbit; and K < 0.5.
 - chaotic: n = 0, (λ1 − ε) NT > 2 ln N, K > 0.5, and the motion still does not repeat itself in a run ten times as long.
-- quasiperiodic: n = 0, |λ1| ≤ ε with ε ≤ 0.005, and K < 0.5, in a flow that knows the time.
+- quasiperiodic: n = 0, |λ1| ≤ ε with ε ≤ 0.005 · 2π/T, and K < 0.5, in a flow that knows the time.
 - undecided: everything else, that is whenever the criteria disagree.
 
 On a torus tangents grow in proportion to time, so that λ1 is positive in any finite average: ln N / NT, and twice that
@@ -44,7 +44,7 @@ KINDS = ("periodic", "quasiperiodic", "chaotic", "undecided", "failed")
 """Meanings of the flags 0, 1, 2, 3, 4."""
 
 _LOOKS = 5
-_SMALL_ERROR = 0.005
+_SMALL_ERROR = 0.005 * 2 * np.pi  # of an exponent a period
 _COMING = 4.0
 _LONGEST = 512  # lags that a motion may repeat itself after, and points that have to come back
 _BACK = 1e-6  # of the extent of the points
@@ -184,7 +184,7 @@ def judge(
         failed | ~np.isfinite(largest),
         (period > 0) & (multiplier < 1.0) & agrees & regular,
         (period == 0) & ((largest - error) * averaged * strobe_period > 2.0 * np.log(averaged)) & ~regular,
-        (period == 0) & (np.abs(largest) <= error) & (error <= _SMALL_ERROR) & regular,
+        (period == 0) & (np.abs(largest) <= error) & (error * strobe_period <= _SMALL_ERROR) & regular,
     ]
     return np.select(conditions, [4, 0, 2, 1], default=3).astype(np.int8)
 

@@ -21,7 +21,7 @@ from jaxnh.maps.protocol import Pushed, Strobe, Tangent
 from jaxnh.maps.section import NO_RETURN, NOT_FINITE, Crossing, SectionedFlow
 from jaxnh.systems.flow import Flow, Parameters, State
 
-_ON_SECTION = 1e-9  # a state as near as this is on the section, and leaves it
+_ON_SECTION = 1e-9  # a state as near as this is on the section, and leaves it: of its value and of a step's way across
 _GUESSES = 6  # Newton steps on the cubic through the ends of a step
 _SETTLED = 1e-9  # a step of Newton below this, as a share of the step, leaves its square
 _MOST_SHOTS = 40
@@ -146,7 +146,8 @@ class EventStrobe(Strobe):
         whole = self._partly(1.0)
         state = state_of(begun)
         height, rate = self.system.height(state), self.system.rate(state, p)
-        side = jnp.sign(jnp.where(jnp.abs(height) < _ON_SECTION, rate, height))
+        near = _ON_SECTION * (abs(self.system.value) + jnp.abs(rate) * self.step)
+        side = jnp.sign(jnp.where(jnp.abs(height) < near, rate, height))
 
         def step(search: _Search) -> _Search:
             ahead = advance(whole, search.carried)

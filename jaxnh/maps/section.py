@@ -174,6 +174,11 @@ class SectionedFlow(Flow):
         xp = np if isinstance(difference, np.ndarray) else jnp
         return xp.delete(self.inner.wrap(self._whole(difference)), self.number, axis=-1)
 
+    @property
+    def dimensionless(self) -> bool:
+        """As the flow says."""
+        return self.inner.dimensionless
+
     def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Largest difference of positions between section points (..., dimension): (...,)."""
         return self.inner.apart(self._whole(one), self._whole(other))

@@ -21,6 +21,7 @@ from jaxnh.systems.elimination import eliminate
 from jaxnh.systems.flow import Parameters
 
 _NEWTON_STEPS = 12
+# Residuals and steps in sizes of the motion.
 _NEWTON_TOLERANCE = 1e-9  # residual after which one more step reaches the rounding floor
 _LARGEST_STEP = 0.25
 _PATIENCE, _NEAR = 4, 1e-2  # after so many steps a lane with a residual above this is given up
@@ -34,7 +35,7 @@ class Orbit(NamedTuple):
 
     Attributes:
         u: section coordinates, shape (d,).
-        residual: largest component of Pⁿ(u) − u.
+        residual: largest component of Pⁿ(u) − u, in the sizes of the motion that Newton was given.
         monodromy: ∂Pⁿ/∂u, shape (d, d).
         steps: Newton steps taken.
     """
@@ -45,23 +46,28 @@ class Orbit(NamedTuple):
     steps: Any
 
 
-def find_orbit(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters) -> Orbit:
+def find_orbit(
+    strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
+) -> Orbit:
     """Newton on Pⁿ(u; p) = u for one lane, from u of shape (d,); n may be traced.
 
     Stops by itself; a lane that does not converge shows it by its residual (NaN where its state is not finite).
     Newton does not care whether the orbit is stable, nor how slowly the map itself would approach it.
+
+    Args:
+        size: of the motion in each section coordinate, (d,): what is near is so in these units.
     """
 
     wrap, one = strobe.system.wrap, jnp.eye(strobe.system.dimension)
 
     def look(u: Array, steps: Array) -> tuple[Orbit, Array]:
         image, monodromy, _ = derivatives(strobe, n, u, p)
-        return Orbit(u, jnp.max(jnp.abs(wrap(image - u))), monodromy, steps), image
+        return Orbit(u, jnp.max(jnp.abs(wrap(image - u)) / size), monodromy, steps), image
 
     def improve(carry: tuple[Orbit, Array, Array]) -> tuple[Orbit, Array, Array]:
         orbit, image, _ = carry
         step = solve(orbit.monodromy - one, wrap(orbit.u - image))
-        step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(jnp.abs(step)))
+        step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(jnp.abs(step) / size))
         last = orbit.residual < _NEWTON_TOLERANCE
         return *look(orbit.u + step, orbit.steps + 1), last
 
@@ -84,7 +90,9 @@ class _Branches(NamedTuple):
     before: Any
 
 
-def find_doubled(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters) -> Orbit:
+def find_doubled(
+    strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
+) -> Orbit:
     """An orbit of period 2n near the doubling that it was born in, from a point of it that `find_orbit` has found.
 
     There P²ⁿ(u) = u has three roots that grow together, the orbits of period 2n and n: a residual of 10⁻⁹ is an error
@@ -97,50 +105,59 @@ def find_doubled(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Paramet
     a = 0, so that a² and with it 1 − μ are right to rounding. The integral is a Gauss–Lobatto sum, wrong by O(a⁸): for
     small a. Of the second and third derivatives, which only the steps need, finite differences over the first a do.
 
+    Args:
+        size: of the motion in each section coordinate, (d,): all is solved in these units.
+
     Returns:
         The orbit of period 2n; the residual is infinite where Newton has not settled.
     """
     system, d = strobe.system, strobe.system.dimension
     one = jnp.eye(d)
-    half = 0.5 * system.wrap(u - derivatives(strobe, n, u, p).image)
+    half = 0.5 * system.wrap(u - derivatives(strobe, n, u, p).image) / size
     first = jnp.sqrt(jnp.sum(half**2))
     normal = half / first
-    _, around = _along(strobe, n, u - half, first * normal, p)
+    _, around = _along(strobe, n, u - half * size, first * normal, p, size)
     bend = (around[-1] - around[0]) / (2.0 * first)
     cubic = (_mean(around) - around[2]) @ normal / first**2
 
     def improve(at: _Branches) -> _Branches:
         m, v, square, steps, size, _ = at
-        image, matrices = _along(strobe, n, m, jnp.sqrt(square) * v, p)
+        image, matrices = _along(strobe, n, m, jnp.sqrt(square) * v, p, size)
         ends, whole = 0.5 * (matrices[0] + matrices[-1]), _mean(matrices)
         rows = [
             jnp.concatenate([ends - one, square * bend, 0.5 * (bend @ v)[:, None]], axis=1),
             jnp.concatenate([bend, whole + one, cubic[:, None]], axis=1),
             jnp.concatenate([jnp.zeros(d), normal, jnp.zeros(1)])[None],
         ]
-        middle = 0.5 * (system.wrap(image[0] - m) + system.wrap(image[-1] - m))
+        middle = 0.5 * (system.wrap(image[0] - m) + system.wrap(image[-1] - m)) / size
         missing = jnp.concatenate([middle, whole @ v + v, (normal @ v - 1.0)[None]])
         step = solve(jnp.concatenate(rows), -missing)
         moved = square + step[-1]
         moved = jnp.where(moved > 0.0, moved, square / 16)
-        return _Branches(m + step[:d], v + step[d:-1], moved, steps + 1, jnp.max(jnp.abs(step)), size)
+        return _Branches(m + step[:d] * size, v + step[d:-1], moved, steps + 1, jnp.max(jnp.abs(step)), size)
 
     def unfinished(at: _Branches) -> Array:
         settled = (at.size < _NEWTON_TOLERANCE) & (at.size >= 0.25 * at.before)
         return (at.steps < _DOUBLED_STEPS) & ~settled & ~jnp.isnan(at.size)
 
     far = jnp.full((), jnp.inf)
-    begun = _Branches(u - half, normal, first**2, jnp.int32(0), far, far)
+    begun = _Branches(u - half * size, normal, first**2, jnp.int32(0), far, far)
     found = lax.while_loop(unfinished, improve, begun)
-    u = found.m + jnp.sqrt(found.square) * found.v
+    u = found.m + jnp.sqrt(found.square) * found.v * size
     image, monodromy, _ = derivatives(strobe, 2 * jnp.asarray(n), u, p)
-    residual = jnp.max(jnp.abs(system.wrap(image - u)))
+    residual = jnp.max(jnp.abs(system.wrap(image - u)) / size)
     return Orbit(u, jnp.where(found.size < _NEWTON_TOLERANCE, residual, jnp.inf), monodromy, found.steps)
 
 
-def _along(strobe: Strobe, n: ArrayLike, m: Array, way: Array, p: Parameters) -> tuple[Array, Array]:
-    """Pⁿ and ∂Pⁿ/∂u at the nodes of the line from m − way to m + way: (5, d) and (5, d, d)."""
-    return jax.vmap(lambda t: derivatives(strobe, n, m + t * way, p)[:2])(jnp.array(_NODES))
+def _along(
+    strobe: Strobe, n: ArrayLike, m: Array, way: Array, p: Parameters, size: Float[Array, " d"] | float
+) -> tuple[Array, Array]:
+    """Pⁿ and ∂Pⁿ/∂u at the nodes of the line from m − way to m + way: (5, d) and (5, d, d).
+
+    The way and the derivatives are in units of the sizes (d,), m and Pⁿ are not.
+    """
+    image, matrices = jax.vmap(lambda t: derivatives(strobe, n, m + t * (way * size), p)[:2])(jnp.array(_NODES))
+    return image, matrices * size / jnp.reshape(jnp.asarray(size), (-1, 1))
 
 
 def _mean(matrices: Array) -> Array:

@@ -156,6 +156,11 @@ class Flow(eqx.Module):
     # ---- section coordinates
 
     @property
+    def dimensionless(self) -> bool:
+        """Whether section coordinates are of order one as they are, so that what is near needs no other measure."""
+        return False
+
+    @property
     @abc.abstractmethod
     def dimension(self) -> int:
         """Number of section coordinates."""

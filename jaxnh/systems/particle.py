@@ -293,6 +293,11 @@ class IsokineticParticle(Flow):
         """A difference of section coordinates (..., 3), its angle in [−π, π)."""
         return wrap(difference)
 
+    @property
+    def dimensionless(self) -> bool:
+        """The paper's equations are: lengths are those of the cubic terms."""
+        return True
+
     def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Largest difference of positions between section points (..., 3): (...,)."""
         return np.max(np.abs(one[..., :2] - other[..., :2]), axis=-1)
