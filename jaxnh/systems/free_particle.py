@@ -55,6 +55,11 @@ class FreeParticle(Lagrangian):
         return "x1", "x2"
 
     @property
+    def dimensionless(self) -> bool:
+        """The paper's equations are."""
+        return True
+
+    @property
     def autonomous(self) -> bool:
         """Whether there is no clock."""
         return "forcing" in self.without

@@ -26,12 +26,15 @@ class Pendulum(taylor.Parameters):
 
 @pytest.mark.slow
 def test_doublings_of_the_driven_pendulum():
-    """Four digits are Taylor's (Classical Mechanics, 2005, table 12.1); the first three to 1e-9 of heyoka."""
+    """Within a unit of the last digit that Taylor gives (Classical Mechanics, 2005, 12.4); three to 1e-9 of heyoka.
+
+    The first is 1.06637, where the book has 1.0663.
+    """
     session = session_of(jaxnh.load(ROOT / "configs/flows/pendulum.yaml", ["analyses={doubling: {levels: 4}}"]))
     found = session.run("doubling")
     ours, errors = found["gamma"].to_numpy(), found["gamma_error"].to_numpy()
     assert found["period"].to_numpy().tolist() == [1, 2, 4, 8]
-    assert np.array_equal(np.round(ours, 4), [1.0663, 1.0793, 1.0821, 1.0827])
+    assert np.abs(ours - [1.0663, 1.0793, 1.0821, 1.0827]).max() < 1e-4
     start = np.array([0.0, 0.0, -np.pi / 2])
     par = Pendulum(a=0.25, omega=2 * np.pi)
     exact = taylor.cascade(par, [1.0663, 1.0793, 1.0821], start, before=1.062)
