@@ -62,12 +62,12 @@ def find_orbit(
 
     def look(u: Array, steps: Array) -> tuple[Orbit, Array]:
         image, monodromy, _ = derivatives(strobe, n, u, p)
-        return Orbit(u, jnp.max(jnp.abs(wrap(image - u)) / size), monodromy, steps), image
+        return Orbit(u, jnp.max(_in(size, jnp.abs(wrap(image - u)))), monodromy, steps), image
 
     def improve(carry: tuple[Orbit, Array, Array]) -> tuple[Orbit, Array, Array]:
         orbit, image, _ = carry
         step = solve(orbit.monodromy - one, wrap(orbit.u - image))
-        step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(jnp.abs(step) / size))
+        step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(_in(size, jnp.abs(step))))
         last = orbit.residual < _NEWTON_TOLERANCE
         return *look(orbit.u + step, orbit.steps + 1), last
 
@@ -113,15 +113,15 @@ def find_doubled(
     """
     system, d = strobe.system, strobe.system.dimension
     one = jnp.eye(d)
-    half = 0.5 * system.wrap(u - derivatives(strobe, n, u, p).image) / size
+    half = 0.5 * _in(size, system.wrap(u - derivatives(strobe, n, u, p).image))
     first = jnp.sqrt(jnp.sum(half**2))
     normal = half / first
-    _, around = _along(strobe, n, u - half * size, first * normal, p, size)
+    _, around = _along(strobe, n, u - _of(size, half), first * normal, p, size)
     bend = (around[-1] - around[0]) / (2.0 * first)
     cubic = (_mean(around) - around[2]) @ normal / first**2
 
     def improve(at: _Branches) -> _Branches:
-        m, v, square, steps, size, _ = at
+        m, v, square, steps, last, _ = at
         image, matrices = _along(strobe, n, m, jnp.sqrt(square) * v, p, size)
         ends, whole = 0.5 * (matrices[0] + matrices[-1]), _mean(matrices)
         rows = [
@@ -129,23 +129,23 @@ def find_doubled(
             jnp.concatenate([bend, whole + one, cubic[:, None]], axis=1),
             jnp.concatenate([jnp.zeros(d), normal, jnp.zeros(1)])[None],
         ]
-        middle = 0.5 * (system.wrap(image[0] - m) + system.wrap(image[-1] - m)) / size
+        middle = 0.5 * _in(size, system.wrap(image[0] - m) + system.wrap(image[-1] - m))
         missing = jnp.concatenate([middle, whole @ v + v, (normal @ v - 1.0)[None]])
         step = solve(jnp.concatenate(rows), -missing)
         moved = square + step[-1]
         moved = jnp.where(moved > 0.0, moved, square / 16)
-        return _Branches(m + step[:d] * size, v + step[d:-1], moved, steps + 1, jnp.max(jnp.abs(step)), size)
+        return _Branches(m + _of(size, step[:d]), v + step[d:-1], moved, steps + 1, jnp.max(jnp.abs(step)), last)
 
     def unfinished(at: _Branches) -> Array:
         settled = (at.size < _NEWTON_TOLERANCE) & (at.size >= 0.25 * at.before)
         return (at.steps < _DOUBLED_STEPS) & ~settled & ~jnp.isnan(at.size)
 
     far = jnp.full((), jnp.inf)
-    begun = _Branches(u - half * size, normal, first**2, jnp.int32(0), far, far)
+    begun = _Branches(u - _of(size, half), normal, first**2, jnp.int32(0), far, far)
     found = lax.while_loop(unfinished, improve, begun)
-    u = found.m + jnp.sqrt(found.square) * found.v * size
+    u = found.m + _of(size, jnp.sqrt(found.square) * found.v)
     image, monodromy, _ = derivatives(strobe, 2 * jnp.asarray(n), u, p)
-    residual = jnp.max(jnp.abs(system.wrap(image - u)) / size)
+    residual = jnp.max(_in(size, jnp.abs(system.wrap(image - u))))
     return Orbit(u, jnp.where(found.size < _NEWTON_TOLERANCE, residual, jnp.inf), monodromy, found.steps)
 
 
@@ -156,8 +156,19 @@ def _along(
 
     The way and the derivatives are in units of the sizes (d,), m and Pⁿ are not.
     """
-    image, matrices = jax.vmap(lambda t: derivatives(strobe, n, m + t * (way * size), p)[:2])(jnp.array(_NODES))
-    return image, matrices * size / jnp.reshape(jnp.asarray(size), (-1, 1))
+    way = _of(size, way)
+    image, matrices = jax.vmap(lambda t: derivatives(strobe, n, m + t * way, p)[:2])(jnp.array(_NODES))
+    return image, matrices if isinstance(size, float) else matrices * size / jnp.expand_dims(size, 1)
+
+
+def _in(size: Array | float, difference: Array) -> Array:
+    """A difference (d,) in units of sizes; as it is where there are none, so that the program is as without."""
+    return difference if isinstance(size, float) else difference / size
+
+
+def _of(size: Array | float, difference: Array) -> Array:
+    """A difference (d,) given in units of sizes."""
+    return difference if isinstance(size, float) else difference * size
 
 
 def _mean(matrices: Array) -> Array:
