@@ -158,17 +158,17 @@ def _along(
     """
     way = _of(size, way)
     image, matrices = jax.vmap(lambda t: derivatives(strobe, n, m + t * way, p)[:2])(jnp.array(_NODES))
-    return image, matrices if isinstance(size, float) else matrices * size / jnp.expand_dims(size, 1)
+    return image, matrices if isinstance(size, (int, float)) else matrices * jnp.outer(1.0 / size, size)[None]
 
 
 def _in(size: Array | float, difference: Array) -> Array:
     """A difference (d,) in units of sizes; as it is where there are none, so that the program is as without."""
-    return difference if isinstance(size, float) else difference / size
+    return difference if isinstance(size, (int, float)) else difference / size
 
 
 def _of(size: Array | float, difference: Array) -> Array:
     """A difference (d,) given in units of sizes."""
-    return difference if isinstance(size, float) else difference * size
+    return difference if isinstance(size, (int, float)) else difference * size
 
 
 def _mean(matrices: Array) -> Array:

@@ -16,7 +16,7 @@ from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits import cyclic
 from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch, moved_doubling
-from jaxnh.orbits.newton import find_orbit, solve3
+from jaxnh.orbits.newton import find_doubled, find_orbit, solve3
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
 
@@ -314,3 +314,21 @@ def test_orbit_of_half_the_period_is_not_taken():
     root = math.sqrt((value + 1) * (value - 3))
     pair = np.array([[(value + 1 + root) / (2 * value)], [(value + 1 - root) / (2 * value)]])
     assert follow_branch(logistic, pair, value, 2.9, np.asarray) is None  # back to its birth at 3, and no further
+
+
+@pytest.mark.slow
+def test_newton_in_sizes_of_the_motion(lanes, strobes):
+    """Both Newtons find the same orbit whatever the sizes, in whose units its residual is."""
+    points = attractor("constant", 5.505, 2)[:1]
+    b, size = {"b": np.array([5.505])}, np.array([[4.0, 0.5, 2.0]])
+    near = points + 1e-3
+    plain, sized = (
+        lanes(find_orbit, (strobes["constant"], np.int32(2)), (near, b, *more), tile=64) for more in ((), (size,))
+    )
+    assert np.abs(plain.u - sized.u).max() < 1e-11
+    plain, sized = (
+        lanes(find_doubled, (strobes["constant"], np.int32(1)), (plain.u, b, *more), tile=64) for more in ((), (size,))
+    )
+    assert np.isfinite(plain.residual).all() == np.isfinite(sized.residual).all()
+    assert np.abs(plain.u - sized.u).max() < 1e-11
+    assert np.abs(plain.monodromy - sized.monodromy).max() < 1e-9 * np.abs(plain.monodromy).max()
