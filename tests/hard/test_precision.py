@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import taylor
 from measure import apart, calibrated, twin
-from scenes import SPREAD, start_at
+from scenes import start_at
 
 from jaxnh.config.experiment import load
 from jaxnh.exceptions import AccuracyError, ConfigError
@@ -68,7 +68,7 @@ def test_error_and_gain(battery, lanes):
             f"d = {system.d:g}, b in [4, 6], target 10u‖M‖ = {10 * rounding:.1e}: {plan.solver.name}, {kicks} kicks, estimate {plan.error_estimate:.1e} "
             f"(float64 with the same kicks: {errors['float64']:.1e})",
             float(errors["float32"]),
-            SPREAD * plan.error_estimate,
+            plan.error_estimate,
             "error by Taylor",
         )
         with pytest.raises(AccuracyError) as refusal:
