@@ -28,7 +28,7 @@ REFERRED = 4  # of the worst periods of a sweep, measured by Taylor
 NORMAL = 1.645  # one-sided, 95 %
 
 
-def sweep_of(rng):
+def sweep_of(rng, counts):
     """A sweep of either paper system: a, c, d, omega, start, a range of b, and perhaps a second axis."""
     c = float(10 ** rng.uniform(-0.5, 0.5))
     disturbed = bool(rng.random() < 0.5)
@@ -37,7 +37,7 @@ def sweep_of(rng):
     if disturbed:
         system["d"] = c * float(rng.uniform(0, 0.9))
     a, width = float(rng.uniform(0.1, 1.5)), float(10 ** rng.uniform(-1.3, 0.85))
-    first, count = float(rng.uniform(0, max(0.1, 7 - width))), int(rng.choice([24, 200, 1000, 4096]))
+    first, count = float(rng.uniform(0, max(0.1, 7 - width))), int(rng.choice(counts))
     initial = {"x1": float(rng.uniform(-1, 1)), "y1": float(rng.uniform(-1, 1))}
     initial["x2"] = math.sqrt(c) * math.cos(rng.uniform(0, math.pi))
     sweep = {"b": {"start": first, "stop": first + width, "count": count}}
@@ -62,7 +62,7 @@ def walked(strobe, finer, n, target, state, p):
         gaps = [jnp.abs(x - y) for x, y in zip(jax.tree.leaves(image), jax.tree.leaves(fine), strict=True)]
         gap = jnp.max(jnp.stack(gaps))
         start = jax.tree.map(lambda new, old: jnp.where(gap > largest, new, old), z, start)
-        return image, start, jnp.maximum(gap, largest), over + ~(gap <= target)
+        return image, start, jnp.maximum(gap, largest), over + jnp.where(gap <= target, 0, 1)
 
     return lax.fori_loop(0, n, period, (state, state, jnp.float64(-1.0), jnp.int64(0)))
 
@@ -138,11 +138,11 @@ def test_accuracy_contract(battery):
 
     Errors are counted against the same solver with twice the steps and compensated sums, and the worst by Taylor.
     """
-    rng, lanes = np.random.default_rng(SEED), Lanes()
-    sweeps, count = (40, 128) if battery.full else (2, 32)
+    rng, lanes = np.random.default_rng(SEED), Lanes() if battery.full else Lanes(tile=64)
+    sweeps, count, counts = (40, 128, (24, 200, 1000, 4096)) if battery.full else (1, 32, (24,))
     found, refused = [], 0
     for k in range(sweeps):
-        content, target = sweep_of(rng), TARGETS[k % len(TARGETS)]
+        content, target = sweep_of(rng, counts), TARGETS[k % len(TARGETS)]
         experiment = Experiment.from_dict({**content, "accuracy": {"target": target}})
         try:
             plan = calibrate(experiment, experiment.axes, lanes).cheapest(target)
@@ -155,9 +155,10 @@ def test_accuracy_contract(battery):
     each, periods = count * STRETCHES[-1], len(found) * count * STRETCHES[-1]
     over, worst = np.array([kept.over for kept in found]), max(kept.worst for kept in found)
     said = f"{len(found)} random sweeps, {count} lanes of each over {STRETCHES[-1]} periods, {refused} refused"
-    battery.row(said, float(over.sum() / periods), PROMISED, "share of periods above the target")
     # A sweep that is just what is promised has Poisson's number of such periods about the mean: above it by two roots.
     most = PROMISED * each + 2 * math.sqrt(PROMISED * each)
+    limit = PROMISED if battery.full else most / each
+    battery.row(said, float(over.sum() / periods), limit, "share of periods above the target")
     battery.row(
         "the same", float(np.mean(over > most)), 0.05, f"share of sweeps with more than {most:.0f} such periods"
     )
