@@ -23,12 +23,10 @@ from jaxnh.systems.flow import Flow, Parameters, State
 SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
 
-MISSES = 1e-4
-"""Share of the periods of a sweep's lanes whose error may be above the target."""
-
 _CALLS, _PERIODS = 10, 17  # calls, and periods in each, in which sampled lanes are followed from the start
 _ALL_LANES_AT = (0, 12, 169)  # periods after the start at which every lane gives a sample
 _MOST_SENSITIVE = 512  # of all periods on the way: far more than the share that is left out
+_LEFT_OUT = 5e-5  # of the periods looked at, that err most: half of the share that may miss the target
 _SAFETY = 2.0  # the error is taken this many times: some lanes of the sweep have larger ones
 _REFERENCE_STEPS = 96
 _ROUNDING = 1e-12  # references nearer to each other than this are the same
@@ -74,8 +72,8 @@ class Calibration:
     """Errors of one period's map on sample lanes: up to 1024 across the sweep, over the first 170 periods of each.
 
     The error of a map in a period is the largest difference of any component of (q, n) from a reference that is
-    refined until it changes no more. The estimate is twice that which one in 10,000 of all those periods exceeds, the
-    largest one where they are fewer. Chaotic motion passes ever nearer to states that enlarge every error, at a
+    refined until it changes no more. The estimate is twice that which one in 20,000 of all those periods exceeds, the
+    largest one where they are fewer: one in 10,000 of the periods of lanes may err by more (README). Chaotic motion passes ever nearer to states that enlarge every error, at a
     distance δ about 1/δ times, so that samples tell no bound of the largest error; of a share of the periods they do.
 
     Every period is taken with two numbers of steps first. Samples are those that differ most, and all lanes at a few
@@ -104,7 +102,7 @@ class Calibration:
         self._candidates = tuple(s for s in way.solvers if not (section and s.processor[1]))
         self._summations = (False,) if section else way.summations
         self._samples, looked_at = self._take_samples(rows)
-        self._left_out = int(MISSES * looked_at)
+        self._left_out = int(_LEFT_OUT * looked_at)
         self._drop_lost()
         self._reference, self._known, self._enough = self._refine()
         self.floor = self._largest(self._known)
