@@ -73,7 +73,8 @@ class Calibration:
 
     The error of a map in a period is the largest difference of any component of (q, n) from a reference that is
     refined until it changes no more. The estimate is twice that which one in 20,000 of all those periods exceeds, the
-    largest one where they are fewer: one in 10,000 of the periods of lanes may err by more (README). Chaotic motion passes ever nearer to states that enlarge every error, at a
+    largest one where they are fewer: of the periods of lanes one in 10,000 may err by more
+    (tests/hard/test_accuracy_contract.py). Chaotic motion passes ever nearer to states that enlarge every error, at a
     distance δ about 1/δ times, so that samples tell no bound of the largest error; of a share of the periods they do.
 
     Every period is taken with two numbers of steps first. Samples are those that differ most, and all lanes at a few
