@@ -123,7 +123,7 @@ def test_slow_forcing(battery, lanes):
     and two Taylor integrations in double and long double disagree there as well.
 
     Roundings of N kicks add up at random, to √N uE if a period enlarges all of them as much as some, E times. N is at
-    most 2²⁰, and E is the largest of the 170 periods that a calibration looks at, by heyoka: 1,024 uE has to be met, or
+    most 2²⁰, and E is the largest of the first 24 periods, by heyoka: 1,024 uE has to be met, or
     1e-9 where that is less.
     """
     if battery.full:
@@ -134,7 +134,7 @@ def test_slow_forcing(battery, lanes):
     for c, b in scenes:
         system = constant_speed(c=c, omega=omega)
         start = start_at(system)
-        enlarged = taylor.enlargement(twin(system), b, system.section_point(start), 170)
+        enlarged = taylor.enlargement(twin(system), b, system.section_point(start), 24)
         held = hold(lanes, system, start, np.array([b]), max(1e-9, 1024 * UNIT * enlarged), 12)
         show(battery, f"ω = {omega:g}, c = {c:g}, b = {b:g}, roundings enlarged {enlarged:.0e} times", held)
         assert held.plan is not None
