@@ -135,6 +135,7 @@ def upper(misses, of):
     return (middle + width) / (1 + z * z / of)
 
 
+@pytest.mark.slow  # tests/engine/test_calibration.py asserts the same of four sweeps
 @pytest.mark.case("The accuracy contract")
 def test_accuracy_contract(battery):
     """Of all periods of the lanes of sweeps at most one in 10,000 errs by more than the target, of a sweep one in 1,000.
