@@ -29,6 +29,7 @@ CASES = (
     "A poisoned lane",
     "float32 on request",
     "Random systems",
+    "The accuracy contract",
 )
 
 

@@ -161,6 +161,34 @@ def strobe_hessian(par, b, state, tol=None, real=REAL):
     return end[:, :3], first, second
 
 
+def enlargement(par, b, state, periods, parts=64):
+    """The largest factor by which the flow enlarges a small error until the end of a period, of some from a state (3,).
+
+    Errors are made at the beginning of any of the parts of a period: what is enlarged within may shrink before the end,
+    or the other way round. In float64.
+    """
+    ta, at_zero = integrator(par.equations, 1, np.float64, np.finfo(np.float64).eps)
+    ta.pars[:] = [float(value) for value in (b, par.a, par.c, par.d, par.omega)]
+    ends, z, largest = np.linspace(0.0, float(par.period), parts + 1), np.array(state, np.float64), 0.0
+    for _ in range(periods):
+        z[2] -= turns(z[2])
+        blocks = []
+        for begin, end in itertools.pairwise(ends):
+            ta.state[:] = at_zero
+            ta.state[:3] = z
+            ta.time = begin
+            outcome = ta.propagate_until(end)[0]
+            if outcome != hy.taylor_outcome.time_limit:
+                raise ArithmeticError(f"integration stopped at t = {ta.time}, b = {b}: {outcome}")
+            z = ta.state[:3].copy()
+            blocks.append(ta.state[3:].reshape(3, 4)[:, :3].copy())
+        rest = np.eye(3)
+        for block in reversed(blocks):
+            rest = rest @ block
+            largest = max(largest, float(np.linalg.norm(rest, ord=2)))
+    return largest
+
+
 def attractor(par, b, state, periods):
     """The states (lanes, 3) after a plain transient, in float64: good for a guess, no more."""
     return strobe(par, b, state, periods, real=np.float64)

@@ -117,7 +117,7 @@ class Scene:
         start: start states, components (lanes,).
         p: parameters that lanes have of their own, by name, each (lanes,).
         solver, steps, compensated: what P is computed with.
-        error_estimate: estimated largest error of one period's map.
+        error_estimate: error of one period's map that about one in 10,000 of the periods of a sweep's lanes exceeds.
         place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
         along: the first axis, where the lanes are those along it, at one point of all others.
         flow_at: where all lanes share the parameter that is this axis, the system at a value of it; else None.

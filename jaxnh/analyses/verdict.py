@@ -1,8 +1,8 @@
 """One verdict a lane from all criteria together: periodic, quasiperiodic, chaotic, undecided or failed.
 
-The rule, with λ1 the largest exponent, ε its error bar (two standard errors and half the drift), n the period found by
-Newton (0: none up to the limit), μ its largest multiplier, K the 0–1 test, T the strobe period and N the periods that
-λ1 was averaged over:
+The rule, with λ1 the largest exponent, ε its error bar of 95 % (`exponent_errors`), n the period found by Newton (0:
+none up to the limit), μ its largest multiplier, K the 0–1 test, T the strobe period and N the periods that λ1 was
+averaged over:
 
 - failed: the state is not finite.
 - periodic: n > 0 and |μ| < 1; λ1 agrees with ln|μ|/(nT) within ε + 4/(NT), the second being what a finite average keeps

@@ -212,7 +212,7 @@ class Accuracy(Block):
         default=1e-10,
         ge=1e-13,
         le=1e-2,
-        description="Error of one period's map that is allowed: kept by sample lanes with a factor of two",
+        description="Error of one period's map that 9,999 in 10,000 of the periods of a sweep's lanes keep",
     )
     solver: str | None = Field(
         default=None,

@@ -24,7 +24,8 @@ class Method(NamedTuple):
         steps: steps a period.
         compensated: whether sums are.
         precision: "float64" or "float32", of the arithmetic within a period.
-        error_estimate: estimated largest error of one period's map.
+        error_estimate: error of one period's map, of all components, that about one in 10,000 of the periods of a
+            sweep's lanes exceeds.
     """
 
     solver: str

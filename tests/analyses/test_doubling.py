@@ -279,6 +279,19 @@ def test_hidden_cascades(result, request, system, values, par, place):
 
 
 @pytest.mark.slow
+def test_further_down_a_hidden_cascade(result):
+    """The same cascade of period 12 to 192 → 384, of whose periods above 24 no survey has a lane."""
+    system, values, par, place = HIDDEN["deep in a cascade of period 12"]
+    levels = ("accuracy.target=1e-9", "analyses.doubling.levels=5")
+    path, _, err = result("further_down", ROOT / "configs" / "table1.yaml", *levels, *system, values)
+    assert "warning" not in err
+    group = doubling(path)
+    assert group["period"].values.tolist() == [12, 24, 48, 96, 192]
+    check_doublings(par, group, place)
+    assert abs(group.attrs["delta_limit"] - FEIGENBAUM) <= group.attrs["delta_limit_error"]
+
+
+@pytest.mark.slow
 def test_the_whole_range_of_b(result, exact):
     """b from 0.1 to 6 in 512 values: six doublings of period 1 where the paper's are, or of another cascade as deep."""
     overrides = ("accuracy.target=1e-9", "sweep.b={start: 0.1, stop: 6, count: 512}")

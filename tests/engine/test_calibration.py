@@ -41,8 +41,11 @@ def other_lanes(lanes, system, first, last):
 
 @pytest.mark.parametrize(("name", "first", "last"), RANGES.values(), ids=RANGES)
 def test_estimate_is_honest(lanes, name, first, last):
-    """On lanes on the way and on the attractors the true error is below three times the estimate, which is below the
-    target; and with every digit asked for there are more kicks."""
+    """On lanes on the way and on the attractors the true error is below the estimate, which is below the target; and with
+    every digit asked for there are more kicks.
+
+    At most one in 10,000 may be above: of 500 there is one with a probability of 5 %, and there are two with 0.1 %.
+    """
     system = SYSTEMS[name]
     calibration = calibrated(system, START, np.linspace(first, last, 1000), lanes)
     b, u = other_lanes(lanes, system, first, last)
@@ -51,8 +54,9 @@ def test_estimate_is_honest(lanes, name, first, last):
     for target in (1e-4, 1e-6, 1e-8, 1e-10):
         plan = calibration.cheapest(target)
         strobe = make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated)
-        error = apart(lanes(section_map, (strobe, np.int32(1)), (u, {"b": b})), exact).max()
-        assert error < 3 * plan.error_estimate <= 3 * target
+        error = apart(lanes(section_map, (strobe, np.int32(1)), (u, {"b": b})), exact)
+        assert np.sum(error > plan.error_estimate) <= 1
+        assert plan.error_estimate <= target
         kicks.append(plan.steps * plan.solver.stages)
     assert kicks == sorted(set(kicks))
 

@@ -11,8 +11,8 @@ import taylor
 from battery import worst
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from measure import apart, scene_of, twin
-from scenes import PAPER_B, SPREAD, hold, show, show_sum_rule, start_at
+from measure import UNIT, apart, scene_of, twin
+from scenes import PAPER_B, hold, show, show_sum_rule, start_at
 
 from jaxnh.analyses import lyapunov
 from jaxnh.analyses.base import spread
@@ -57,7 +57,10 @@ def test_vanishing_speed_is_refused(battery, tmp_path):
 
 # ---- strong force
 
-STRONG = {  # (b, c, x1 at the start): target, and whether it is held; else refused
+# (b, c, x1 at the start): target, and whether it is held; else refused. Which are is a property of this package, pinned
+# as it is: n turns towards the force at a rate of F/s, up to 1e6 a unit of time, and in the stiffest periods 2²⁰ kicks do
+# not settle the reference. Double precision would do: heyoka's variational equations enlarge little.
+STRONG = {
     (50, 1.0, 20.0): (1e-6, True),
     (500, 1.0, 20.0): (1e-6, True),
     (50, 1e-2, 0.1): (1e-6, True),
@@ -83,6 +86,13 @@ def test_strong_force(battery, lanes):
         held = hold(lanes, system, start, values, target, 12)
         show(battery, f"b = {b}, c = {c:g}, x1 = {x1:g}", held)
         assert (held.plan is not None) == expected
+        if held.plan is None:
+            enlarged = taylor.enlargement(twin(system), float(b), system.section_point(start), 2)
+            battery.note(
+                f"b = {b}, c = {c:g}, x1 = {x1:g}: two periods enlarge roundings at most {enlarged:.2g} times by heyoka. It "
+                "is the number of kicks that is too small, not the precision."
+            )
+            assert 1024 * UNIT * enlarged < target
         for solver, steps in (("kahan_li8", 100), ("strang2", 4), ("sofroniou_spaletta10", 100)):
             state = spread(start, len(values))
             strobe = make_strobe(system, SPLITTINGS[solver], steps)
@@ -109,24 +119,25 @@ def test_fast_forcing(battery, lanes):
 
 @pytest.mark.case("Fast and slow forcing")
 def test_slow_forcing(battery, lanes):
-    """A period of 628 at ω = 0.01: held where the flow is calm; where it enlarges roundings to its own size, refused,
-    and two Taylor integrations in double and long double disagree there as well."""
+    """A period of 628 at ω = 0.01: held to what rounding leaves of the flow; where that is the motion itself, refused,
+    and two Taylor integrations in double and long double disagree there as well.
+
+    Roundings of N kicks add up at random, to √N uE if a period enlarges all of them as much as some, E times. N is at
+    most 2²⁰, and E is the largest of the first 24 periods, by heyoka: 1,024 uE has to be met, or
+    1e-9 where that is less.
+    """
     if battery.full:
         omega, scenes = 0.01, ((0.01, 0.1), (0.01, 0.3), (0.001, 0.7))
     else:
         omega, scenes = 0.1, ((0.01, 0.1),)
 
-    def target(calibration):
-        # Where a period enlarges a rounding, 1e-16, more than 1e6 times, 1e-9 is out of reach of double precision. The
-        # floor is what rounding leaves at the most sensitive sample: ten times that can be had.
-        return max(1e-9, 10 * calibration.floor)
-
     for c, b in scenes:
         system = constant_speed(c=c, omega=omega)
-        held = hold(lanes, system, start_at(system), np.array([b]), target, 12)
-        show(battery, f"ω = {omega:g}, c = {c:g}, b = {b:g}", held)
+        start = start_at(system)
+        enlarged = taylor.enlargement(twin(system), b, system.section_point(start), 24)
+        held = hold(lanes, system, start, np.array([b]), max(1e-9, 1024 * UNIT * enlarged), 12)
+        show(battery, f"ω = {omega:g}, c = {c:g}, b = {b:g}, roundings enlarged {enlarged:.0e} times", held)
         assert held.plan is not None
-        assert held.target <= 1e-4  # as much as any of them needs: a period enlarges no rounding more than 1e10 times
     if battery.full:
         system, b = constant_speed(omega=0.01), 2.5
         held = hold(lanes, system, start_at(system), np.array([b]), 1e-4)
@@ -184,9 +195,8 @@ def test_random_systems(battery, lanes):
     check()
     battery.row(
         f"{sum(outcomes.values())} systems, target 1e-7: {outcomes['held']} held, {outcomes['refused']} refused",
-        float(np.quantile(ratios, 0.9)),
+        worst(ratios),
         1.0,
-        "nine in ten: error over estimate",
+        "largest error over estimate",
     )
-    battery.row("the same", worst(ratios), SPREAD, "largest error over estimate")
     assert outcomes["held"] > outcomes["refused"]
