@@ -3,8 +3,8 @@
 A program is named by a hash of all that decides it: the source of the package, versions of libraries, XLA's options,
 the processor, devices, the function with everything that it closes over, static arguments, and the shapes of all
 others. What cannot be named for certain, as a function of another package, is not kept. JAX's own cache begins where a
-program has been traced and lowered, which is most of the time to a result (`find_orbit`: 8 s without any cache, 5 s
-with JAX's, 0.2 s from here); programs kept here are not kept there as well.
+program has been traced and lowered, which is most of the time to a result (Newton's: 5 s of 8 s without a cache, and
+0.2 s from here); programs kept here are not kept there as well.
 
 Files lie in the folder `jaxnh` of JAX's cache and are as much to be trusted as that: they are code that runs. One that
 is cut off, damaged or of another program is no program, and is written anew. JAXNH_KEEP_PROGRAMS=0 switches it off.
