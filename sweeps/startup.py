@@ -1,6 +1,6 @@
 """Time from command to result, in its parts, with an empty cache and with programs kept; writes results/startup.md.
 
-    python -m sweeps.startup [--repeats 5] [--against FOLDER] [--only SCENE]
+    make startup, or python -m sweeps.startup [--repeats 5] [--against FOLDER] [--only SCENE]
 
 FOLDER is another checkout: its runs take turns with ours, by its own .venv where it has one. Every run is a process of
 its own (`startup_worker`). Runs of some scenes alone are printed, not written. Alone on a quiet machine, please.
