@@ -106,6 +106,14 @@ def test_a_file_that_is_no_program_is_written_anew(folder, fault):
     assert kept_programs.find(path.name, jax.tree.structure((tuple(map(jax.tree.leaves, (shared, LANES))), {})))
 
 
+def test_programs_of_others_are_kept_by_jax(folder):
+    """As before the call, and after it."""
+    Lanes()(iterate, (strobe(), np.int32(1)), LANES)
+    before = set(folder.parent.glob("*-cache"))
+    jax.block_until_ready(jax.jit(lambda x: jnp.sin(x) + 0.625)(1.0))
+    assert set(folder.parent.glob("*-cache")) > before
+
+
 def test_a_folder_that_cannot_be_written_keeps_nothing(folder):
     folder.write_text("a file in its place")
     assert np.all(np.isfinite(Lanes()(iterate, (strobe(), np.int32(1)), LANES)[0][0]))
