@@ -8,7 +8,7 @@ FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
 RANGES := range_constant range_disturbed
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor paper effects claims test slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor paper effects startup claims test slow hard clean
 
 install: $(INSTALLED)
 
@@ -34,6 +34,10 @@ paper: $(INSTALLED)
 effects: $(INSTALLED)
 	for scene in $(EFFECTS); do $(RUN)/python -m jaxnh.cost configs/$$scene.yaml --effects --repeats 11 || exit; done
 	$(RUN)/python -m sweeps.effects
+
+# Time from command to result, in its parts; writes results/startup.md. On a machine that does nothing else.
+startup: $(INSTALLED)
+	$(RUN)/python -m sweeps.startup
 
 # What every quantitative claim rests on, checked; writes results/claims.md. Times nothing, computes nothing anew.
 claims: $(INSTALLED)

@@ -1,4 +1,7 @@
-"""The command `python -m jaxnh.inspect FILE [--verify [--trust]] [--csv GROUP]`: what a file has in it."""
+"""The command `python -m jaxnh.inspect FILE [--verify [--trust]] [--csv GROUP]`: what a file has in it.
+
+Imports as `jaxnh.sweep`.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,10 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import h5py
 import typer
 
 from jaxnh.cli.exit_codes import run_app
-from jaxnh.cli.inspection import check_file, run_again, show, write_csv
 from jaxnh.exceptions import DamagedError, InputError, ResultError
-from jaxnh.storage import hdf5 as store
-from jaxnh.storage.damage import READING, fault_of
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -34,6 +33,12 @@ def inspect(
     """Body of the command; the words above are what --help shows."""
     if not file.is_file():
         raise InputError(f"command line: FILE: {file} is {'a folder' if file.is_dir() else 'not there'}")
+    import h5py
+
+    from jaxnh.cli.inspection import check_file, run_again, show, write_csv
+    from jaxnh.storage import hdf5 as store
+    from jaxnh.storage.damage import READING, fault_of
+
     try:
         store.read_attrs(file)
         with h5py.File(file, "r") as content:

@@ -1,4 +1,4 @@
-"""The command `python -m jaxnh.plot FILE [--output PNG]`: a result file as a picture."""
+"""The command `python -m jaxnh.plot FILE [--output PNG]`: a result file as a picture. Imports as `jaxnh.sweep`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ import typer
 
 from jaxnh.cli.exit_codes import run_app
 from jaxnh.exceptions import InputError, ResultError
-from jaxnh.plotting.results import figure
-from jaxnh.storage.atomic import check_writable
 
 _DPI = 140
 _FORMATS = (".png", ".pdf", ".svg")
@@ -30,6 +28,9 @@ def plot(
         raise InputError(f"command line: --output: {path} must end in one of {', '.join(_FORMATS)}")
     if not file.is_file():
         raise InputError(f"command line: FILE: {file} is {'a folder' if file.is_dir() else 'not there'}")
+    from jaxnh.plotting.results import figure
+    from jaxnh.storage.atomic import check_writable
+
     try:
         drawing = figure(file)
     except ResultError as error:

@@ -1,26 +1,21 @@
-"""The command `python -m jaxnh.sweep CONFIG [KEY=VALUE ...]`: a config to a result, in one run or in many."""
+"""The command `python -m jaxnh.sweep CONFIG [KEY=VALUE ...]`: a config to a result, in one run or in many.
+
+As every command it reads its arguments first, and imports what it needs in its body: --help starts no JAX.
+"""
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from jaxnh.cli.arguments import called, experiment_of
 from jaxnh.cli.exit_codes import Stop, run_app
-from jaxnh.cli.report import report
-from jaxnh.cli.terminal import progress
-from jaxnh.config.schema import schema
-from jaxnh.engine import dask_workers
-from jaxnh.engine.output import check_output, file_of, is_there
-from jaxnh.engine.run import How, run_to_file
 from jaxnh.exceptions import ArgumentError, BusyError
-from jaxnh.storage import tiles
+
+_SCHEMA = Path(__file__).parent / "config" / "schema.json"
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -50,11 +45,21 @@ def sweep(
 ) -> None:
     """Body of the command; the words above are what --help shows."""
     if print_schema:
-        print(json.dumps(schema(), indent=2, ensure_ascii=False))
+        print(_SCHEMA.read_text(encoding="utf-8"), end="")
         return
     share = _part(part)
     if merge_only and (part or dask):
         raise ArgumentError("merge", "it goes without --part and --dask")
+    from rich.console import Console
+
+    from jaxnh.cli.arguments import called, experiment_of
+    from jaxnh.cli.report import report
+    from jaxnh.cli.terminal import progress
+    from jaxnh.engine import dask_workers
+    from jaxnh.engine.output import check_output, file_of, is_there
+    from jaxnh.engine.run import How, run_to_file
+    from jaxnh.storage import tiles
+
     if dask:
         dask_workers.check(dask)
     experiment = experiment_of(config, overrides)

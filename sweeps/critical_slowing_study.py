@@ -9,10 +9,11 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from jaxnh.analyses.period import orbits
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
-from jaxnh.orbits.newton import Orbit, find_orbit
+from jaxnh.orbits.newton import Orbit
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.particle import State, chart, unchart
 
@@ -208,7 +209,7 @@ def measure_law(cascade: Cascade, lanes: Lanes) -> Law:
 
 def _orbits(lanes: Lanes, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
     """Orbits of period n at values of b, all from one start point."""
-    orbit = lanes(find_orbit, (strobe, np.int32(n)), (np.broadcast_to(u, (len(b), 3)), {"b": b}), tile=8)
+    orbit = orbits(lanes, strobe, np.broadcast_to(u, (len(b), 3)), {"b": b}, n)
     if not np.all(orbit.residual < _CONVERGED):
         raise RuntimeError(f"no orbit of period {n} was found near b = {b[0]:.9g}")
     return orbit

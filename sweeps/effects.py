@@ -74,7 +74,7 @@ def page(folder: Path) -> str:
             size = f"{stored:,.0f}" if _text(kind) == "analysis" else ""
             parts.append(f"| {_text(what)} | {' | '.join(numbers)} | {size} | {_text(note)} |")
         parts.append("")
-    machine = f"{_processor()}, {os.cpu_count()} cores; {device}."
+    machine = f"{processor()}, {os.cpu_count()} cores; {device}."
     # What was measured before the last change of the package is of a code that nothing names.
     fresh = measured_since(folder / f"{name}_effects.h5" for name in SCENES)
     measured_at = str(stamp()) if fresh else "Measured at an older code than the one that wrote this page."
@@ -92,7 +92,7 @@ def _shown(number: float, form: str) -> str:
     return "–" if math.isnan(number) else format(number, form)
 
 
-def _processor() -> str:
+def processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

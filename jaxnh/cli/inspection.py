@@ -10,17 +10,19 @@ import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import TYPE_CHECKING, NamedTuple, TextIO
 
 import h5py
 import numpy as np
-import xarray as xr
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from jaxnh.exceptions import ArgumentError, ConfigError, InputError, ResultError
 from jaxnh.storage import hdf5 as store
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _WIDTH = 110  # columns where the output goes to a file
 _NAMED = 4  # lanes that are named where some have failed

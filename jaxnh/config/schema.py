@@ -1,7 +1,12 @@
-"""The JSON Schema of a config, for editors."""
+"""The JSON Schema of a config, for editors; kept as schema.json beside this file, which `jaxnh.sweep --schema` prints.
+
+`python -m jaxnh.config.schema` writes that file anew after a change of the models, and a test says when.
+"""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 from pydantic.json_schema import GenerateJsonSchema
@@ -28,3 +33,12 @@ def schema() -> dict[str, Any]:
         "if": {"required": ["system"], "properties": {"system": {"required": ["file"]}}},
         **kinds,
     }
+
+
+def text() -> str:
+    """The schema as the file has it."""
+    return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    Path(__file__).with_name("schema.json").write_text(text(), encoding="utf-8")

@@ -21,12 +21,12 @@ from jaxtyping import Array, Bool, Float
 from jaxnh.analyses import cascade
 from jaxnh.analyses.base import Entry, LaneRunner, Scene, section_points, variable
 from jaxnh.analyses.locating import period_map, refined, walk
-from jaxnh.analyses.period import CONVERGED
+from jaxnh.analyses.period import CONVERGED, orbits
 from jaxnh.costs.stage import Inside
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.doubling_points import doubling_point, follow_branch, moved_doubling
-from jaxnh.orbits.newton import Orbit, find_orbit
+from jaxnh.orbits.newton import Orbit
 from jaxnh.orbits.shooting import Period
 from jaxnh.systems.flow import Parameters
 
@@ -191,7 +191,7 @@ def _narrowed(
     """The orbit at the stable end of the part of a bracket in which its multiplier passes −1, and that part."""
     values = np.linspace(*bracket, _CANDIDATES)
     start = np.broadcast_to(u, (_CANDIDATES, len(u)))
-    orbit = lanes(find_orbit, (scene.strobe(), np.int32(n)), (start, scene.at(values).p), tile=_TILE)
+    orbit = orbits(lanes, scene.strobe(), start, scene.at(values).p, n)
     ok = (orbit.residual < CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
     smallest = _smallest_multiplier(np.where(ok[:, None, None], orbit.monodromy, 0.0))
     first = _first(ok & (smallest < -1.0))

@@ -18,6 +18,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from jaxnh.engine import kept_programs
 from jaxnh.engine.progress import Progress, Silent
 from jaxnh.engine.xla_options import machine
 from jaxnh.maps.iterate import iterate
@@ -127,7 +128,7 @@ class Lanes:
             part = jax.tree.map(lambda leaf, first=first: _padded(leaf[first : first + chunk], chunk), lanes)
             program = self._program(function, static, shared, part)
             began = time.perf_counter()
-            result = jax.tree.map(np.asarray, program(shared, part))
+            result = jax.tree.map(np.asarray, program(jax.tree.leaves(shared), jax.tree.leaves(part)))
             self.run_seconds += time.perf_counter() - began
             some = min(chunk, count - first)
             results.append(jax.tree.map(lambda leaf, some=some: leaf[:some], result))
@@ -191,18 +192,32 @@ class Lanes:
         key = (function, static, tuple(jax.tree.leaves(shapes)), jax.tree.structure((shared, lanes)))
         if key not in self._programs:
             began = time.perf_counter()
-
-            def tile(shared: Any, lanes: Any) -> Any:
-                return jax.vmap(lambda lane: function(*shared, *lane, *static))(lanes)
-
-            mesh = Mesh(np.array(self.devices), ("lanes",))
-            split = PartitionSpec("lanes")
-            sharded = jax.shard_map(
-                tile, mesh=mesh, in_specs=(PartitionSpec(), split), out_specs=split, check_vma=False
-            )
-            self._programs[key] = jax.jit(sharded).lower(shared, lanes).compile()
+            self._programs[key] = self._compiled(function, static, (shared, lanes))
             self.compile_seconds += time.perf_counter() - began
         return self._programs[key]
+
+    def _compiled(self, function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, Any]) -> Any:
+        """The program of such calls, a function of the leaves of (shared, lanes): an earlier run's, or a new one."""
+        structure = jax.tree.structure(arguments)
+        leaves = tuple(map(jax.tree.leaves, arguments))
+        name = kept_programs.name_of(function, static, arguments, self.devices)
+        if name and (found := kept_programs.find(name, jax.tree.structure((leaves, {})))):
+            return found
+
+        def tile(*leaves: Any) -> Any:
+            shared, lanes = jax.tree.unflatten(structure, jax.tree.leaves(leaves))
+            return jax.vmap(lambda lane: function(*shared, *lane, *static))(lanes)
+
+        mesh = Mesh(np.array(self.devices), ("lanes",))
+        split = PartitionSpec("lanes")
+        sharded = jax.shard_map(tile, mesh=mesh, in_specs=(PartitionSpec(), split), out_specs=split, check_vma=False)
+        lowered = jax.jit(sharded).lower(*leaves)
+        if not name:
+            return lowered.compile()
+        with kept_programs.compiling():
+            program = lowered.compile()
+        kept_programs.keep(name, program)
+        return program
 
 
 def _padded(leaf: np.ndarray, length: int) -> np.ndarray:

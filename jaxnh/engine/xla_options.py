@@ -7,11 +7,13 @@ results are as accurate, and come more slowly.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import re
 import warnings
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -33,6 +35,7 @@ _LLVM_OPTION, _LLVM_TRIED = "-force-vector-interleave=2", "0.10."
 _WIDTH = "--xla_cpu_prefer_vector_width"
 _VECTORS = re.compile(r"avx2?|avx512(f|dq|vl|bw)|fma|asimd|sve2?")  # what arithmetic in float64 is compiled to
 _NO_MATTER = re.compile(r"--xla_dump\w*|--xla_force_host_platform_device_count")  # options that change no number
+_PROCESSOR_LINES = ("vendor_id", "cpu family", "model", "stepping", "flags", "CPU ", "Features")  # of /proc/cpuinfo
 _in_effect: list[str] = []  # XLA_FLAGS as JAX has read them, once it is known
 
 
@@ -110,6 +113,17 @@ def _processor() -> str:
         words = []  # no Linux: the name has to do
     found = sorted(filter(_VECTORS.fullmatch, words))
     return " ".join([platform.machine(), *(found or [platform.processor()])]).strip()
+
+
+@cache
+def host() -> str:
+    """Hash of all that this machine says of its processor: compiled code is for no other."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = [platform.processor(), platform.node()]
+    kept = sorted({line for line in lines if line.startswith(_PROCESSOR_LINES)} or set(lines))
+    return hashlib.sha256("\n".join([platform.machine(), *kept]).encode()).hexdigest()
 
 
 def _flags(given: str) -> str:

@@ -1,19 +1,20 @@
-"""Periodic orbits of the strobe map: Newton for many lanes at once, and doubling points by multiple shooting.
+"""Periodic orbits of the strobe map: Newton for many lanes at once, near a doubling too.
 
-Lane functions here are pure and run under `jax.vmap`; the solution of the one large system of a doubling point, whose
-size changes with the period, is host code.
+Lane functions here are pure and run under `jax.vmap`; which lanes take another step is for the host to say.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import Strobe
@@ -31,7 +32,7 @@ _DOUBLED_STEPS = 16
 
 
 class Orbit(NamedTuple):
-    """A point of a period-n orbit of one lane.
+    """A point of a period-n orbit of one lane, or of many: each with the lanes as first axis.
 
     Attributes:
         u: section coordinates, shape (d,).
@@ -46,37 +47,59 @@ class Orbit(NamedTuple):
     steps: Any
 
 
-def find_orbit(
-    strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
-) -> Orbit:
-    """Newton on Pⁿ(u; p) = u for one lane, from u of shape (d,); n may be traced.
+class Look(NamedTuple):
+    """What a step of Newton on Pⁿ(u) = u rests on, at a point of one lane.
 
-    Stops by itself; a lane that does not converge shows it by its residual (NaN where its state is not finite).
-    Newton does not care whether the orbit is stable, nor how slowly the map itself would approach it.
+    Attributes:
+        residual: largest component of Pⁿ(u) − u, in sizes of the motion.
+        monodromy: ∂Pⁿ/∂u, shape (d, d).
+        step: to the next point, shape (d,).
+    """
+
+    residual: Any
+    monodromy: Any
+    step: Any
+
+
+def look(
+    strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
+) -> Look:
+    """The residual of Pⁿ at u of shape (d,), and Newton's step from there; n may be traced.
 
     Args:
         size: of the motion in each section coordinate, (d,): what is near is so in these units.
     """
-
     wrap, one = strobe.system.wrap, jnp.eye(strobe.system.dimension)
+    image, monodromy, _ = derivatives(strobe, n, u, p)
+    step = solve(monodromy - one, wrap(u - image))
+    step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(_in(size, jnp.abs(step))))
+    return Look(jnp.max(_in(size, jnp.abs(wrap(image - u)))), monodromy, step)
 
-    def look(u: Array, steps: Array) -> tuple[Orbit, Array]:
-        image, monodromy, _ = derivatives(strobe, n, u, p)
-        return Orbit(u, jnp.max(_in(size, jnp.abs(wrap(image - u)))), monodromy, steps), image
 
-    def improve(carry: tuple[Orbit, Array, Array]) -> tuple[Orbit, Array, Array]:
-        orbit, image, _ = carry
-        step = solve(orbit.monodromy - one, wrap(orbit.u - image))
-        step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(_in(size, jnp.abs(step))))
-        last = orbit.residual < _NEWTON_TOLERANCE
-        return *look(orbit.u + step, orbit.steps + 1), last
+def find_orbits(
+    look_at: Callable[[Float[np.ndarray, "some d"], Int[np.ndarray, " some"]], Look], u: Float[np.ndarray, "lanes d"]
+) -> Orbit:
+    """Newton on Pⁿ(u; p) = u for many lanes at once, from their points u; lanes that are done wait for no others.
 
-    def unfinished(carry: tuple[Orbit, Array, Array]) -> Array:
-        orbit, _, last = carry
-        hopeless = (orbit.steps >= _PATIENCE) & (orbit.residual > _NEAR)
-        return ~last & (orbit.steps < _NEWTON_STEPS) & jnp.isfinite(orbit.residual) & ~hopeless
+    A lane that does not converge shows it by its residual (NaN where its state is not finite). Newton does not care
+    whether the orbit is stable, nor how slowly the map itself would approach it.
 
-    return lax.while_loop(unfinished, improve, (*look(u, jnp.int32(0)), jnp.bool_(False)))[0]
+    Args:
+        look_at: `look` at points of some lanes, whose numbers it is given too.
+        u: where to begin.
+    """
+    (lanes, d), u = u.shape, np.array(u)
+    residual, monodromy, step = np.full(lanes, np.nan), np.full((lanes, d, d), np.nan), np.zeros((lanes, d))
+    steps, last, open_ = np.zeros(lanes, np.int32), np.zeros(lanes, np.bool_), np.arange(lanes)
+    while len(open_):
+        residual[open_], monodromy[open_], step[open_] = look_at(u[open_], open_)
+        hopeless = (steps >= _PATIENCE) & (residual > _NEAR)
+        unfinished = ~last & (steps < _NEWTON_STEPS) & np.isfinite(residual) & ~hopeless
+        open_ = open_[unfinished[open_]]
+        last[open_] = residual[open_] < _NEWTON_TOLERANCE
+        u[open_] += step[open_]
+        steps[open_] += 1
+    return Orbit(u, residual, monodromy, steps)
 
 
 class _Branches(NamedTuple):
@@ -93,7 +116,7 @@ class _Branches(NamedTuple):
 def find_doubled(
     strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
 ) -> Orbit:
-    """An orbit of period 2n near the doubling that it was born in, from a point of it that `find_orbit` has found.
+    """An orbit of period 2n near the doubling that it was born in, from a point of it that `find_orbits` has found.
 
     There P²ⁿ(u) = u has three roots that grow together, the orbits of period 2n and n: a residual of 10⁻⁹ is an error
     of 10⁻³ in u, and rounding alone leaves ε/√(1 − μ) in the multiplier. With Q = Pⁿ and the two points m ± a v of the

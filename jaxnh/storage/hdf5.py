@@ -18,15 +18,17 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import h5py
 import numpy as np
-import xarray as xr
 
 from jaxnh.exceptions import DamagedError, ResultError
 from jaxnh.storage.atomic import Sink, replacing
 from jaxnh.storage.chunks import row_chunks
+
+if TYPE_CHECKING:
+    import xarray as xr  # imported where a dataset is read: with pandas it takes longer than all else here
 
 SEAL = "content_sha256"
 """Root attribute: hash of all names, shapes, dimensions and attributes, those with the hashes of the data included."""
@@ -209,6 +211,8 @@ def open_result(path: str | Path) -> xr.DataTree:
     Raises:
         ResultError: the file is not HDF5, is damaged, or is not a result of jaxnh.
     """
+    import xarray as xr
+
     path = Path(path)
     read_attrs(path)
     try:
@@ -223,6 +227,8 @@ def read_group(path: Path, group: str) -> xr.Dataset:
     Raises:
         ResultError: the file cannot be read or has no such group.
     """
+    import xarray as xr
+
     try:
         h5py.File(
             path, "r"

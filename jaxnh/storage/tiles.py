@@ -17,16 +17,18 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import h5py
 import numpy as np
-import xarray as xr
 
 from jaxnh.exceptions import BusyError, DamagedError, ResultError
 from jaxnh.storage import hdf5 as store
 from jaxnh.storage.atomic import sync
 from jaxnh.storage.pieces import Job, Piece
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _JOB, _LOCK = "job.json", "lock"
 

@@ -68,7 +68,7 @@ class UserFile:
         Raises:
             UserFileError: anything that keeps it from being a system.
         """
-        self.path = path
+        self.path, self._equations = path, list[str | None]()
         try:
             self.text = path.read_text(encoding="utf-8") if text is None else text
         except (OSError, UnicodeDecodeError) as error:
@@ -94,6 +94,15 @@ class UserFile:
     def sha256(self) -> str:
         """Hash, in hex, of the text."""
         return hashlib.sha256(self.text.encode()).hexdigest()
+
+    @property
+    def traced(self) -> str | None:
+        """Hash, in hex, of the equations that its functions come to, whatever modules and data these are from.
+
+        None where equations do not say all, as of functions that define derivatives of their own.
+        """
+        found = [one for one in self._equations if one]
+        return hashlib.sha256("".join(found).encode()).hexdigest() if len(found) == len(self._equations) else None
 
     def define(self, **parameters: Any) -> Mapping[str, Any]:
         """What the function returns, checked.
@@ -236,6 +245,7 @@ class UserFile:
         traced = self._guarded(
             lambda: Program(lambda t, p, *vectors: evaluate(p, t, *vectors), 0.0, parameters, *(at,) * vectors)
         )
+        self._equations.append(traced.sha256)
         depends = traced.depends([1, *[0] * (len(traced.inputs) - 1)])
         return traced.shapes, any(not isinstance(slot, Known) and depends[slot] for slot in traced.outputs)
 

@@ -17,11 +17,11 @@ import scipy.integrate
 from conftest import ROOT
 
 import jaxnh
+from jaxnh.analyses.period import orbits
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import SectionedFlow
-from jaxnh.orbits.newton import find_orbit
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.systems.first_order import Point
 
@@ -202,7 +202,7 @@ def test_limit_cycle_of_van_der_pol():
     """Its period at mu = 1, and its multiplier: e to the divergence around it, by DOP853 and its events."""
     flow = loaded("van_der_pol_free").flow()
     strobe, p = make_strobe(flow, dopri8, 64), {"mu": np.ones(1)}
-    orbit = LANES(find_orbit, (strobe, np.int32(1)), (np.array([[2.17]]), p), tile=4)
+    orbit = orbits(LANES, strobe, np.array([[2.17]]), p, 1)
     state = jax.vmap(flow.unchart)(jnp.asarray(orbit.u))
     assert float(LANES(iterate, (strobe, np.int32(1)), (state, p), tile=4).t[0]) == pytest.approx(
         6.663286859323, abs=2e-11
@@ -226,7 +226,7 @@ def test_shortest_orbit_of_roessler():
     """
     flow = SectionedFlow(loaded("roessler").flow().flow, "x", 0, 0.0, "down")
     strobe, p = make_strobe(flow, dopri8, 256), {"c": np.array([5.7])}
-    orbit = LANES(find_orbit, (strobe, np.int32(1)), (np.array([[6.0, 1.3]]), p), tile=4)
+    orbit = orbits(LANES, strobe, np.array([[6.0, 1.3]]), p, 1)
     assert np.abs(orbit.u[0] - [6.09176831742, 1.29973195919]).max() < 5e-8
     state = jax.vmap(flow.unchart)(jnp.asarray(orbit.u))
     duration = float(LANES(iterate, (strobe, np.int32(1)), (state, p), tile=4).t[0])

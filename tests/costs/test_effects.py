@@ -13,9 +13,9 @@ import xarray as xr
 from conftest import ROOT
 from measure import scene_of
 
-from jaxnh import cost
 from jaxnh.analyses import ANALYSES, base, chaos01, diagram, lyapunov, period, poincare, verdict
 from jaxnh.analyses.base import LANE
+from jaxnh.cli import pricing
 from jaxnh.config.experiment import load
 from jaxnh.costs.operations import count
 from jaxnh.maps.build import make_strobe
@@ -236,7 +236,7 @@ def test_price_of_every_effect(tmp_path, capsys):
     overrides = ["accuracy={solver: blanes_moan6, steps: 40}", "analyses.portrait={periods: 2, samples: 16}"]
     experiment = load(ROOT / "configs" / "fig06.yaml", overrides)
     path = tmp_path / "effects.h5"
-    cost.price_effects(experiment, path, 1, time.perf_counter())
+    pricing.price_effects(experiment, path, 1, time.perf_counter())
     group = xr.open_datatree(path, engine="h5netcdf").load()["effects"].to_dataset()
     columns = {name: variable.to_numpy() for name, variable in group.variables.items()}
     rows = {str(what): i for i, what in enumerate(columns["what"])}

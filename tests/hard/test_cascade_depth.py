@@ -14,7 +14,6 @@ from measure import scene_of, turned
 from jaxnh.analyses import chaos01, lyapunov, period, verdict
 from jaxnh.maps.iterate import derivatives
 from jaxnh.orbits.doubling_points import doubling_point, follow_branch
-from jaxnh.orbits.newton import find_orbit
 from jaxnh.orbits.shooting import close_orbits, log_volume, multiplier_logs
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, wrap
@@ -75,11 +74,8 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
         "doubling 1 → 2, by Taylor with Newton", abs(float(first.value - exact)), 1e-11 + info.error, "error of b"
     )
     h = 1e-5
-    near = lanes(
-        find_orbit,
-        (SCENE.strobe(), np.int32(1)),
-        (np.tile(first.orbit, (2, 1)), {"b": first.value + np.array([-h, h])}),
-    )
+    at = {"b": first.value + np.array([-h, h])}
+    near = period.orbits(lanes, SCENE.strobe(), np.tile(first.orbit, (2, 1)), at, 1)
     low, high = (np.linalg.eigvals(m).real.min() for m in near.monodromy)
     kappa = (high - low) / (2 * h)
     edge = 10.0**-n_edges
@@ -102,9 +98,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     off = np.abs(reference - found.multiplier[: len(edge)])
     battery.row("multiplier of period 1, by Taylor's monodromy matrix", worst(off), 1e-9, "error")
     steps = [
-        lanes(
-            find_orbit, (SCENE.strobe(), np.int32(1)), (np.tile(first.orbit + 0.01, (len(edge), 1)), {"b": side})
-        ).steps
+        period.orbits(lanes, SCENE.strobe(), np.tile(first.orbit + 0.01, (len(edge), 1)), {"b": side}, 1).steps
         for side in np.split(b, 2)
     ]
     battery.row("Newton steps to the orbit of period 1", int(np.max(steps)), int(np.min(steps)) + 1, "largest number")

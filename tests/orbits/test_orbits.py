@@ -12,11 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from measure import SYSTEMS, UNIT, apart, twin
 
+from jaxnh.analyses.period import orbits
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits import cyclic
 from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch, moved_doubling
-from jaxnh.orbits.newton import find_doubled, find_orbit, solve3
+from jaxnh.orbits.newton import find_doubled, find_orbits, look, solve3
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
 
@@ -58,11 +59,11 @@ def monodromy_of(name, b, points):
 
 
 @pytest.mark.parametrize(("name", "b", "n"), [(name, *orbit) for name, orbits in ORBITS.items() for orbit in orbits])
-def test_find_orbit(lanes, strobes, name, b, n):
+def test_find_orbits(lanes, strobes, name, b, n):
     """From a hundredth off: the point and the monodromy matrix of the reference, up to the error of the map."""
     points = attractor(name, b, n)
     starts = points[:1] + 0.01 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, -1], [1, -1, 1]]) / (4 ** (n - 1))
-    orbit = lanes(find_orbit, (strobes[name], np.int32(n)), (starts, {"b": np.full(4, b)}), tile=64)
+    orbit = orbits(lanes, strobes[name], starts, {"b": np.full(4, b)}, n)
     exact = monodromy_of(name, b, points)
     spread = n * max(1.0, np.linalg.norm(exact, 2)) * np.linalg.norm(np.linalg.inv(exact - np.eye(3)), 2)
     assert spread < 1e3
@@ -98,7 +99,7 @@ def test_orbit_need_not_be_stable(lanes, strobes):
     b, start = 5.5, attractor("constant", 5.58, 1)
     for value in np.linspace(5.58, b, 9):
         start = taylor.periodic_orbit(twin(SYSTEMS["constant"]), 1, value, start)
-    orbit = lanes(find_orbit, (strobes["constant"], np.int32(1)), (start + 0.005, {"b": np.array([b])}), tile=64)
+    orbit = orbits(lanes, strobes["constant"], start + 0.005, {"b": np.array([b])}, 1)
     exact = np.linalg.eigvals(monodromy_of("constant", b, start))
     assert apart(orbit.u[0], start[0]) < 1e-9
     assert exact.real.min() < -1
@@ -110,9 +111,29 @@ def test_lane_that_finds_nothing_says_so(lanes, strobes):
     """Far from any orbit, and not a number: a residual that is not small, and other lanes are found all the same."""
     point = attractor("constant", 5.58, 1)[0]
     starts = np.array([point + 0.01, [50.0, -80.0, 1.0], [math.nan] * 3, point - 0.01])
-    orbit = lanes(find_orbit, (strobes["constant"], np.int32(1)), (starts, {"b": np.full(4, 5.58)}), tile=64)
+    orbit = orbits(lanes, strobes["constant"], starts, {"b": np.full(4, 5.58)}, 1)
     assert np.all(apart(orbit.u[[0, 3]], point) < 1e-8)
     assert not np.any(orbit.residual[1:3] < 1e-7)
+
+
+@pytest.mark.parametrize("n", [1, 16])
+def test_lanes_do_not_wait_and_do_not_feel_each_other(lanes, strobes, n):
+    """Looks are as many as the lanes' own steps, and each lane alone comes to the same bits as in company."""
+    point, looks = attractor("constant", 5.58, 1)[0], []
+
+    def recording(function, shared, given, **options):
+        looks.append(len(given[0]))
+        return lanes(function, shared, given, **options)
+
+    starts = point + np.array([[0.0], [1e-10], [1e-3], [0.02], [0.1], [40.0]])
+    values = np.full(len(starts), 5.58)
+    found = orbits(recording, strobes["constant"], starts, {"b": values}, n)
+    assert looks == [np.count_nonzero(found.steps >= k) for k in range(found.steps.max() + 1)]
+    assert len(set(found.steps)) > 2
+    for k in range(len(starts)):
+        alone = orbits(lanes, strobes["constant"], starts[k : k + 1], {"b": values[:1]}, n)
+        for ours, other in zip(alone, found, strict=True):
+            np.testing.assert_array_equal(ours[0], other[k])
 
 
 # ---- linear systems
@@ -230,7 +251,7 @@ def test_doubling_function(lanes, strobes):
         exact = np.linalg.det(monodromy_of("constant", b, points) + np.eye(3))
         assert found.converged[0]
         assert (exact < 0) == past
-        assert abs(doubling_function(found)[0] - exact) < 1e-8 * max(1.0, abs(exact))  # as `test_find_orbit` has M
+        assert abs(doubling_function(found)[0] - exact) < 1e-8 * max(1.0, abs(exact))  # as `test_find_orbits` has M
 
 
 @pytest.mark.parametrize("name", DOUBLINGS)
@@ -322,9 +343,11 @@ def test_newton_in_sizes_of_the_motion(lanes, strobes):
     points = attractor("constant", 5.505, 2)[:1]
     b, size = {"b": np.array([5.505])}, np.array([[4.0, 0.5, 2.0]])
     near = points + 1e-3
-    plain, sized = (
-        lanes(find_orbit, (strobes["constant"], np.int32(2)), (near, b, *more), tile=64) for more in ((), (size,))
-    )
+
+    def look_at(u, some, *more):
+        return lanes(look, (strobes["constant"], np.int32(2)), (u, b, *more), tile=64)
+
+    plain, sized = (find_orbits(lambda u, some, more=more: look_at(u, some, *more), near) for more in ((), (size,)))
     assert np.abs(plain.u - sized.u).max() < 1e-11
     plain, sized = (
         lanes(find_doubled, (strobes["constant"], np.int32(1)), (plain.u, b, *more), tile=64) for more in ((), (size,))

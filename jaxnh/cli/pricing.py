@@ -1,0 +1,193 @@
+"""What `jaxnh.cost` does: solvers or effects of a config priced, written, drawn and shown."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from rich.console import Console
+
+from jaxnh.analyses.base import Scene
+from jaxnh.cli.arguments import called
+from jaxnh.cli.terminal import progress, show
+from jaxnh.config.experiment import Experiment
+from jaxnh.costs import STUDIES, solvers, tables
+from jaxnh.costs import effects as costs_of_effects
+from jaxnh.engine.axes import points
+from jaxnh.engine.calibration import Calibration, Plan
+from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.output import check_output
+from jaxnh.engine.plan import calibrate, job_of, plan_of, scene_of, spent, work_of
+from jaxnh.engine.run import attributes
+from jaxnh.engine.xla_options import configure
+from jaxnh.exceptions import ArgumentError, ConfigError, ResultError
+from jaxnh.maps.build import way_of
+from jaxnh.plotting import costs as figures_cost
+from jaxnh.solvers import IsokineticSplitting
+from jaxnh.storage import hdf5
+
+_DPI = 130
+_LOG_WIDTH = 130  # columns where the output goes to a file
+
+
+class Bench(NamedTuple):
+    """What is priced: an experiment, its lanes along the first axis that they do not share, and a runner."""
+
+    experiment: Experiment
+    scene: Scene
+    plan: Plan
+    calibration: Calibration
+    lanes: Lanes
+    began: float
+
+
+def price(experiment: Experiment, output: Path | None, repeats: int, began: float, *, effects: bool) -> None:
+    """Price accuracy, or effects, into a file; by default results/NAME_cost.h5 or results/NAME_effects.h5.
+
+    Raises:
+        ConfigError: the scene has no solvers to price.
+        ArgumentError: the file cannot be written, or is something else.
+        AccuracyError: nothing meets the accuracy asked for.
+    """
+    if not effects and not _has_splittings(experiment):
+        raise ConfigError(
+            f"{experiment.label}: system: solvers are priced on the strobe map at a prescribed speed, and this scene "
+            "has none; --effects prices what it has"
+        )
+    path = output or Path("results") / f"{Path(experiment.label).stem}_{'effects' if effects else 'cost'}.h5"
+    _check_replaceable(path)
+    check_output(path)
+    (price_effects if effects else price_accuracy)(experiment, path, repeats, began)
+
+
+def _has_splittings(experiment: Experiment) -> bool:
+    """Whether the scene has a strobe map by splittings, with which others are compared."""
+    return not experiment.autonomous and isinstance(way_of(experiment.flow()).reference, IsokineticSplitting)
+
+
+def _check_replaceable(path: Path) -> None:
+    """See that a file that is there is of this command, and no name of a figure is taken.
+
+    Raises:
+        ArgumentError: it is not.
+    """
+    if path.suffix.lower() == ".png":
+        raise ArgumentError("output", f"{path} is a name for a figure; those are put beside the result file")
+    if not path.is_file():
+        return
+    try:
+        ours = "cost_of" in hdf5.read_attrs(path)
+    except ResultError:
+        ours = False
+    if not ours:
+        raise ArgumentError("output", f"{path} is there and is no file of jaxnh.cost; name another")
+
+
+def price_accuracy(experiment: Experiment, path: Path, repeats: int, began: float) -> None:
+    """Price solvers, and the accuracy of derived quantities that the config asks for; write, draw and show them."""
+    console, times = Console(), dict[str, float]()
+    with _part("accuracy", times):
+        bench = _bench(experiment, began)
+    groups: dict[str, xr.Dataset] = {}
+    with _part("solvers", times):
+        target, work = experiment.accuracy.target, _work(bench)
+        groups["solvers"] = solvers.price(bench.scene, bench.calibration, target, work, bench.lanes, repeats)
+    console.print(show(tables.solvers(groups["solvers"])))
+    studies = _studies(bench, times)
+    groups |= {f"{name}_cost": data for name, data in studies.items()}
+    with _part("figures", times):
+        _write(bench, path, groups)
+        pictures = [_save(path, suffix, figure) for suffix, figure in figures_cost.figures(path).items()]
+    for name, data in studies.items():
+        console.print(show(STUDIES[name].table(data)))
+    parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in times.items())
+    print(f"{time.perf_counter() - began:.1f} s: {parts}; of these, compile {bench.lanes.compile_seconds:.1f} s")
+    print("wrote " + ", ".join(map(str, (path, *pictures))))
+
+
+def price_effects(experiment: Experiment, path: Path, repeats: int, began: float) -> None:
+    """Price every effect and analysis; write and show them."""
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_LOG_WIDTH)
+    bench = _bench(experiment, began)
+    data = costs_of_effects.price(bench.scene, experiment.requested(), bench.lanes, repeats)
+    _write(bench, path, {"effects": data})
+    console.print(show(tables.effects(data)))
+    print(f"{time.perf_counter() - began:.1f} s; of these, compile {bench.lanes.compile_seconds:.1f} s")
+    print(f"wrote {path}")
+
+
+def _bench(experiment: Experiment, began: float) -> Bench:
+    """The lanes along the first axis that is not shared, at the first point of all others.
+
+    Raises:
+        AccuracyError: nothing meets the accuracy asked for.
+    """
+    configure()
+    lanes, axes = Lanes(progress(Console(stderr=True))), experiment.axes
+    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
+        calibration = calibrate(experiment, axes, lanes)
+        plan = plan_of(experiment, calibration)
+    along = next((axis for axis in axes if axis.kind != "shared"), None)
+    count = len(along.values) if along else 1
+    places = [np.arange(count) if axis is along else np.zeros(count, int) for axis in axes]
+    along = along if along and along.kind == "lane" else None
+    scene = scene_of(points(experiment, axes, places), plan, experiment.precision, along=along)
+    return Bench(experiment, scene, plan, calibration, lanes, began)
+
+
+def _work(bench: Bench) -> float:
+    """Lane-periods of the whole run; devices always get whole tiles."""
+    chunk = bench.lanes.tile * len(bench.lanes.devices)
+    padded = chunk * math.ceil(math.prod(len(axis.values) for axis in bench.experiment.axes) / chunk)
+    return padded * work_of(bench.experiment.requested(), padded)
+
+
+def _studies(bench: Bench, times: dict[str, float]) -> dict[str, xr.Dataset]:
+    """The accuracy of what the config asks for and has a study, by the name of the analysis."""
+    found: dict[str, xr.Dataset] = {}
+    for analysis, _ in bench.experiment.requested():
+        study = STUDIES.get(analysis.name)
+        if study is None:
+            continue
+        data, absent = None, "no axis is a parameter that lanes have of their own"
+        if bench.scene.along is not None:
+            absent = study.absent
+            with _part(analysis.name, times):
+                data = study.price(bench.scene, bench.lanes)
+        if data is None:
+            print(f"warning: {analysis.name}: {absent}; its cost is left out", file=sys.stderr)
+        else:
+            found[analysis.name] = data
+    return found
+
+
+def _write(bench: Bench, path: Path, groups: Mapping[str, xr.Dataset]) -> None:
+    """The file, with what decides its numbers as attributes."""
+    experiment = bench.experiment
+    job = job_of(experiment, experiment.axes, bench.plan, {}, experiment.requested(), bench.lanes.machine)
+    total = spent(bench.lanes, time.perf_counter() - bench.began)
+    attrs = attributes(experiment, job, total, called("jaxnh.cost"))
+    attrs = {("cost_of" if name == "config_sha256" else name): value for name, value in attrs.items()}
+    hdf5.write(path, attrs, groups)
+
+
+@contextmanager
+def _part(name: str, times: dict[str, float]) -> Iterator[None]:
+    began = time.perf_counter()
+    yield
+    times[name] = time.perf_counter() - began
+
+
+def _save(path: Path, suffix: str, figure: figures_cost.Figure) -> Path:
+    picture = path.with_name(f"{path.stem}{suffix}.png")
+    figure.savefig(picture, dpi=_DPI)
+    return picture

@@ -1,0 +1,244 @@
+"""Compiled programs kept from run to run, found by what they are made of: a later run traces nothing.
+
+A program is named by a hash of all that decides it: the source of the package, versions of libraries, XLA's options,
+the processor, devices, the function with everything that it closes over, static arguments, and the shapes of all
+others. What cannot be named for certain, as a function of another package, is not kept. JAX's own cache begins where a
+program has been traced and lowered, which is most of the time to a result (Newton's: 5 s of 8 s without a cache, and
+0.2 s from here); programs kept here are not kept there as well.
+
+Files lie in the folder `jaxnh` of JAX's cache and are as much to be trusted as that: they are code that runs. One that
+is cut off, damaged or of another program is no program, and is written anew. JAXNH_KEEP_PROGRAMS=0 switches it off.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import pickle
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from functools import cache, partial
+from importlib.metadata import version
+from pathlib import Path
+from types import FunctionType, MethodType
+from typing import Any
+
+import jax
+import numpy as np
+from jax.experimental import serialize_executable
+from jax.experimental.compilation_cache import compilation_cache
+
+from jaxnh.engine.xla_options import host, machine
+from jaxnh.exceptions import ResultError
+from jaxnh.storage.atomic import replacing
+from jaxnh.systems.user_file import UserFile
+
+_LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "numpy")
+# Settings of JAX that change what is traced or how it is compiled, beside XLA's options.
+_SETTINGS = (
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_numpy_dtype_promotion",
+    "jax_debug_nans",
+    "jax_disable_jit",
+    "jax_exec_time_optimization_effort",
+)
+_ACCOUNTED = ("jaxnh", *_LIBRARIES, "builtins", "math", "collections")  # modules whose text the versions say
+_HEAD = 64 + 1  # of a file: the checksum of what follows
+
+
+class _Unnamed(Exception):
+    """Something in a program that no name can be given to."""
+
+
+# ---- names
+
+
+def name_of(
+    function: Callable[..., Any], static: tuple[Any, ...], arguments: Any, devices: Sequence[Any]
+) -> str | None:
+    """The name of a compiled program, the same in every process; None where it is not to be kept.
+
+    Args:
+        function: of one lane.
+        static: arguments that are part of the program.
+        arguments: pytree of all others, arrays, whose shapes and types count alone.
+        devices: those that it runs on.
+    """
+    if _folder() is None:
+        return None
+    try:
+        words = [_surroundings(), _of_devices(devices), *_constant(function), *_constant(static), *_shapes(arguments)]
+    except _Unnamed:
+        return None
+    return hashlib.sha256("\n".join(words).encode()).hexdigest()
+
+
+def _folder() -> Path | None:
+    """Where programs are kept; None where they are not."""
+    root = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if not root or "://" in root or os.environ.get("JAXNH_KEEP_PROGRAMS") == "0":
+        return None
+    return Path(root) / "jaxnh" if jax.config.jax_enable_compilation_cache else None  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _surroundings() -> str:
+    settings = {name: str(getattr(jax.config, name, None)) for name in _SETTINGS}
+    return json.dumps([_versions(), settings, os.environ.get("EQX_ON_ERROR")])
+
+
+@cache
+def _versions() -> list[str]:
+    """Of Python and libraries, and the text of this package."""
+    text = hashlib.sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        content = path.read_bytes()
+        text.update(f"{path.name} {len(content)} ".encode() + content)
+    return [sys.version, *(f"{name} {version(name)}" for name in _LIBRARIES), text.hexdigest()]
+
+
+def _of_devices(devices: Sequence[Any]) -> str:
+    first = devices[0]
+    kinds = [(one.platform, one.device_kind, one.id) for one in devices]
+    return json.dumps([kinds, first.client.platform_version, machine(first), host()], sort_keys=True)
+
+
+def _shapes(value: Any) -> Iterator[str]:
+    """A pytree of arguments: its structure, what is fixed in it, and the shapes and types of its arrays."""
+    if value is None or isinstance(value, bool | int | float | complex):
+        yield type(value).__name__
+    elif isinstance(value, np.ndarray | np.generic | jax.Array):
+        yield f"array {value.dtype} {value.shape} {getattr(value, 'weak_type', False)}"
+    elif isinstance(value, tuple | list):
+        yield f"{_class(type(value))} {len(value)}"
+        for item in value:
+            yield from _shapes(item)
+    elif isinstance(value, dict):
+        yield f"dict {sorted(value)}"
+        for key in sorted(value):
+            yield from _shapes(value[key])
+    elif is_dataclass(value) and not isinstance(value, type):
+        yield _class(type(value))
+        for field in fields(value):
+            yield field.name
+            yield from (_constant if field.metadata.get("static") else _shapes)(getattr(value, field.name))
+    else:
+        raise _Unnamed(value)
+
+
+def _constant(value: Any) -> Iterator[str]:
+    """A value that is part of a program, to the last bit and with all that it closes over."""
+    if value is None or isinstance(value, bool | int | float | complex | str | bytes):
+        yield f"{type(value).__name__} {value!r}"
+    elif isinstance(value, np.ndarray | np.generic):
+        yield f"{_class(type(value))} {value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+        if value.dtype.hasobject:
+            raise _Unnamed(value)
+    elif isinstance(value, tuple | list):
+        yield f"{_class(type(value))} {len(value)}"
+        for item in value:
+            yield from _constant(item)
+    elif isinstance(value, Mapping | frozenset):
+        items = list(value.items() if isinstance(value, Mapping) else value)
+        yield f"{_class(type(value))} {len(items)}"
+        yield from sorted("\t".join(_constant(item)) for item in items)
+    elif isinstance(value, UserFile):
+        if value.traced is None:
+            raise _Unnamed(value)
+        yield f"user's file {value.sha256} {value.traced}"
+    elif isinstance(value, MethodType):
+        yield from (value.__func__.__qualname__, *_constant(value.__self__))
+    elif isinstance(value, partial):
+        yield "partial"
+        yield from _constant((value.func, value.args, value.keywords))
+    elif isinstance(value, FunctionType):
+        yield f"{_known(value)} {list(value.__code__.co_positions())}"
+        yield from _constant((value.__defaults__, value.__kwdefaults__))
+        for cell in value.__closure__ or ():
+            yield from _constant(cell.cell_contents)
+    elif isinstance(value, type):
+        yield _class(value)
+    elif is_dataclass(value):
+        yield _class(type(value))
+        for field in fields(value):
+            yield field.name
+            yield from _constant(getattr(value, field.name))
+    else:
+        raise _Unnamed(value)
+
+
+def _class(kind: type) -> str:
+    name = _known(kind)
+    if "<locals>" in name:
+        raise _Unnamed(kind)
+    return name
+
+
+def _known(thing: Any) -> str:
+    """Name of a function or class of a package whose text is accounted for."""
+    if thing.__module__.split(".")[0] not in _ACCOUNTED:
+        raise _Unnamed(thing)
+    return f"{thing.__module__}.{thing.__qualname__}"
+
+
+# ---- files
+
+
+def find(name: str, inputs: Any) -> Any:
+    """The compiled program of that name, ready to be called, or None.
+
+    Args:
+        inputs: structure of its arguments, ((…), {}).
+    """
+    folder = _folder()
+    try:
+        content = (folder / name).read_bytes() if folder else b""
+    except OSError:
+        return None
+    data = content[_HEAD:]
+    if content[:_HEAD] != _head(name, data):
+        return None
+    try:
+        payload, outputs = pickle.load(io.BytesIO(data))
+        return serialize_executable.deserialize_and_load(payload, inputs, outputs)
+    except Exception:  # whatever another library says of a file that it cannot load: it is written anew
+        return None
+
+
+def keep(name: str, program: Any) -> None:
+    """Have a program that `compiling` has made found by later runs; where it cannot be kept, it is not."""
+    folder = _folder()
+    if folder is None:
+        return
+    try:
+        payload, _, outputs = serialize_executable.serialize(program)
+        data = pickle.dumps((payload, outputs))
+    except Exception:  # programs that call back, or constants: JAX names no set of errors for what it cannot write
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with replacing(folder / name) as file:
+            file.write(_head(name, data) + data)
+            file.settle()
+    except (OSError, ResultError):
+        return
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Compile inside without JAX's own cache: what comes from there cannot be written a second time (jaxlib 0.10)."""
+    jax.config.update("jax_enable_compilation_cache", False)
+    compilation_cache.reset_cache()
+    try:
+        yield
+    finally:
+        jax.config.update("jax_enable_compilation_cache", True)
+        compilation_cache.reset_cache()
+
+
+def _head(name: str, data: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + data).hexdigest().encode() + b"\n"
