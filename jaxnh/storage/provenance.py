@@ -89,15 +89,8 @@ def root_attributes(
         "config_sha256": config_sha256,
         "jaxnh_version": versions["jaxnh"],
         "versions": json.dumps(libraries),
-        "solver": method.solver,
-        "steps_per_period": method.steps,
-        "summation": "compensated" if method.compensated else "plain",
-        "precision": method.precision,
-        "error_estimate": method.error_estimate,
-        "wall_seconds": spent.seconds,
-        "compile_seconds": spent.compile_seconds,
-        "lane_periods": spent.lane_periods,
-        "device": spent.device,
+        **_of_method(method),
+        **_of_cost(spent),
         **(machine or {}),
         "strobe_period": period if np.ndim(strobe_period) else period[0],
         "axes": " ".join(axes),
@@ -113,3 +106,22 @@ def root_attributes(
     if chosen is not None:
         attrs["chosen"] = json.dumps(chosen)
     return attrs
+
+
+def _of_method(method: Method) -> dict[str, Any]:
+    return {
+        "solver": method.solver,
+        "steps_per_period": method.steps,
+        "summation": "compensated" if method.compensated else "plain",
+        "precision": method.precision,
+        "error_estimate": method.error_estimate,
+    }
+
+
+def _of_cost(spent: Spent) -> dict[str, Any]:
+    return {
+        "wall_seconds": spent.seconds,
+        "compile_seconds": spent.compile_seconds,
+        "lane_periods": spent.lane_periods,
+        "device": spent.device,
+    }
