@@ -14,6 +14,7 @@ from jaxnh.analyses import doubling
 from jaxnh.analyses.base import Axis, Table
 from jaxnh.analyses.cascade import Cascade
 from jaxnh.cli import terminal
+from jaxnh.systems.particle import constant_speed
 
 B = np.array([5.25, 5.125, np.nan])
 PUBLISHED = {"b": np.array([5.2501, 5.1249, 5.0625]), "delta": np.array([np.nan, 4.5, np.nan])}
@@ -92,7 +93,9 @@ def test_no_digit_is_lost_on_a_terminal_of_80_columns():
 
 def test_a_table_says_how_far_its_cascade_is_found():
     """A dataset of the analysis itself has the limit of δ as a variable, and other axes than b give other heads."""
-    found = doubling._dataset(Axis("drive", np.zeros(2), "parameter drive"), 2, Cascade(3, (), (), "nothing"))
+    found = doubling._dataset(
+        constant_speed(), Axis("drive", np.zeros(2), "parameter drive"), 2, Cascade(3, (), (), "nothing")
+    )
     drawn = doubling.table(found, {}, "")
     assert drawn.heads == ("period", "drive", "± error", "δ")
     assert drawn.rows == (("3 → 6", "–", "–", "–"), ("6 → 12", "–", "–", "–"))
