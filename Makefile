@@ -49,7 +49,7 @@ test: $(INSTALLED)
 	$(RUN)/ruff format --check .
 	$(RUN)/basedpyright --warnings
 	$(RUN)/lint-imports --no-cache
-	$(RUN)/pytest --numprocesses 2 --dist worksteal
+	$(RUN)/pytest --numprocesses 2 --dist worksteal --durations 20
 
 # The tests marked slow, and no others.
 slow: $(INSTALLED)
