@@ -140,7 +140,7 @@ def _ended(client: Any, futures: list[Any]) -> list[Any]:
     """The futures that have come to an end, after a short wait."""
     from distributed import CancelledError, wait
 
-    with contextlib.suppress(TimeoutError, CancelledError):
+    with client.as_current(), contextlib.suppress(TimeoutError, CancelledError):
         wait(futures, timeout=_POLL, return_when="FIRST_COMPLETED")
     if client.status != "running":
         raise Stopped("the Dask scheduler is gone")
