@@ -31,9 +31,17 @@ def addresses(info):
 
 
 def test_our_own_cluster_is_on_loopback():
-    """Scheduler, workers and their nannies: by their addresses, and by the sockets that their processes listen on."""
+    """Scheduler, workers and their nannies: by their addresses, and by the sockets that their processes listen on.
+
+    What it computes is waited for by the client that has asked for it, which is no default of the process.
+    """
     with dask_workers._cluster("local:1") as client:
         client.wait_for_workers(1, timeout=60)
+        future = client.submit(abs, -2, pure=False)
+        while not (ended := dask_workers._ended(client, [future])):
+            pass
+        assert ended == [future]
+        assert future.result() == 2
         found = addresses(client.scheduler_info())
         own = psutil.Process()
         sockets = [
