@@ -28,7 +28,7 @@ from sweeps.measured_at import stamp
 from sweeps.peers_cases import LANES, Case, paper
 from sweeps.peers_cases import held_out as held_out_cases
 from sweeps.peers_held_out import held_out
-from sweeps.peers_report import AT_OWN_ERROR, Row, Scaling, Study, markdown, show, show_lyapunov
+from sweeps.peers_report import AT_OWN_ERROR, Row, Scaling, Study, markdown, show, show_lyapunov, write
 from sweeps.peers_scene import PERIODS, Setting, TangentScene, best
 from sweeps.peers_timing import SAMPLE_SECONDS, Entry, entry, interleaved, line, row, timed
 from sweeps.peers_worker import Peer, Sample
@@ -89,10 +89,7 @@ def main() -> None:
         seconds=time.perf_counter() - began,
     )
     show(study, console)
-    args.output.parent.mkdir(parents=True, exist_ok=True)
-    before = args.output.read_text(encoding="utf-8") if args.output.exists() else ""
-    args.output.write_text(markdown(study, before), encoding="utf-8")
-    console.print(f"wrote {args.output}")
+    write(args.output, lambda before: markdown(study, before), console)
 
 
 def _arguments() -> argparse.Namespace:

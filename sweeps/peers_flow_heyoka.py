@@ -8,7 +8,7 @@ import heyoka as hy
 import numpy as np
 
 from sweeps.peers_flow_cases import FlowCase, FlowScene
-from sweeps.peers_heyoka import CLOCK, REAL, TOLERANCE, BatchContestant, with_clock
+from sweeps.peers_heyoka import CLOCK, REAL, BatchContestant, taylor_periods, with_clock
 from sweeps.peers_heyoka_tangent import true_derivatives
 from sweeps.peers_scene import TRANSIENT
 
@@ -35,24 +35,7 @@ def equations(case: FlowCase, clock: str) -> list[tuple[Any, Any]]:
 def true_scene(case: FlowCase, values: np.ndarray) -> FlowScene:
     """The scene of a flow at values of its parameter, by Taylor integrations at 1e-18 in long double."""
     clock = clocks(case)[0]
-    ta = hy.taylor_adaptive(
-        equations(case, clock),
-        np.zeros(len(case.start), dtype=REAL),
-        pars=np.zeros(1, dtype=REAL),
-        tol=REAL(TOLERANCE),
-        fp_type=REAL if REAL is not np.float64 else float,
-    )
-
-    def after(state: np.ndarray, value: float, periods: int) -> np.ndarray:
-        ta.pars[0] = REAL(value)
-        ta.state[:] = state
-        for _ in range(periods):
-            ta.time = REAL(0)
-            outcome = ta.propagate_until(REAL(case.period))[0]
-            if outcome != hy.taylor_outcome.time_limit:
-                raise ArithmeticError(f"the reference stopped at t = {ta.time}, {case.parameter} = {value}: {outcome}")
-        return ta.state.copy()
-
+    after = taylor_periods(equations(case, clock), len(case.start), REAL(case.period))
     start = np.array(case.start)
     later = np.array([after(start, value, TRANSIENT) for value in values]).astype(float)
     states, b = np.concatenate([np.tile(start, (len(values), 1)), later]), np.tile(values, 2)

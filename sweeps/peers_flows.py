@@ -24,7 +24,7 @@ from rich.console import Console
 from sweeps.measured_at import stamp
 from sweeps.peers_flow_cases import CASES, LANES, FlowCase, FlowScene
 from sweeps.peers_flows_report import FlowStudy, Measured, markdown, show
-from sweeps.peers_report import AT_OWN_ERROR, Row
+from sweeps.peers_report import AT_OWN_ERROR, Row, write
 from sweeps.peers_scene import Setting, best
 from sweeps.peers_timing import Entry, entry, line, row, timed
 from sweeps.peers_worker import Peer
@@ -51,10 +51,7 @@ def main() -> None:
     show(study, console)
     if args.only or args.part:
         return
-    args.output.parent.mkdir(parents=True, exist_ok=True)
-    before = args.output.read_text(encoding="utf-8") if args.output.exists() else ""
-    args.output.write_text(markdown(study, before), encoding="utf-8")
-    console.print(f"wrote {args.output}")
+    write(args.output, lambda before: markdown(study, before), console)
 
 
 def _arguments() -> argparse.Namespace:

@@ -20,11 +20,10 @@ from sweeps.peers_report import (
     QUIET,
     Grid,
     Row,
+    cells_of,
     print_tables,
     processor,
-    spread,
     table_of,
-    times,
     verdict,
 )
 from sweeps.peers_scene import TRANSIENT
@@ -135,7 +134,7 @@ def _grids(study: FlowStudy) -> list[Grid]:
         grids.append(_ratios(title, spectra, AT_OWN_ERROR, _WANTED_SPECTRA))
     for title, rows in (("Every row of maps", maps), ("Every row of spectra", spectra)):
         if rows:
-            cells = [(name, *_cells(row)) for name, each in rows.items() for row in each]
+            cells = [(name, *cells_of(row)) for name, each in rows.items() for row in each]
             grids.append(Grid(title, _ROW_COLUMNS, cells))
     return grids
 
@@ -153,19 +152,3 @@ def _ratios(title: str, flows: Mapping[str, Sequence[Row]], peer: str, wanted: M
             line.append(verdict(least, goals.get(target)) if least else "–")
         cells.append(tuple(line))
     return Grid(title, ("flow", *(f"error ≤ {target:.0e}" for target in targets)), cells)
-
-
-def _cells(row: Row) -> tuple[str, ...]:
-    over = " heyoka" if row.name == AT_OWN_ERROR else ""
-    driven = f"; Python's share {statistics.median(row.python):.1%}" if row.python else ""
-    itself = row.name == "jaxnh"
-    return (
-        f"{row.target:.0e}",
-        row.name,
-        f"{row.setting.form}; {row.setting.label}{driven}",
-        f"{row.setting.errors.max:.1e}",
-        spread(row.rates),
-        f"{statistics.median(row.shares):.0%}",
-        "1" if itself else times(row.ratios) + over,
-        "1" if itself else times(row.processor_ratios) + over,
-    )

@@ -58,27 +58,39 @@ def tried_options(options: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
     return [row for row in options if "force_avx512" not in row or hy.recommended_simd_size() >= WIDE]
 
 
-def true_scene(case: Case) -> Scene:
-    """The scene of a case, its ends of one period by a Taylor integration at 1e-18 in long double."""
-    period = 8 * np.arctan(REAL(1))
+def taylor_periods(
+    motion: list[tuple[Any, Any]], dimension: int, period: Any
+) -> Callable[[np.ndarray, float, int], np.ndarray]:
+    """A function of (state, parameter, periods) to the state then, by Taylor integrations at 1e-18 in long double.
+
+    Raises:
+        ArithmeticError: when called, where the integrator stops on the way.
+    """
     ta = hy.taylor_adaptive(
-        equations(case.a, case.c, case.d, "angle", "time"),
-        np.zeros(3, dtype=REAL),
+        motion,
+        np.zeros(dimension, dtype=REAL),
         pars=np.zeros(1, dtype=REAL),
         tol=REAL(TOLERANCE),
         fp_type=REAL if REAL is not np.float64 else float,
     )
 
-    def after(state: np.ndarray, b: float, periods: int) -> np.ndarray:
-        ta.pars[0] = REAL(b)
+    def after(state: np.ndarray, value: float, periods: int) -> np.ndarray:
+        ta.pars[0] = REAL(value)
         ta.state[:] = state
         for _ in range(periods):
             ta.time = REAL(0)
             outcome = ta.propagate_until(period)[0]
             if outcome != hy.taylor_outcome.time_limit:
-                raise ArithmeticError(f"the reference stopped at t = {ta.time}, b = {b}: {outcome}")
+                raise ArithmeticError(f"the reference stopped at t = {ta.time}, parameter {value}: {outcome}")
         return ta.state.copy()
 
+    return after
+
+
+def true_scene(case: Case) -> Scene:
+    """The scene of a case, its ends of one period by a Taylor integration at 1e-18 in long double."""
+    motion = equations(case.a, case.c, case.d, "angle", "time")
+    after = taylor_periods(motion, 3, 8 * np.arctan(REAL(1)))
     start, values = np.array(case.start), case.values
     later = np.array([after(start, b, TRANSIENT) for b in values]).astype(float)
     later[:, 2] -= 2 * math.pi * np.rint(later[:, 2] / (2 * math.pi))

@@ -195,7 +195,7 @@ def _grids(study: Study) -> list[Grid]:
                 "jaxnh over it",
                 "by processor time",
             ),
-            [_cells(row) for row in study.rows],
+            [cells_of(row, median=True) for row in study.rows],
         ),
         _scaling(
             f"Lanes: {study.cores} {noun}, {study.chosen.form} with {study.chosen.label}",
@@ -245,7 +245,7 @@ def _spectra(rows: Sequence[Row]) -> Grid:
     cells = []
     python = {row.target: statistics.median(row.python) for row in rows if row.python}
     for row in rows:
-        target, name, setting, worst, _, rate, share, over, by_processor = _cells(row)
+        target, name, setting, worst, _, rate, share, over, by_processor = cells_of(row, median=True)
         if name == AT_OWN_ERROR:
             left = statistics.median(row.ratios) * (1.0 - python[row.target])
             over = f"{verdict(row, _WANTED_SPECTRA)}{_HEYOKA}; {left:.2f}× were Python's share nothing"
@@ -289,7 +289,16 @@ def verdict(row: Row, wanted: float | None) -> str:
     return text if wanted is None else f"{text} ({'meets' if ratio >= wanted else 'below'} {wanted:g})"
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def write(output: Path, page: Callable[[str], str], console: Console) -> None:
+    """Write a page, made of the text that it had before, or "" where there was none."""
+    output.parent.mkdir(parents=True, exist_ok=True)
+    before = output.read_text(encoding="utf-8") if output.exists() else ""
+    output.write_text(page(before), encoding="utf-8")
+    console.print(f"wrote {output}")
+
+
+def cells_of(row: Row, *, median: bool = False) -> tuple[str, ...]:
+    """A row as texts; the median error after the largest where it is asked for."""
     mark = _HEYOKA if row.name == AT_OWN_ERROR else ""
     driven = f"; Python's share {statistics.median(row.python):.1%}" if row.python else ""
     itself = row.name == "jaxnh"
@@ -298,7 +307,7 @@ def _cells(row: Row) -> tuple[str, ...]:
         row.name,
         f"{row.setting.form}; {row.setting.label}{driven}",
         f"{row.setting.errors.max:.1e}",
-        f"{row.setting.errors.median:.1e}",
+        *([f"{row.setting.errors.median:.1e}"] if median else []),
         spread(row.rates),
         f"{statistics.median(row.shares):.0%}",
         "1" if itself else times(row.ratios) + mark,

@@ -287,7 +287,7 @@ OTHERS = {
     "NotImplementedError": {
         "config/user_system.py": "a method for subclasses",
         "maps/protocol.py": "likewise",
-        "analyses/along.py": "a map that is for the host alone",
+        "maps/along.py": "a map that is for the host alone",
     },
     "PydanticCustomError": dict.fromkeys(
         (

@@ -7,6 +7,7 @@ the sweep.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ from pydantic import BaseModel, ConfigDict
 from pydantic_core import PydanticCustomError
 
 from jaxnh.exceptions import InputError
+from jaxnh.maps.along import StrobeAlong
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import Strobe
@@ -195,7 +197,14 @@ class Scene:
         return replace(self, system=self.flow_at(value), flow_at=None)
 
     def strobe(self, refinement: float = 1) -> Strobe:
-        """P with `refinement` times the steps that the accuracy asks for."""
+        """P with `refinement` times the steps that the accuracy asks for; of a shared axis, one for each value."""
+        if self.flow_at is not None:
+
+            @functools.cache
+            def at(value: float) -> Strobe:
+                return self.moved(value).strobe(refinement)
+
+            return StrobeAlong(self.system, self.line.name, at)
         steps = round(self.steps * refinement)
         strobe = make_strobe(self.system, self.solver, steps, compensated=self.compensated)
         return in_precision(strobe, self.precision)

@@ -10,7 +10,7 @@ import xarray as xr
 from jaxtyping import Float
 from pydantic import Field
 
-from jaxnh.analyses.along import one_by_one
+from jaxnh.analyses.along import value_by_value
 from jaxnh.analyses.base import (
     Analysis,
     Axis,
@@ -79,7 +79,7 @@ def check(options: DoublingOptions, setting: Setting) -> None:
 def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
     search = options.search and scene.flow_at is None
-    found = follow(*one_by_one(scene, lanes), options.levels, search=search)
+    found = follow(scene, value_by_value(scene, lanes), options.levels, search=search)
     return _dataset(scene.system, scene.line, options.levels, found)
 
 

@@ -405,17 +405,3 @@ def disturbed_speed(
     With d = 0 the speed is constant at this d; `constant_speed` has no disturbance in any program.
     """
     return IsokineticParticle(a, c, d, omega, b, frozenset(without) - {"damping"})
-
-
-def constrained_field(system: IsokineticParticle, t: ArrayLike, y: Vector, p: Parameters) -> Vector:
-    """The paper's own four equations (12)/(22), with (13)/(23), in y = (x1, x2, y1, y2).
-
-    For comparison only: off the constraint they are ill-posed, a speed error grows as exp(−2 ∫ n·F/s dt).
-    """
-    x1, x2, y1, y2 = y
-    g, b = system.forcing(t), p.get("b", system.b)
-    f1 = g * x1 * (system.a + x1 * x1) - b * y1
-    f2 = g * y1 * (1.0 + system.a * (y1 * y1)) - b * x1
-    squared_speed = system.c + system.d * jnp.sin(t)
-    power = f1 * x2 + f2 * y2 + 0.5 * system.d * jnp.cos(t)
-    return x2, -f1 + power * x2 / squared_speed, y2, -f2 + power * y2 / squared_speed

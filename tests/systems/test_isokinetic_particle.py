@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from measure import SYSTEMS, UNIT, apart, twin
+from paper_equations import constrained_field
 from scipy.integrate import quad
 from scipy.special import ellipeinc
 
 from jaxnh.systems.particle import (
     chart,
     constant_speed,
-    constrained_field,
     disturbed_speed,
     strobe_period,
     unchart,

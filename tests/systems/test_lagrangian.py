@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from measure import SYSTEMS
+from paper_equations import constrained_field
 
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.solvers.isokinetic import DriftTerm, KickTerm
 from jaxnh.solvers.projected import Projected
 from jaxnh.systems.lagrangian import FAULTS, Equations, Motion, accelerations, lagrangian
-from jaxnh.systems.particle import constrained_field
 
 MOMENTS = 200
 RNG = np.random.default_rng(21)
