@@ -150,6 +150,57 @@ def strobe_jacobian(par, b, state, tol=None, real=REAL):
     return end[:, :3], first[..., :3], first[..., 3]
 
 
+@functools.cache
+def divergence_integrator(system):
+    """The integrator of the flow with the integral of its divergence as a fourth variable, in `REAL`."""
+    equations = system()[2]
+    rate = hy.sum([hy.diff(right, x) for x, right in equations])
+    equations = [*equations, (hy.make_vars("volume"), rate)]
+    real = float if REAL is np.float64 else REAL
+    return hy.taylor_adaptive(
+        equations, np.zeros(4, REAL), pars=np.zeros(5, REAL), tol=np.finfo(REAL).eps, fp_type=real
+    )
+
+
+def divergence(par, b, points):
+    """The integral of the divergence over the periods that begin at points (n, 3): the logarithm of a volume's growth."""
+    ta, total = divergence_integrator(par.equations), REAL(0)
+    ta.pars[:] = [REAL(b), REAL(par.a), REAL(par.c), REAL(par.d), REAL(par.omega)]
+    for point in np.asarray(points, REAL):
+        ta.state[:], ta.time = [*point, 0], REAL(0)
+        outcome = ta.propagate_until(REAL(par.period))[0]
+        if outcome != hy.taylor_outcome.time_limit:
+            raise ArithmeticError(f"integration stopped at t = {ta.time}, b = {b}: {outcome}")
+        total += ta.state[3]
+    return total
+
+
+def multiplier_logs(par, n, b, points):
+    """ln|mu| (3,) of a periodic orbit's points (n, 3), largest first, none of them from a difference of large numbers.
+
+    Of the first from the product of the monodromy matrices, of the first two together from that of the matrices of
+    their minors, of all three from the divergence.
+    """
+    blocks = strobe_jacobian(par, np.full(n, b), points)[1]
+    pairs = list(itertools.combinations(range(3), 2))
+    minors = np.zeros_like(blocks)
+    for (i, rows), (j, columns) in itertools.product(enumerate(pairs), enumerate(pairs)):
+        (p, q), (r, s) = rows, columns
+        minors[:, i, j] = blocks[:, p, r] * blocks[:, q, s] - blocks[:, p, s] * blocks[:, q, r]
+    first, both, whole = largest_log(blocks), largest_log(minors), float(divergence(par, b, points))
+    return np.array([first, both - first, whole - both])
+
+
+def largest_log(blocks):
+    """ln of the largest eigenvalue's modulus of a product of matrices (n, 3, 3)."""
+    product, log = np.eye(3, dtype=blocks.dtype), 0.0
+    for block in blocks:
+        product = block @ product
+        size = np.abs(product).max()
+        product, log = product / size, log + float(np.log(size))
+    return log + float(np.log(np.abs(np.linalg.eigvals(product.astype(np.float64))).max()))
+
+
 def strobe_hessian(par, b, state, tol=None, real=REAL):
     """One period's states (lanes, 3), first (lanes, 3, 4) and second (lanes, 3, 4, 4) derivatives in (x, y, th, b)."""
     end = np.array([ta.state.copy() for ta in propagate(par, b, state, 2, 1, tol, real)])

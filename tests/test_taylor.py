@@ -177,7 +177,9 @@ def test_volume_shrinks_by_the_divergence(par):
     for k, m in enumerate(monodromy):
         cancelled = ROUNDOFF * forward[k] * backward[k]
         logarithm = np.log(m[0] @ np.cross(m[1], m[2]))
-        assert abs(logarithm - dop853(par, MILD[k], STATES[k])[1]) < 1e-11 + cancelled
+        by_quadrature = dop853(par, MILD[k], STATES[k])[1]
+        assert abs(logarithm - by_quadrature) < 1e-11 + cancelled
+        assert abs(taylor.divergence(par, MILD[k], STATES[k : k + 1]) - by_quadrature) < 1e-11
 
 
 # Doublings
@@ -195,6 +197,19 @@ def test_orbit_at_a_doubling_has_multiplier_minus_one(doublings):
             columns.append(np.array([1, -8, 8, -1]) @ shifted / (12 * h))
         product = np.column_stack(columns) @ product
     assert np.abs(np.linalg.eigvals(product) + 1).min() < 1e-7
+
+
+def test_logarithms_of_multipliers(doublings):
+    """At a doubling the largest is that of 1, the next is that of the product's next eigenvalue, the sum is the volume's."""
+    b, _, info = doublings[1]
+    points = info.points.astype(float)
+    logs = taylor.multiplier_logs(SYSTEMS[0], 2, float(b), points)
+    blocks = taylor.strobe_jacobian(SYSTEMS[0], np.full(2, float(b)), points)[1].astype(float)
+    second = np.sort(np.abs(np.linalg.eigvals(blocks[1] @ blocks[0])))[1]
+    # Points and b are rounded to float64, and an eigenvalue of a product by as much as the largest over it.
+    np.testing.assert_allclose(logs[:2], [0.0, np.log(second)], atol=1e-11 + 8 * ROUNDOFF / second)
+    by_quadrature = sum(dop853(SYSTEMS[0], float(b), point)[1] for point in points)
+    assert abs(logs.sum() - by_quadrature) < 1e-10
 
 
 def test_cascade_follows_feigenbaum(doublings):

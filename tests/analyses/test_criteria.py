@@ -8,15 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 import taylor
 import xarray as xr
 from conftest import ROOT
-from measure import scene_of, turned
+from measure import scene_of
 
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.base import spread
-from jaxnh.analyses.growth import gram_schmidt, window
+from jaxnh.analyses.growth import gram_schmidt
 from jaxnh.costs.operations import count
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
@@ -63,18 +62,14 @@ def test_multiple_of_the_period():
 def test_exponents_of_periodic_orbits(case):
     """All three exponents are ln|μ|/(nT) of multipliers by an independent Taylor integration, to 1e-6.
 
-    The third multiplier of a period is down to e^−48, below what long double keeps of a monodromy matrix: the third
-    exponent is what the mean divergence, by quadrature along the orbit, leaves over the other two.
+    The third multiplier of a period is down to e^−48, below what long double keeps of a monodromy matrix.
     """
     scene, twin, periods, _, group = case
     for i in np.flatnonzero(periods):
         b, n = float(scene.p["b"][i]), int(periods[i])
         points = taylor.orbit(twin, n, b, taylor.attractor(twin, b, twin.start(), 400)[0])
-        _, blocks, _ = taylor.strobe_jacobian(twin, np.full(n, b), points)
-        sums = multiplier_logs(np.asarray(blocks, np.longdouble))
-        first, second = np.sort(sums)[::-1][:2].astype(float) / (n * twin.period)
-        third = divergence(twin, b, points) / (n * twin.period) - first - second
-        np.testing.assert_allclose(group["exponents"].to_numpy()[i], [first, second, third], atol=1e-6)
+        exact = taylor.multiplier_logs(twin, n, b, points) / (n * float(twin.period))
+        np.testing.assert_allclose(group["exponents"].to_numpy()[i], exact, atol=1e-6)
 
 
 def check_chaotic_spectrum(scene, twin, i, group, lanes, periods):
@@ -148,34 +143,6 @@ def innermost(loop):
     return [deepest for inner in loop.inner for deepest in innermost(inner)] if loop.inner else [loop]
 
 
-def divergence(par, b, points):
-    """∫ −n·F/s dt over the orbit through the points (n, 3), by DOP853."""
-
-    def field(t, u):
-        x, y, theta, _ = u
-        g, s = 1 + math.sin(par.omega * t), math.sqrt(par.c + par.d * math.sin(t))
-        n1, n2 = math.cos(theta), math.sin(theta)
-        f1, f2 = b * y - g * (par.a * x + x**3), b * x - g * (y + par.a * y**3)
-        return [s * n1, s * n2, (n1 * f2 - n2 * f1) / s, -(n1 * f1 + n2 * f2) / s]
-
-    spans = [(0.0, float(par.period))] * len(points)
-    runs = [
-        scipy.integrate.solve_ivp(field, span, [*map(float, u), 0.0], method="DOP853", rtol=1e-11, atol=1e-12)
-        for span, u in zip(spans, points, strict=True)
-    ]
-    return sum(run.y[3, -1] for run in runs)
-
-
-def multiplier_logs(blocks):
-    """ln|μ| of the product of blocks (n, 3, 3), by simultaneous iteration in long double: no product is formed."""
-    basis, settled = np.eye(3, dtype=np.longdouble), []
-    for _ in range(400):
-        basis, logs = turned(blocks, basis)
-        settled.append(logs)
-    weights = window((np.arange(300) + 0.5) / 300)[:, None]
-    return np.sum(weights * np.array(settled[100:]), axis=0) / weights.sum()
-
-
 def test_sum_rule(case):
     """The exponents add up to the mean divergence; the map is right to 1e-10, and its growth to a hundred times that."""
     scene, twin, periods, _, group = case
@@ -184,7 +151,7 @@ def test_sum_rule(case):
     for i in np.flatnonzero(periods):
         b, n = float(scene.p["b"][i]), int(periods[i])
         points = taylor.orbit(twin, n, b, taylor.attractor(twin, b, twin.start(), 400)[0])
-        mean = divergence(twin, b, points) / (n * twin.period)
+        mean = float(taylor.divergence(twin, b, points) / (n * twin.period))
         assert group["transverse"].to_numpy()[i] == pytest.approx(2 * mean, abs=1e-6)
 
 

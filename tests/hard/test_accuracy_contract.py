@@ -21,7 +21,9 @@ from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
 
 TARGETS = (1e-6, 1e-8, 1e-10)
-SEED = 2
+SEED = 4
+"""Samples of calibration were chosen on sweeps of another seed, and what counts as rounding below on a third."""
+
 PROMISED = 1e-4  # share of the periods of all sweeps that may err by more than the target, as README says
 OF_MOST = (
     1e-3  # of a sweep, in 19 of 20: samples are of 1,000 lanes, and one that is like none of them may err all the time
@@ -76,15 +78,19 @@ def components(u):
 
 
 def by_taylor(flow, own, u, image):
-    """Error of images (lanes, 3) of section points (lanes, 3), the largest of x, y and n, by Taylor in long double."""
+    """Error of images (lanes, 3) of section points (lanes, 3), the largest of x, y and n, by Taylor in long double.
+
+    And the largest factor by which a period enlarges a small error.
+    """
     a = own.get("a", np.full(len(u), float(flow.parameters["a"])))
     system = [float(flow.parameters[name]) for name in ("c", "d", "omega")]
-    exact = [
-        taylor.strobe(taylor.Parameters(float(a_lane), *system), b, point)[0]
-        for a_lane, b, point in zip(a, own["b"], u, strict=True)
-    ]
+    exact, enlarged = [], []
+    for a_lane, b, point in zip(a, own["b"], u, strict=True):
+        par = taylor.Parameters(float(a_lane), *system)
+        exact.append(taylor.strobe(par, b, point)[0])
+        enlarged.append(taylor.enlargement(par, b, point, 1))
     gap = components(np.asarray(image, taylor.REAL)) - components(np.array(exact))
-    return np.abs(gap).max(axis=-1).astype(float)
+    return np.abs(gap).max(axis=-1).astype(float), np.array(enlarged)
 
 
 class Kept(NamedTuple):
@@ -93,7 +99,7 @@ class Kept(NamedTuple):
     Attributes:
         over: periods that err by more, of all lanes followed.
         worst: the largest error by Taylor, over the target.
-        unlike: how far errors against the finer map are from those by Taylor, over the error or the target.
+        unlike: how far errors against the finer map are from those by Taylor beyond rounding, over the error or the target.
     """
 
     over: int
@@ -123,8 +129,12 @@ def measured(experiment, target, plan, lanes, rng, count):
     u = np.concatenate(starts)[picked]
     own = {name: np.tile(values, len(STRETCHES) - 1)[picked] for name, values in own.items()}
     image = lanes(section_map, (strobe, np.int32(1)), (u, own))
-    error = by_taylor(flow, own, u, image)
-    unlike = np.abs(worst[picked] - error) / np.maximum(target, error)
+    error, enlarged = by_taylor(flow, own, u, image)
+    # Section points hold a state to an ulp, and so do the steps, in a walk of as many as there are drifts: one that
+    # passes a point of vanishing speed comes out larger by a million, and with other last bits as another error.
+    ulp = np.spacing(np.maximum(np.abs(u).max(axis=1), 1.0))
+    rounding = ulp * enlarged * math.sqrt(plan.steps * len(plan.solver.drifts))
+    unlike = np.maximum(np.abs(worst[picked] - error) - rounding, 0.0) / np.maximum(target, error)
     return Kept(over, float(error.max() / target), float(unlike.max()))
 
 
@@ -164,9 +174,9 @@ def test_accuracy_contract(battery):
     limit = PROMISED if battery.full else PROMISED + 2 * math.sqrt(PROMISED / each)
     battery.row(said, float(over.sum() / periods), limit, "share of periods above the target")
     battery.row("the same", float(np.mean(over > OF_MOST * each)), 0.05, "share of sweeps with more than one in 1,000")
-    battery.row(
-        "the same", max(kept.unlike for kept in found), 0.5, "errors counted against those by Taylor, relative,"
-    )
+    # Twice the steps of a solver of order two leave a quarter of its error, those of higher orders less.
+    what = "errors counted against those by Taylor beyond rounding, relative,"
+    battery.row("the same", max(kept.unlike for kept in found), 0.25, what)
     again = np.random.default_rng(SEED).choice(over, (4000, len(over))).mean(axis=1) / each
     few = int(np.sum(over > OF_MOST * each))
     battery.note(

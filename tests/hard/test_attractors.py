@@ -15,8 +15,6 @@ from matplotlib.figure import Figure
 from measure import calibrated, scene_of, twin
 from scenes import show_sum_rule
 from test_batch import Job, content
-from test_cascade_depth import iterated
-from test_criteria import divergence
 
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.base import LANE
@@ -67,9 +65,7 @@ def test_strong_contraction(battery, lanes):
         scene = scene_at([b], 600, "kahan_li8", system, ((x, y), (math.cos(theta), math.sin(theta))))
         ours = lyapunov.run(options, scene, lanes)
         exponents = ours["exponents"].to_numpy()[0]
-        mean = divergence(par, b, orbit.points[0]) / (n * float(par.period))
-        logs = iterated(taylor.strobe_jacobian(par, np.full(n, b), orbit.points[0])[1]) / (n * float(par.period))
-        exact = [logs[0], logs[1], mean - logs[0] - logs[1]]
+        exact = taylor.multiplier_logs(par, n, b, orbit.points[0]) / (n * float(par.period))
         battery.row(
             f"c = {c:g}, b = {b:g}, period {n}: λ = {exponents[0]:.4f}, {exponents[1]:.4f}, {exponents[2]:.4f}",
             worst(np.abs(exponents - exact)),

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import taylor
 from measure import calibrated, scene_of, twin
-from test_criteria import divergence
 
 from jaxnh.analyses import lyapunov, period
 from jaxnh.analyses.base import Scene
@@ -64,17 +63,13 @@ def references(scene, lanes, periods, k):
 
 
 def of_orbit(scene, lanes, n, u, i):
-    """ln|μ|/(nT) of an orbit: two by Taylor's monodromy matrices, the third by the mean divergence (DOP853)."""
+    """ln|μ|/(nT) (3,) of an orbit by Taylor integration."""
     par, b = twin(scene.system), float(scene.p["b"][i])
     state = jax.tree.map(np.asarray, unchart(u[:, None]))
     points = lanes(record, (scene.strobe(),), (state, {"b": np.full(1, b)}), static=(n,))[1]
     points = np.roll(np.array(chart(jax.tree.map(lambda leaf: leaf[0], points))).T, 1, axis=0)
-    blocks = taylor.strobe_jacobian(par, np.full(n, b), points)[1]
-    whole = np.eye(3, dtype=np.longdouble)
-    for block in blocks:
-        whole = block @ whole
-    first, second = np.log(np.sort(np.abs(np.linalg.eigvals(whole.astype(float))))[::-1][:2])
-    return np.array([first, second, divergence(par, b, points) - first - second]) / (n * float(par.period))
+    points = taylor.periodic_orbit(par, n, b, points)  # those above err by what their map does
+    return taylor.multiplier_logs(par, n, b, points) / (n * float(par.period))
 
 
 class Bars(NamedTuple):
