@@ -14,11 +14,17 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import primitives
 
-from jaxnh.maps.elementary import cosine, sine
+from jaxnh.maps.elementary import cosine, exponential, hyperbolic_tangent, logarithm, sine
 from jaxnh.systems.tracing import Known, Program, Step
 
 _TIME, _LANE = 1, 2  # what a value depends on, at most
-_IN_LANES: dict[Any, Callable[[Any], Any]] = {primitives.sin_p: sine, primitives.cos_p: cosine}
+_IN_LANES: dict[Any, Callable[[Any], Any]] = {
+    primitives.sin_p: sine,
+    primitives.cos_p: cosine,
+    primitives.exp_p: exponential,
+    primitives.log_p: logarithm,
+    primitives.tanh_p: hyperbolic_tangent,
+}
 
 
 class TimeSplit:
