@@ -245,7 +245,7 @@ def _spectra(rows: Sequence[Row]) -> Grid:
     cells = []
     python = {row.target: statistics.median(row.python) for row in rows if row.python}
     for row in rows:
-        target, name, setting, worst, _, rate, share, over, by_processor = cells_of(row, median=True)
+        target, name, setting, worst, rate, share, over, by_processor = cells_of(row)
         if name == AT_OWN_ERROR:
             left = statistics.median(row.ratios) * (1.0 - python[row.target])
             over = f"{verdict(row, _WANTED_SPECTRA)}{_HEYOKA}; {left:.2f}× were Python's share nothing"
