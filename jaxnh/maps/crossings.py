@@ -22,7 +22,6 @@ from jaxnh.maps.section import NO_RETURN, NOT_FINITE, Crossing, SectionedFlow
 from jaxnh.systems.flow import Flow, Parameters, State
 
 _ON_SECTION = 1e-9  # a state as near as this is on the section, and leaves it: of its value and of a step's way across
-_GUESSES = 6  # Newton steps on the cubic through the ends of a step
 _SETTLED = 1e-9  # a step of Newton below this, as a share of the step, leaves its square
 _MOST_SHOTS = 40
 
@@ -62,30 +61,46 @@ class SteppedStrobe(Strobe):
 
 
 class _Search(NamedTuple):
-    """On the way to a crossing, before the step that has it.
+    """On the way to a crossing.
 
     Attributes:
         carried: the state, alone or with tangents, at the beginning of the next step.
+        rate: of the height there.
+        t: time since the start at the crossing before.
+        by_tangent: what each tangent changes in it.
+        left: crossings.
+        leaving: rate of the height at the crossing before.
         side: +1 above the section, −1 below.
-        steps: taken so far.
-        low, high: part of the next step that has the crossing, if it has.
-        found: whether it has.
+        steps: taken since.
+        share: of a whole step that the next one is long: 1 until one is seen to have a crossing.
+        low, high: part of the step that has it, once it is seen.
+        shots: steps taken at it; none before it is seen.
+        settled: whether the next step ends on the section.
         lost: whether the state is not finite.
     """
 
     carried: Carried
+    rate: Array
+    t: Array
+    by_tangent: tuple[Array, ...]
+    left: Array
+    leaving: Array
     side: Array
     steps: Array
+    share: Array
     low: Array
     high: Array
-    found: Array
+    shots: Array
+    settled: Array
     lost: Array
 
 
 class EventStrobe(Strobe):
     """From crossing to crossing. Lanes need different numbers of steps, and wait for the one that needs most.
 
-    A passage to the other side and back within one step is seen where the cubic through its ends shows it.
+    One loop takes all steps, whole ones and those that locate a crossing, and over several crossings (`iterate`) lanes
+    go on without waiting for each other. A passage to the other side and back within one step is seen where the cubic
+    through its ends shows it.
 
     Attributes:
         system: the flow and its section.
@@ -110,71 +125,135 @@ class EventStrobe(Strobe):
         return (self.system.period / float(np.mean(self.step)), *self.unit.turns)
 
     def __call__(self, state: Crossing, p: Parameters) -> Crossing:
-        search = self._search(state.state, p, lambda one, z: one(z, p), lambda carried: carried)
-        share = self._locate(search.carried, search, p)
-        return self._arrived(state, search, self._partly(share)(search.carried, p), share)
+        return self.iterate(1, state, p)
+
+    def iterate(self, n: ArrayLike, state: Crossing, p: Parameters) -> Crossing:
+        def advance(one: Strobe, carried: Carried) -> Carried:
+            assert not isinstance(carried, Pushed)
+            return one(carried, p)
+
+        ended = self._searched(n, state, (), state.state, p, advance)
+        return self._arrived(state, ended, _state_of(ended.carried))
 
     def push(self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+        """As every map's; along the flow, onto the section, with the field's rate in place of a step's own."""
         flow_tangents = tuple(Tangent(t.state.state, t.p) for t in tangents)
         begun = Pushed(state.state, flow_tangents, jnp.ones_like(state.t))
-        search = self._search(begun, p, lambda one, pushed: _pushed_on(one, pushed, p), lambda pushed: pushed.state)
-        before = search.carried.state
-        share = self._locate(before, search, p)
-        last = _pushed_on(self._partly(share), search.carried, p)
-        moving = jax.jvp(lambda share: self._partly(share)(before, p), (share,), (jnp.ones_like(share),))[1]
-        speed = self.system.across(moving)
-        pushed = []
-        for old, new in zip(tangents, last.tangents, strict=True):
-            later = -self.system.across(new.state) / speed  # of the step, that all stays on the section
-            moved = jax.tree.map(lambda dz, v, later=later: dz + v * later, new.state, moving)
-            pushed.append(Tangent(Crossing(moved, old.state.t + later * self.step, jnp.zeros_like(later)), old.p))
-        volume = last.volume * self.system.rate(state.state, p) / self.system.rate(last.state, p)
-        return Pushed(self._arrived(state, search, last.state, share), tuple(pushed), volume)
 
-    def _partly(self, share: ArrayLike) -> Strobe:
-        """The map of a part of a step."""
-        return self.unit.stretched(self.step * share)
+        def advance(one: Strobe, carried: Carried) -> Carried:
+            assert isinstance(carried, Pushed)
+            return _pushed_on(one, carried, p)
 
-    def _search(
+        ended = self._searched(1, state, tuple(t.state.t for t in tangents), begun, p, advance)
+        last = ended.carried
+        assert isinstance(last, Pushed)
+        pushed = tuple(
+            Tangent(Crossing(new.state, later, jnp.zeros_like(later)), new.p)
+            for new, later in zip(last.tangents, ended.by_tangent, strict=True)
+        )
+        return Pushed(self._arrived(state, ended, last.state), pushed, last.volume)
+
+    def _searched(
         self,
+        n: ArrayLike,
+        start: Crossing,
+        by_tangent: tuple[Array, ...],
         begun: Carried,
         p: Parameters,
         advance: Callable[[Strobe, Carried], Carried],
-        state_of: Callable[[Carried], State],
     ) -> _Search:
-        """Steps until the next one has a crossing, or there is no hope of one."""
-        whole = self._partly(1.0)
-        state = state_of(begun)
-        height, rate = self.system.height(state), self.system.rate(state, p)
-        near = _ON_SECTION * (abs(self.system.value) + jnp.abs(rate) * self.step)
-        side = jnp.sign(jnp.where(jnp.abs(height) < near, rate, height))
-
-        def step(search: _Search) -> _Search:
-            ahead = advance(whole, search.carried)
-            side, low, high, found = self._between(state_of(search.carried), search.side, state_of(ahead), p)
-            lost = ~_finite(state_of(ahead))
-            found &= ~lost
-            carried = jax.tree.map(lambda old, new: jnp.where(found, old, new), search.carried, ahead)
-            return _Search(
-                carried,
-                jnp.where(found, search.side, side),
-                jnp.where(found, search.steps, search.steps + 1),
-                low,
-                high,
-                found,
-                lost,
-            )
+        """Steps until n crossings are met, or there is no hope of the next one."""
+        state = start.state
+        rate = self.system.rate(state, p)
+        zero, none = jnp.zeros_like(rate), jnp.int32(0)
+        first = _Search(
+            carried=begun,
+            rate=rate,
+            t=start.t,
+            by_tangent=by_tangent,
+            left=jnp.asarray(n, jnp.int32),
+            leaving=rate,
+            side=self._side(state, rate),
+            steps=none,
+            share=zero + 1.0,
+            low=zero,
+            high=zero + 1.0,
+            shots=none,
+            settled=jnp.bool_(False),
+            lost=~_finite(state),
+        )
 
         def unfinished(search: _Search) -> Array:
-            return ~search.found & ~search.lost & (search.steps < self.most_steps)
+            return (search.left > 0) & ~search.lost & (search.steps < self.most_steps)
 
-        zero = jnp.zeros_like(height)
-        first = _Search(begun, side, jnp.int32(0), zero, zero + 1.0, jnp.bool_(False), ~_finite(state))
-        return lax.while_loop(unfinished, step, first)
+        return lax.while_loop(unfinished, lambda search: self._stepped(search, p, advance), first)
 
-    def _between(self, before: State, side: Array, after: State, p: Parameters) -> tuple[Array, Array, Array, Array]:
-        """The side after a step, the part of it that has a crossing, and whether there is one."""
-        ends = self._ends(before, after, p)
+    def _stepped(self, search: _Search, p: Parameters, advance: Callable[[Strobe, Carried], Carried]) -> _Search:
+        """One step on: a whole one, one that locates the crossing within it, or the one that ends there."""
+        partly, before = self.unit.stretched(self.step * search.share), _state_of(search.carried)
+        ahead = advance(partly, search.carried)
+        after = _state_of(ahead)
+        rate, finite = self.system.rate(after, p), _finite(after)
+        heights = self.system.height(before), self.system.height(after)
+        ends = heights[0], search.rate * self.step, heights[1], rate * self.step
+        rising = jnp.ones_like(search.side) if self.system.direction != "both" else -search.side
+
+        seeking = search.shots == 0
+        side, low, high, seen = self._between(ends, search.side)
+        seen &= seeking & finite
+        straight = heights[0] / (heights[0] - heights[1])
+        guess = jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
+        better, *bracket = _improved(search.share, *ends[2:], rising, search.low, search.high)
+
+        near = (jnp.abs(better - search.share) <= _SETTLED) | (search.shots >= _MOST_SHOTS)
+        onwards, arrived = seeking & ~seen, search.settled
+        moved = onwards | arrived
+        t = search.t + (search.steps.astype(search.t.dtype) + search.share) * self.step
+        on_section, later = self._on_section(ahead, search, p)
+        ahead = jax.tree.map(lambda whole, part: jnp.where(arrived, part, whole), ahead, on_section)
+        return _Search(
+            carried=jax.tree.map(lambda old, new: jnp.where(moved, new, old), search.carried, ahead),
+            rate=jnp.where(moved, rate, search.rate),
+            t=jnp.where(arrived, t, search.t),
+            by_tangent=tuple(jnp.where(arrived, x + dt, x) for x, dt in zip(search.by_tangent, later, strict=True)),
+            left=jnp.where(arrived & finite, search.left - 1, search.left),
+            leaving=jnp.where(arrived, rate, search.leaving),
+            side=jnp.where(arrived, self._side(after, rate), jnp.where(onwards, side, search.side)),
+            steps=jnp.where(arrived, 0, jnp.where(onwards, search.steps + 1, search.steps)),
+            share=jnp.where(moved, 1.0, jnp.where(seen, guess, better)),
+            low=jnp.where(seen, low, bracket[0]),
+            high=jnp.where(seen, high, bracket[1]),
+            shots=jnp.where(moved, 0, search.shots + 1),
+            settled=~seeking & ~arrived & near,
+            lost=moved & ~finite,
+        )
+
+    def _on_section(self, ahead: Carried, search: _Search, p: Parameters) -> tuple[Carried, tuple[Array, ...]]:
+        """What comes to the section, its tangents moved along the flow onto it, and how much later each is there."""
+        if not isinstance(ahead, Pushed):
+            return ahead, ()
+        moving = self.system.rhs(jnp.zeros_like(search.t), ahead.state, p)
+        speed = self.system.across(moving)
+        tangents, later = [], []
+        for tangent in ahead.tangents:
+            dt = -self.system.across(tangent.state) / speed
+            moved = jax.tree.map(lambda dz, v, dt=dt: dz + v * dt, tangent.state, moving)
+            tangents.append(Tangent(moved, tangent.p))
+            later.append(dt)
+        volume = ahead.volume * search.leaving / self.system.rate(ahead.state, p)
+        return Pushed(ahead.state, tuple(tangents), volume), tuple(later)
+
+    def _side(self, state: State, rate: Array) -> Array:
+        """The side that a motion leaves for, of the section or from beside it."""
+        height = self.system.height(state)
+        near = _ON_SECTION * (abs(self.system.value) + jnp.abs(rate) * self.step)
+        return jnp.sign(jnp.where(jnp.abs(height) < near, rate, height))
+
+    def _between(self, ends: tuple[Array, Array, Array, Array], side: Array) -> tuple[Array, Array, Array, Array]:
+        """The side after a step, the part of it that has a crossing, and whether there is one.
+
+        Of heights and their rates, for a whole step, before it and after it.
+        """
         now = jnp.where(ends[2] >= 0.0, 1.0, -1.0)
         turn = ends[1] / (ends[1] - ends[3])
         turns = ends[1] * ends[3] < 0.0
@@ -188,48 +267,28 @@ class EventStrobe(Strobe):
             return now, low, high, (crossed & (side < 0.0)) | touched
         return now, low, high, crossed | touched
 
-    def _ends(self, before: State, after: State, p: Parameters) -> tuple[Array, Array, Array, Array]:
-        """Heights and their rates a step at both ends of it."""
-        heights = self.system.height(before), self.system.height(after)
-        rates = self.system.rate(before, p) * self.step, self.system.rate(after, p) * self.step
-        return heights[0], rates[0], heights[1], rates[1]
-
-    def _locate(self, before: State, search: _Search, p: Parameters) -> Array:
-        """The share of a step after which the state is on the section, to rounding."""
-        rising = jnp.ones_like(search.side) if self.system.direction != "both" else -search.side
-
-        def improve(share: Array, height: Array, rate: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
-            short = height * rising < 0.0
-            low, high = jnp.where(short, share, low), jnp.where(short, high, share)
-            better = share - height / rate
-            inside = (better >= low) & (better <= high)
-            return jnp.where(inside, better, 0.5 * (low + high)), low, high
-
-        ends = self._ends(before, self._partly(1.0)(before, p), p)
-        share, low, high = 0.5 * (search.low + search.high), search.low, search.high
-        for _ in range(_GUESSES):
-            share, low, high = improve(share, *_cubic(ends, share), low, high)
-
-        def shoot(carry: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
-            share, low, high, _, shots = carry
-            state = self._partly(share)(before, p)
-            rate = self.system.rate(state, p) * self.step
-            better, low, high = improve(share, self.system.height(state), rate, low, high)
-            return better, low, high, jnp.abs(better - share), shots + 1
-
-        def unsettled(carry: tuple[Array, Array, Array, Array, Array]) -> Array:
-            return search.found & (carry[3] > _SETTLED) & (carry[4] < _MOST_SHOTS)
-
-        begun = (share, search.low, search.high, jnp.ones_like(share), jnp.int32(0))
-        return lax.while_loop(unsettled, shoot, begun)[0]
-
-    def _arrived(self, start: Crossing, search: _Search, state: State, share: Array) -> Crossing:
+    def _arrived(self, start: Crossing, ended: _Search, state: State) -> Crossing:
         """The crossing, or a lane that has failed and says why."""
-        why = jnp.where(search.lost, 1.0 * NOT_FINITE, 1.0 * NO_RETURN)
-        reason = jnp.where(search.found, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
-        t = start.t + (search.steps.astype(share.dtype) + share) * self.step
-        state = self.system.inner.blanked(state, search.found)
-        return Crossing(state, jnp.where(search.found, t, jnp.nan), reason)
+        found = ended.left <= 0
+        why = jnp.where(ended.lost, 1.0 * NOT_FINITE, 1.0 * NO_RETURN)
+        reason = jnp.where(found, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
+        state = self.system.inner.blanked(state, found)
+        return Crossing(state, jnp.where(found, ended.t, jnp.nan), reason)
+
+
+def _state_of(carried: Carried) -> State:
+    return carried.state if isinstance(carried, Pushed) else carried
+
+
+def _improved(
+    share: Array, height: Array, rate: Array, rising: Array, low: Array, high: Array
+) -> tuple[Array, Array, Array]:
+    """Newton's better share, for a height and its rate, in the part of the step that has the crossing; that part."""
+    short = height * rising < 0.0
+    low, high = jnp.where(short, share, low), jnp.where(short, high, share)
+    better = share - height / rate
+    inside = (better >= low) & (better <= high)
+    return jnp.where(inside, better, 0.5 * (low + high)), low, high
 
 
 def _pushed_on(one: Strobe, pushed: Pushed, p: Parameters) -> Pushed:

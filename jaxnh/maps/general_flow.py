@@ -57,7 +57,7 @@ class GeneralStrobe(Strobe):
         system: the flow.
         solver: a Runge–Kutta method of the package, or any diffrax solver that takes one term.
         grid: ends of the steps, (capacity + 1,); the last one repeats where not all are in use.
-        steps: how many are in use.
+        steps: how many are in use; None of the only one, which is no loop.
         values: what time alone decides, at the stages of all steps, each (capacity, stages).
         rolled: whether the stages of a step are a loop; None: where written out they are too many equations.
     """
@@ -65,7 +65,7 @@ class GeneralStrobe(Strobe):
     system: Flow
     solver: diffrax.AbstractSolver = eqx.field(static=True)
     grid: ArrayLike
-    steps: ArrayLike
+    steps: ArrayLike | None
     values: tuple[Any, ...] = ()
     rolled: bool | None = eqx.field(static=True, default=None)
 
@@ -80,8 +80,8 @@ class GeneralStrobe(Strobe):
     @property
     def turns(self) -> tuple[float, ...]:
         """Of the loop over steps, and of the loop over stages where there is one."""
-        steps = float(np.mean(self.steps))
-        return (steps, float(self.solver.stages)) if self._rolls(0) else (steps,)  # pyright: ignore[reportAttributeAccessIssue]
+        steps = () if self.steps is None else (float(np.mean(self.steps)),)
+        return (*steps, float(self.solver.stages)) if self._rolls(0) else steps  # pyright: ignore[reportAttributeAccessIssue]
 
     def _rolls(self, tangents: int) -> bool:
         if not isinstance(self.solver, WrittenOutRungeKutta):
@@ -173,7 +173,7 @@ class GeneralStrobe(Strobe):
             after = advance(lambda s, y: field([row[s] for row in rows], y), grid[i + 1] - grid[i], y)
             return project(grid[i + 1], after)
 
-        return lax.fori_loop(0, self.steps, step, y)
+        return step(0, y) if self.steps is None else lax.fori_loop(0, self.steps, step, y)
 
     def _by_diffrax(self, y: State, p: Parameters) -> State:
         grid = jnp.asarray(self.grid)
@@ -244,4 +244,4 @@ def general_strobe(
 
 def unit_step(system: Flow, solver: diffrax.AbstractSolver) -> GeneralStrobe:
     """One step as long as the unit of time, of a flow without a clock."""
-    return GeneralStrobe(system, solver, np.array([0.0, 1.0]), np.int32(1))
+    return GeneralStrobe(system, solver, np.array([0.0, 1.0]), None)

@@ -16,7 +16,7 @@ from jaxnh.systems.flow import Parameters, State
 
 def iterate(strobe: Strobe, n: ArrayLike, state: State, p: Parameters) -> State:
     """Pⁿ(z; p) for one lane; n may be traced."""
-    return lax.fori_loop(0, n, lambda _, z: strobe(z, p), state)
+    return strobe.iterate(n, state, p)
 
 
 def record(strobe: Strobe, state: State, p: Parameters, count: int) -> tuple[State, State]:

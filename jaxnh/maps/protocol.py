@@ -6,6 +6,7 @@ import abc
 from typing import Any, NamedTuple
 
 import equinox as eqx
+from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
@@ -59,6 +60,14 @@ class Strobe(eqx.Module):
     @abc.abstractmethod
     def __call__(self, state: State, p: Parameters) -> State:
         """The state one strobe period later."""
+
+    def iterate(self, n: ArrayLike, state: State, p: Parameters) -> State:
+        """The state n periods later; n may be traced."""
+
+        def period(_: Array, z: State) -> State:
+            return self(z, p)
+
+        return lax.fori_loop(0, n, period, state)  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
 
     @abc.abstractmethod
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:

@@ -219,7 +219,8 @@ class SectionedFlow(Flow):
         found = self.inner.reports(y.state)
         reason = np.asarray(y.reason)[..., -1].astype(np.int8)
         if "failure" in found:
-            reason = np.where(reason == NO_RETURN, reason, found["failure"].data)
+            inner = np.asarray(found["failure"].data)
+            reason = np.where((reason == NO_RETURN) | (inner == 0), reason, inner)
         flags = {
             "flag_values": np.arange(NO_RETURN + 1, dtype=np.int8),
             "flag_meanings": " ".join((*FAULTS, "no_return")),

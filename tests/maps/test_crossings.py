@@ -108,6 +108,18 @@ def test_crossings_of_a_free_particle(lanes):
     assert np.abs(ours - exact).max() < 1e-9
 
 
+def test_returns_without_waiting(lanes):
+    """Over several returns at once every lane's are bit for bit those taken one by one, though it waits for no other."""
+    system, _ = SECTIONS["up"]
+    strobe, start = make_strobe(system, SPLITTING, 60), spread(Crossing(START, 0.0, 0.0))
+    last, every = lanes(record, (strobe,), (start, P), static=(4,))
+    assert np.ptp(np.diff(every.t, axis=1)) > 1.0  # some returns take longer than others
+    for n in (1, 4):
+        found = lanes(iterate, (strobe, np.int32(n)), (start, P))
+        jax.tree.map(lambda one, all_, n=n: np.testing.assert_array_equal(one, all_[:, n - 1]), found, every)
+    jax.tree.map(np.testing.assert_array_equal, found, last)
+
+
 def test_return_in_one_step():
     """A passage and return within one step are seen, in each direction that is wanted, from above and from below."""
     flow = without("forcing", "coupling", "cubic_stiffness")  # y'' alone: towards y = 0, however it starts
