@@ -55,9 +55,9 @@ test: $(INSTALLED)
 slow: $(INSTALLED)
 	$(RUN)/pytest --numprocesses 2 --dist worksteal -m slow
 
-# The hard cases at full size; writes results/hard.md and its pictures.
+# The hard cases at full size, an hour, or of one CASE; writes results/hard.md and its pictures.
 hard: $(INSTALLED)
-	$(RUN)/pytest --numprocesses 2 --dist worksteal -m "" --hard --page results/hard.md tests/hard
+	$(RUN)/pytest --numprocesses 2 --dist worksteal -m "" --hard --page results/hard.md $(if $(CASE),--case '$(CASE)') tests/hard
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import jaxnh
 from sweeps.claims_table import CLAIMS, Claim
-from sweeps.measured_at import ROOT, age, last_commit, stamp_of
+from sweeps.measured_at import ROOT, age, last_commit, stamps_of
 
 PAGE = "results/claims.md"
 
@@ -80,8 +80,8 @@ def _commit(source: str, root: Path) -> str:
     """The commit that a page of results names; of other files the one that last changed them."""
     path = root / source
     if path.suffix == ".md":
-        named = stamp_of(path.read_text(encoding="utf-8")) if path.exists() else None
-        return named.commit if named else "names none"
+        named = stamps_of(path.read_text(encoding="utf-8")) if path.exists() else []
+        return ", ".join(dict.fromkeys(was.commit for was in named)) or "names none"
     changed = last_commit(source, root)
     return f"last changed in {changed}" if changed else "–"
 

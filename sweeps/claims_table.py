@@ -12,6 +12,7 @@ from jaxnh.solvers import SPLITTINGS
 
 _PEERS = "results/peers.md"
 _PEERS_COMMAND = "python -m sweeps.peers --repeats 5"
+_HARD = "results/hard.md"
 _SLOWING = "results/critical_slowing.md"
 _OVER = "jaxnh over each peer, 1 core"
 _TARGETS = ("error ≤ 1e-06", "error ≤ 1e-08", "error ≤ 1e-10")
@@ -155,6 +156,15 @@ def _agreement(root: Path) -> list[float]:
     return [float(end) for span in spans for end in span.split("–")]
 
 
+def _covered(root: Path) -> list[float]:
+    """Shares of bars that cover, of the largest and of all exponents of random lanes, in percent."""
+    lines = rows((root / _HARD).read_text(encoding="utf-8"), "Error bars of exponents")
+    shares = [
+        number(r["measured"].partition(":")[2]) for r in lines if "exponents of random lanes" in r["what is shown"]
+    ]
+    return [100.0 * (1.0 - share) for share in shares]
+
+
 # ---- the claims
 
 
@@ -249,6 +259,11 @@ def _tables() -> list[Claim]:
             doublings("results/table1.h5", "b", 1),
         ),
     ]
+
+
+def _bars() -> list[Claim]:
+    quote = "on random lanes [99] % of 400 λ1 and [99] % of 800 of all exponents"
+    return [Claim("README.md", quote, "make hard", _HARD, "Error bars of exponents", _covered)]
 
 
 def _governor() -> list[Claim]:
@@ -362,5 +377,5 @@ def _pictures() -> list[Claim]:
     ]
 
 
-CLAIMS = (*_speeds(), *_tables(), *_governor(), *_slowing(), *_settings(), *_pictures())
+CLAIMS = (*_speeds(), *_tables(), *_governor(), *_bars(), *_slowing(), *_settings(), *_pictures())
 """All claims, in the order of the page."""

@@ -56,18 +56,18 @@ def measured_since(files: Iterable[Path], root: Path = ROOT) -> bool:
     return all(path.stat().st_mtime >= changed for path in files)
 
 
-def stamp_of(page: str) -> Stamp | None:
-    """The stamp in the text of a page, or None."""
-    found = _LINE.search(page)
-    return Stamp(found["commit"], found["code"]) if found else None
+def stamps_of(page: str) -> list[Stamp]:
+    """The stamps in the text of a page, each once: one, or where its parts were measured by themselves some."""
+    return list(dict.fromkeys(Stamp(found["commit"], found["code"]) for found in _LINE.finditer(page)))
 
 
 def age(page: str, root: Path = ROOT) -> str:
     """In words, how the code that a page was measured at compares with the code there is."""
-    was = stamp_of(page)
-    if was is None:
+    now = code_hash(root)
+    same = [was.code == now for was in stamps_of(page)]
+    if not same:
         return "names no commit"
-    return "the code as it is" if was.code == code_hash(root) else "an older code"
+    return "the code as it is" if all(same) else "in part an older code" if any(same) else "an older code"
 
 
 def last_commit(path: str, root: Path = ROOT) -> str:

@@ -107,7 +107,7 @@ def test_stamp_of_a_checkout(tmp_path):
     git("commit", "-m", "one")
     clean = measured_at.stamp(tmp_path)
     assert len(clean.commit) == 12
-    assert measured_at.stamp_of(f"Words.\n\n{clean}\n") == clean
+    assert measured_at.stamps_of(f"Words.\n\n{clean}\n\n{clean}\n") == [clean]
     (tmp_path / "results" / "page.md").write_text("new")
     assert measured_at.stamp(tmp_path) == clean
     module.write_text("a = 2\n")
@@ -115,7 +115,7 @@ def test_stamp_of_a_checkout(tmp_path):
     assert changed.commit == f"{clean.commit} with changes"
     assert measured_at.age(str(clean), tmp_path) == "an older code"
     assert measured_at.age(str(changed), tmp_path) == "the code as it is"
-    assert measured_at.stamp_of(str(changed)) == changed
+    assert measured_at.stamps_of(f"{clean}\n{changed}") == [clean, changed]
 
 
 def test_files_measured_before_the_last_change(tmp_path):

@@ -188,11 +188,12 @@ def _known(thing: Any) -> str:
 # ---- files
 
 
-def find(name: str, inputs: Any) -> Any:
+def find(name: str, inputs: Any, devices: Sequence[Any]) -> Any:
     """The compiled program of that name, ready to be called, or None.
 
     Args:
         inputs: structure of its arguments, ((…), {}).
+        devices: those that it runs on.
     """
     folder = _folder()
     try:
@@ -204,7 +205,7 @@ def find(name: str, inputs: Any) -> Any:
         return None
     try:
         payload, outputs = pickle.load(io.BytesIO(data))
-        return serialize_executable.deserialize_and_load(payload, inputs, outputs)
+        return serialize_executable.deserialize_and_load(payload, inputs, outputs, execution_devices=devices)
     except Exception:  # whatever another library says of a file that it cannot load: it is written anew
         return None
 

@@ -201,7 +201,7 @@ class Lanes:
         structure = jax.tree.structure(arguments)
         leaves = tuple(map(jax.tree.leaves, arguments))
         name = kept_programs.name_of(function, static, arguments, self.devices)
-        if name and (found := kept_programs.find(name, jax.tree.structure((leaves, {})))):
+        if name and (found := kept_programs.find(name, jax.tree.structure((leaves, {})), self.devices)):
             return found
 
         def tile(*leaves: Any) -> Any:

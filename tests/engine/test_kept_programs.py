@@ -103,7 +103,22 @@ def test_a_file_that_is_no_program_is_written_anew(folder, fault):
         for one, other in zip(jax.tree.leaves(result), jax.tree.leaves(expected), strict=True):
             np.testing.assert_array_equal(one, other)
         assert path.read_bytes() != bad
-    assert kept_programs.find(path.name, jax.tree.structure((tuple(map(jax.tree.leaves, (shared, LANES))), {})))
+    assert kept_programs.find(
+        path.name, jax.tree.structure((tuple(map(jax.tree.leaves, (shared, LANES))), {})), jax.devices()
+    )
+
+
+def test_some_of_the_devices(folder, monkeypatch):
+    """A program of one device of two, and that of the other, are found and run where they were compiled for."""
+    shared, results = (strobe(), np.int32(3)), []
+    for devices in (jax.devices()[:1], jax.devices()[1:], jax.devices()):
+        results += [Lanes(devices=devices)(iterate, shared, LANES)]
+        with monkeypatch.context() as patch:
+            patch.setattr(jax, "vmap", None)  # nothing is traced
+            results += [Lanes(devices=devices)(iterate, shared, LANES)]
+    assert len(jax.devices()) > 1
+    for result in results[1:]:
+        jax.tree.map(np.testing.assert_array_equal, result, results[0])
 
 
 def test_programs_of_others_are_kept_by_jax(folder):

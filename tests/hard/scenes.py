@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import taylor
 from battery import worst
-from measure import apart, calibrated, twin
+from measure import UNIT, apart, calibrated, twin
 
 from jaxnh.engine.calibration import Plan
 from jaxnh.exceptions import AccuracyError
@@ -15,6 +15,8 @@ from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
 
 PAPER_B = np.linspace(0.1, 6.0, 48)
+LOOKED_AT = 170
+"""Periods of every lane that a calibration looks at."""
 
 
 class Held(NamedTuple):
@@ -42,6 +44,32 @@ def hold(lanes, system, start, values, target, count=24):
     image = lanes(section_map, (strobe, np.int32(1)), (u, {"b": b}))
     exact = taylor.settled_strobe(twin(system), b, u, 0.1 * plan.error_estimate)
     return Held(plan, float(apart(image, exact).max()), "", target)
+
+
+def roundings(enlarged):
+    """What the roundings of a period come to that enlarges small errors so many times.
+
+    Those of N kicks add up at random, to √N uE if all are enlarged E times as some are; N is at most 2²⁰.
+    """
+    return 1024 * UNIT * enlarged
+
+
+def hold_to_rounding(battery, lanes, what, system, start, values, target, count=24):
+    """`hold`, shown; where a scene is refused its target has to be below what rounding leaves, and that much is held.
+
+    The factor E is the largest of all periods that calibration looks at, by heyoka: in chaotic motion E is ever larger
+    the more periods there are, as it passes nearer to states that enlarge every error without bound.
+    """
+    held = hold(lanes, system, start, values, target, count)
+    show(battery, what, held)
+    if held.plan is None:
+        u, par = system.section_point(start), twin(system)
+        enlarged = max(taylor.enlargement(par, float(b), u, LOOKED_AT) for b in values)
+        assert target < roundings(enlarged)
+        held = hold(lanes, system, start, values, roundings(enlarged), count)
+        show(battery, f"{what}, roundings enlarged {enlarged:.0e} times", held)
+        assert held.plan is not None
+    return held
 
 
 def start_at(system, x1=0.1, y1=0.1):

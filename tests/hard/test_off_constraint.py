@@ -194,12 +194,12 @@ def hold_speed(battery, lanes, name, system, b):
     for k in range(blocks):
         state, off[k], far[k] = lanes(watched, (strobe, np.int32(periods)), (state, {"b": b}), periods=periods, tile=32)
     shown = f"{name}, jaxnh, {len(b)} b, {blocks * periods:,} periods"
-    battery.row(shown, worst(off.max(axis=0)), 1e-14, "largest \\|\\|n\\| − 1\\|")
+    battery.row(shown, worst(off.max(axis=0)), 1e-14, "largest ||n| − 1|")
     # On an attractor the means of blocks are alike, early and late. Five standard errors: 6e-7 by chance, a lane.
     early, late = np.split(far / periods, 2)
     error = np.sqrt((early.var(axis=0, ddof=1) + late.var(axis=0, ddof=1)) / (blocks / 2))
     parted = np.abs(early.mean(axis=0) - late.mean(axis=0)) / (error + 1e-9)  # 1e-9: what is left on a periodic orbit
-    battery.row("the same, mean \\|q\\| of the late half against the early one", worst(parted), 5.0, "standard errors")
+    battery.row("the same, mean |q| of the late half against the early one", worst(parted), 5.0, "standard errors")
     return off.max(axis=0)
 
 
