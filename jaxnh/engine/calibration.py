@@ -31,6 +31,7 @@ _SAFETY = 2.0  # the error is taken this many times: some lanes of the sweep hav
 _REFERENCE_STEPS = 96
 _ROUNDING = 1e-12  # references nearer to each other than this are the same
 _ROUGH = 1e-8  # references further apart than this say nothing: more steps may yet help
+_STALLED = 2  # refinements in a row that do not halve the distance: what is left is rounding
 _SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very system
 _MOST_SEED_KICKS = 1 << 16
 _ROUNDS = 6
@@ -240,18 +241,22 @@ class Calibration:
     def _refine(self) -> tuple[list[np.ndarray], Float[np.ndarray, " samples"], int]:
         """The finest map worth having, its distance from the one before in each sample, and its kicks a period.
 
-        Each sample is refined until rounding is all that is left, most of them a few times only.
+        Each sample is refined until rounding is all that is left, most of them a few times only: until twice in a row
+        the distance is not half of the least so far. Once says little, as convergence begins unevenly in fast motion.
         """
         solver, steps = self._way.reference, _REFERENCE_STEPS
         finest = self._image(self._maps(solver, steps, compensated=True), self._samples)
-        gaps, before = np.full((2, len(self._samples.row)), np.inf)
+        gaps, least = np.full((2, len(self._samples.row)), np.inf)
+        stalled = np.zeros(len(gaps), int)
         while 1.5 * steps * solver.stages <= _MOST_KICKS:
-            open_ = np.flatnonzero((gaps > _ROUNDING) & ((gaps < 0.5 * before) | (gaps > _ROUGH)))
+            open_ = np.flatnonzero((gaps > _ROUNDING) & ((stalled < _STALLED) | (gaps > _ROUGH)))
             if not len(open_):
                 break
             steps = steps * 3 // 2
             finer = self._image(self._maps(solver, steps, compensated=True), self._samples.take(open_))
-            before[open_], gaps[open_] = gaps[open_], _gaps([leaf[open_] for leaf in finest], finer)
+            gaps[open_] = _gaps([leaf[open_] for leaf in finest], finer)
+            stalled[open_] = np.where(gaps[open_] < 0.5 * least[open_], 0, stalled[open_] + 1)
+            least = np.minimum(least, gaps)
             for leaf, new in zip(finest, finer, strict=True):
                 leaf[open_] = new
         return finest, gaps, steps * solver.stages

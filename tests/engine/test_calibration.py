@@ -15,7 +15,7 @@ from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate, section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
-from jaxnh.systems.particle import chart
+from jaxnh.systems.particle import chart, disturbed_speed
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 RANGES = {
@@ -113,3 +113,14 @@ def test_rounding_floor(lanes, name):
     errors = [apart(lanes(section_map, (m, np.int32(1)), (u, {"b": b})), exact) for m in (plain, compensated)]
     assert np.quantile(errors[0], 0.98) < 5e-12
     assert errors[1].max() < 5e-12
+
+
+def test_reference_that_converges_unevenly(lanes):
+    """Where the speed nearly vanishes a refinement may leave the reference as it is, and the next ones not.
+
+    In no period here are errors enlarged more than some hundred times, by heyoka's variational equations.
+    """
+    system = disturbed_speed(d=0.99)
+    start = system.start({"x1": 0.1, "x2": 0.1, "y1": 0.1})
+    found = calibrated(system, start, np.linspace(0.1, 6.0, 48)[[46]], lanes)
+    assert found.floor < 1e-11
