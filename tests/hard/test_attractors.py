@@ -43,6 +43,7 @@ def random_points(count, seed=5, box=1.5):
 # ---- strong contraction
 
 
+@pytest.mark.slow  # tests/analyses/test_criteria.py asserts the third exponents of three orbits of either system
 @pytest.mark.case("Strong contraction")
 def test_strong_contraction(battery, lanes):
     """Stable orbits with a third exponent down to −10 and below: by Taylor's monodromy matrices and the mean divergence."""

@@ -104,6 +104,7 @@ def test_strong_force(battery, lanes):
 # ---- fast and slow forcing
 
 
+@pytest.mark.slow
 @pytest.mark.case("Fast and slow forcing")
 def test_fast_forcing(battery, lanes):
     for omega, build in itertools.product((10, 100), (constant_speed, disturbed_speed)):
