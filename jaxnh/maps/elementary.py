@@ -85,12 +85,8 @@ _EXP = [1.0 / math.factorial(k) for k in range(2, 15)]  # the next term is below
 _LOG = [2.0 / (2 * k + 1) for k in range(1, 13)]  # of artanh: the next term is below 2⁻⁶⁰ of the sum at (√2 − 1)²
 _LARGEST, _LEAST = 710.0, -746.0  # exp is infinite beyond, or zero
 _ONE_TO_ROUNDING = 20.0  # tanh beyond
-_WHOLE, _ONE, _EXPONENT = (
-    1.5 * 2.0**52,
-    1023,
-    52,
-)  # a float that shows whole numbers in its last bits; of a float's bits
-_MAGIC = 2.0**52
+_ONE, _EXPONENT = 1023, 52  # exponent of a float that is one, and where it stands in the bits
+_WHOLE, _MAGIC = 1.5 * 2.0**52, 2.0**52  # floats whose last bits are whole numbers, of either sign and of none
 _MAGIC_BITS, _HALF_ROOT = (int(np.float64(x).view(np.int64)) for x in (_MAGIC, math.sqrt(0.5)))
 
 
