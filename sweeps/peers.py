@@ -19,6 +19,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -29,7 +30,7 @@ from sweeps.peers_cases import LANES, Case, paper
 from sweeps.peers_cases import held_out as held_out_cases
 from sweeps.peers_held_out import held_out
 from sweeps.peers_report import AT_OWN_ERROR, Row, Scaling, Study, markdown, show, show_lyapunov, write
-from sweeps.peers_scene import PERIODS, Setting, TangentScene, best
+from sweeps.peers_scene import PERIODS, WHOLE, Setting, TangentScene, best
 from sweeps.peers_timing import SAMPLE_SECONDS, Entry, entry, interleaved, line, row, timed
 from sweeps.peers_worker import Peer, Sample
 
@@ -135,6 +136,7 @@ def _lyapunov(args: argparse.Namespace, scene: TangentScene, core: int, console:
             rows = [first, *(entry(target, s.peer, jaxnh, s, first) for s in own[1:]), second]
             equal = jaxnh.tune(found.errors.max)[:1]
             rows += [entry(target, AT_OWN_ERROR, jaxnh, s, second, jaxnh_over=True) for s in equal]
+            rows += [entry(target, WHOLE, jaxnh, replace(s, peer=WHOLE), second, jaxnh_over=True) for s in equal]
             for each in rows:
                 console.log(line(each))
             entries += rows

@@ -1,4 +1,4 @@
-"""jaxnh's Lyapunov spectra of any flow as a contestant: the analysis `lyapunov` as it is."""
+"""jaxnh's Lyapunov spectra of any flow as a contestant: the averages of the analysis `lyapunov`, or all of it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnh.analyses import lyapunov
-from jaxnh.analyses.base import Scene
+from jaxnh.analyses.scene import Scene
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import Strobe
 from sweeps.peers_flow_jaxnh import SOLVERS, FlowMaps
-from sweeps.peers_scene import Errors, Setting
-
-_PERIODS = 256
+from sweeps.peers_scene import TANGENT_PERIODS, WHOLE, Errors, Setting
 
 
 class Contestant(FlowMaps):
@@ -44,12 +42,15 @@ class Contestant(FlowMaps):
         return self.scene.derivative_errors((monodromy @ lifts)[:, picks])
 
     def program(self, setting: Setting) -> Callable[[], int]:
-        """The analysis from the timed states on."""
+        """The averages from the timed states on, or the whole analysis."""
         scene = replace(self._scene(setting), chosen={"lyapunov": {"parts": setting.parts}})
 
         def run() -> int:
-            lyapunov.run(self._options(), scene, self.lanes)
-            return scene.count * _PERIODS
+            if setting.peer == WHOLE:
+                lyapunov.run(self._options(), scene, self.lanes)
+            else:
+                lyapunov.averages(self._options(), scene, self.lanes, setting.parts)
+            return scene.count * TANGENT_PERIODS
 
         return run
 
@@ -58,4 +59,4 @@ class Contestant(FlowMaps):
         return Scene(self.placed.flow, state, p, SOLVERS[setting.form], int(setting.knob), False, setting.errors.max)
 
     def _options(self) -> lyapunov.LyapunovOptions:
-        return lyapunov.LyapunovOptions(transient=0, periods=_PERIODS, exponents=self.placed.flow.exponents)
+        return lyapunov.LyapunovOptions(transient=0, periods=TANGENT_PERIODS, exponents=self.placed.flow.exponents)

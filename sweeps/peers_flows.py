@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from sweeps.measured_at import stamp
 from sweeps.peers_flow_cases import CASES, LANES, FlowCase, FlowScene
 from sweeps.peers_flows_report import FlowStudy, Measured, markdown, show
 from sweeps.peers_report import AT_OWN_ERROR, Row, write
-from sweeps.peers_scene import Setting, best
+from sweeps.peers_scene import WHOLE, Setting, best
 from sweeps.peers_timing import Entry, entry, line, row, timed
 from sweeps.peers_worker import Peer
 
@@ -113,7 +114,11 @@ def _tuned(target: float, peers: Sequence[Peer], hints: list[Sequence[Setting]],
         hints[k] = _fastest(found, 1)
         rows += [entry(target, s.peer, peer, s, first) for s in hints[k]]
     equal = jaxnh.tune(second.setting.errors.max)
-    rows += [entry(target, AT_OWN_ERROR, jaxnh, best(equal), second, jaxnh_over=True)] if equal else []
+    if equal:
+        found = best(equal)
+        rows.append(entry(target, AT_OWN_ERROR, jaxnh, found, second, jaxnh_over=True))
+        if found.parts:
+            rows.append(entry(target, WHOLE, jaxnh, replace(found, peer=WHOLE), second, jaxnh_over=True))
     for each in rows:
         console.log(line(each))
     return rows

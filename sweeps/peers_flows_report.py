@@ -108,7 +108,8 @@ def markdown(study: FlowStudy, before: str = "") -> str:
         "range. jaxnh has each flow as its users write it: a right-hand side, or T, Q and f. heyoka and diffrax have "
         "the governor and the double pendulum solved for the accelerations by hand. In spectra both orthonormalise "
         "equally often; heyoka carries a tangent for every component, jaxnh without a clock one fewer and the flow's "
-        "own direction. Left out of all timings: compilation, and the search for the settings.",
+        "own direction; these are averages, and the whole analysis of jaxnh finds orbits and errors besides. Left out "
+        "of all timings: compilation, and the search for the settings.",
         "\n".join(
             f"- {f.case.name}: {f.case.words}; {f.case.parameter} in [{f.case.low:g}, {f.case.high:g}]"
             for f in study.flows

@@ -1,6 +1,6 @@
-"""jaxnh's Lyapunov exponents as a contestant: the analysis `lyapunov` as it is, orthonormalisation and all.
+"""jaxnh's Lyapunov exponents as a contestant: the averages of the analysis `lyapunov`, orthonormalisation and all.
 
-Beside the whole spectrum: one exponent, and the map without any tangent.
+Beside the whole spectrum: one exponent, the map without any tangent, and all that the analysis does.
 """
 
 from __future__ import annotations
@@ -11,18 +11,17 @@ from dataclasses import replace
 import numpy as np
 
 from jaxnh.analyses import lyapunov
-from jaxnh.analyses.base import Scene as AnalysisScene
-from jaxnh.analyses.base import spread
+from jaxnh.analyses.scene import Scene as AnalysisScene
+from jaxnh.analyses.scene import spread
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import Strobe
 from jaxnh.solvers import SPLITTINGS
 from sweeps.peers_jaxnh import Splittings
-from sweeps.peers_scene import Errors, Setting, TangentScene, best, unit
+from sweeps.peers_scene import TANGENT_PERIODS, WHOLE, Errors, Setting, TangentScene, best, unit
 
 SPECTRUM, ONE, MAP = "jaxnh", "jaxnh, one exponent", "jaxnh, no exponent"
-_EXPONENTS = {SPECTRUM: 3, ONE: 1, MAP: 0}
-_PERIODS = 256
+_EXPONENTS = {SPECTRUM: 3, WHOLE: 3, ONE: 1, MAP: 0}
 
 
 class Contestant(Splittings[TangentScene]):
@@ -54,14 +53,17 @@ class Contestant(Splittings[TangentScene]):
     def program(self, setting: Setting) -> Callable[[], float]:
         """The analysis over all values from the start state, or for no exponent as many periods of the map."""
         exponents, count = _EXPONENTS[setting.peer], len(self.scene.values)
-        scene = replace(self._analysed(setting), chosen={"lyapunov": {"parts": setting.parts if exponents > 1 else 1}})
+        parts, options = setting.parts if exponents > 1 else 1, _options(exponents)
+        scene = replace(self._analysed(setting), chosen={"lyapunov": {"parts": parts}})
 
         def run() -> float:
-            if exponents:
-                lyapunov.run(_options(exponents), scene, self.lanes)
+            if setting.peer == WHOLE:
+                lyapunov.run(options, scene, self.lanes)
+            elif exponents:
+                lyapunov.averages(options, scene, self.lanes, parts)
             else:
-                self.lanes(iterate, (scene.strobe(), np.int32(_PERIODS)), scene.lanes)
-            return count * _PERIODS
+                self.lanes(iterate, (scene.strobe(), np.int32(TANGENT_PERIODS)), scene.lanes)
+            return count * TANGENT_PERIODS
 
         return run
 
@@ -73,4 +75,4 @@ class Contestant(Splittings[TangentScene]):
 
 
 def _options(exponents: int) -> lyapunov.LyapunovOptions:
-    return lyapunov.LyapunovOptions(transient=0, periods=_PERIODS, exponents=exponents)
+    return lyapunov.LyapunovOptions(transient=0, periods=TANGENT_PERIODS, exponents=exponents)

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from sweeps.peers_cases import HELD_OUT_SEED, LANES, Case
-from sweeps.peers_scene import PERIODS, TRANSIENT, Setting
+from sweeps.peers_scene import PERIODS, TANGENT_PERIODS, TRANSIENT, WHOLE, Setting
 
 PACKAGES = ("jaxnh", "jax", "jaxlib", "diffrax", "equinox", "heyoka", "scipy", "numpy")
 AT_OWN_ERROR = "jaxnh, at heyoka's own error"
@@ -166,9 +166,12 @@ def _said_before(grid: Grid, study: Study) -> list[str]:
         ]
     if grid.title == _SPECTRA:
         return [
-            "Both orthonormalise three tangents equally often, as often as jaxnh's analysis has chosen to before the "
-            "timing; heyoka also after whole steps, nearly as often, so that no step is cut short. Python's share is "
-            "that of its calls and of its Gram–Schmidt, which heyoka has compiled: the ratio without it takes both off."
+            f"A row of jaxnh averages the growth of tangents over {TANGENT_PERIODS} periods; the whole analysis also "
+            "looks for the orbit of every lane that is on one, takes its exponents from there, and errors from twice "
+            "the steps. Both orthonormalise three tangents equally often, as often as jaxnh's analysis has chosen to "
+            "before the timing; heyoka also after whole steps, nearly as often, so that no step is cut short. Python's "
+            "share is that of its calls and of its Gram–Schmidt, which heyoka has compiled: the ratio without it takes "
+            "both off."
         ]
     return []
 
@@ -299,7 +302,7 @@ def write(output: Path, page: Callable[[str], str], console: Console) -> None:
 
 def cells_of(row: Row, *, median: bool = False) -> tuple[str, ...]:
     """A row as texts; the median error after the largest where it is asked for."""
-    mark = _HEYOKA if row.name == AT_OWN_ERROR else ""
+    mark = _HEYOKA if row.name in (AT_OWN_ERROR, WHOLE) else ""
     driven = f"; Python's share {statistics.median(row.python):.1%}" if row.python else ""
     itself = row.name == "jaxnh"
     return (

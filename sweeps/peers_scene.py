@@ -14,8 +14,13 @@ import numpy as np
 
 TRANSIENT = 30
 """Periods after the start at which the second state of every value of b is taken."""
+WHOLE = "jaxnh, the whole analysis"
+"""Row of all that the analysis `lyapunov` does: averages, the orbits of lanes that are on one, and errors."""
 PERIODS = 64
 """Periods a call of the timed programs of jaxnh and of heyoka."""
+
+TANGENT_PERIODS = 256
+"""Periods a call of the timed programs of spectra."""
 
 _CLOSE = 0.9  # an error in [0.9, 1] of the target meets it closely enough to stop the search
 _MOST_TRIES = 14

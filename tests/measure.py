@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import taylor
 
-from jaxnh.analyses.base import Axis, Scene, spread
+from jaxnh.analyses.scene import Axis, Scene, spread
 from jaxnh.engine.axes import Points
 from jaxnh.engine.calibration import Calibration
 from jaxnh.maps.build import make_strobe

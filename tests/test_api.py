@@ -307,7 +307,7 @@ OTHERS = {
     },
     "fault_of": {"plotting/reading.py": "a DamagedError, or the very error that was met: an ordinary failure"},
     "ValueError": {
-        "analyses/base.py": "a scene without a line: an error of the caller's program",
+        "analyses/scene.py": "a scene without a line: an error of the caller's program",
         "maps/general_flow.py": "lanes with a parameter that the flow does not know of: likewise",
         "systems/particle.py": "no common period: an argument of a constructor; caught by the config",
     },

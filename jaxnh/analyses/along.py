@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxnh.analyses.base import LaneRunner, Scene, picked
+from jaxnh.analyses.scene import LaneRunner, Scene, picked
 
 _TILE = 8  # lanes a tile, whatever was asked for: most values have one lane
 

@@ -1,4 +1,4 @@
-"""What every analysis takes and gives: a scene and a way to run lanes in, a dataset out. No files.
+"""What an analysis is: options and a scene (`scene`) in, a dataset out, and what it costs (`price`). No files.
 
 An analysis is one file: its options, what it needs, its numbers, its table for the terminal and its panel of figures;
 `analyses.ANALYSES` lists them. Its dataset has the lanes as dimension `LANE`, which the engine turns into the axes of
@@ -7,27 +7,19 @@ the sweep.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple, Protocol
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int
 from pydantic import BaseModel, ConfigDict
 from pydantic_core import PydanticCustomError
 
+from jaxnh.analyses.price import Price
+from jaxnh.analyses.scene import Axis, LaneRunner, Scene
 from jaxnh.exceptions import InputError
-from jaxnh.maps.along import StrobeAlong
-from jaxnh.maps.build import make_strobe
-from jaxnh.maps.iterate import derivatives, iterate
-from jaxnh.maps.protocol import Strobe
-from jaxnh.maps.single_precision import in_precision
-from jaxnh.solvers import Solver
-from jaxnh.systems.flow import Flow, State
+from jaxnh.systems.flow import Flow
 
 LANE = "lane"
 """Dimension of lanes side by side."""
@@ -64,24 +56,6 @@ class OptionError(InputError):
         self.key = key
 
 
-@dataclass(frozen=True)
-class Axis:
-    """One axis of a sweep.
-
-    Attributes:
-        name: of the parameter, or of the coordinate of the start state; the name of the dimension in results.
-        values: in the order of the config, (n,).
-        long_name: what it is, in words, its name included.
-        kind: "lane", a parameter that lanes side by side may differ in; "start", a coordinate of the start state;
-            "shared", a parameter that changes what all lanes of a program share, as the table of kicks.
-    """
-
-    name: str
-    values: Float[np.ndarray, " n"]
-    long_name: str
-    kind: Literal["lane", "start", "shared"] = "lane"
-
-
 class Setting(NamedTuple):
     """What `Analysis.check` may look at.
 
@@ -105,161 +79,6 @@ class Setting(NamedTuple):
         names = [axis.name for axis in self.axes if axis.kind == "lane"]
         names = names[:1] or sorted(name for name in self.flow.parameters if not self.flow.shares(name))[-1:]
         return f"; put a parameter such as {names[0]} first" if names else ""
-
-
-# ---- what an analysis is given
-
-
-@dataclass(frozen=True)
-class Scene:
-    """Lanes of one system, and the solver that meets the accuracy asked for.
-
-    Attributes:
-        system: the flow, or without a clock the flow on its section.
-        start: start states, components (lanes,).
-        p: parameters that lanes have of their own, by name, each (lanes,).
-        solver, steps, compensated: what P is computed with.
-        error_estimate: error of one period's map that about one in 10,000 of the periods of a sweep's lanes exceeds.
-        place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
-        along: the first axis, where the lanes are those along it, at one point of all others.
-        flow_at: where all lanes share the parameter that is this axis, the system at a value of it; else None.
-        chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
-        precision: "float64" or, where asked for, "float32", of the arithmetic within a period.
-    """
-
-    system: Flow
-    start: State
-    p: Mapping[str, Float[np.ndarray, " lanes"]]
-    solver: Solver
-    steps: int
-    compensated: bool
-    error_estimate: float
-    place: Int[np.ndarray, " lanes"] | None = None
-    along: Axis | None = None
-    flow_at: Callable[[float], Flow] | None = None
-    chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
-    precision: str = "float64"
-
-    @property
-    def count(self) -> int:
-        """Number of lanes."""
-        return len(jax.tree.leaves(self.start)[0])
-
-    @property
-    def lanes(self) -> tuple[State, Mapping[str, Float[np.ndarray, " lanes"]]]:
-        """Start states and parameters, as lane functions take them."""
-        return self.start, dict(self.p)
-
-    @property
-    def places(self) -> Int[np.ndarray, " lanes"]:
-        """Place of each lane along the first axis."""
-        return np.arange(self.count) if self.place is None else self.place
-
-    @property
-    def flow(self) -> Flow:
-        """The system in continuous time."""
-        return self.system.flow
-
-    def in_time(self) -> Scene:
-        """The same scene with no section, for what is an average or a path over time."""
-        return replace(self, system=self.flow, start=self.start.state) if self.flow is not self.system else self
-
-    def take(self, lanes: slice | Int[np.ndarray, " some"]) -> Scene:
-        """The scene of some of its lanes: a slice, or an array of their numbers."""
-        start, p = picked((self.start, dict(self.p)), lanes)
-        along = self.along and replace(self.along, values=self.along.values[lanes])
-        return replace(self, start=start, p=p, place=self.places[lanes], along=along)
-
-    @property
-    def line(self) -> Axis:
-        """The first axis, along which the lanes lie.
-
-        Raises:
-            ValueError: they do not lie along one.
-        """
-        if self.along is None:
-            raise ValueError("the lanes of this scene do not lie along one axis")
-        return self.along
-
-    def at(self, values: Float[np.ndarray, " points"]) -> Scene:
-        """The scene at other values along the first axis, the start state and all else as in its first lane."""
-        along = replace(self.line, values=np.asarray(values))
-
-        def repeated(leaf: np.ndarray) -> np.ndarray:
-            return np.full(len(values), leaf[0])
-
-        start, p = jax.tree.map(repeated, (self.start, dict(self.p)))
-        return replace(self, start=start, p={**p, along.name: along.values}, place=None, along=along)
-
-    def moved(self, value: float) -> Scene:
-        """The scene under the system at a value of the first axis, which all lanes share."""
-        assert self.flow_at is not None
-        return replace(self, system=self.flow_at(value), flow_at=None)
-
-    def strobe(self, refinement: float = 1) -> Strobe:
-        """P with `refinement` times the steps that the accuracy asks for; of a shared axis, one for each value."""
-        if self.flow_at is not None:
-
-            @functools.cache
-            def at(value: float) -> Strobe:
-                return self.moved(value).strobe(refinement)
-
-            return StrobeAlong(self.system, self.line.name, at)
-        steps = round(self.steps * refinement)
-        strobe = make_strobe(self.system, self.solver, steps, compensated=self.compensated)
-        return in_precision(strobe, self.precision)
-
-
-def picked(tree: Any, lanes: slice | Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"]) -> Any:
-    """Some lanes of a pytree whose leaves have the lanes as first axis."""
-
-    def some(leaf: np.ndarray) -> np.ndarray:
-        return leaf[lanes]
-
-    return jax.tree.map(some, tree)
-
-
-def spread(start: State, lanes: int) -> State:
-    """A start state of floats as lanes, components of shape (lanes,)."""
-
-    def lane(component: float) -> np.ndarray:
-        return np.full(lanes, component, float)
-
-    return jax.tree.map(lane, start)
-
-
-def section_points(scene: Scene) -> Float[np.ndarray, "lanes dimension"]:
-    """Section coordinates of the start states, on the host."""
-    return scene.system.section_point(scene.start)
-
-
-def counted_in(system: Flow) -> str:
-    """Units of a number of iterates of a system's map: periods, crossings, or without either units of time."""
-    if system.flow is not system:
-        return "crossings"
-    if not system.autonomous:
-        return "periods"
-    return "units of time 2 pi/omega" if "omega" in system.parameters else "units of time"
-
-
-class LaneRunner(Protocol):
-    """Runs a per-lane function over any number of lanes (`jaxnh.engine.lanes.Lanes`)."""
-
-    def __call__(
-        self,
-        function: Callable[..., Any],
-        shared: tuple[Any, ...],
-        lanes: tuple[Any, ...],
-        *,
-        periods: float = 0.0,
-        tile: int | None = None,
-        static: tuple[Any, ...] = (),
-    ) -> Any:
-        """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
-
-    def stage(self, label: str, total: float) -> AbstractContextManager[None]:
-        """Show the calls inside as one stage of `total` lane-periods."""
-        ...
 
 
 # ---- what an analysis gives
@@ -297,50 +116,6 @@ class Table(NamedTuple):
     ruled: bool = True
     bold: int | None = None
     breaks: tuple[int, ...] = ()
-
-
-class Program(NamedTuple):
-    """A compiled function of lanes that stands for a period of an analysis, for `jaxnh.cost --effects`.
-
-    Attributes:
-        function, shared, lanes, static, tile: as a `LaneRunner` takes them.
-        turns: how often its loops turn in a period, outermost first; of a `whole` program in a call, where it does not
-            say itself.
-        periods: periods a call.
-        whole: whether all of it counts, as it runs, and not the loop of a period alone.
-    """
-
-    function: Callable[..., Any]
-    shared: tuple[Any, ...]
-    lanes: tuple[Any, ...]
-    turns: tuple[float, ...]
-    static: tuple[Any, ...] = ()
-    periods: int = 1
-    tile: int | None = None
-    whole: bool = False
-
-
-class Price(NamedTuple):
-    """The program of an analysis (None: it is not measured), that without it, and a note that says why or how."""
-
-    with_it: Program | None
-    without_it: Program
-    note: str
-
-
-def map_alone(scene: Scene, strobe: Strobe | None = None, tile: int | None = None) -> Program:
-    """One period of the scene's own map, or of another one of the same lanes, and nothing else."""
-    strobe = scene.strobe() if strobe is None else strobe
-    return Program(iterate, (strobe, np.int32(1)), scene.lanes, (1.0, *strobe.turns), tile=tile)
-
-
-def newton_price(scene: Scene, tile: int) -> Price:
-    """A period of Newton on orbits: the map with a tangent for every coordinate, against the map alone."""
-    strobe = scene.strobe()
-    lanes = section_points(scene), dict(scene.p)
-    program = Program(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=tile)
-    note = f"{scene.system.dimension} tangents in every period of Newton, the map alone before it"
-    return Price(program, map_alone(scene, tile=tile), note)
 
 
 def _always(options: Any) -> bool:

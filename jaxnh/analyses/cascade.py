@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.base import LaneRunner, Scene
 from jaxnh.analyses.daughter import FEIGENBAUM, daughters, window
 from jaxnh.analyses.locating import locate
 from jaxnh.analyses.period import apart, first_points, survey
 from jaxnh.analyses.runs import Line, Start, seen, starts
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.orbits.doubling_points import DoublingPoint
 
 TRANSIENT = 512

@@ -24,7 +24,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Price, Program, Scene, map_alone, variable
+from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Parameters, State

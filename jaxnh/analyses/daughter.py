@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.base import LaneRunner, Scene, picked
 from jaxnh.analyses.period import CONVERGED, apart, largest_multiplier, least_period, orbits
 from jaxnh.analyses.runs import Line
+from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.orbits.doubling_points import DoublingPoint
 
 FEIGENBAUM = 4.669201609102990

@@ -18,20 +18,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Int
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.base import (
-    LANE,
-    Analysis,
-    LaneRunner,
-    OptionError,
-    Options,
-    Price,
-    Program,
-    Scene,
-    Setting,
-    map_alone,
-    rule,
-)
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, rule
 from jaxnh.analyses.poincare import recording, strobe_states
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.states import check_transient, count, section_attrs, settled, state_variables
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate

@@ -11,22 +11,11 @@ from jaxtyping import Float
 from pydantic import Field
 
 from jaxnh.analyses.along import value_by_value
-from jaxnh.analyses.base import (
-    Analysis,
-    Axis,
-    LaneRunner,
-    OptionError,
-    Options,
-    Price,
-    Scene,
-    Setting,
-    Table,
-    counted_in,
-    newton_price,
-    variable,
-)
+from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, Table, variable
 from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow
 from jaxnh.analyses.locating import PERIOD_TILE
+from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.systems.flow import Flow
 
 _NUMBERS = ("delta_limit", "delta_limit_error", "levels_found")  # a cascade; attributes of the only one of a file

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from jaxnh.analyses.base import LaneRunner, Scene
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.build import between, cut_strobe
 from jaxnh.maps.protocol import Strobe, Tangent
 from jaxnh.maps.single_precision import in_precision
@@ -111,6 +111,18 @@ def average(
     shared = (strobes, quadrature, np.int32(count), np.float64(begun))
     growth = lanes(advance, shared, (growth, p), periods=count, tile=tile)
     return growth, np.stack([*growth.logs, growth.volume, growth.divergence], axis=-1) / count
+
+
+def turn(
+    lanes: LaneRunner, strobes: Strobe, growth: Growth, p: Parameters, counts: Int[np.ndarray, " lanes"], tile: int
+) -> tuple[Growth, Float[np.ndarray, "lanes k"]]:
+    """Lanes as many periods on as each of them counts, and growth a period of each tangent."""
+    growth = lanes(_advance_each, (strobes,), (growth, p, counts.astype(np.int32)), tile=tile)
+    return growth, np.stack(growth.logs, axis=-1) / counts[:, None]
+
+
+def _advance_each(strobes: Strobe, growth: Growth, p: Parameters, count: Array) -> Growth:
+    return advance(strobes, None, count, 0.0, growth, p)
 
 
 def begin(system: Flow, state: State, k: int) -> Growth:

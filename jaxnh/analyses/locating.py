@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.base import LaneRunner, Scene
 from jaxnh.analyses.period import ORBIT_TILE
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import Derivatives, derivatives, section_map
 from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch, moved_doubling

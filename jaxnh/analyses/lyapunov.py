@@ -20,24 +20,12 @@ import xarray as xr
 from jaxtyping import Float, Int, Int8
 from pydantic import Field
 
-from jaxnh.analyses.base import (
-    LANE,
-    Analysis,
-    LaneRunner,
-    OptionError,
-    Options,
-    Price,
-    Program,
-    Scene,
-    Setting,
-    counted_in,
-    map_alone,
-    picked,
-    variable,
-)
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, variable
 from jaxnh.analyses.exponent_errors import nearly_neutral, of_blocks, of_windows, smooth_parts, unseen_bursts
 from jaxnh.analyses.growth import BLOCKS, Growth, advance, average, begin, parts_of, quadrature
 from jaxnh.analyses.orbit_exponents import on_orbits
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.maps.iterate import iterate
 
 SOURCES = ("average", "smooth_average", "orbit")

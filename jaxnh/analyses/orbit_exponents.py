@@ -11,11 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnh.analyses.base import LaneRunner, Scene, picked
-from jaxnh.analyses.growth import Growth, average, parts_of
+from jaxnh.analyses.growth import Growth, parts_of, turn
 from jaxnh.analyses.period import ORBIT_TILE, Survey, orbits, survey
-from jaxnh.orbits.newton import Orbit
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.analyses.scene import LaneRunner, Scene, picked
+from jaxnh.systems.flow import Flow, State
 
 _LONGEST = 64  # period of an orbit that is looked for
 _SEEN = 1e-6  # a multiplier below this share of the monodromy matrix is left to tangents
@@ -49,68 +48,62 @@ def on_orbits(
         parts: orthonormalisations a period.
         longest: period that is looked for, at most.
     """
-    k = len(growth.tangents)
     scene, growth = scene.take(candidates), picked(growth, candidates)
-    p = dict(scene.p)
     found = survey(scene, lanes, scene.system.section_point(growth.state), min(longest, _LONGEST), "lyapunov", 0)
     settled = np.flatnonzero(found.period > 0)
-    logs, error = np.full((2, len(settled), k), np.nan)
-    for n in np.unique(found.period[settled]):
-        here = np.flatnonzero(found.period[settled] == n)
-        some = settled[here]
-        coarse, fine = (
-            _logs(scene, lanes, picked(growth, some), picked(p, some), picked(found, some), int(n), parts, refinement)
-            for refinement in (1, 2)
-        )
-        logs[here] = coarse[0]
-        error[here] = 2.0 * np.abs(coarse[0] - fine[0]) + coarse[1]
+    if not len(settled):
+        return OrbitExponents(settled, *np.empty((2, 0, len(growth.tangents))))
+    settled = settled[np.argsort(found.period[settled], kind="stable")]  # tiles of lanes that take equally long
+    some = scene.take(settled), lanes, picked(growth, settled), picked(found, settled), parts
+    (logs, rounding), (fine, _) = (_logs(*some, refinement) for refinement in (1, 2))
+    error = 2.0 * np.abs(logs - fine) + rounding
     kept = np.all(np.isfinite(logs) & np.isfinite(error), axis=1)
     return OrbitExponents(candidates[settled[kept]], logs[kept], error[kept])
 
 
 def _logs(
-    scene: Scene,
-    lanes: LaneRunner,
-    growth: Growth,
-    p: Parameters,
-    found: Survey,
-    n: int,
-    parts: int,
-    refinement: int,
+    scene: Scene, lanes: LaneRunner, growth: Growth, found: Survey, parts: int, refinement: int
 ) -> tuple[Float[np.ndarray, "lanes k"], Float[np.ndarray, "lanes k"]]:
-    """ln|μ|/n of orbits of period n, as a survey has found them, largest first, and its rounding.
-
-    With `refinement` times the steps.
-    """
-    k = len(growth.tangents)
-    orbit = orbits(lanes, scene.strobe(refinement), found.u, p, n, found.size)
+    """ln|μ|/n of the orbits that a survey has found, largest first, and its rounding, with refined steps."""
+    k, n = len(growth.tangents), found.period
+    orbit = orbits(lanes, scene.strobe(refinement), found.u, dict(scene.p), n, found.size)
     moduli = np.sort(np.abs(np.linalg.eigvals(orbit.monodromy)), axis=1)[:, ::-1][:, :k]
     share = moduli / np.linalg.norm(orbit.monodromy, axis=(1, 2))[:, None]
     with np.errstate(divide="ignore"):
-        logs, rounding = np.log(moduli) / n, _ROUNDING / share / n
-    lost = np.flatnonzero(~np.all(share > _SEEN, axis=1))
+        logs, rounding = np.log(moduli) / n[:, None], _ROUNDING / share / n[:, None]
+    unseen = ~(share > _SEEN)
+    lost = np.flatnonzero(np.any(unseen, axis=1))
     if len(lost):
-        around = picked(growth, lost), picked(p, lost), picked(orbit, lost)
-        carried, moved = _carried(scene, lanes, *around, n, parts, refinement)
-        unseen = share[lost] <= _SEEN
-        logs[lost] = np.where(unseen, carried, logs[lost])
-        rounding[lost] = np.where(unseen, moved + _ROUNDING, rounding[lost])
+        some = picked(growth, lost), orbit.u[lost], n[lost]
+        carried, moved = _carried(scene.take(lost), lanes, *some, parts, refinement)
+        logs[lost] = np.where(unseen[lost], carried, logs[lost])
+        rounding[lost] = np.where(unseen[lost], moved + _ROUNDING, rounding[lost])
     return logs, rounding
 
 
 def _carried(
-    scene: Scene, lanes: LaneRunner, growth: Growth, p: Parameters, orbit: Orbit, n: int, parts: int, refinement: int
+    scene: Scene,
+    lanes: LaneRunner,
+    growth: Growth,
+    u: Float[np.ndarray, "lanes d"],
+    n: Int[np.ndarray, " lanes"],
+    parts: int,
+    refinement: int,
 ) -> tuple[Float[np.ndarray, "lanes k"], Float[np.ndarray, "lanes k"]]:
-    """Growth a period of tangents carried around orbits until a turn changes it no more, and its last change."""
-    strobes, k = parts_of(scene, parts, refinement), len(growth.tangents)
-    growth, _ = average(lanes, strobes, growth, p, 1, tile=ORBIT_TILE)  # to the point that the orbit begins at
-    growth = growth._replace(state=lanes(_state_at, (scene.system,), (orbit.u,), tile=ORBIT_TILE))
-    rates, moved = np.full((2, len(orbit.u), k), np.inf)
-    going = np.arange(len(orbit.u))
+    """Growth a period of tangents carried around orbits of periods n, until a turn changes it no more, and its change.
+
+    Args:
+        growth: of lanes near their orbits, a period before the point u of the orbit.
+    """
+    strobes, k, p = parts_of(scene, parts, refinement), len(growth.tangents), dict(scene.p)
+    growth, _ = turn(lanes, strobes, growth, p, np.ones_like(n), tile=ORBIT_TILE)
+    growth = growth._replace(state=lanes(_state_at, (scene.system,), (u,), tile=ORBIT_TILE))
+    rates, moved = np.full((2, len(u), k), np.inf)
+    going = np.arange(len(u))
     for _ in range(_TURNS):
-        growth, sums = average(lanes, strobes, growth, picked(p, going), n, tile=ORBIT_TILE)
-        moved[going] = np.abs(sums[:, :k] - rates[going])
-        rates[going] = sums[:, :k]
+        growth, sums = turn(lanes, strobes, growth, picked(p, going), n[going], tile=ORBIT_TILE)
+        moved[going] = np.abs(sums - rates[going])
+        rates[going] = sums
         left = ~np.all(moved[going] < _SETTLED, axis=1)
         going, growth = going[left], picked(growth, left)
         if not len(going):

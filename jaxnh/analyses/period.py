@@ -17,19 +17,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 from pydantic import Field
 
-from jaxnh.analyses.base import (
-    LANE,
-    Analysis,
-    LaneRunner,
-    Options,
-    Price,
-    Scene,
-    counted_in,
-    newton_price,
-    picked,
-    section_points,
-    variable,
-)
+from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked, section_points
 from jaxnh.maps.iterate import iterate, record, section_map
 from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.newton import Look, Orbit, find_doubled, find_orbits, look
@@ -193,17 +183,27 @@ def orbits(
     strobe: Strobe,
     u: Float[np.ndarray, "lanes d"],
     p: Parameters,
-    n: int,
+    n: int | Int[np.ndarray, " lanes"],
     size: Float[np.ndarray, "lanes d"] | None = None,
 ) -> Orbit:
-    """`find_orbits` of period n over lanes, whose parameters are (lanes,) and whose motions have these sizes, or 1."""
-    tile = ORBIT_TILE if n <= _SHORT else _LONG_TILE
+    """`find_orbits` of period n over lanes, whose parameters are (lanes,) and whose motions have these sizes, or 1.
 
-    def look_at(u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> Look:
-        at = (u, picked(p, some), *(() if size is None else sizes(strobe.system, size[some])))
-        return lanes(look, (strobe, np.int32(n)), at, tile=tile)
+    Lanes of like periods wait least for each other where they are neighbours.
+    """
+    n = np.broadcast_to(np.asarray(n, np.int32), len(u))
 
-    return find_orbits(look_at, u)
+    def of(lane: Int[np.ndarray, " group"], tile: int) -> Orbit:
+        def look_at(u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> Look:
+            which = lane[some]
+            at = (n[which], u, picked(p, which), *(() if size is None else sizes(strobe.system, size[which])))
+            return lanes(look, (strobe,), at, tile=tile)
+
+        return find_orbits(look_at, u[lane])
+
+    short, long = np.flatnonzero(n <= _SHORT), np.flatnonzero(n > _SHORT)
+    groups = [(lane, tile) for lane, tile in ((short, ORBIT_TILE), (long, _LONG_TILE)) if len(lane)]
+    found = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(of(*group) for group in groups))
+    return picked(found, np.argsort(np.concatenate([lane for lane, _ in groups])))
 
 
 def sizes(system: Flow, size: Float[np.ndarray, "lanes d"]) -> tuple[Float[np.ndarray, "lanes d"], ...]:

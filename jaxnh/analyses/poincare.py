@@ -11,18 +11,9 @@ import numpy as np
 import xarray as xr
 from pydantic import Field
 
-from jaxnh.analyses.base import (
-    LANE,
-    Analysis,
-    LaneRunner,
-    Options,
-    Price,
-    Program,
-    Scene,
-    Setting,
-    map_alone,
-    variable,
-)
+from jaxnh.analyses.base import LANE, Analysis, Options, Setting, variable
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.states import TILE, check_transient, count, section_attrs, settled, state_variables
 from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import Strobe

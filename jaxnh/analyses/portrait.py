@@ -8,7 +8,9 @@ import xarray as xr
 from jax import lax
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Price, Program, Scene, map_alone, variable
+from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.states import TILE, count, settled, state_variables
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import Strobe

@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, LaneRunner, OptionError, Scene, Setting, variable
+from jaxnh.analyses.base import Entry, OptionError, Setting, variable
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.section import SectionedFlow

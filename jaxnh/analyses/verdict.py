@@ -35,7 +35,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, LaneRunner, Options, Price, Scene, map_alone, picked, variable
+from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.price import Price, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Flow, Parameters, State

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from rich.console import Console
 
-from jaxnh.analyses.base import Scene
+from jaxnh.analyses.scene import Scene
 from jaxnh.cli.arguments import called
 from jaxnh.cli.terminal import progress, show
 from jaxnh.config.experiment import Experiment

@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import Analysis, Axis, OptionError, Options, Setting, rule
+from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, rule
+from jaxnh.analyses.scene import Axis
 from jaxnh.config.blocks import Accuracy, Analyses, Block, Published, SectionBlock, SystemBlock
 from jaxnh.config.layout import layout, user_layout
 from jaxnh.config.messages import close_match, first_fault

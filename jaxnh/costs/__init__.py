@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import xarray as xr
 
-from jaxnh.analyses.base import LaneRunner, Scene, Table
+from jaxnh.analyses.base import Table
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.costs import doubling, exponent, tables
 
 

@@ -19,9 +19,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses import cascade
-from jaxnh.analyses.base import Entry, LaneRunner, Scene, section_points, variable
+from jaxnh.analyses.base import Entry, variable
 from jaxnh.analyses.locating import period_map, refined, walk
 from jaxnh.analyses.period import CONVERGED, orbits
+from jaxnh.analyses.scene import LaneRunner, Scene, section_points
 from jaxnh.costs.stage import Inside
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import Strobe

@@ -17,7 +17,9 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.analyses import lyapunov
-from jaxnh.analyses.base import LANE, Analysis, Entry, LaneRunner, Options, Price, Program, Scene, map_alone, variable
+from jaxnh.analyses.base import LANE, Analysis, Entry, Options, variable
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.costs.operations import count
 from jaxnh.costs.stage import Inside
 from jaxnh.engine.lanes import Lanes

@@ -15,7 +15,8 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from jaxnh.analyses import lyapunov
-from jaxnh.analyses.base import LaneRunner, Scene, counted_in, variable
+from jaxnh.analyses.base import variable
+from jaxnh.analyses.scene import LaneRunner, Scene, counted_in
 from jaxnh.costs.stage import Inside
 
 _SEARCHED = 256  # lanes of the sweep among which the most chaotic is looked for

@@ -20,7 +20,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, Scene, variable
+from jaxnh.analyses.base import Entry, variable
+from jaxnh.analyses.scene import Scene
 from jaxnh.engine.calibration import Calibration
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe

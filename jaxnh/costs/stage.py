@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from jaxnh.analyses.base import LaneRunner
+from jaxnh.analyses.scene import LaneRunner
 
 
 class Inside:

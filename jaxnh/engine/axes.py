@@ -10,7 +10,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.base import LANE, Axis, variable
+from jaxnh.analyses.base import LANE, variable
+from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
 from jaxnh.storage.pieces import Piece
 from jaxnh.systems.flow import Flow, State

@@ -12,7 +12,8 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import LANE, Analysis, Axis, Options, Scene
+from jaxnh.analyses.base import LANE, Analysis, Options
+from jaxnh.analyses.scene import Axis, Scene
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.axes import Points, on_axes, places_of, points, sampled
 from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan

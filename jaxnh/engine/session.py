@@ -12,7 +12,8 @@ import xarray as xr
 from jax.typing import ArrayLike
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import Axis, Options
+from jaxnh.analyses.base import Options
+from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers
 from jaxnh.engine.calibration import Plan

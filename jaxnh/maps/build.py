@@ -24,7 +24,7 @@ from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver, dopri8, tsit5
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.particle import IsokineticParticle
 
-_SMALLEST_TABLE = 1024
+_SMALLEST_TABLE = 8192  # rows of all parts: maps of most steps, and refined ones, run through one program
 _SMALLEST_STEP = 64  # kicks of a step: as many as any splitting has, so that all run through one program
 
 
@@ -103,18 +103,18 @@ class Kicks:
         compensated: bool,
     ) -> Strobe:
         if solver.processed:
-            table = processed_table(flow, solver, each, (ends[:-1], ends[1:]))
+            table = processed_table(flow, solver, each, (ends[:-1], ends[1:]), smallest=_SMALLEST_TABLE // len(grid))
         else:
-            table = kick_table(flow, solver, grid)
+            table = kick_table(flow, solver, grid, smallest=_SMALLEST_TABLE // len(grid))
         return KickStrobe(_stacked(flow.tabulated(), len(grid)), *table, compensated)
 
     def cut(self, flow: Any, solver: Any, each: int, grid: np.ndarray, *, compensated: bool) -> Strobe:
         parts = len(grid)
         if solver.processed:
             whole = processed_table(flow, solver, each * parts, (0.0, flow.period))
-            table = cut_table(whole, parts, each * solver.stages)
+            table = cut_table(whole, parts, each * solver.stages, smallest=_SMALLEST_TABLE // parts)
         else:
-            table = kick_table(flow, solver, grid)
+            table = kick_table(flow, solver, grid, smallest=_SMALLEST_TABLE // parts)
         return KickStrobe(_stacked(flow.tabulated(), parts), *table, compensated)
 
 

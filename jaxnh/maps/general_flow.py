@@ -10,6 +10,7 @@ coordinates and velocities the map has m multipliers zero.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -27,7 +28,7 @@ from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow, Parameters, State
 
-_SMALLEST_GRID = 1024
+_SMALLEST_GRID = 2048  # steps of all parts: most accuracies, and refined ones, run through one program
 _LARGEST_STEP = 3000  # equations that are written out in a step; larger ones compile for minutes, and get a loop
 _CACHE = 24 << 10  # bytes of a core's first cache for the stages of a tile
 _MOST_LANES, _FEWEST_LANES = 256, 32
@@ -233,7 +234,7 @@ def general_strobe(
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
     values: tuple[Any, ...] = ()
     if isinstance(solver, WrittenOutRungeKutta):
-        capacity = max(_SMALLEST_GRID, 1 << (count - 1).bit_length())
+        capacity = 1 << (max(_SMALLEST_GRID // math.prod(parts), count) - 1).bit_length()
         grid = np.concatenate([grid, np.repeat(grid[..., -1:], capacity - count, axis=-1)], axis=-1)
         times = grid[..., :-1, None] + np.diff(grid)[..., None] * np.asarray(solver.c[: solver.stages])
         values = tuple(np.asarray(value) for value in split_of(system).table(times, system))

@@ -52,7 +52,7 @@ def processed_table(
     return _table(kicks, drift[..., -1], max(smallest, kicks.shape[-2]))
 
 
-def cut_table(whole: Table, parts: int, kicks: int) -> Table:
+def cut_table(whole: Table, parts: int, kicks: int, *, smallest: int = 1) -> Table:
     """A map's table cut between kicks into tables of so many, (parts, …); what is over goes to the first and the last.
 
     A part ends with a kick: the drift after it begins the next.
@@ -61,7 +61,8 @@ def cut_table(whole: Table, parts: int, kicks: int) -> Table:
     cuts = (int(count) - parts * kicks) // 2 + kicks * np.arange(parts + 1)
     cuts[0], cuts[-1] = 0, count
     counts = np.diff(cuts)
-    table = np.zeros((parts, 1 << (int(counts.max()) - 1).bit_length(), rows.shape[-1]))
+    capacity = max(smallest, int(counts.max()))
+    table = np.zeros((parts, 1 << (capacity - 1).bit_length(), rows.shape[-1]))
     for i, (first, after) in enumerate(itertools.pairwise(cuts)):
         table[i, : after - first] = rows[first:after]
     return table, counts.astype(np.int32), np.append(np.zeros(parts - 1), rest)

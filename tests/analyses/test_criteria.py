@@ -14,8 +14,8 @@ from conftest import ROOT
 from measure import scene_of
 
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
-from jaxnh.analyses.base import spread
 from jaxnh.analyses.growth import gram_schmidt
+from jaxnh.analyses.scene import spread
 from jaxnh.costs.operations import count
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe

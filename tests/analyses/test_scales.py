@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses import chaos01, doubling, lyapunov, period, verdict
-from jaxnh.analyses.base import Axis, Scene, spread
+from jaxnh.analyses.scene import Axis, Scene, spread
 from jaxnh.engine.lanes import Lanes
 from jaxnh.solvers import dopri8
 from jaxnh.systems.first_order import Point, first_order

@@ -10,7 +10,8 @@ import pytest
 from measure import scene_of
 
 from jaxnh.analyses import ANALYSES, cascade, diagram, lyapunov, period, poincare
-from jaxnh.analyses.base import LANE, Axis, OptionError, Setting, section_points
+from jaxnh.analyses.base import LANE, OptionError, Setting
+from jaxnh.analyses.scene import Axis, section_points
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.free_particle import free_particle

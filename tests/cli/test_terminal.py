@@ -11,8 +11,9 @@ import xarray as xr
 from rich.console import Console
 
 from jaxnh.analyses import doubling
-from jaxnh.analyses.base import Axis, Table
+from jaxnh.analyses.base import Table
 from jaxnh.analyses.cascade import Cascade
+from jaxnh.analyses.scene import Axis
 from jaxnh.cli import terminal
 from jaxnh.systems.particle import constant_speed
 

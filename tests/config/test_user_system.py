@@ -18,7 +18,7 @@ from conftest import ROOT
 from measure import SYSTEMS
 
 from jaxnh.analyses import ANALYSES, doubling, lyapunov
-from jaxnh.analyses.base import Axis, Scene
+from jaxnh.analyses.scene import Axis, Scene
 from jaxnh.config.experiment import load
 from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read

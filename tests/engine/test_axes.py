@@ -11,7 +11,8 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxnh.analyses.base import LANE, Axis, variable
+from jaxnh.analyses.base import LANE, variable
+from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.axes import on_axes, places_of, points, sampled
 from jaxnh.engine.calibration import SAMPLED_LANES

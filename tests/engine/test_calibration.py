@@ -10,7 +10,7 @@ import pytest
 import taylor
 from measure import SYSTEMS, UNIT, apart, calibrated, twin
 
-from jaxnh.analyses.base import spread
+from jaxnh.analyses.scene import spread
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate, section_map

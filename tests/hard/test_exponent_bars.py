@@ -13,7 +13,7 @@ import taylor
 from measure import calibrated, scene_of, twin
 
 from jaxnh.analyses import lyapunov, period
-from jaxnh.analyses.base import Scene
+from jaxnh.analyses.scene import Scene
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.iterate import record
 from jaxnh.solvers import SPLITTINGS, dopri8

@@ -15,7 +15,7 @@ from measure import apart, scene_of, twin
 from scenes import PAPER_B, hold, hold_to_rounding, roundings, show, show_sum_rule, start_at
 
 from jaxnh.analyses import lyapunov
-from jaxnh.analyses.base import spread
+from jaxnh.analyses.scene import spread
 from jaxnh.config.experiment import load
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.build import make_strobe

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import taylor
 
-from jaxnh.analyses import base
+from jaxnh.analyses import scene
 from jaxnh.engine.axes import Points
 from jaxnh.engine.calibration import Calibration
 from jaxnh.maps.build import make_strobe
@@ -35,7 +35,7 @@ def without(*names, **others):
 
 
 def spread(start, count=LANES):
-    return base.spread(start, count)
+    return scene.spread(start, count)
 
 
 SECTIONS = {

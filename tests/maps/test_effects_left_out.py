@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from jaxnh.analyses import base
+from jaxnh.analyses import scene
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import SPLITTINGS, dopri8
@@ -28,7 +28,7 @@ def without(*names, **others):
 
 
 def spread(start, count=LANES):
-    return base.spread(start, count)
+    return scene.spread(start, count)
 
 
 def test_tables_have_no_forcing_that_is_left_out():

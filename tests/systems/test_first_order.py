@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses.base import spread
+from jaxnh.analyses.scene import spread
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import cut_strobe, make_strobe
 from jaxnh.maps.iterate import derivatives, iterate

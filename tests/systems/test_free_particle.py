@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from measure import UNIT
 
-from jaxnh.analyses.base import spread
+from jaxnh.analyses.scene import spread
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate

@@ -1,0 +1,56 @@
+"""What a period of an analysis costs: the compiled program that stands for it, beside the map alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxnh.analyses.scene import Scene, section_points
+from jaxnh.maps.iterate import derivatives, iterate
+from jaxnh.maps.protocol import Strobe
+
+
+class Program(NamedTuple):
+    """A compiled function of lanes that stands for a period of an analysis, for `jaxnh.cost --effects`.
+
+    Attributes:
+        function, shared, lanes, static, tile: as a `LaneRunner` takes them.
+        turns: how often its loops turn in a period, outermost first; of a `whole` program in a call, where it does not
+            say itself.
+        periods: periods a call.
+        whole: whether all of it counts, as it runs, and not the loop of a period alone.
+    """
+
+    function: Callable[..., Any]
+    shared: tuple[Any, ...]
+    lanes: tuple[Any, ...]
+    turns: tuple[float, ...]
+    static: tuple[Any, ...] = ()
+    periods: int = 1
+    tile: int | None = None
+    whole: bool = False
+
+
+class Price(NamedTuple):
+    """The program of an analysis (None: it is not measured), that without it, and a note that says why or how."""
+
+    with_it: Program | None
+    without_it: Program
+    note: str
+
+
+def map_alone(scene: Scene, strobe: Strobe | None = None, tile: int | None = None) -> Program:
+    """One period of the scene's own map, or of another one of the same lanes, and nothing else."""
+    strobe = scene.strobe() if strobe is None else strobe
+    return Program(iterate, (strobe, np.int32(1)), scene.lanes, (1.0, *strobe.turns), tile=tile)
+
+
+def newton_price(scene: Scene, tile: int) -> Price:
+    """A period of Newton on orbits: the map with a tangent for every coordinate, against the map alone."""
+    strobe = scene.strobe()
+    lanes = section_points(scene), dict(scene.p)
+    program = Program(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=tile)
+    note = f"{scene.system.dimension} tangents in every period of Newton, the map alone before it"
+    return Price(program, map_alone(scene, tile=tile), note)

@@ -1,0 +1,190 @@
+"""What an analysis is given: the lanes of one system with the solver that meets the accuracy, and a way to run them."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, Protocol
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxnh.maps.along import StrobeAlong
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.single_precision import in_precision
+from jaxnh.solvers import Solver
+from jaxnh.systems.flow import Flow, State
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a sweep.
+
+    Attributes:
+        name: of the parameter, or of the coordinate of the start state; the name of the dimension in results.
+        values: in the order of the config, (n,).
+        long_name: what it is, in words, its name included.
+        kind: "lane", a parameter that lanes side by side may differ in; "start", a coordinate of the start state;
+            "shared", a parameter that changes what all lanes of a program share, as the table of kicks.
+    """
+
+    name: str
+    values: Float[np.ndarray, " n"]
+    long_name: str
+    kind: Literal["lane", "start", "shared"] = "lane"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Lanes of one system, and the solver that meets the accuracy asked for.
+
+    Attributes:
+        system: the flow, or without a clock the flow on its section.
+        start: start states, components (lanes,).
+        p: parameters that lanes have of their own, by name, each (lanes,).
+        solver, steps, compensated: what P is computed with.
+        error_estimate: error of one period's map that about one in 10,000 of the periods of a sweep's lanes exceeds.
+        place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
+        along: the first axis, where the lanes are those along it, at one point of all others.
+        flow_at: where all lanes share the parameter that is this axis, the system at a value of it; else None.
+        chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
+        precision: "float64" or, where asked for, "float32", of the arithmetic within a period.
+    """
+
+    system: Flow
+    start: State
+    p: Mapping[str, Float[np.ndarray, " lanes"]]
+    solver: Solver
+    steps: int
+    compensated: bool
+    error_estimate: float
+    place: Int[np.ndarray, " lanes"] | None = None
+    along: Axis | None = None
+    flow_at: Callable[[float], Flow] | None = None
+    chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
+    precision: str = "float64"
+
+    @property
+    def count(self) -> int:
+        """Number of lanes."""
+        return len(jax.tree.leaves(self.start)[0])
+
+    @property
+    def lanes(self) -> tuple[State, Mapping[str, Float[np.ndarray, " lanes"]]]:
+        """Start states and parameters, as lane functions take them."""
+        return self.start, dict(self.p)
+
+    @property
+    def places(self) -> Int[np.ndarray, " lanes"]:
+        """Place of each lane along the first axis."""
+        return np.arange(self.count) if self.place is None else self.place
+
+    @property
+    def flow(self) -> Flow:
+        """The system in continuous time."""
+        return self.system.flow
+
+    def in_time(self) -> Scene:
+        """The same scene with no section, for what is an average or a path over time."""
+        return replace(self, system=self.flow, start=self.start.state) if self.flow is not self.system else self
+
+    def take(self, lanes: slice | Int[np.ndarray, " some"]) -> Scene:
+        """The scene of some of its lanes: a slice, or an array of their numbers."""
+        start, p = picked((self.start, dict(self.p)), lanes)
+        along = self.along and replace(self.along, values=self.along.values[lanes])
+        return replace(self, start=start, p=p, place=self.places[lanes], along=along)
+
+    @property
+    def line(self) -> Axis:
+        """The first axis, along which the lanes lie.
+
+        Raises:
+            ValueError: they do not lie along one.
+        """
+        if self.along is None:
+            raise ValueError("the lanes of this scene do not lie along one axis")
+        return self.along
+
+    def at(self, values: Float[np.ndarray, " points"]) -> Scene:
+        """The scene at other values along the first axis, the start state and all else as in its first lane."""
+        along = replace(self.line, values=np.asarray(values))
+
+        def repeated(leaf: np.ndarray) -> np.ndarray:
+            return np.full(len(values), leaf[0])
+
+        start, p = jax.tree.map(repeated, (self.start, dict(self.p)))
+        return replace(self, start=start, p={**p, along.name: along.values}, place=None, along=along)
+
+    def moved(self, value: float) -> Scene:
+        """The scene under the system at a value of the first axis, which all lanes share."""
+        assert self.flow_at is not None
+        return replace(self, system=self.flow_at(value), flow_at=None)
+
+    def strobe(self, refinement: float = 1) -> Strobe:
+        """P with `refinement` times the steps that the accuracy asks for; of a shared axis, one for each value."""
+        if self.flow_at is not None:
+
+            @functools.cache
+            def at(value: float) -> Strobe:
+                return self.moved(value).strobe(refinement)
+
+            return StrobeAlong(self.system, self.line.name, at)
+        steps = round(self.steps * refinement)
+        strobe = make_strobe(self.system, self.solver, steps, compensated=self.compensated)
+        return in_precision(strobe, self.precision)
+
+
+def picked(tree: Any, lanes: slice | Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"]) -> Any:
+    """Some lanes of a pytree whose leaves have the lanes as first axis."""
+
+    def some(leaf: np.ndarray) -> np.ndarray:
+        return leaf[lanes]
+
+    return jax.tree.map(some, tree)
+
+
+def spread(start: State, lanes: int) -> State:
+    """A start state of floats as lanes, components of shape (lanes,)."""
+
+    def lane(component: float) -> np.ndarray:
+        return np.full(lanes, component, float)
+
+    return jax.tree.map(lane, start)
+
+
+def section_points(scene: Scene) -> Float[np.ndarray, "lanes dimension"]:
+    """Section coordinates of the start states, on the host."""
+    return scene.system.section_point(scene.start)
+
+
+def counted_in(system: Flow) -> str:
+    """Units of a number of iterates of a system's map: periods, crossings, or without either units of time."""
+    if system.flow is not system:
+        return "crossings"
+    if not system.autonomous:
+        return "periods"
+    return "units of time 2 pi/omega" if "omega" in system.parameters else "units of time"
+
+
+class LaneRunner(Protocol):
+    """Runs a per-lane function over any number of lanes (`jaxnh.engine.lanes.Lanes`)."""
+
+    def __call__(
+        self,
+        function: Callable[..., Any],
+        shared: tuple[Any, ...],
+        lanes: tuple[Any, ...],
+        *,
+        periods: float = 0.0,
+        tile: int | None = None,
+        static: tuple[Any, ...] = (),
+    ) -> Any:
+        """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
+
+    def stage(self, label: str, total: float) -> AbstractContextManager[None]:
+        """Show the calls inside as one stage of `total` lane-periods."""
+        ...
