@@ -13,7 +13,7 @@ import xarray as xr
 from conftest import ROOT
 from measure import scene_of
 
-from jaxnh.analyses import ANALYSES, base, chaos01, diagram, lyapunov, period, poincare, verdict
+from jaxnh.analyses import ANALYSES, chaos01, diagram, lyapunov, period, poincare, scene, verdict
 from jaxnh.analyses.base import LANE
 from jaxnh.cli import pricing
 from jaxnh.config.experiment import load
@@ -41,7 +41,7 @@ def without(*names, **others):
 
 
 def spread(start, count=LANES):
-    return base.spread(start, count)
+    return scene.spread(start, count)
 
 
 def lowered(system, function=iterate):
