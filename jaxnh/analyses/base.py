@@ -150,7 +150,6 @@ class Analysis:
             axis, once for each point of the others (`Scene.along`); variables without dimensions are then attributes
             of the group, or get the other axes where there are some.
         newton: whether it rests on Newton for orbits, for which single precision is too coarse.
-        clock: whether it needs a clock.
         in_time: whether it looks at a flow without a clock in time, and needs no section of it.
         numbers: options to about how many numbers a lane leaves.
         choose: (options, scene, lane runner) to whole numbers that hold for all lanes of a sweep; of several scenes
@@ -169,7 +168,6 @@ class Analysis:
     needs: tuple[str, ...] = ()
     independent: Callable[[Any], bool] = _always
     newton: bool = False
-    clock: bool = False
     in_time: bool = False
     numbers: Callable[[Any], int] = _few
     choose: Callable[[Any, Scene, LaneRunner], Mapping[str, int]] | None = None

@@ -1,8 +1,9 @@
 """Lyapunov spectrum of the flow, with error bars and exact checks.
 
-Where a lane has settled on a stable periodic orbit, exponents are those of the orbit's multipliers. Elsewhere they are
-averages of the growth of tangents: smooth ones where the motion is regular and they converge faster, else plain ones
-with the scatter of block means. `exponents_from` says which.
+Where a lane has settled on a stable periodic orbit, exponents are those of the orbit's multipliers, and where it has
+come to rest without a clock, those of the equilibrium's eigenvalues. Elsewhere they are averages of the growth of
+tangents: smooth ones where the motion is regular and they converge faster, else plain ones with the scatter of block
+means. `exponents_from` says which.
 
 Without a clock the flow carries its own direction along, whose exponent is zero unless the motion comes to rest: the
 tangents are those across it, one fewer, and no section is needed.
@@ -25,11 +26,12 @@ from jaxnh.analyses.exponent_errors import nearly_neutral, of_blocks, of_windows
 from jaxnh.analyses.growth import BLOCKS, Growth, advance, average, begin, parts_of, quadrature
 from jaxnh.analyses.orbit_exponents import on_orbits
 from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.rest import rest
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.maps.iterate import iterate
 
-SOURCES = ("average", "smooth_average", "orbit")
-"""Meanings of the flags 0, 1, 2 of `exponents_from`."""
+SOURCES = ("average", "smooth_average", "orbit", "equilibrium")
+"""Meanings of the flags 0 to 3 of `exponents_from`."""
 
 _LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left
 _LARGEST_SEEN = 24.0  # beyond that a loss drowns in rounding
@@ -43,7 +45,8 @@ _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
     "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
     "the whole, and twice what twice the steps change; of both, up to zero where a finite "
-    "window leaves that open; of an orbit: twice what twice the steps change in its multipliers"
+    "window leaves that open; of an orbit: twice what twice the steps change in its multipliers; of an equilibrium: "
+    "twice what a last step of Newton changes in its eigenvalues, and what rounding may"
 )
 
 
@@ -174,6 +177,13 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
         settled = on_orbits(scene, lanes, found.growth, candidates, parts, BLOCKS * block)
         source[settled.lanes] = SOURCES.index("orbit")
         mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
+    if len(candidates) and lead:
+        still, _, exponents, bound = rest(scene.take(candidates), lanes, options.transient + options.periods)
+        resting = candidates[still]
+        source[resting] = SOURCES.index("equilibrium")
+        complete = exponents.shape[1] == scene.flow.exponents  # else some eigenvalues are those of constraints
+        for values, found_there in ((mean, exponents), (error, bound)):
+            values[resting] = found_there[still, : lead + k] * scene.system.period if complete else np.nan
     return Spectrum(mean, error, source)
 
 
@@ -230,7 +240,7 @@ def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectru
     averaged = averages.blocks * (options.periods // BLOCKS)
     attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
     if scene.flow.autonomous:
-        rests = spectrum.mean[:, 0] * averaged < _AT_REST
+        rests = (spectrum.mean[:, 0] * averaged < _AT_REST) | (spectrum.source == SOURCES.index("equilibrium"))
         lost = ~np.isfinite(spectrum.mean[:, 0])
         for values in (found, spread):
             values[:, 0] = np.where(lost, np.nan, np.where(rests, values[:, 0], 0.0))

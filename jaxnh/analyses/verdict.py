@@ -1,4 +1,4 @@
-"""One verdict a lane from all criteria together: periodic, quasiperiodic, chaotic, undecided or failed.
+"""One verdict a lane from all criteria together: what kind of motion it is, or undecided, or failed.
 
 The rule, with λ1 the largest exponent, ε its error bar of 95 % (`exponent_errors`), n the period found by Newton (0:
 none up to the limit), μ its largest multiplier, K the 0–1 test, T the strobe period and N the periods that λ1 was
@@ -9,6 +9,7 @@ averaged over:
   of how the lane came to its orbit; and K < 0.5.
 - chaotic: n = 0, (λ1 − ε) NT > 2 ln N, K > 0.5, and the motion still does not repeat itself in a run ten times as long.
 - quasiperiodic: n = 0, |λ1| ≤ ε with ε ≤ 0.005 · 2π/T, and K < 0.5, in a flow that knows the time.
+- equilibrium, limit_cycle: of a flow without a clock, what is at rest (`rest`), or else periodic and not dying down.
 - undecided: everything else, that is whenever the criteria disagree.
 
 On a torus tangents grow in proportion to time, so that λ1 is positive in any finite average: ln N / NT, and twice that
@@ -17,13 +18,17 @@ chaotic are followed, by the map alone, for `longer` times as long as the criter
 512 periods may bring 512 points back to within 10⁻⁶ of the extent that the motion had in the beginning: chaos with
 λ1 T > 0.05 parts points from 10⁻¹⁶ to more than that within as many periods.
 
-Where the right-hand side is the same at all times, the strobe is no part of the motion: a limit cycle, whose own period
-the strobe does not share, looks quasiperiodic on it. If there λ1 is zero as above and λ2 negative, by as much in the
-other direction, the motion is periodic; else undecided.
+On a section T is the mean time of a return, n counts crossings, and λ1 is the largest exponent across the flow: that
+along it is zero.
+
+Where there is a clock, but the right-hand side is the same at all times, the strobe is no part of the motion: a limit
+cycle, whose own period the strobe does not share, looks quasiperiodic on it. If there λ1 is zero as above and λ2
+negative, by as much in the other direction, it is a limit cycle; else undecided.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import jax
@@ -37,20 +42,23 @@ from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, Options, variable
 from jaxnh.analyses.price import Price, map_alone
-from jaxnh.analyses.scene import LaneRunner, Scene, picked
+from jaxnh.analyses.rest import rest
+from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Flow, Parameters, State
 
-KINDS = ("periodic", "quasiperiodic", "chaotic", "undecided", "failed")
-"""Meanings of the flags 0, 1, 2, 3, 4."""
+KINDS = ("periodic", "quasiperiodic", "chaotic", "undecided", "failed", "equilibrium", "limit_cycle")
+"""Meanings of the flags 0 to 6."""
 
 _LOOKS = 5
 _SMALL_ERROR = 0.005 * 2 * np.pi  # of an exponent a period
 _COMING = 4.0
 _LONGEST = 512  # lags that a motion may repeat itself after, and points that have to come back
 _BACK = 1e-6  # of the extent of the points
-_PERIODIC, _QUASIPERIODIC, _CHAOTIC, _UNDECIDED = range(4)
+_PERIODIC, _QUASIPERIODIC, _CHAOTIC, _UNDECIDED, _FAILED, _EQUILIBRIUM, _LIMIT_CYCLE = range(len(KINDS))
+_RETURNS = 64  # over which the mean time of one is taken
+_LOST = -2
 _SHARE, _USUAL = 0.2, 1536  # of lanes that look chaotic, and how long their criteria took: for the expected work
 
 
@@ -71,36 +79,88 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
     """The verdict of every lane from the datasets `period`, `lyapunov` and `chaos01` of the same lanes."""
     period, lyapunov = done["period"], done["lyapunov"]
     exponents, errors = lyapunov["exponents"].to_numpy(), lyapunov["exponents_error"].to_numpy()
-    span = lyapunov["averaged"].to_numpy()
+    span, n, clock = lyapunov["averaged"].to_numpy(), period["period"].to_numpy(), not scene.flow.autonomous
+    transient = max(int(done[name].attrs["transient"]) for name in ("period", "chaos01"))
+    largest, error = (exponents[:, 0], errors[:, 0]) if clock else across(exponents, errors)
+    each = np.full(scene.count, scene.system.period) if clock else _returns(scene, lanes, n, transient)
+    iterates = span * (scene.system.period / each)
     kind = judge(
-        period["period"].to_numpy(),
+        n,
         period["multiplier"].to_numpy(),
         period["failed"].to_numpy().astype(bool),
-        exponents[:, 0],
-        errors[:, 0],
+        largest,
+        error,
         done["chaos01"]["k"].to_numpy(),
-        scene.system.period,
-        span,
+        each,
+        iterates,
     )
-    timeless = _timeless(scene, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
-    cycle = contracts(exponents[timeless], errors[timeless], scene.system.period, span[timeless])
-    kind[timeless] = np.where(cycle, _PERIODIC, _UNDECIDED)
+    if clock:
+        timeless = _timeless(scene, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
+        cycle = contracts(exponents[timeless], errors[timeless], scene.system.period, span[timeless])
+        kind[timeless] = np.where(cycle, _LIMIT_CYCLE, _UNDECIDED)
+    else:
+        some = np.flatnonzero(np.isin(kind, (_PERIODIC, _UNDECIDED, _FAILED)))
+        kind[some] = _without_clock(scene.take(some), lanes, kind[some], int(span.max()))
     again = np.full(scene.count, -1)
     chaotic = np.flatnonzero(kind == _CHAOTIC)
     if options.longer and len(chaotic):
-        taken = span[chaotic] + max(int(done[name].attrs["transient"]) for name in ("period", "chaos01"))
+        taken = (span if clock else np.full(scene.count, math.ceil(iterates[chaotic].max())))[chaotic] + transient
         again[chaotic] = _followed(scene.take(chaotic), lanes, options.longer * taken)
-        kind[again > 0] = _UNDECIDED
+        kind[chaotic[again[chaotic] != 0]] = _UNDECIDED
     flags = {"flag_values": np.arange(len(KINDS), dtype=np.int8), "flag_meanings": " ".join(KINDS)}
     words = (
-        f"period after which a lane that had looked chaotic repeats itself, 0: none up to {_LONGEST}, -1: not followed"
+        f"period after which a lane that had looked chaotic repeats itself, 0: none up to {_LONGEST}, "
+        f"-1: not followed, {_LOST}: it did not go on"
     )
     variables = {
         "kind": variable(LANE, kind, "kind of motion from all criteria together", **flags),
-        "repeats": variable(LANE, again, words, "periods"),
+        "repeats": variable(LANE, again, words, counted_in(scene.system)),
     }
     attrs = {"longer": options.longer, "panel": "flags", "panel_variables": "kind", "panel_label": "verdict"}
     return xr.Dataset(variables, attrs=attrs)
+
+
+def across(
+    exponents: Float[np.ndarray, "lanes k"], errors: Float[np.ndarray, "lanes k"]
+) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
+    """The largest exponent but that along the flow, which is known to be zero, and its error, both (lanes,).
+
+    Where that is the only one, nothing is known of it.
+    """
+    known = (exponents == 0.0) & (errors == 0.0)
+    known &= np.cumsum(known, axis=1) == 1
+    best = np.argmax(np.where(known, -np.inf, exponents), axis=1)[:, None]
+    none = known.all(axis=1)
+    largest, error = (np.take_along_axis(values, best, axis=1)[:, 0] for values in (exponents, errors))
+    return np.where(none, 0.0, largest), np.where(none, np.inf, error)
+
+
+def _returns(
+    scene: Scene, lanes: LaneRunner, n: Int[np.ndarray, " lanes"], transient: int
+) -> Float[np.ndarray, " lanes"]:
+    """Mean time of a return to the section, of a periodic lane over whole turns of its orbit."""
+    count = np.where(n > 0, n * -(-_RETURNS // np.maximum(n, 1)), _RETURNS)
+    with lanes.stage(f"verdict: returns of {scene.count} lanes", float(np.sum(transient + count))):
+        shared, each = (scene.strobe(), np.int32(transient)), (*scene.lanes, count.astype(np.int32))
+        return lanes(_returned, shared, each, periods=transient + _RETURNS) / count
+
+
+def _returned(strobe: Strobe, transient: ArrayLike, state: State, p: Parameters, count: Array) -> Array:
+    """Time of `count` returns after a transient, of one lane."""
+    begun = iterate(strobe, transient, state, p)
+    return iterate(strobe, count, begun, p).t - begun.t
+
+
+def _without_clock(
+    scene: Scene, lanes: LaneRunner, kind: Int8[np.ndarray, " lanes"], units: int
+) -> Int8[np.ndarray, " lanes"]:
+    """Kinds of lanes of a flow without a clock that are not seen to be chaotic or quasiperiodic."""
+    if not len(kind):
+        return kind
+    with lanes.stage(f"verdict: {scene.count} lanes, whether they rest", scene.count * units):
+        still, fading, *_ = rest(scene, lanes, units)
+    cycle = np.where(fading, _UNDECIDED, _LIMIT_CYCLE)
+    return np.where(still, _EQUILIBRIUM, np.where(kind == _PERIODIC, cycle, kind)).astype(np.int8)
 
 
 def _timeless(scene: Scene, lanes: LaneRunner, some: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
@@ -124,7 +184,10 @@ def _followed(scene: Scene, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"])
 
 
 def repeats(strobe: Strobe, count: ArrayLike, state: State, p: Parameters, longest: int) -> Array:
-    """Least lag up to `longest` at which as many points, `count` periods from a state, come back; 0: none."""
+    """Least lag up to `longest` at which as many points, `count` periods from a state, come back; 0: none.
+
+    Of a lane that does not come so far `_LOST`.
+    """
     system = strobe.system
     early = jax.vmap(system.chart)(record(strobe, state, p, longest)[1])[longest // 2 :]
     near = _BACK * (jnp.max(early, axis=0) - jnp.min(early, axis=0)).max()
@@ -136,7 +199,8 @@ def repeats(strobe: Strobe, count: ArrayLike, state: State, p: Parameters, longe
         return jnp.max(jnp.abs(system.wrap(later - first))) <= near
 
     found = lax.map(back, jnp.arange(1, longest + 1))
-    return jnp.where(jnp.any(found), 1 + jnp.argmax(found), 0)
+    lag = jnp.where(jnp.any(found), 1 + jnp.argmax(found), 0)
+    return jnp.where(jnp.all(jnp.isfinite(points)), lag, _LOST)
 
 
 def knows_no_time(strobe: Strobe, flow: Flow, times: Float[Array, " times"], state: State, p: Parameters) -> Array:
@@ -174,21 +238,23 @@ def judge(
     largest: Float[np.ndarray, " lanes"],
     error: Float[np.ndarray, " lanes"],
     k: Float[np.ndarray, " lanes"],
-    strobe_period: float,
-    averaged: Int[np.ndarray, " lanes"],
+    each: Float[np.ndarray, " lanes"] | float,
+    iterates: Float[np.ndarray, " lanes"] | Int[np.ndarray, " lanes"],
 ) -> Int8[np.ndarray, " lanes"]:
-    """The rule of this module: flags of `KINDS`."""
+    """The rule of this module: flags of `KINDS`, with the time of an iterate of the map and how many were averaged."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        expected = np.log(multiplier) / (np.maximum(period, 1) * strobe_period)
-        agrees = np.abs(largest - np.maximum(expected, -1e3)) <= error + _COMING / (averaged * strobe_period)
+        time = iterates * each
+        expected = np.log(multiplier) / (np.maximum(period, 1) * each)
+        agrees = np.abs(largest - np.maximum(expected, -1e3)) <= error + _COMING / time
+        beyond_shear = (largest - error) * time > 2.0 * np.log(iterates)
     regular = k < 0.5
     conditions = [
         failed | ~np.isfinite(largest),
         (period > 0) & (multiplier < 1.0) & agrees & regular,
-        (period == 0) & ((largest - error) * averaged * strobe_period > 2.0 * np.log(averaged)) & ~regular,
-        (period == 0) & (np.abs(largest) <= error) & (error * strobe_period <= _SMALL_ERROR) & regular,
+        (period == 0) & beyond_shear & ~regular,
+        (period == 0) & (np.abs(largest) <= error) & (error * each <= _SMALL_ERROR) & regular,
     ]
-    return np.select(conditions, [4, 0, 2, 1], default=3).astype(np.int8)
+    return np.select(conditions, [_FAILED, _PERIODIC, _CHAOTIC, _QUASIPERIODIC], _UNDECIDED).astype(np.int8)
 
 
 def price(options: VerdictOptions, scene: Scene) -> Price:
@@ -202,7 +268,6 @@ ANALYSIS = Analysis(
     periods,
     run,
     needs=("period", "lyapunov", "chaos01"),
-    clock=True,
     count=count,
     price=price,
 )

@@ -158,10 +158,6 @@ class Experiment(Block):
         name = analysis.name
         if setting.precision == "float32" and analysis.newton:
             raise rule(f"float32 is too coarse for Newton on orbits, which {name} rests on", "accuracy.precision")
-        if setting.autonomous and analysis.clock:
-            others = ", ".join(other.name for other in ANALYSES.values() if not other.clock)
-            message = f"{name} is for a scene with a clock, and this one has none; without one there are {others}"
-            raise rule(message, f"analyses.{name}", "system.without")
         try:
             analysis.check(options, setting)
         except OptionError as error:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.engine.axes import Points
 from jaxnh.engine.lanes import Lanes
@@ -16,6 +16,7 @@ from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.maps.iterate import compared, iterate
 from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.section import Crossing, SectionedFlow
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
 from jaxnh.systems.flow import Flow, Parameters, State
@@ -24,6 +25,7 @@ SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
 
 _CALLS, _PERIODS = 10, 17  # calls, and periods in each, in which sampled lanes are followed from the start
+_AT_REST = 1e-6  # of a lane's fastest crossing
 _ALL_LANES_AT = (0, 12, 169)  # periods after the start at which every lane gives a sample
 _MOST_SENSITIVE = 512  # of all periods on the way: far more than the share that is left out
 _LEFT_OUT = 5e-5  # of the periods looked at, that err most: half of the share that may miss the target
@@ -210,9 +212,18 @@ class Calibration:
         sensitive = np.where(np.isfinite(sensitive), sensitive, -1.0)
         sensitive[:, _ALL_LANES_AT] = np.inf
         count = min(_MOST_SENSITIVE + len(number) * len(_ALL_LANES_AT), sensitive.size)
-        lane, time = np.divmod(np.sort(np.argsort(-sensitive, axis=None, kind="stable")[:count]), sensitive.shape[1])
+        chosen = np.sort(np.argsort(-sensitive, axis=None, kind="stable")[:count])
+        moving = chosen[~self._at_rest(now._replace(states=whole)).ravel()[chosen]]
+        lane, time = np.divmod(moving if len(moving) else chosen, sensitive.shape[1])
         taken = jax.tree.map(lambda leaf: leaf[lane], now)
         return taken._replace(states=jax.tree.map(lambda leaf: leaf[lane, time], whole)), sensitive.size
+
+    def _at_rest(self, samples: _Samples) -> Bool[np.ndarray, "samples periods"]:
+        """Where lanes cross their section so slowly that they have come to rest on it: their time is then no number."""
+        if self._flows[0] is self._flows[0].flow:
+            return np.zeros(jax.tree.leaves(samples.states)[0].shape, bool)
+        speed = np.abs(self._by_flow(_crossing_rates, lambda flow: (flow,), samples, 0))
+        return speed < _AT_REST * np.max(speed, axis=1, initial=0.0, where=np.isfinite(speed), keepdims=True)
 
     def _drop_lost(self) -> None:
         """Leave out samples that overflow whatever the steps, as those of an absurd b: their lanes are marked failed.
@@ -301,6 +312,11 @@ class Calibration:
         """What a map makes of the samples, component by component, without what flows only report."""
         states = self._by_flow(iterate, lambda flow: (strobe(flow), np.int32(1)), samples, 1)
         return [np.array(leaf) for leaf in jax.tree.leaves(self._flows[0].compared(states))]
+
+
+def _crossing_rates(section: SectionedFlow, states: Crossing, p: Parameters) -> Float[Array, " points"]:
+    """Rate of the height above the section at states of one lane."""
+    return jax.vmap(lambda y: section.rate(y, p))(states.state)
 
 
 def _gaps(one: list[np.ndarray], other: list[np.ndarray]) -> Float[np.ndarray, " samples"]:

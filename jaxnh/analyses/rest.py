@@ -1,0 +1,113 @@
+"""Whether a motion without a clock comes to rest, and the exponents there: from its rates and how they change there.
+
+A lane is at rest where over the last quarter of a run no coordinate changes at more than 10⁻⁶ of its largest rate,
+nor faster than in the quarter before, and where the rates' linearisation there has no direction that grows: a slow
+passage by a saddle has one. A motion is dying down where all rates shrink from the third quarter to the last.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.maps.protocol import Strobe
+from jaxnh.orbits.newton import solve
+from jaxnh.systems.flow import Flow, Parameters, State
+
+_SLOW = 1e-6  # of the largest rate of a coordinate
+_STILL = 1e-9  # likewise: what is left may be rounding, and need not shrink
+_NEVER = 1e-12  # of the largest rate of all coordinates: one that has no rate at all
+_GROWS = 10 * _SLOW  # of the linearisation's norm: it is seen through a distance of 10⁻⁶ to where it would be exact
+_SHRINKS = 0.99
+_ROUNDING = 1e-14  # of the linearisation's norm, in its entries
+
+
+class Rest(NamedTuple):
+    """What becomes of lanes.
+
+    Attributes:
+        still: whether a lane is at rest, where nothing grows, (lanes,).
+        fading: whether its motion is dying down, (lanes,).
+        exponents, error: real parts of the linearisation's eigenvalues at the equilibrium, largest first, in units of
+            1/time, (lanes, d); not a number where Newton finds no equilibrium, as where there are many side by side.
+    """
+
+    still: Bool[np.ndarray, " lanes"]
+    fading: Bool[np.ndarray, " lanes"]
+    exponents: Float[np.ndarray, "lanes d"]
+    error: Float[np.ndarray, "lanes d"]
+
+
+class _Run(NamedTuple):
+    """Of one lane: largest rates of all units of time, of those in the last two quarters, and ∂(rate)/∂(coordinate).
+
+    At the end, and there after one and two steps of Newton to where all rates are zero.
+    """
+
+    largest: Float[Array, " d"]
+    third: Float[Array, " d"]
+    fourth: Float[Array, " d"]
+    change: tuple[Float[Array, "d d"], ...]
+
+
+def rest(scene: Scene, lanes: LaneRunner, units: int) -> Rest:
+    """What lanes of a flow without a clock are doing after so many units of time."""
+    scene = scene.in_time()
+    run = lanes(_run, (scene.strobe(), scene.flow, np.int32(units)), scene.lanes, periods=units)
+    largest, third, fourth, (change, closer, exact) = run
+    never = largest <= _NEVER * largest.max(axis=1, keepdims=True)
+    slow = (fourth <= _SLOW * largest) & ((fourth <= third) | (fourth <= _STILL * largest))
+    norm = np.linalg.norm(change, axis=(1, 2))
+    holds = _spectrum(change)[0][:, 0] <= _GROWS * norm
+    (exponents, bound), near = _spectrum(exact), _spectrum(closer)[0]
+    error = 2.0 * np.abs(exponents - near) + bound
+    return Rest(
+        np.all(slow | never, axis=1) & holds, np.all((fourth < _SHRINKS * third) | never, axis=1), exponents, error
+    )
+
+
+def _spectrum(
+    matrices: Float[np.ndarray, "lanes d d"],
+) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d"]]:
+    """Real parts of eigenvalues, largest first, and what rounding may do to them (Bauer and Fike 1960)."""
+    finite = np.all(np.isfinite(matrices), axis=(1, 2))[:, None]
+    values, vectors = np.linalg.eig(np.where(finite[:, :, None], matrices, 0.0))
+    norm = np.linalg.norm(matrices, axis=(1, 2), keepdims=True)[:, 0]
+    bound = _ROUNDING * norm * np.linalg.cond(vectors)[:, None] + np.zeros(values.shape)
+    return np.where(finite, -np.sort(-values.real, axis=1), np.nan), np.where(finite, bound, np.nan)
+
+
+def _run(strobe: Strobe, flow: Flow, count: ArrayLike, state: State, p: Parameters) -> _Run:
+    """One lane over `count` units of time."""
+
+    def rate(y: State) -> Array:
+        return jnp.stack(flow.lower(y, flow.rhs(0.0, y, p)))
+
+    def at(u: Float[Array, " d"]) -> Array:
+        return rate(flow.unchart(u))
+
+    def on(n: Array, state: State) -> tuple[State, Array]:
+        def unit(_: Array, carry: tuple[State, Array]) -> tuple[State, Array]:
+            y = strobe(carry[0], p)
+            return y, jnp.maximum(carry[1], jnp.abs(rate(y)))
+
+        return lax.fori_loop(0, n, unit, (state, jnp.zeros(flow.dimension)))
+
+    quarter = jnp.asarray(count) // 4
+    first = jnp.abs(rate(state))
+    state, half = on(count - 2 * quarter, state)
+    state, third = on(quarter, state)
+    state, fourth = on(quarter, state)
+    largest = jnp.max(jnp.stack([first, half, third, fourth]), axis=0)
+    u, change = flow.chart(state), []
+    for _ in range(3):
+        change.append(jax.jacfwd(at)(u))
+        u = u - solve(change[-1], at(u))
+    return _Run(largest, third, fourth, tuple(change))
