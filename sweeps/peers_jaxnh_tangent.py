@@ -53,7 +53,7 @@ class Contestant(Splittings[TangentScene]):
     def program(self, setting: Setting) -> Callable[[], float]:
         """The analysis over all values from the start state, or for no exponent as many periods of the map."""
         exponents, count = _EXPONENTS[setting.peer], len(self.scene.values)
-        parts, options = setting.parts if exponents > 1 else 1, _options(exponents)
+        parts, options = setting.parts if exponents > 1 else 1, _options(max(exponents, 1))
         scene = replace(self._analysed(setting), chosen={"lyapunov": {"parts": parts}})
 
         def run() -> float:
