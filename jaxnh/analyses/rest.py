@@ -81,7 +81,7 @@ def _spectrum(
     values, vectors = np.linalg.eig(np.where(finite[:, :, None], matrices, 0.0))
     norm = np.linalg.norm(matrices, axis=(1, 2), keepdims=True)[:, 0]
     bound = _ROUNDING * norm * np.linalg.cond(vectors)[:, None] + np.zeros(values.shape)
-    return np.where(finite, -np.sort(-values.real, axis=1), np.nan), np.where(finite, bound, np.nan)
+    return np.where(finite, -np.sort(-np.real(values), axis=1), np.nan), np.where(finite, bound, np.nan)
 
 
 def _run(strobe: Strobe, flow: Flow, count: ArrayLike, state: State, p: Parameters) -> _Run:
@@ -93,7 +93,7 @@ def _run(strobe: Strobe, flow: Flow, count: ArrayLike, state: State, p: Paramete
     def at(u: Float[Array, " d"]) -> Array:
         return rate(flow.unchart(u))
 
-    def on(n: Array, state: State) -> tuple[State, Array]:
+    def on(n: ArrayLike, state: State) -> tuple[State, Array]:
         def unit(_: Array, carry: tuple[State, Array]) -> tuple[State, Array]:
             y = strobe(carry[0], p)
             return y, jnp.maximum(carry[1], jnp.abs(rate(y)))
