@@ -2,6 +2,7 @@
 
     python -m sweeps.peers_flows [--repeats R] [--targets 1e-6 1e-8 1e-10] [--only NAME ...] [--part maps|spectra]
 
+Spectra are held against lyapax and pynamicalsys as well where they are installed (`pip install 'jaxnh[peers]'`).
 Everything as `sweeps.peers` does it: true ends and derivatives in long double, every peer tuned to a measured largest
 error, samples of all in turn. Writes results/peers_flows.md; with `--only` or `--part` the tables are printed alone.
 """
@@ -16,6 +17,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -31,7 +33,11 @@ from sweeps.peers_timing import Entry, entry, line, row, timed
 from sweeps.peers_worker import Peer
 
 MAPS = ("flow_jaxnh", "flow_heyoka", "flow_diffrax")
-SPECTRA = ("flow_jaxnh_tangent", "flow_heyoka_tangent")
+SPECTRA = (
+    "flow_jaxnh_tangent",
+    "flow_heyoka_tangent",
+    *(f"flow_{name}_tangent" for name in ("lyapax", "pynamicalsys") if find_spec(name)),
+)
 _FORMS = 4  # of heyoka's: at later targets the fastest of the first alone are tried
 
 
@@ -110,7 +116,7 @@ def _tuned(target: float, peers: Sequence[Peer], hints: list[Sequence[Setting]],
     second = entry(target, "heyoka batch", heyoka, best(theirs), first)
     rows = [first, second]
     for k, peer in enumerate(others, 2):
-        found = peer.tune(target, hints[k], only=bool(hints[k]))
+        found = peer.tune(target, tangents or hints[k], only=bool(hints[k]) and not tangents)
         hints[k] = _fastest(found, 1)
         rows += [entry(target, s.peer, peer, s, first) for s in hints[k]]
     equal = jaxnh.tune(second.setting.errors.max)

@@ -133,6 +133,11 @@ def _grids(study: FlowStudy) -> list[Grid]:
     if spectra:
         title = "Spectra over heyoka's variational batch, at the error that it has"
         grids.append(_ratios(title, spectra, AT_OWN_ERROR, _WANTED_SPECTRA))
+        grids += [
+            _ratios(f"Spectra over {peer}", spectra, peer, {})
+            for peer in ("lyapax", "pynamicalsys")
+            if any(row.name == peer for rows in spectra.values() for row in rows)
+        ]
     for title, rows in (("Every row of maps", maps), ("Every row of spectra", spectra)):
         if rows:
             cells = [(name, *cells_of(row)) for name, each in rows.items() for row in each]
