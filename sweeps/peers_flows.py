@@ -26,7 +26,7 @@ from rich.console import Console
 
 from sweeps.measured_at import stamp
 from sweeps.peers_flow_cases import CASES, LANES, FlowCase, FlowScene
-from sweeps.peers_flows_report import FlowStudy, Measured, markdown, show
+from sweeps.peers_flows_report import OTHERS, FlowStudy, Measured, markdown, show
 from sweeps.peers_report import AT_OWN_ERROR, Row, write
 from sweeps.peers_scene import WHOLE, Setting, best
 from sweeps.peers_timing import Entry, entry, line, row, timed
@@ -36,7 +36,7 @@ MAPS = ("flow_jaxnh", "flow_heyoka", "flow_diffrax")
 SPECTRA = (
     "flow_jaxnh_tangent",
     "flow_heyoka_tangent",
-    *(f"flow_{name}_tangent" for name in ("lyapax", "pynamicalsys") if find_spec(name)),
+    *(f"flow_{name}_tangent" for name in OTHERS if find_spec(name)),
 )
 _FORMS = 4  # of heyoka's: at later targets the fastest of the first alone are tried
 

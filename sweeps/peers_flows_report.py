@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
+from importlib.util import find_spec
 from typing import NamedTuple
 
 from rich.console import Console
@@ -27,6 +28,9 @@ from sweeps.peers_report import (
     verdict,
 )
 from sweeps.peers_scene import TRANSIENT
+
+OTHERS = ("lyapax", "pynamicalsys")
+"""Packages that spectra are held against where they are installed: `pip install 'jaxnh[peers]'`."""
 
 _TARGETS = (1e-6, 1e-8, 1e-10)
 _WANTED_MAPS: Mapping[str, Sequence[float]] = {
@@ -93,7 +97,8 @@ def show(study: FlowStudy, console: Console) -> None:
 
 def markdown(study: FlowStudy, before: str = "") -> str:
     """The page; what people wrote by hand at the end of the page before it is kept."""
-    packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+    names = (*PACKAGES, *(name for name in OTHERS if find_spec(name)))
+    packages = ", ".join(f"{name} {version(name)}" for name in names)
     parts = [
         "# jaxnh beside other integrators, on flows that users write",
         f"Written by `{study.command}` on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, in {study.seconds:.0f} s.",
@@ -135,7 +140,7 @@ def _grids(study: FlowStudy) -> list[Grid]:
         grids.append(_ratios(title, spectra, AT_OWN_ERROR, _WANTED_SPECTRA))
         grids += [
             _ratios(f"Spectra over {peer}", spectra, peer, {})
-            for peer in ("lyapax", "pynamicalsys")
+            for peer in OTHERS
             if any(row.name == peer for rows in spectra.values() for row in rows)
         ]
     for title, rows in (("Every row of maps", maps), ("Every row of spectra", spectra)):
