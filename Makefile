@@ -6,9 +6,10 @@ INSTALLED := $(VENV)/.installed
 TABLES := table1 table2
 FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
 RANGES := range_constant range_disturbed
+FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor paper effects startup claims test slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor flows paper effects startup claims test slow hard clean
 
 install: $(INSTALLED)
 
@@ -24,6 +25,12 @@ $(TABLES): $(INSTALLED)
 $(FIGURES) $(RANGES) unforced governor: $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
 	$(RUN)/python -m jaxnh.plot results/$@.h5
+
+# Known flows (configs/flows), and their pictures.
+flows: $(INSTALLED)
+	for flow in $(FLOWS); do \
+	  $(RUN)/python -m jaxnh.sweep configs/flows/$$flow.yaml --fresh && $(RUN)/python -m jaxnh.plot results/$$flow.h5 || exit; \
+	done
 
 # Both tables and all ten figures anew, one after the other: each run uses all cores.
 paper: $(INSTALLED)

@@ -13,6 +13,7 @@ from sweeps.peers_flow_cases import CASES
 from sweeps.peers_flow_heyoka import Contestant as Heyoka
 from sweeps.peers_flow_heyoka import clocks, true_scene
 from sweeps.peers_flow_jaxnh import Contestant, placed
+from sweeps.peers_flow_pynamicalsys_tangent import MODELS
 from sweeps.peers_flows_report import FlowStudy, Measured, markdown
 from sweeps.peers_heyoka_tangent import tangent_equations
 from sweeps.peers_report import AT_OWN_ERROR, Row
@@ -71,6 +72,19 @@ def test_variational_equations_leave_the_clock_alone():
     x, v, sine, cosine = hy.make_vars("x", "v", "sine", "cosine")
     motion = [(x, v), (v, cosine - hy.sin(x)), (sine, cosine), (cosine, -sine)]
     assert len(tangent_equations(motion, 2)) == 8
+
+
+def test_models_of_pynamicalsys_are_the_flows():
+    """Its rates, at the parameters that the study gives it, are those of the equations written by hand."""
+    models = pytest.importorskip("pynamicalsys.continuous_time.models", reason="the extra `peers` is not installed")
+    names = {"duffing": models.duffing, "lorenz": models.lorenz_system, "roessler": models.rossler_system}
+    assert set(names) == set(MODELS)
+    for name, model in names.items():
+        case, t, value = CASES[name], 0.7, 0.5 * (CASES[name].low + CASES[name].high)
+        y = np.array(case.start) + 0.3
+        force = {"sin": np.sin, "cos": np.cos}.get(case.forcing, np.zeros_like)(t)
+        theirs = model(t, y, np.array(MODELS[name][1](value)))
+        assert np.abs(theirs - np.array(case.field(np, y, force, value))).max() < 1e-13 * (1.0 + np.abs(theirs).max())
 
 
 def test_page_of_flows():
