@@ -7,7 +7,8 @@ program has been traced and lowered, which is most of the time to a result (Newt
 0.2 s from here); programs kept here are not kept there as well.
 
 Files lie in the folder `jaxnh` of JAX's cache and are as much to be trusted as that: they are code that runs. One that
-is cut off, damaged or of another program is no program, and is written anew. JAXNH_KEEP_PROGRAMS=0 switches it off.
+is cut off, damaged or of another program is no program, and is written anew. One that nothing has asked for in sixty
+days, as those of an earlier version, is removed when another is written. JAXNH_KEEP_PROGRAMS=0 switches it off.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import json
 import os
 import pickle
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from functools import cache, partial
 from importlib.metadata import version
@@ -48,6 +50,7 @@ _SETTINGS = (
     "jax_exec_time_optimization_effort",
 )
 _ACCOUNTED = ("jaxnh", *_LIBRARIES, "builtins", "math", "collections")  # modules whose text the versions say
+_UNUSED_SECONDS = 60 * 24 * 3600.0
 _HEAD = 64 + 1  # of a file: the checksum of what follows
 
 
@@ -204,6 +207,8 @@ def find(name: str, inputs: Any, devices: Sequence[Any]) -> Any:
     if content[:_HEAD] != _head(name, data):
         return None
     try:
+        with suppress(OSError):
+            os.utime(folder / name)  # pyright: ignore[reportOptionalOperand]
         payload, outputs = pickle.load(io.BytesIO(data))
         return serialize_executable.deserialize_and_load(payload, inputs, outputs, execution_devices=devices)
     except Exception:  # whatever another library says of a file that it cannot load: it is written anew
@@ -227,6 +232,15 @@ def keep(name: str, program: Any) -> None:
             file.settle()
     except (OSError, ResultError):
         return
+    _forget(folder)
+
+
+def _forget(folder: Path) -> None:
+    """Remove programs that no run has asked for in a long time."""
+    with suppress(OSError), os.scandir(folder) as files:
+        for file in files:
+            if time.time() - file.stat().st_mtime > _UNUSED_SECONDS:
+                os.unlink(file)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+import time
 from functools import partial
 
 import jax
@@ -106,6 +107,22 @@ def test_a_file_that_is_no_program_is_written_anew(folder, fault):
     assert kept_programs.find(
         path.name, jax.tree.structure((tuple(map(jax.tree.leaves, (shared, LANES))), {})), jax.devices()
     )
+
+
+def test_what_nothing_asks_for_is_removed(folder):
+    """Where a program is written, those of more than sixty days are removed; one that is found counts as new."""
+    Lanes()(iterate, (strobe(), np.int32(1)), LANES)
+    (kept,) = folder.iterdir()
+    old, recent = folder / ("a" * 64), folder / ("b" * 64)
+    days = {old: 61, recent: 59, kept: 61}
+    for path, age in days.items():
+        path.touch()
+        os.utime(path, (time.time() - 86400 * age,) * 2)
+    Lanes()(iterate, (strobe(), np.int32(1)), LANES)
+    Lanes()(derivatives, (strobe(), np.int32(1)), (np.full((COUNT, 3), 0.1), LANES[1]))
+    names = {path.name for path in folder.iterdir()}
+    assert {kept.name, recent.name} < names
+    assert old.name not in names
 
 
 def test_some_of_the_devices(folder, monkeypatch):
