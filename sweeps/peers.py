@@ -6,8 +6,8 @@
 An error is that of one period's map, largest component over all lanes, against a Taylor integration in long double.
 Every peer is tuned until its error just meets the target; then all run in turn, several rounds, each in a process of
 its own that sleeps while another runs. Then the same on scenes held out (`peers_cases`), with `processed6` and without.
-Lyapunov spectra come last, on one core, where the error is that of the derivative of one period's map; alone they are
-printed only. Prints the tables and writes results/peers.md.
+Lyapunov spectra come last, on one core, where the error is that of the derivative of one period's map; alone they take
+their section's place in the page that there is. Prints the tables and writes results/peers.md.
 """
 
 from __future__ import annotations
@@ -29,7 +29,18 @@ from sweeps.measured_at import stamp
 from sweeps.peers_cases import LANES, Case, paper
 from sweeps.peers_cases import held_out as held_out_cases
 from sweeps.peers_held_out import held_out
-from sweeps.peers_report import AT_OWN_ERROR, Row, Scaling, Study, markdown, show, show_lyapunov, write
+from sweeps.peers_report import (
+    AT_OWN_ERROR,
+    Row,
+    Scaling,
+    Study,
+    markdown,
+    show,
+    show_lyapunov,
+    spectra,
+    with_spectra,
+    write,
+)
 from sweeps.peers_scene import PERIODS, WHOLE, Setting, TangentScene, best
 from sweeps.peers_timing import SAMPLE_SECONDS, Entry, entry, interleaved, line, row, timed
 from sweeps.peers_worker import Peer, Sample
@@ -56,7 +67,10 @@ def main() -> None:
     console.log(f"true ends and derivatives of one period: {len(scene.b)} lanes")
     cases = held_out_cases()[: args.held_out]
     if args.only == "lyapunov":
-        show_lyapunov(_lyapunov(args, scene, cores[0], console), console)
+        rows = _lyapunov(args, scene, cores[0], console)
+        show_lyapunov(rows, console)
+        section = spectra(rows, _command(), measured_at)
+        write(args.output, lambda before: with_spectra(before, section), console)
         return
     alone = [[core] for core in cores]
     peers = {kind: Peer(kind, scene, [cores] if kind == "jaxnh" else alone) for kind in CONTESTANTS}
@@ -73,9 +87,9 @@ def main() -> None:
     finally:
         for peer in (*peers.values(), *([pair] if pair else [])):
             peer.close()
-    spectra = _lyapunov(args, scene, cores[0], console)
+    exponents = _lyapunov(args, scene, cores[0], console)
     study = Study(
-        command=shlex.join(["python", "-m", "sweeps.peers", *sys.argv[1:]]),
+        command=_command(),
         case=SYSTEMS[args.system],
         measured_at=measured_at,
         cores=args.cores,
@@ -85,12 +99,16 @@ def main() -> None:
         chosen=chosen,
         lanes=lanes,
         two_cores=two,
-        lyapunov=spectra,
+        lyapunov=exponents,
         held_out=others,
         seconds=time.perf_counter() - began,
     )
     show(study, console)
     write(args.output, lambda before: markdown(study, before), console)
+
+
+def _command() -> str:
+    return shlex.join(["python", "-m", "sweeps.peers", *sys.argv[1:]])
 
 
 def _arguments() -> argparse.Namespace:
@@ -100,7 +118,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--targets", type=float, nargs="+", default=[1e-6, 1e-8, 1e-10], help="largest errors allowed")
     parser.add_argument("--system", choices=tuple(SYSTEMS), default="constant_speed")
     parser.add_argument("--held-out", type=int, default=5, help="scenes held out that are measured, at most 5")
-    parser.add_argument("--only", choices=("lyapunov",), help="this section alone, printed and not written")
+    parser.add_argument("--only", choices=("lyapunov",), help="this section alone, put into the page that there is")
     parser.add_argument("--output", type=Path, default=Path("results/peers.md"))
     return parser.parse_args()
 

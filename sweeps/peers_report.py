@@ -149,8 +149,39 @@ def markdown(study: Study, before: str = "") -> str:
     if least < QUIET:
         parts.append(f"Not a quiet run: other work left the study down to {least:.0%} of its share of the processor.")
     for grid in (*_grids(study), _tried(study)):
-        parts += [f"## {grid.title}", *_said_before(grid, study), table_of(grid)]
+        own = grid.title == _SPECTRA
+        parts += [spectra(study.lyapunov, study.command, study.measured_at) if own else _section(grid, study)]
     return "\n\n".join(parts) + f"\n\n{BY_HAND}\n" + before.partition(f"{BY_HAND}\n")[2]
+
+
+def spectra(rows: Sequence[Row], command: str, measured_at: str) -> str:
+    """The section of Lyapunov spectra, which may have been measured by itself."""
+    now = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+    words = (
+        f"Written by `{command}` on {now}. {measured_at} A row of jaxnh averages the growth of tangents over "
+        f"{TANGENT_PERIODS} periods; the whole analysis also looks for the orbit of every lane that is on one, takes "
+        "its exponents from there, and errors from twice the steps. Both orthonormalise three tangents equally often, "
+        "as often as jaxnh's analysis has chosen to before the timing; heyoka also after whole steps, nearly as often, "
+        "so that no step is cut short. Python's share is that of its calls and of its Gram–Schmidt, which heyoka has "
+        "compiled: the ratio without it takes both off."
+    )
+    return "\n\n".join([f"## {_SPECTRA}", words, table_of(_spectra(rows))])
+
+
+def with_spectra(page: str, section: str) -> str:
+    """A page of the whole study with this section of Lyapunov spectra in place of its own.
+
+    Raises:
+        SystemExit: it has none.
+    """
+    before, heading, after = page.partition(f"## {_SPECTRA}\n")
+    if not heading:
+        raise SystemExit("there is no page of the whole study that this section could go into; run all of it first")
+    return before + section + after[after.index("\n\n## ") :]
+
+
+def _section(grid: Grid, study: Study) -> str:
+    return "\n\n".join([f"## {grid.title}", *_said_before(grid, study), table_of(grid)])
 
 
 def _said_before(grid: Grid, study: Study) -> list[str]:
@@ -163,15 +194,6 @@ def _said_before(grid: Grid, study: Study) -> list[str]:
             "without that one; heyoka and diffrax run in the forms that were fastest on the main scene, diffrax at the "
             "target and with jaxnh's XLA options.",
             "\n".join(f"- {each.case.name}: {each.case.words}" for each in study.held_out),
-        ]
-    if grid.title == _SPECTRA:
-        return [
-            f"A row of jaxnh averages the growth of tangents over {TANGENT_PERIODS} periods; the whole analysis also "
-            "looks for the orbit of every lane that is on one, takes its exponents from there, and errors from twice "
-            "the steps. Both orthonormalise three tangents equally often, as often as jaxnh's analysis has chosen to "
-            "before the timing; heyoka also after whole steps, nearly as often, so that no step is cut short. Python's "
-            "share is that of its calls and of its Gram–Schmidt, which heyoka has compiled: the ratio without it takes "
-            "both off."
         ]
     return []
 

@@ -32,8 +32,9 @@ from sweeps.critical_slowing_study import (
 from sweeps.peers_cases import held_out, paper
 from sweeps.peers_heyoka_tangent import Contestant as HeyokaTangent
 from sweeps.peers_jaxnh import Contestant
-from sweeps.peers_report import AT_OWN_ERROR, WITHOUT, HeldOut, Row, Scaling, markdown
+from sweeps.peers_report import AT_OWN_ERROR, WITHOUT, HeldOut, Row, Scaling, markdown, with_spectra
 from sweeps.peers_report import Study as Peers
+from sweeps.peers_report import spectra as section_of_spectra
 from sweeps.peers_scene import Errors, Scene, Setting, TangentScene, best, least_effort, unit
 
 # ---- prices of effects
@@ -285,6 +286,16 @@ def test_page_of_peers():
     assert "2.00 ± 0.00× (meets 1.5) heyoka; 1.50× were Python's share nothing" in page
     assert "| 1,024 × 16 | 1 ± 0% | 1.00 | 0.50 ± 0.00× | misses within 15% of 1 |" in page
     assert page.endswith("-->\nby hand\n")
+    again = with_spectra(
+        page, section_of_spectra([row("jaxnh", 1.0)], "python -m sweeps.peers --only lyapunov", "At 1.")
+    )
+    assert "`python -m sweeps.peers --only lyapunov`" in again
+    assert "At 1. A row of jaxnh averages" in again
+    assert "Python's share 25.0%" not in again
+    assert again.partition("## Lyapunov")[0] == page.partition("## Lyapunov")[0]
+    assert again.partition("## Forms tried")[2] == page.partition("## Forms tried")[2]
+    with pytest.raises(SystemExit, match="run all of it first"):
+        with_spectra("", "")
 
 
 def test_tangents_as_heyoka_is_driven():
