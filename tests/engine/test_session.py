@@ -220,8 +220,6 @@ def test_clock_that_is_not_there():
     session = session_of(Experiment.from_dict(UNFORCED))
     with pytest.raises(jaxnh.InputError, match=r"analyses\.diagram\.phase: there is no period"):
         session.run("diagram", {"transient": 2, "phase": 0.5})
-    with pytest.raises(jaxnh.InputError, match="verdict is for a scene with a clock"):
-        session.run("verdict")
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ def test_table_of_a_period(system, solver, steps):
     strobe = make_strobe(system, solver, steps)
     rows, used = np.asarray(strobe.table), int(strobe.kicks)
     assert used == solver.total_kicks(steps)
-    assert rows.shape == (max(1024, 1 << (used - 1).bit_length()), 3)
+    assert rows.shape == (max(8192, 1 << (used - 1).bit_length()), 3)
     assert not np.any(rows[used:])
     path = system.path_length(np.linspace(0, system.period, 201)[:-1], np.linspace(0, system.period, 201)[1:]).sum()
     sums = np.abs(rows[:, 0]).sum() + abs(float(strobe.rest))
