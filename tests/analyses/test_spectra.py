@@ -83,7 +83,7 @@ def test_henon_and_heiles_in_pairs():
     """A Hamiltonian flow: exponents λ, 0, 0, −λ, their sum zero to rounding; chaos at a higher energy, order at a low one."""
     experiment = jaxnh.load(
         ROOT / "configs/flows/henon_heiles.yaml",
-        ["sweep.x_dot={values: [0.3, 0.56]}", "analyses={lyapunov: {transient: 64, periods: 4096, exponents: 4}}"],
+        ["sweep.x_dot={values: [0.3, 0.5]}", "analyses={lyapunov: {transient: 64, periods: 4096, exponents: 4}}"],
     )
     found = session_of(experiment).run("lyapunov")
     exponents, errors = (found[key].to_numpy() for key in ("exponents", "exponents_error"))
