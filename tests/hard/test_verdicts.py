@@ -122,14 +122,14 @@ def test_transients_of_chaos(battery):
 @pytest.mark.slow
 @pytest.mark.case("Verdicts of longer runs")
 def test_limit_cycle_beside_a_strobe(battery):
-    """Where the right-hand side knows no time a limit cycle is periodic; a pendulum without damping is undecided."""
+    """Where the right-hand side knows no time a limit cycle is no periodic lane; a pendulum without damping is undecided."""
     lanes = Lanes(tile=8)
     flow = lagrangian(van_der_pol, {"stiffness": 1.0})
     start = flow.start({"x": 0.5, "x_dot": 0.0})
     cycles = scene_of(flow, start, [0.5, 1.0], SOLVERS["dopri5"], 60, name="stiffness", error=1e-8)
     kind = judged(cycles, lanes, 128, 256)["kind"].to_numpy()
     battery.row("limit cycles of van der Pol", int(np.sum(kind == QUASIPERIODIC)), 0, "called quasiperiodic:")
-    assert CHAOTIC not in kind
+    assert {verdict.KINDS[i] for i in kind} <= {"limit_cycle", "undecided"}
     free = lagrangian(pendulum, {"damping": 0.0, "drive": 0.0})
     start = free.start({"angle": 0.3, "angle_dot": 0.2})
     swings = scene_of(free, start, [0.0, 0.0], SOLVERS["dopri5"], 60, name="drive", error=1e-8)
