@@ -119,7 +119,7 @@ def test_long_chaos(battery, lanes):
         "largest, in standard errors (of " + f"{max(m.std(ddof=1) / math.sqrt(count) for m in averages):.1e})",
     )
     off = np.abs(np.hypot(*end[1]) - 1)
-    battery.row("the same lanes at their end", worst(off), 1e-14, "largest \\|\\|n\\| − 1\\|")
+    battery.row("the same lanes at their end", worst(off), 1e-14, "largest ||n| − 1|")
     few, shorter = slice(count // 2 - 37, count // 2 + 26), min(periods, 2000)
     start = jax.tree.map(lambda leaf: leaf[few], (state, p))
     one = Lanes(devices=jax.devices()[:1])

@@ -86,12 +86,12 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     found = period.beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
     wanted = np.repeat([1, 2], len(edge))
     wrong = int(np.sum(found.period != wanted))
-    battery.row("\\|1 + μ\\| = 1e-2 … 1e-12 on both sides: periods 1 and 2", wrong, 0, "wrong periods:")
+    battery.row("|1 + μ| = 1e-2 … 1e-12 on both sides: periods 1 and 2", wrong, 0, "wrong periods:")
     # Beyond it 2n has μ = 1 − 4|1 + μ_n| + …, found with the orbit of period n divided out: no root is threefold, and
     # what is left is rounding, as before it (the note), and the error of b at the doubling that the row above allows.
     expected = np.concatenate([1 - edge, 1 - 4 * edge])
     off = np.abs(found.multiplier - expected) / (10 * edge[None, :].repeat(2, 0).ravel() ** 2 + 1e-11)
-    battery.row("largest multiplier: of 1e-11 and the second order in \\|1 + μ\\|", worst(off), 1.0, "share")
+    battery.row("largest multiplier: of 1e-11 and the second order in |1 + μ|", worst(off), 1.0, "share")
     before = found.u[: len(edge)]
     blocks = taylor.strobe_jacobian(par, b[: len(edge)], before)[1].astype(float)
     reference = np.array([np.abs(np.linalg.eigvals(m)).max() for m in blocks])
