@@ -8,7 +8,7 @@ import subprocess
 import pytest
 from conftest import ROOT
 
-from sweeps import claims, claims_table, measured_at
+from sweeps import claims, claims_reading, claims_table, measured_at
 from sweeps.claims_table import Claim
 from sweeps.measured_at import Stamp
 
@@ -40,7 +40,7 @@ Words | not a row.
 
 
 def claim(quote, **row):
-    read = claims_table.cells("page.md", "Speed", ["error"], **(row or {"over": "other"}))
+    read = claims_reading.cells("page.md", "Speed", ["error"], **(row or {"over": "other"}))
     return Claim("text.md", quote, "make it", "page.md", "Speed", read)
 
 
