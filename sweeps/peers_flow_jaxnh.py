@@ -11,19 +11,17 @@ import numpy as np
 
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.xla_options import configure
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import Strobe
-from jaxnh.solvers import dopri8, tsit5
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.lagrangian import lagrangian
 from sweeps.peers_flow_cases import CASES, FlowCase, FlowScene
 from sweeps.peers_scene import Errors, Setting, least_effort
 
-SOLVERS = {"dopri8": dopri8, "tsit5": tsit5}
 _PERIODS = 512
-_FIRST_GUESS, _MOST_STEPS = {"dopri8": 60.0, "tsit5": 200.0}, 20_000.0
+_FIRST_FIELDS, _MOST_STEPS = 800.0, 20_000.0
 
 
 class Placed(NamedTuple):
@@ -101,6 +99,7 @@ class FlowMaps:
         self.scene = scene
         self.placed = placed(scene.case)
         self.lanes = Lanes()
+        self.solvers = {s.name: s for s in way_of(self.placed.flow).solvers(self.placed.flow)}
 
     def errors(self, strobe: Strobe) -> Errors:
         """Errors of a map, of the kind that it is tuned by."""
@@ -108,11 +107,11 @@ class FlowMaps:
 
     def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
         settings: list[Setting] = []
-        for name in SOLVERS:
+        for name, solver in self.solvers.items():
             found = least_effort(
                 lambda steps, name=name: self.errors(self.strobe(name, steps)),
                 target,
-                _FIRST_GUESS[name],
+                _FIRST_FIELDS / solver.stages,
                 factor=1.5,
                 most=_MOST_STEPS,
                 whole=True,
@@ -124,7 +123,7 @@ class FlowMaps:
 
     def strobe(self, name: str, steps: float) -> Strobe:
         """The map over a period, or a unit of time."""
-        return make_strobe(self.placed.flow, SOLVERS[name], int(steps))
+        return make_strobe(self.placed.flow, self.solvers[name], int(steps))
 
     def started(self, lanes: np.ndarray) -> tuple[Any, dict[str, np.ndarray]]:
         """Start states and parameters of lanes."""

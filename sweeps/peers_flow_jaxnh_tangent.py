@@ -13,7 +13,7 @@ from jaxnh.analyses import lyapunov
 from jaxnh.analyses.scene import Scene
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import Strobe
-from sweeps.peers_flow_jaxnh import SOLVERS, FlowMaps
+from sweeps.peers_flow_jaxnh import FlowMaps
 from sweeps.peers_scene import TANGENT_PERIODS, WHOLE, Errors, Setting
 
 
@@ -56,7 +56,8 @@ class Contestant(FlowMaps):
 
     def _scene(self, setting: Setting) -> Scene:
         state, p = self.started(self.scene.timed())
-        return Scene(self.placed.flow, state, p, SOLVERS[setting.form], int(setting.knob), False, setting.errors.max)
+        solver = self.solvers[setting.form]
+        return Scene(self.placed.flow, state, p, solver, int(setting.knob), False, setting.errors.max)
 
     def _options(self) -> lyapunov.LyapunovOptions:
         return lyapunov.LyapunovOptions(transient=0, periods=TANGENT_PERIODS, exponents=self.placed.flow.exponents)

@@ -28,7 +28,7 @@ from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, 
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_source import Source, from_dict, from_text, read
 from jaxnh.maps.section import Crossing
-from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS
+from jaxnh.solvers import NYSTROM, RUNGE_KUTTA, SPLITTINGS
 from jaxnh.systems.flow import Flow, State
 from jaxnh.systems.user_file import UserFile
 
@@ -139,9 +139,11 @@ class Experiment(Block):
     def _check_accuracy(self) -> None:
         """See that solver and precision go with the system."""
         solver, prescribed = self.accuracy.solver, isinstance(self.system, PrescribedSpeed)
-        if solver and solver not in RUNGE_KUTTA and not prescribed:
-            general = ", ".join(RUNGE_KUTTA)
+        if solver in SPLITTINGS and not prescribed:
+            general = ", ".join((*RUNGE_KUTTA, *NYSTROM))
             raise rule(f"{solver} is for a particle at a prescribed speed; others are {general}", "accuracy.solver")
+        if solver in NYSTROM and prescribed:
+            raise rule(f"{solver} is for flows x'' = F(x, t) - gamma x', and this particle is none", "accuracy.solver")
         fitting = [name for name, s in SPLITTINGS.items() if not s.processed]
         if solver and prescribed and self.autonomous and solver not in fitting:
             raise rule(

@@ -103,7 +103,7 @@ class Calibration:
         self._way = way = way_of(flow)
         section = flow is not flow.flow
         # From crossing to crossing every step starts and ends by itself: no processor around many, no sums over them.
-        self._candidates = tuple(s for s in way.solvers if not (section and s.processor[1]))
+        self._candidates = tuple(s for s in way.solvers(flow.flow) if not (section and s.processor[1]))
         self._summations = (False,) if section else way.summations
         self._samples, looked_at = self._take_samples(rows)
         self._left_out = int(_LEFT_OUT * looked_at)

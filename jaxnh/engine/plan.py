@@ -72,12 +72,15 @@ def plan_of(experiment: Experiment, calibration: Calibration) -> Plan:
     """The solver and steps asked for, or else the cheapest that meet the target.
 
     Raises:
-        AccuracyError: nothing meets the target.
+        AccuracyError: nothing meets the target, or the solver asked for is not made for the flow.
     """
     accuracy = experiment.accuracy
     if accuracy.solver and accuracy.steps:
         solver = SOLVERS[accuracy.solver]
-        return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
+        try:
+            return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
+        except AccuracyError as error:
+            raise AccuracyError(f"{experiment.label}: accuracy.solver: {error}") from None
     try:
         return calibration.cheapest(accuracy.target)
     except AccuracyError as error:

@@ -14,13 +14,24 @@ import jax
 import numpy as np
 
 from jaxnh.maps.crossings import EventStrobe, SteppedStrobe
-from jaxnh.maps.general_flow import general_strobe, unit_step
+from jaxnh.maps.general_flow import general_strobe, stacked, unit_step
 from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table
 from jaxnh.maps.kicks import KickStrobe
+from jaxnh.maps.nystrom import nystrom_strobe, nystrom_unit_step
 from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.second_order import second_order
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.maps.step_grids import GRID_POINTS, share_of_steps, step_grid
-from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver, dopri8, tsit5
+from jaxnh.solvers import (
+    SPLITTINGS,
+    IsokineticSplitting,
+    Nystrom,
+    Solver,
+    nystrom8,
+    tsit5,
+    tsitouras_papakostas8,
+    verner9,
+)
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.particle import IsokineticParticle
 
@@ -35,16 +46,18 @@ class Way(Protocol):
     """How flows of one kind are integrated, by solvers of one kind: the registry knows which.
 
     Attributes:
-        solvers: those to choose from.
         reference: the one that errors are measured with.
         summations: whether sums may be plain, compensated, or both.
         rough_steps: of the reference, for a first look at a flow.
     """
 
-    solvers: ClassVar[tuple[Solver, ...]]
     reference: ClassVar[Solver]
     summations: ClassVar[tuple[bool, ...]]
     rough_steps: ClassVar[int]
+
+    def solvers(self, flow: Any) -> tuple[Solver, ...]:
+        """Those to choose from."""
+        ...
 
     def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> Strobe:
         """The map over a span of time in so many steps."""
@@ -68,10 +81,12 @@ class Way(Protocol):
 class Kicks:
     """By isokinetic splittings: kicks in a table that all lanes share."""
 
-    solvers: ClassVar[tuple[Solver, ...]] = tuple(SPLITTINGS.values())
     reference: ClassVar[Solver] = SPLITTINGS["sofroniou_spaletta10"]
     summations: ClassVar[tuple[bool, ...]] = (False, True)
     rough_steps: ClassVar[int] = 32
+
+    def solvers(self, flow: Any) -> tuple[Solver, ...]:
+        return tuple(SPLITTINGS.values())
 
     def strobe(
         self,
@@ -106,7 +121,7 @@ class Kicks:
             table = processed_table(flow, solver, each, (ends[:-1], ends[1:]), smallest=_SMALLEST_TABLE // len(grid))
         else:
             table = kick_table(flow, solver, grid, smallest=_SMALLEST_TABLE // len(grid))
-        return KickStrobe(_stacked(flow.tabulated(), len(grid)), *table, compensated)
+        return KickStrobe(stacked(flow.tabulated(), (len(grid),)), *table, compensated)
 
     def cut(self, flow: Any, solver: Any, each: int, grid: np.ndarray, *, compensated: bool) -> Strobe:
         parts = len(grid)
@@ -115,22 +130,25 @@ class Kicks:
             table = cut_table(whole, parts, each * solver.stages, smallest=_SMALLEST_TABLE // parts)
         else:
             table = kick_table(flow, solver, grid, smallest=_SMALLEST_TABLE // parts)
-        return KickStrobe(_stacked(flow.tabulated(), parts), *table, compensated)
+        return KickStrobe(stacked(flow.tabulated(), (parts,)), *table, compensated)
 
 
 class Steps:
-    """By Runge–Kutta steps, of any flow."""
+    """By steps of Runge–Kutta methods, of any flow, and of Nyström's, of those of second order."""
 
-    solvers: ClassVar[tuple[Solver, ...]] = (dopri8, tsit5)
-    reference: ClassVar[Solver] = dopri8
+    reference: ClassVar[Solver] = verner9
     summations: ClassVar[tuple[bool, ...]] = (False,)
     rough_steps: ClassVar[int] = 128
 
+    def solvers(self, flow: Flow) -> tuple[Solver, ...]:
+        # Where Nyström's method goes it needs half the arithmetic of the others, at every accuracy.
+        return (nystrom8,) if second_order(flow) else (tsitouras_papakostas8, verner9, tsit5)
+
     def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> Strobe:
-        return general_strobe(flow, _fitting(solver), step_grid(flow, steps, span))
+        return _on_grid(flow, solver, step_grid(flow, steps, span))
 
     def step(self, flow: Any, solver: Any) -> Strobe:
-        return unit_step(flow, _fitting(solver))
+        return nystrom_unit_step(flow, solver) if isinstance(solver, Nystrom) else unit_step(flow, _fitting(solver))
 
     def parts(
         self,
@@ -142,21 +160,22 @@ class Steps:
         *,
         compensated: bool,
     ) -> Strobe:
-        return general_strobe(flow, _fitting(solver), grid)
+        return _on_grid(flow, solver, grid)
 
     def cut(self, flow: Any, solver: Any, each: int, grid: np.ndarray, *, compensated: bool) -> Strobe:
-        return general_strobe(flow, _fitting(solver), grid)
+        return _on_grid(flow, solver, grid)
 
 
-def _fitting(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:
+def _on_grid(flow: Flow, solver: Any, grid: np.ndarray) -> Strobe:
+    if isinstance(solver, Nystrom):
+        return nystrom_strobe(flow, solver, grid)
+    return general_strobe(flow, _fitting(solver), grid)
+
+
+def _fitting(solver: Any) -> diffrax.AbstractSolver:
     if isinstance(solver, IsokineticSplitting):
         raise TypeError(f"{solver.name} is a splitting for a particle at a prescribed speed")
     return solver
-
-
-def _stacked(flow: Any, parts: int) -> Any:
-    """A flow as `lax.scan` takes it: every leaf with the parts as first axis."""
-    return jax.tree.map(lambda leaf: np.full(parts, leaf, float), flow)
 
 
 WAYS: dict[type[Flow], tuple[Way, Way]] = {
@@ -166,7 +185,7 @@ WAYS: dict[type[Flow], tuple[Way, Way]] = {
 """The registry: how flows of a kind are integrated by solvers of that way, and by others."""
 
 
-def way_of(flow: Flow, solver: diffrax.AbstractSolver | None = None) -> Way:
+def way_of(flow: Flow, solver: Any = None) -> Way:
     """How a flow is integrated, by a solver if one is named."""
     own, other = next(WAYS[kind] for kind in type(flow.flow).__mro__ if kind in WAYS)
     return own if solver is None or isinstance(solver, type(own.reference)) else other
@@ -246,7 +265,7 @@ def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
 
 def _unit_step(flow: Flow, solver: Solver) -> Strobe:
     """One step as long as the unit of time, of a flow without a clock."""
-    if not isinstance(solver, IsokineticSplitting) and not hasattr(solver, "rolled_step"):
+    if not hasattr(solver, "written_stages") and not isinstance(solver, IsokineticSplitting):
         raise TypeError(f"{solver.name} has no steps of its own for a flow without a clock")
     return way_of(flow, solver).step(flow, solver)
 

@@ -93,10 +93,10 @@ class GeneralStrobe(Strobe):
 
     def stretched(self, factor: ArrayLike) -> GeneralStrobe:
         """The map over so many times the time, of a flow without a clock."""
-        return GeneralStrobe(self.system, self.solver, self.grid * factor, self.steps, (), self.rolled)
+        return replace(self, grid=self.grid * factor, values=())
 
     def with_room_of(self, other: Strobe) -> GeneralStrobe:
-        if not isinstance(self.solver, WrittenOutRungeKutta):  # diffrax takes no step of no length
+        if not hasattr(self.solver, "written_stages"):  # diffrax takes no step of no length
             return self
         assert isinstance(other, GeneralStrobe)
         more = len(np.asarray(other.grid)) - len(np.asarray(self.grid))
@@ -106,7 +106,7 @@ class GeneralStrobe(Strobe):
     def __call__(self, state: State, p: Parameters) -> State:
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return self._by_diffrax(state, p)
-        own = self._own(p)
+        own = own_parameters(self.system, p)
 
         def field(values: Sequence[Any], y: Moving) -> Moving:
             return Moving(split_of(self.system).rest(values, self.system, (y.state, own)))
@@ -119,31 +119,19 @@ class GeneralStrobe(Strobe):
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return self._push_by_diffrax(state, p, tangents)
-        own = self._own(p)
-        still = jax.tree.map(jnp.zeros_like, own)
-        by_p = [{**still, **(t.p or {})} for t in tangents]
-        changing = any(t.p for t in tangents)
-
-        def along(function: Callable[[State, Any], Any], y: State, p: Any, moved: Sequence[State]) -> tuple[Any, Any]:
-            """A function's value, and its derivative along every tangent."""
-            if not moved:
-                return function(y, p), ()
-            if not changing:
-                value, slope = jax.linearize(lambda y: function(y, p), y)
-                return value, tuple(slope(dy) for dy in moved)
-            value, slope = jax.linearize(function, y, p)
-            return value, tuple(slope(dy, dp) for dy, dp in zip(moved, by_p, strict=True))
+        own = own_parameters(self.system, p)
+        by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
 
         def field(values: Sequence[Any], y: Moving) -> Moving:
             def rate(z: State, own: Any) -> State:
                 return split_of(self.system).rest(values, self.system, (z, own))
 
-            value, moved = along(rate, y.state, own, y.tangents)
+            value, moved = along(rate, y.state, own, y.tangents, by_p)
             spread = self.system.divergence_of(lambda z: rate(z, own), y.state)
             return Moving(value, moved, spread)
 
         def project(t: Any, y: Moving) -> Moving:
-            value, moved = along(lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents)
+            value, moved = along(lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p)
             return Moving(value, moved, y.log_volume)
 
         zero = jnp.zeros_like(jax.tree.leaves(state)[0])
@@ -151,10 +139,6 @@ class GeneralStrobe(Strobe):
         ended = self._march(field, project, begun, len(tangents) + 1)
         moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
         return Pushed(ended.state, moved, jnp.exp(ended.log_volume))
-
-    def _own(self, p: Parameters) -> dict[str, Any]:
-        """The parameters that lanes may have of their own."""
-        return own_parameters(self.system, p)
 
     def _march(
         self,
@@ -202,6 +186,24 @@ class GeneralStrobe(Strobe):
         return Pushed(self(state, p), tuple(moved), jnp.full_like(jax.tree.leaves(state)[0], jnp.nan))
 
 
+def along(
+    function: Callable[[Any, Any], Any],
+    y: Any,
+    own: Mapping[str, Any],
+    moved: Sequence[Any],
+    by_p: Sequence[Mapping[str, Any] | None],
+) -> tuple[Any, tuple[Any, ...]]:
+    """A function's value at (y, own), and its derivative along every tangent of y and, where it has them, of own."""
+    if not moved:
+        return function(y, own), ()
+    if not any(by_p):
+        value, slope = jax.linearize(lambda y: function(y, own), y)
+        return value, tuple(slope(dy) for dy in moved)
+    still = jax.tree.map(jnp.zeros_like, dict(own))
+    value, slope = jax.linearize(function, y, dict(own))
+    return value, tuple(slope(dy, dp or still) for dy, dp in zip(moved, by_p, strict=True))
+
+
 def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:
     """The parameters that lanes may have of their own, from the flow where a lane has none."""
     if unknown := set(p) - set(system.own):
@@ -234,13 +236,22 @@ def general_strobe(
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
     values: tuple[Any, ...] = ()
     if isinstance(solver, WrittenOutRungeKutta):
-        capacity = 1 << (max(_SMALLEST_GRID // math.prod(parts), count) - 1).bit_length()
-        grid = np.concatenate([grid, np.repeat(grid[..., -1:], capacity - count, axis=-1)], axis=-1)
-        times = grid[..., :-1, None] + np.diff(grid)[..., None] * np.asarray(solver.c[: solver.stages])
+        grid, times = with_stages(grid, solver.c[: solver.stages])
         values = tuple(np.asarray(value) for value in split_of(system).table(times, system))
-    if parts:
-        system = jax.tree.map(lambda leaf: np.full(parts, leaf, float), system)
-    return GeneralStrobe(system, solver, grid, np.full(parts, count, np.int32), values, rolled)
+    return GeneralStrobe(stacked(system, parts), solver, grid, np.full(parts, count, np.int32), values, rolled)
+
+
+def with_stages(grid: np.ndarray, c: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """A grid (..., steps + 1) with room for as many steps as most accuracies need, and times (..., steps, stages)."""
+    count, parts = grid.shape[-1] - 1, grid.shape[:-1]
+    capacity = 1 << (max(_SMALLEST_GRID // math.prod(parts), count) - 1).bit_length()
+    grid = np.concatenate([grid, np.repeat(grid[..., -1:], capacity - count, axis=-1)], axis=-1)
+    return grid, grid[..., :-1, None] + np.diff(grid)[..., None] * np.asarray(c)
+
+
+def stacked(system: Any, parts: tuple[int, ...]) -> Any:
+    """A flow as `lax.scan` takes it: every leaf with the parts as first axis, where there are some."""
+    return jax.tree.map(lambda leaf: np.full(parts, leaf, float), system) if parts else system
 
 
 def unit_step(system: Flow, solver: diffrax.AbstractSolver) -> GeneralStrobe:

@@ -25,7 +25,13 @@ _SPLITTINGS = {
     "kahan_li8": "#7a3b8f",
     "sofroniou_spaletta10": "#3b6fb5",
 }
-_WRITTEN_OUT = {"tsit5": "#8fc3a3", "dopri5": "#4f9d73", "dopri8": "#1c6e4a"}
+_WRITTEN_OUT = {
+    "tsit5": "#8fc3a3",
+    "dopri5": "#4f9d73",
+    "dopri8": "#1c6e4a",
+    "tsitouras_papakostas8": "#12908e",
+    "verner9": "#0c4f5c",
+}
 _STOCK = {"diffrax Tsit5": "#9a9a9a", "diffrax Dopri8": "#303030"}
 _COLOURS = {**_SPLITTINGS, **_WRITTEN_OUT, **_STOCK}
 _OTHER = "#6d4c41"

@@ -1,4 +1,4 @@
-"""diffrax solvers of the package: isokinetic splittings, and Runge–Kutta methods with their stages written out."""
+"""diffrax solvers of the package: isokinetic splittings, and methods of Runge and Kutta and of Nyström."""
 
 from jaxnh.solvers.compositions import SPLITTINGS
 from jaxnh.solvers.isokinetic import (
@@ -9,19 +9,23 @@ from jaxnh.solvers.isokinetic import (
     isokinetic_terms,
     kick,
 )
+from jaxnh.solvers.nystrom import NYSTROM, Nystrom, nystrom8
 from jaxnh.solvers.projected import Projected
-from jaxnh.solvers.runge_kutta import RUNGE_KUTTA, WrittenOutRungeKutta, dopri5, dopri8, tsit5, written_out
+from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
+from jaxnh.solvers.tableaus import RUNGE_KUTTA, dopri5, dopri8, tsit5, tsitouras_papakostas8, verner9, written_out
 
-Solver = IsokineticSplitting | WrittenOutRungeKutta
+Solver = IsokineticSplitting | WrittenOutRungeKutta | Nystrom
 
-SOLVERS: dict[str, Solver] = {**SPLITTINGS, **RUNGE_KUTTA}
+SOLVERS: dict[str, Solver] = {**SPLITTINGS, **RUNGE_KUTTA, **NYSTROM}
 """All solvers by their name in configs."""
 
 __all__ = [
+    "NYSTROM",
     "RUNGE_KUTTA",
     "SOLVERS",
     "SPLITTINGS",
     "IsokineticSplitting",
+    "Nystrom",
     "Projected",
     "Schedule",
     "Solver",
@@ -32,6 +36,9 @@ __all__ = [
     "half_turn",
     "isokinetic_terms",
     "kick",
+    "nystrom8",
     "tsit5",
+    "tsitouras_papakostas8",
+    "verner9",
     "written_out",
 ]

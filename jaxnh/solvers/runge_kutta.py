@@ -14,7 +14,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from diffrax import ButcherTableau
 from jax import lax
 
 
@@ -143,34 +142,3 @@ def _combine(base: Any, weights: tuple[float, ...], stages: list[Any]) -> Any:
         return base
     trees = [k for _, k in terms]
     return jax.tree.map(leaf, *trees) if base is None else jax.tree.map(leaf, base, *trees)
-
-
-def written_out(tableau: ButcherTableau, order: int, name: str, source: str) -> WrittenOutRungeKutta:
-    """The written-out solver of an explicit diffrax tableau."""
-    rows = ((), *(tuple(np.asarray(row).tolist()) for row in tableau.a_lower))
-    return WrittenOutRungeKutta(
-        a=rows,
-        b=tuple(np.asarray(tableau.b_sol).tolist()),
-        b_error=tuple(np.asarray(tableau.b_error).tolist()),
-        c=(0.0, *np.asarray(tableau.c).tolist()),
-        convergence_order=order,
-        name=name,
-        source=source,
-    )
-
-
-dopri8 = written_out(
-    diffrax.Dopri8.tableau, 8, "dopri8", "Prince and Dormand, J. Comput. Appl. Math. 7 (1981) 67, via diffrax"
-)
-"""Dormand–Prince 8(7), thirteen stages and one more for the error estimate."""
-
-tsit5 = written_out(diffrax.Tsit5.tableau, 5, "tsit5", "Tsitouras, Comput. Math. Appl. 62 (2011) 770, via diffrax")
-"""Tsitouras 5(4), six stages and one more for the error estimate."""
-
-dopri5 = written_out(
-    diffrax.Dopri5.tableau, 5, "dopri5", "Dormand and Prince, J. Comput. Appl. Math. 6 (1980) 19, via diffrax"
-)
-"""Dormand–Prince 5(4), six stages and one more for the error estimate."""
-
-RUNGE_KUTTA: dict[str, WrittenOutRungeKutta] = {s.name: s for s in (tsit5, dopri5, dopri8)}
-"""Written-out Runge–Kutta methods by their name in configs."""

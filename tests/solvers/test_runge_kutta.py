@@ -13,10 +13,7 @@ from jaxnh.solvers import RUNGE_KUTTA
 from jaxnh.systems.particle import chart, unchart
 
 methods = pytest.mark.parametrize("solver", RUNGE_KUTTA.values(), ids=RUNGE_KUTTA)
-
-
-def diffrax_s_own(solver):
-    return getattr(diffrax, solver.name.capitalize())()
+OWN = {name: getattr(diffrax, name.capitalize()) for name in RUNGE_KUTTA if hasattr(diffrax, name.capitalize())}
 
 
 @methods
@@ -29,11 +26,11 @@ def test_order_under_diffrax(system, solver):
     assert solver.convergence_order - 0.5 < order_of(system, solver) < solver.convergence_order + 1.5
 
 
-@methods
-def test_step_is_that_of_diffrax(solver):
+@pytest.mark.parametrize("name", OWN)
+def test_step_is_that_of_diffrax(name):
     """State and error estimate of one step, to the rounding of a sum over stages in another order."""
     term = diffrax.ODETerm(SYSTEMS["disturbed"].rhs)
-    own = diffrax_s_own(solver)
+    solver, own = RUNGE_KUTTA[name], OWN[name]()
 
     def step(solver, u, b):
         state = unchart(u)
@@ -46,6 +43,19 @@ def test_step_is_that_of_diffrax(solver):
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         # Stages are below 1 and coefficients below 40: fifteen products, of which each is rounded twice.
         assert np.abs(np.asarray(one) - np.asarray(other)).max() < 2 * 15 * 40 * UNIT
+
+
+@methods
+def test_error_estimate_is_of_the_embedded_order(solver):
+    """Both solutions integrate powers of t up to the order of the lower one: their difference is then rounding.
+
+    An abscissa is a sum of coefficients, which are rounded, and its power k has k times that.
+    """
+    weights, c = np.array(solver.b_error), np.array(solver.c)
+    rounding = 4 * UNIT * np.abs(weights) @ [1.0 + sum(map(abs, row)) for row in solver.a]
+    for k in range(solver.convergence_order - 1):
+        assert abs(weights @ c**k) < (1 + k) * rounding
+    assert abs(weights @ c ** (solver.convergence_order - 1)) > 1e-7
 
 
 @methods
@@ -83,7 +93,7 @@ def test_adaptive_steps(name):
         return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys)), solution.stats["num_accepted_steps"]
 
     ours, steps = jax.jit(jax.vmap(lambda u, b: solve(solver, u, b)))(STATES, B)
-    theirs, their_steps = jax.jit(jax.vmap(lambda u, b: solve(diffrax_s_own(solver), u, b)))(STATES, B)
+    theirs, their_steps = jax.jit(jax.vmap(lambda u, b: solve(OWN[name](), u, b)))(STATES, B)
     assert np.abs(np.asarray(steps) - np.asarray(their_steps)).max() <= 1
     monodromy = taylor.strobe_jacobian(twin(system), B, STATES)[1].astype(float)
     allowed = tolerance * np.asarray(steps) * np.maximum(np.linalg.norm(monodromy, 2, axis=(1, 2)), 1)

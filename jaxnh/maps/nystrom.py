@@ -1,0 +1,166 @@
+"""The strobe map of a flow of second order by a method of Nyström's, on a grid of steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+
+from jaxnh.exceptions import AccuracyError
+from jaxnh.maps.general_flow import GeneralStrobe, Moving, along, own_parameters, stacked, with_stages
+from jaxnh.maps.protocol import Pushed, Tangent
+from jaxnh.maps.second_order import SecondOrder, second_order
+from jaxnh.solvers import Nystrom
+from jaxnh.systems.flow import Flow, Parameters, State
+
+Carried = list[list[Any]]
+"""Positions, or velocities: of the state, then of every tangent."""
+
+
+class NystromStrobe(GeneralStrobe):
+    """P of a flow x″ = F(x, t) − γ x′ by steps on a grid, its tangents by the linearisation of F.
+
+    Attributes:
+        solver: a method of Nyström's.
+        gamma: of each position, (positions,); the last of `values` are then exp(γ t/2) and exp(−γ t/2), t from the
+            beginning of the step, at its stages and its end: (capacity, stages + 1, positions).
+        damped: whether there is a γ that is not zero; without, nothing of it is computed.
+    """
+
+    solver: Nystrom = eqx.field(static=True)  # pyright: ignore[reportIncompatibleVariableOverride]
+    gamma: ArrayLike = 0.0
+    damped: bool = eqx.field(static=True, default=False)
+
+    @property
+    def turns(self) -> tuple[float, ...]:
+        """Of the loop over steps."""
+        return () if self.steps is None else (float(np.mean(self.steps)),)
+
+    def __call__(self, state: State, p: Parameters) -> State:
+        order, own = self._order, own_parameters(self.system, p)
+
+        def force(values: Sequence[Any], x: Carried) -> Carried:
+            return [order.split.rest(values, self.system, (x[0], own))]
+
+        def project(t: Any, y: Moving) -> Moving:
+            return Moving(self.system.project(t, y.state, p))
+
+        return self._march_on(force, project, Moving(state)).state
+
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+        order, own = self._order, own_parameters(self.system, p)
+        by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
+
+        def force(values: Sequence[Any], x: Carried) -> Carried:
+            value, moved = along(lambda x, own: order.split.rest(values, self.system, (x, own)), x[0], own, x[1:], by_p)
+            return [value, *moved]
+
+        def project(t: Any, y: Moving) -> Moving:
+            value, moved = along(lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p)
+            return Moving(value, moved)
+
+        ended = self._march_on(force, project, Moving(state, tuple(t.state for t in tangents)))
+        moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
+        grid, one = jnp.asarray(self.grid), jnp.ones_like(jax.tree.leaves(state)[0])
+        volume = one * jnp.exp(-(grid[-1] - grid[0]) * jnp.sum(jnp.asarray(self.gamma))) if self.damped else one
+        return Pushed(ended.state, moved, volume)
+
+    @property
+    def _order(self) -> SecondOrder:
+        order = second_order(self.system)
+        assert order is not None
+        return order
+
+    def _march_on(
+        self,
+        force: Callable[[Sequence[Any], Carried], Carried],
+        project: Callable[[Any, Moving], Moving],
+        y: Moving,
+    ) -> Moving:
+        """All steps, each projected."""
+        halves, grid, values = self._order.halves, jnp.asarray(self.grid), [jnp.asarray(v) for v in self.values]
+        gamma = [jnp.asarray(self.gamma)[k] for k in range(len(halves.positions))] if self.damped else []
+
+        def step(i: Any, y: Moving) -> Moving:
+            h = grid[i + 1] - grid[i]
+            carried = [halves.parts(state) for state in (y.state, *y.tangents)]
+            x, v = ([half[part] for half in carried] for part in (0, 1))
+            rows = [value[i] for value in values]
+            if self.damped:
+                *rows, growth, decay = rows
+
+                def grown(s: int, x: Carried) -> Carried:
+                    x = _times(decay[s], x)
+                    pushed = force([row[s] for row in rows], x)
+                    return _times(growth[s], _plus(pushed, [0.25 * g * g for g in gamma], x))
+
+                half = [0.5 * g for g in gamma]
+                x, v = self.solver.written_stages(grown, h, x, _plus(v, half, x))
+                x, v = _times(decay[-1], x), _times(decay[-1], v)
+                v = _plus(v, [-g for g in half], x)
+            else:
+                x, v = self.solver.written_stages(lambda s, x: force([row[s] for row in rows], x), h, x, v)
+            state, *moved = (
+                halves.joined(state, *part) for state, *part in zip((y.state, *y.tangents), x, v, strict=True)
+            )
+            return project(grid[i + 1], Moving(state, tuple(moved)))
+
+        return step(0, y) if self.steps is None else lax.fori_loop(0, self.steps, step, y)
+
+
+def nystrom_strobe(system: Flow, solver: Nystrom, grid: np.ndarray) -> NystromStrobe:
+    """The map over a grid (steps + 1,), or stacked maps of one flow over grids (parts, steps + 1).
+
+    Raises:
+        AccuracyError: the flow is not of second order.
+    """
+    order = second_order(system)
+    if order is None:
+        raise AccuracyError(f"{solver.name} is for flows x'' = F(x, t) - gamma x', and this one is not seen to be one")
+    count, parts = grid.shape[-1] - 1, grid.shape[:-1]
+    grid, times = with_stages(grid, solver.c)
+    values, gamma = list(order.split.table(times, system)), order.damping(system)
+    if order.damped:
+        since = np.diff(grid)[..., None] * np.asarray([*solver.c, 1.0])
+        half = 0.5 * since[..., None] * gamma
+        values += [np.exp(half), np.exp(-half)]
+    return NystromStrobe(
+        stacked(system, parts),
+        solver,
+        grid,
+        np.full(parts, count, np.int32),
+        tuple(np.asarray(value) for value in values),
+        gamma=np.broadcast_to(gamma, (*parts, len(gamma))),
+        damped=order.damped,
+    )
+
+
+def nystrom_unit_step(system: Flow, solver: Nystrom) -> NystromStrobe:
+    """One step as long as the unit of time, of a flow without a clock.
+
+    Raises:
+        AccuracyError: the flow is not of second order, or damped.
+    """
+    order = second_order(system)
+    if order is None or order.damped:
+        raise AccuracyError(f"{solver.name} is for flows x'' = F(x) where there is no clock, and this is none of them")
+    return NystromStrobe(system, solver, np.array([0.0, 1.0]), None, gamma=np.zeros(len(order.halves.positions)))
+
+
+def _times(factors: Any, carried: Carried) -> Carried:
+    """Every component times its factor."""
+    return [[factors[k] * leaf for k, leaf in enumerate(part)] for part in carried]
+
+
+def _plus(carried: Carried, factors: Sequence[Any], other: Carried) -> Carried:
+    """carried + factor · other, each component with its factor."""
+    return [
+        [one + f * two for one, f, two in zip(part, factors, others, strict=True)]
+        for part, others in zip(carried, other, strict=True)
+    ]
