@@ -228,6 +228,11 @@ class Accuracy(Block):
         description="Arithmetic within a period: float64, or if asked for float32, with errors of 1e-5 and more",
     )
 
+    @property
+    def only_target(self) -> float | None:
+        """The target, where it decides; None where a solver is given, whose error is measured as well as can be."""
+        return None if self.solver else self.target
+
     @field_validator("solver")
     @classmethod
     def _known(cls, solver: str | None) -> str | None:

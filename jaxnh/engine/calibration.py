@@ -32,6 +32,7 @@ _LEFT_OUT = 5e-5  # of the periods looked at, that err most: half of the share t
 _SAFETY = 2.0  # the error is taken this many times: some lanes of the sweep have larger ones
 _REFERENCE_STEPS = 96
 _ROUNDING = 1e-12  # references nearer to each other than this are the same
+_NEAR = 0.1  # of the target: nearer references are not needed, as the error is taken twice
 _ROUGH = 1e-8  # references further apart than this say nothing: more steps may yet help
 _STALLED = 2  # refinements in a row that do not halve the distance: what is left is rounding
 _SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very system
@@ -40,6 +41,9 @@ _ROUNDS = 6
 _TABLES = 4  # that the rounding of plain sums is measured on
 _PRECISE = {"float64": 1e-6, "float32": 1e-1}  # an error below this that more steps do not halve is rounding
 _MOST_KICKS = 1 << 20
+_LONG = 4.0  # times the median return: errors have grown in it
+_HOPELESS = 1 << 17  # kicks: fast motion is resolved by now, and what still does not converge never will
+_PATIENT = 5  # refinements, as corners let the distance fall unevenly
 
 
 class Plan(NamedTuple):
@@ -88,17 +92,21 @@ class Calibration:
         floor: how far apart the two finest references are: what rounding leaves, or the steps that there can be.
     """
 
-    def __init__(self, rows: Sequence[Points], lanes: Lanes, precision: str = "float64") -> None:
+    def __init__(
+        self, rows: Sequence[Points], lanes: Lanes, precision: str = "float64", target: float | None = None
+    ) -> None:
         """Measure the reference.
 
         Args:
             rows: sample lanes, those of each value of the shared axes together.
+            target: the only one that will be asked for: the reference is then refined as far as it needs.
 
         Raises:
             AccuracyError: no lane has a period that can be computed.
         """
         self._flows = [row.system for row in rows]
         self._lanes, self._precision = lanes, precision
+        self._near = max(_ROUNDING, _NEAR * (target or 0.0))
         flow = self._flows[0]
         self._way = way = way_of(flow)
         section = flow is not flow.flow
@@ -143,9 +151,16 @@ class Calibration:
         """What to say when the least errors there are exceed the target."""
         worst = self._largest_at(errors)
         where = ", ".join(f"{name} = {values[worst]:.9g}" for name, values in self._samples.where.items())
+        what, hint = "period", ""
+        if self._flows[0] is not self._flows[0].flow:
+            what, lengths = "return", np.abs(self._reference[-1] - self._samples.states.t)
+            if lengths[worst] > _LONG * np.nanmedian(lengths):
+                hint = (
+                    f"; it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
+                )
         return AccuracyError(
-            f"no solver has an error of one period of {target:g} over this sweep; with up to {_MOST_KICKS:,} kicks, "
-            f"that at {where} comes down to {errors[worst]:.2g}"
+            f"no solver has an error of one {what} of {target:g} over this sweep; with up to {_MOST_KICKS:,} kicks, "
+            f"that at {where} comes down to {errors[worst]:.2g}{hint}"
         )
 
     def _search(self, solver: Solver, target: float, most: int, compensated: bool) -> Iterator[Plan]:
@@ -154,10 +169,14 @@ class Calibration:
             return
         failed, met = 0, most + 1
         steps = min(most, max(2, solver.most_steps(max(2048, self._enough // 4))))
-        previous = math.inf
+        previous, order = math.inf, float(solver.convergence_order)
+        tried: dict[int, float] = {}
         for _ in range(_ROUNDS):
             error = self.error(solver, steps, compensated=compensated)
             yield Plan(solver, steps, compensated, error)
+            if failed and error > target:
+                order = _order_seen(failed, tried[failed], steps, error, order)
+            tried[steps] = error
             if error <= target:
                 met = min(met, steps)
             else:
@@ -165,7 +184,7 @@ class Calibration:
                 if steps == most or (error > 0.5 * previous and error < _PRECISE[self._precision]):
                     return  # no better than a cheaper solver, or rounding
                 previous = error
-            factor = (error / (0.9 * target)) ** (1.0 / solver.convergence_order) if 0 < error < math.inf else 2.0
+            factor = (error / (0.9 * target)) ** (1.0 / order) if 0 < error < math.inf else 2.0
             guess = math.ceil(steps * min(max(factor, 0.3), 4.0))
             steps = min(max(guess, failed + 1), met - 1, most)
             if steps <= failed or met - steps <= met // 50:
@@ -254,14 +273,17 @@ class Calibration:
 
         Each sample is refined until rounding is all that is left, most of them a few times only: until twice in a row
         the distance is not half of the least so far. Once says little, as convergence begins unevenly in fast motion.
+        Of one target no more is asked than that all are near enough for it.
         """
         solver, steps = self._way.reference, _REFERENCE_STEPS
         finest = self._image(self._maps(solver, steps, compensated=True), self._samples)
         gaps, least = np.full((2, len(self._samples.row)), np.inf)
         stalled = np.zeros(len(gaps), int)
         while 1.5 * steps * solver.stages <= _MOST_KICKS:
-            open_ = np.flatnonzero((gaps > _ROUNDING) & ((stalled < _STALLED) | (gaps > _ROUGH)))
-            if not len(open_):
+            patience = np.where(gaps > _ROUGH, _PATIENT if steps * solver.stages > _HOPELESS else np.inf, _STALLED)
+            open_ = np.flatnonzero((gaps > _ROUNDING) & (stalled < patience))
+            # One small distance may be chance, as where the corner of a field lies in a step: all of them are not.
+            if not len(open_) or self._largest(gaps) <= self._near:
                 break
             steps = steps * 3 // 2
             finer = self._image(self._maps(solver, steps, compensated=True), self._samples.take(open_))
@@ -312,6 +334,13 @@ class Calibration:
         """What a map makes of the samples, component by component, without what flows only report."""
         states = self._by_flow(iterate, lambda flow: (strobe(flow), np.int32(1)), samples, 1)
         return [np.array(leaf) for leaf in jax.tree.leaves(self._flows[0].compared(states))]
+
+
+def _order_seen(few: int, before: float, many: int, after: float, order: float) -> float:
+    """With which power of the steps errors fall, from one to the method's: corners of a field cost it its order."""
+    if many <= few or not 0.0 < after < before < math.inf:
+        return order
+    return min(max(math.log(before / after) / math.log(many / few), 1.0), order)
 
 
 def _crossing_rates(section: SectionedFlow, states: Crossing, p: Parameters) -> Float[Array, " points"]:

@@ -55,15 +55,15 @@ def spent(lanes: Lanes, seconds: float) -> Spent:
 # ---- what is decided once
 
 
-def calibrate(experiment: Experiment, axes: Sequence[Axis], lanes: Lanes) -> Calibration:
-    """Errors of one period on sample lanes of a sweep.
+def calibrate(experiment: Experiment, axes: Sequence[Axis], lanes: Lanes, target: float | None = None) -> Calibration:
+    """Errors of one period on sample lanes of a sweep; where one target alone will be asked for, as far as it needs.
 
     Raises:
         AccuracyError: no lane has a period that can be computed.
     """
     rows = [points(experiment, axes, places) for places in sampled(axes, SAMPLED_LANES)]
     try:
-        return Calibration(rows, lanes, experiment.precision)
+        return Calibration(rows, lanes, experiment.precision, target)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
 
@@ -155,7 +155,7 @@ def decide(
     """
     axes, requested = experiment.axes, experiment.requested()
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
-        plan = plan_of(experiment, calibrate(experiment, axes, lanes))
+        plan = plan_of(experiment, calibrate(experiment, axes, lanes, experiment.accuracy.only_target))
         chosen = choose(experiment, axes, plan, requested, lanes)
     return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
 

@@ -121,7 +121,7 @@ class Session:
         if _within(axes, self.experiment.axes):
             experiment, axes = self.experiment, self.experiment.axes
         with self._lanes.stage("accuracy: errors of one period on sample lanes", 0):
-            plan = plan_of(experiment, calibrate(experiment, axes, self._lanes))
+            plan = plan_of(experiment, calibrate(experiment, axes, self._lanes, experiment.accuracy.only_target))
         self._plans.append((axes, plan))
         return plan
 

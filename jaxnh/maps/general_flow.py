@@ -30,7 +30,7 @@ from jaxnh.systems.flow import Flow, Parameters, State
 
 _SMALLEST_GRID = 2048  # steps of all parts: most accuracies, and refined ones, run through one program
 _LARGEST_STEP = 3000  # equations that are written out in a step; larger ones compile for minutes, and get a loop
-_CACHE = 48 << 10  # bytes for the stages of a tile: measured, of most flows 128 lanes are faster than 64 and 256
+_CACHE = 72 << 10  # bytes for the stages of a tile: measured, of most flows 128 lanes are faster than 64 and 256
 _MOST_LANES, _FEWEST_LANES = 256, 32
 
 StageField = Callable[[Any, Any], Any]
@@ -75,8 +75,7 @@ class GeneralStrobe(Strobe):
         """As many as have their stages in a core's nearest caches."""
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return None
-        each = 8 * (self.solver.stages + 2) * len(self.system.coordinates)
-        return int(np.clip(1 << (_CACHE // each).bit_length() >> 1, _FEWEST_LANES, _MOST_LANES))
+        return lanes_of(8 * (self.solver.stages + 2) * len(self.system.coordinates))
 
     @property
     def turns(self) -> tuple[float, ...]:
@@ -202,6 +201,11 @@ def along(
     still = jax.tree.map(jnp.zeros_like, dict(own))
     value, slope = jax.linearize(function, y, dict(own))
     return value, tuple(slope(dy, dp or still) for dy, dp in zip(moved, by_p, strict=True))
+
+
+def lanes_of(each: int) -> int:
+    """Lanes a tile whose stages have so many bytes each."""
+    return int(np.clip(1 << (_CACHE // each).bit_length() >> 1, _FEWEST_LANES, _MOST_LANES))
 
 
 def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:

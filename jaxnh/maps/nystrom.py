@@ -13,7 +13,15 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxnh.exceptions import AccuracyError
-from jaxnh.maps.general_flow import GeneralStrobe, Moving, along, own_parameters, stacked, with_stages
+from jaxnh.maps.general_flow import (
+    GeneralStrobe,
+    Moving,
+    along,
+    lanes_of,
+    own_parameters,
+    stacked,
+    with_stages,
+)
 from jaxnh.maps.protocol import Pushed, Tangent
 from jaxnh.maps.second_order import SecondOrder, second_order
 from jaxnh.solvers import Nystrom
@@ -36,6 +44,11 @@ class NystromStrobe(GeneralStrobe):
     solver: Nystrom = eqx.field(static=True)  # pyright: ignore[reportIncompatibleVariableOverride]
     gamma: ArrayLike = 0.0
     damped: bool = eqx.field(static=True, default=False)
+
+    @property
+    def most_lanes(self) -> int:
+        """As many as have their stages, of positions alone, in a core's nearest caches."""
+        return lanes_of(8 * (self.solver.stages + 4) * np.shape(self.gamma)[-1])
 
     @property
     def turns(self) -> tuple[float, ...]:
