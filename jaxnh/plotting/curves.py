@@ -16,18 +16,11 @@ from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import CURVES, cell_edges, new_axes, over_axis
 from jaxnh.plotting.groups import along, label_of, shown
 from jaxnh.plotting.labels import axis_label, is_symbol, symbol_of, words_of
+from jaxnh.plotting.meanings import NONE, meanings
 
 _FEW = 48  # curves over fewer points show them
 _LONG = 30  # letters: a longer label of a low panel has its units in a second line
-_NUMBER, _NONE = "#3b6fb5", "#b8b8b8"
-_MEANINGS = {
-    "periodic": "#3b6fb5",
-    "quasiperiodic": "#e0a030",
-    "chaotic": "#b3261e",
-    "undecided": _NONE,
-    "failed": "#000000",
-}
-_OTHER_MEANINGS = ("#7a3b8f", "#1c6e4a", "#6d4c41", "#e0447c", "#4f9d73", "#f1b04c")
+_NUMBER = "#3b6fb5"
 
 
 class _Curve(NamedTuple):
@@ -89,7 +82,7 @@ def integers(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     none = 0.5
     ax.plot(x[n > 0], n[n > 0], ".", color=_NUMBER, markersize=3)
     without = x[n <= 0]
-    ax.plot(without, np.full(without.shape, none), "|", color=_NONE, markersize=5)
+    ax.plot(without, np.full(without.shape, none), "|", color=NONE, markersize=5)
     ax.set_yscale("log", base=2)
     highest = max(int(n.max(initial=1)), 1)
     ticks = [2**k for k in range(highest.bit_length())]
@@ -110,7 +103,7 @@ def flags(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """
     ax = new_axes(ax)
     coordinate, variable = _only(data)
-    meaning = _meanings(variable)
+    meaning = meanings(variable)
     kind = variable.to_numpy()
     values = sorted(meaning)
     colours = ListedColormap([colour for _, colour in map(meaning.__getitem__, values)])
@@ -171,19 +164,6 @@ def _indices(values: xr.DataArray) -> list[str]:
     """Numbers of the curves of a variable (n, k): the coordinate along k, or without one from 1."""
     dim = values.dims[1]
     return [str(i) for i in (values[dim].to_numpy() if dim in values.coords else range(1, values.shape[1] + 1))]
-
-
-def _meanings(variable: xr.DataArray) -> dict[int, tuple[str, str]]:
-    """Words and colour of every flag."""
-    words = str(variable.attrs.get("flag_meanings", "")).split()
-    values = np.atleast_1d(variable.attrs.get("flag_values", np.arange(len(words))))
-    if len(values) != len(words):
-        raise ResultError(f"{variable.name} has {len(values)} flag_values and {len(words)} flag_meanings")
-    others = iter(_OTHER_MEANINGS * len(words))
-    return {
-        int(value): (word.replace("_", " "), _MEANINGS.get(word) or next(others))
-        for value, word in zip(values, words, strict=True)
-    }
 
 
 def _legend_above(ax: Axes, handles: list[Artist], side: Literal["right", "center"]) -> None:

@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 from matplotlib.axes import Axes
 
 from jaxnh.plotting.cascade import cascade
+from jaxnh.plotting.charts import flags_chart, integers_chart, numbers_chart
 from jaxnh.plotting.curves import curves, flags, integers
 from jaxnh.plotting.density import density
 from jaxnh.plotting.planes import points, trajectories
@@ -20,11 +21,13 @@ class Kind(NamedTuple):
         draw: `draw(data, ax=None, ...)`, returns the axes.
         height: in inches.
         each: what gets a panel: a lane; a point of the axes beside the first, if these are few; or the whole group.
+        chart: `chart(data, ax=None, cascades=())` draws it over two axes, a pixel a lane; None: it cannot be.
     """
 
     draw: Callable[..., Axes]
     height: float
     each: Literal["lane", "point", "group"]
+    chart: Callable[..., Axes] | None = None
 
 
 PANELS: Mapping[str, Kind] = {
@@ -32,8 +35,8 @@ PANELS: Mapping[str, Kind] = {
     "points": Kind(points, 3.4, "lane"),
     "density": Kind(density, 4.6, "point"),
     "cascade": Kind(cascade, 2.8, "group"),
-    "curves": Kind(curves, 4.0, "point"),
-    "integers": Kind(integers, 2.8, "group"),
-    "flags": Kind(flags, 1.4, "group"),
+    "curves": Kind(curves, 4.0, "point", numbers_chart),
+    "integers": Kind(integers, 2.8, "group", integers_chart),
+    "flags": Kind(flags, 1.4, "group", flags_chart),
 }
 """Kinds of panels by name."""

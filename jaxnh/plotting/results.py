@@ -7,7 +7,7 @@ A group says by `panel` what kind of panel it is, by `panel_variables` of what, 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from jaxnh.plotting.groups import (
     axes_of,
     kind_of,
     lane_count,
+    long_axes,
     other_axes,
     places_of,
     same_plane,
@@ -33,6 +34,7 @@ from jaxnh.plotting.reading import load_result
 
 _MOST_LANES = 12  # that get a panel each
 _MOST_POINTS = 6  # of the axes beside the first, that get a panel each
+_CHART_HEIGHT = 6.0  # inches
 
 _Groups = Mapping[str, xr.Dataset]
 
@@ -103,10 +105,17 @@ def _of_lanes(name: str, data: xr.Dataset, kind: Kind, groups: _Groups) -> tuple
 
 
 def _over_an_axis(name: str, data: xr.Dataset, kind: Kind, groups: _Groups) -> tuple[list[Panel], list[str]]:
-    """A panel of the group, or one for each of a few points of the other axes."""
+    """A panel of the group, or one for each of a few points of the other axes; over two long axes a chart."""
     others = other_axes(data)
     count = math.prod(data.sizes[axis] for axis in others)
-    if count > (_MOST_POINTS if kind.each == "point" else 1):
+    if count > _most_points(kind):
+        if _has_chart(data):
+            assert kind.chart is not None
+            return [
+                Panel(partial(_charted, name, kind.chart, data, _of_kind("cascade", groups)), _CHART_HEIGHT, True)
+            ], []
+        if kind is PANELS["cascade"] and len(others) == 1 and any(map(_has_chart, groups.values())):
+            return [], []  # it is drawn over the charts
         points = f"{count:,} points of {' and '.join(others)}"
         most = f"at most {_MOST_POINTS} get a panel each" if kind.each == "point" else "its panel shows one"
         return [], [f"{name} is not drawn: it has {points}, of which {most}"]
@@ -119,6 +128,19 @@ def _over_an_axis(name: str, data: xr.Dataset, kind: Kind, groups: _Groups) -> t
     return panels, []
 
 
+def _most_points(kind: Kind) -> int:
+    """Of the axes beside the first, that get a panel each."""
+    return _MOST_POINTS if kind.each == "point" else 1
+
+
+def _has_chart(data: xr.Dataset) -> bool:
+    """Whether a group is drawn over two axes at once."""
+    kind = PANELS.get(kind_of(data))
+    if kind is None or kind.chart is None:
+        return False
+    return len(long_axes(data)) == 2 and math.prod(data.sizes[axis] for axis in other_axes(data)) > _most_points(kind)
+
+
 def _of_kind(kind: str, groups: _Groups) -> list[xr.Dataset]:
     return [data for data in groups.values() if kind_of(data) == kind]
 
@@ -126,6 +148,11 @@ def _of_kind(kind: str, groups: _Groups) -> list[xr.Dataset]:
 def _drawn(name: str, kind: Kind, data: xr.Dataset, ax: Axes, **options: object) -> Axes:
     with _of_group(name):
         return kind.draw(data, ax, **options)
+
+
+def _charted(name: str, chart: Callable[..., Axes], data: xr.Dataset, cascades: Sequence[xr.Dataset], ax: Axes) -> Axes:
+    with _of_group(name):
+        return chart(data, ax, cascades=cascades)
 
 
 @contextmanager

@@ -149,7 +149,7 @@ def test_lanes_of_two_axes_have_a_panel_each():
 
 
 def test_a_few_points_of_a_second_axis_have_a_panel_each():
-    """Densities with the doublings found there, and curves; of whole numbers and flags one line says that there are none."""
+    """Densities with the doublings found there, and curves; whole numbers and flags as charts, doublings over them."""
     cascades = over_masses(doublings())
     cascades["b"][1] = cascades["b"][1] + 0.01
     groups = {
@@ -160,26 +160,41 @@ def test_a_few_points_of_a_second_axis_have_a_panel_each():
         "kinds": over_masses(verdicts(MANY)),
     }
     drawing = figure(tree(groups, "b mass"))
-    assert len(drawing.axes) == 3 + 3
     titles = [r"$\mathrm{mass}$ = 1", r"$\mathrm{mass}$ = 2", r"$\mathrm{mass}$ = 3"]
-    assert [ax.get_title("left") for ax in drawing.axes] == [*titles, *titles]
+    panels = [ax for ax in drawing.axes if ax.get_xlabel()]
+    assert [ax.get_title("left") for ax in panels] == [*titles, *titles, "", ""]
+    for chart in panels[-2:]:
+        assert [len(line.get_xdata()) for line in chart.lines] == [3] * 4
+        np.testing.assert_allclose(chart.lines[1].get_xdata(), [5.495, 5.505, 5.495])
+        np.testing.assert_array_equal(chart.lines[1].get_ydata(), [1.0, 2.0, 3.0])
     assert marks_of(drawing.axes[0]) == [5.52, 5.495, 5.489]
     np.testing.assert_allclose(marks_of(drawing.axes[1]), [5.53, 5.505, 5.499])
-    assert below(drawing)[1:] == [
-        f"{name} is not drawn: it has 3 points of mass, of which its panel shows one"
-        for name in ("cascades", "recurrence", "kinds")
-    ]
+    assert below(drawing)[1:] == []
     drawing.draw_without_rendering()
 
 
 @pytest.mark.parametrize("count", [6, 7])
-def test_many_points_of_a_second_axis_are_not_drawn(count):
+def test_many_points_of_a_second_axis_are_a_chart(count):
+    """Of what can be one; of densities a line says that they are not drawn."""
     masses = xr.Variable(("mass",), np.arange(float(count)), MASSES.attrs)
-    groups = {"spectrum": over_masses(exponents(FEW, 2), masses), "cascade": doublings()}
-    drawing = figure(tree(groups, "b mass"))
-    assert len(drawing.axes) == (7 if count == 6 else 1)
-    said = ["spectrum is not drawn: it has 7 points of mass, of which at most 6 get a panel each"]
+    spectrum = over_masses(exponents(FEW, 2), masses)
+    drawing = figure(tree({"spectrum": spectrum, "values": over_masses(states(FEW, 5), masses)}, "b mass"))
+    charts = [ax for ax in drawing.axes if ax.images]
+    assert len(charts) == (0 if count == 6 else 1)
+    assert len([ax for ax in drawing.axes if ax.get_xlabel()]) == (12 if count == 6 else 1)
+    said = ["values is not drawn: it has 7 points of mass, of which at most 6 get a panel each"]
     assert below(drawing)[1:] == ([] if count == 6 else said)
+
+
+def test_a_third_axis_is_not_drawn():
+    """A chart is over two axes."""
+    more = xr.Variable(("length",), np.arange(3.0), {"long_name": "parameter length", "units": "1"})
+    data = over_masses(verdicts(FEW))
+    data = xr.concat([data] * 3, "length", data_vars="all").assign_coords(length=more)
+    drawing = figure(tree({"kinds": data, "cascade": doublings()}, "b mass length"))
+    assert below(drawing)[1:] == [
+        "kinds is not drawn: it has 9 points of mass and length, of which its panel shows one"
+    ]
 
 
 def test_a_second_axis_of_one_point():

@@ -1,0 +1,37 @@
+"""Words and colours of flags."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from jaxnh.exceptions import ResultError
+
+NONE = "#b8b8b8"
+"""Where there is nothing to say."""
+
+_MEANINGS = {
+    "periodic": "#3b6fb5",
+    "quasiperiodic": "#e0a030",
+    "chaotic": "#b3261e",
+    "undecided": NONE,
+    "failed": "#000000",
+}
+_OTHER_MEANINGS = ("#7a3b8f", "#1c6e4a", "#6d4c41", "#e0447c", "#4f9d73", "#f1b04c")
+
+
+def meanings(variable: xr.DataArray) -> dict[int, tuple[str, str]]:
+    """Words and colour of every flag.
+
+    Raises:
+        ResultError: `flag_values` and `flag_meanings` are not equally many.
+    """
+    words = str(variable.attrs.get("flag_meanings", "")).split()
+    values = np.atleast_1d(variable.attrs.get("flag_values", np.arange(len(words))))
+    if len(values) != len(words):
+        raise ResultError(f"{variable.name} has {len(values)} flag_values and {len(words)} flag_meanings")
+    others = iter(_OTHER_MEANINGS * len(words))
+    return {
+        int(value): (word.replace("_", " "), _MEANINGS.get(word) or next(others))
+        for value, word in zip(values, words, strict=True)
+    }
