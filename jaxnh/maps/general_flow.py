@@ -107,13 +107,18 @@ class GeneralStrobe(Strobe):
             return self._by_diffrax(state, p)
         own = own_parameters(self.system, p)
 
+        system = self.system
+
         def field(values: Sequence[Any], y: Moving) -> Moving:
-            return Moving(split_of(self.system).rest(values, self.system, (y.state, own)))
+            return Moving(split_of(system).rest(values, system, (y.state, own)))
 
         def project(t: Any, y: Moving) -> Moving:
-            return Moving(self.system.project(t, y.state, p))
+            return Moving(system.project(t, y.state, p))
 
-        return self._march(field, project, Moving(state), 0).state
+        if system.drifts:
+            return self._march(field, project, Moving(state), 0).state
+        placed = self._placed(state, p)
+        return self._ended(self._march(field, None, Moving(system.stepped(placed)), 0).state, placed, p)
 
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
         if not isinstance(self.solver, WrittenOutRungeKutta):
@@ -121,12 +126,14 @@ class GeneralStrobe(Strobe):
         own = own_parameters(self.system, p)
         by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
 
+        system = self.system
+
         def field(values: Sequence[Any], y: Moving) -> Moving:
             def rate(z: State, own: Any) -> State:
-                return split_of(self.system).rest(values, self.system, (z, own))
+                return split_of(system).rest(values, system, (z, own))
 
             value, moved = along(rate, y.state, own, y.tangents, by_p)
-            spread = self.system.divergence_of(lambda z: rate(z, own), y.state)
+            spread = system.divergence_of(lambda z: rate(z, own), y.state)
             return Moving(value, moved, spread)
 
         def project(t: Any, y: Moving) -> Moving:
@@ -135,18 +142,25 @@ class GeneralStrobe(Strobe):
 
         zero = jnp.zeros_like(jax.tree.leaves(state)[0])
         begun = Moving(state, tuple(t.state for t in tangents), zero)
-        ended = self._march(field, project, begun, len(tangents) + 1)
+        if system.drifts:
+            ended = self._march(field, project, begun, len(tangents) + 1)
+        else:
+            placed, moved = along(lambda y, own: self._placed(y, {**p, **own}), state, own, begun.tangents, by_p)
+            begun = Moving(system.stepped(placed), tuple(map(system.stepped, moved)), zero)
+            ended = self._march(field, None, begun, len(tangents) + 1)
+            moved = along(lambda z, own: self._ended(z, placed, {**p, **own}), ended.state, own, ended.tangents, by_p)
+            ended = Moving(*moved, ended.log_volume)
         moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
         return Pushed(ended.state, moved, jnp.exp(ended.log_volume))
 
     def _march(
         self,
         field: Callable[[Sequence[Any], Moving], Moving],
-        project: Callable[[Any, Moving], Moving],
+        project: Callable[[Any, Moving], Moving] | None,
         y: Moving,
         tangents: int,
     ) -> Moving:
-        """All steps, each projected."""
+        """All steps, each projected where there is something to project on."""
         solver, grid = self.solver, jnp.asarray(self.grid)
         assert isinstance(solver, WrittenOutRungeKutta)
         advance = solver.rolled_stages if self._rolls(tangents) else solver.written_stages
@@ -155,9 +169,18 @@ class GeneralStrobe(Strobe):
         def step(i: Any, y: Moving) -> Moving:
             rows = [value[i] for value in values]
             after = advance(lambda s, y: field([row[s] for row in rows], y), grid[i + 1] - grid[i], y)
-            return project(grid[i + 1], after)
+            return after if project is None else project(grid[i + 1], after)
 
         return step(0, y) if self.steps is None else lax.fori_loop(0, self.steps, step, y)
+
+    def _placed(self, state: State, p: Parameters) -> State:
+        """The state on its constraints, before steps that cannot leave them."""
+        return self.system.project(jnp.asarray(self.grid)[0], state, p)
+
+    def _ended(self, carried: State, before: State, p: Parameters) -> State:
+        """The state after such steps."""
+        t = jnp.asarray(self.grid)[-1]
+        return self.system.project(t, self.system.restored(t, carried, before, p), p)
 
     def _by_diffrax(self, y: State, p: Parameters) -> State:
         grid = jnp.asarray(self.grid)
@@ -227,9 +250,10 @@ def _split(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> TimeSplit:
 
     def rate(t: Any, system: Flow, lane: tuple[State, Mapping[str, Any]]) -> State:
         state, own = lane
-        return system.rhs(t, state, own)
+        return system.stepped_rate(t, state, own)
 
-    state = jax.eval_shape(system.unchart, jax.ShapeDtypeStruct((system.dimension,), jnp.float64))
+    section = jax.ShapeDtypeStruct((system.dimension,), jnp.float64)
+    state = jax.eval_shape(lambda u: system.stepped(system.unchart(u)), section)
     return TimeSplit(rate, system, (state, dict.fromkeys(system.own, 0.0)))
 
 

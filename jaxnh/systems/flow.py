@@ -141,6 +141,27 @@ class Flow(eqx.Module):
         """The state brought back to the constraints, where there are some that a step leaves."""
         return y
 
+    # ---- what steps carry
+
+    def stepped(self, y: State) -> State:
+        """What steps carry of a state: less of it where constraints give the rest."""
+        return y
+
+    def stepped_rate(self, t: ArrayLike, z: State, p: Parameters) -> State:
+        """Time derivative of what steps carry."""
+        return self.rhs(t, z, p)
+
+    def restored(self, t: ArrayLike, z: State, y: State, p: Parameters) -> State:
+        """The state of what steps carry; what only reports is as in a state y before."""
+        return z
+
+    @property
+    def drifts(self) -> bool:
+        """Whether steps may leave the constraints, so that each is projected."""
+        return True
+
+    # ---- comparing states
+
     def compared(self, y: State) -> State:
         """The components of a state that an error is a difference of: all but those that only report."""
         return y

@@ -114,20 +114,27 @@ def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Acce
     """
     k = len(q)
     at = (*q, *v, t)
-    energy, f = _flat(equations.T, k), constraint_functions(equations, k)
-    forces = [known(force) for force in equations.Q(q, v, t)]
+    f = constraint_functions(equations, k)
+    mass, slopes = matrices(equations, at, k)
+    right = applied(equations, q, v, t)
+    right += [-rate for rate in (_along_motion(f, at, k) if slopes else ())]
+    (solution,), smallest = eliminate(bordered(mass, slopes), [right], k * definite(mass))
+    solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
+    return Accelerations(tuple(solution[:k]), tuple(solution[k:]), smallest <= SMALLEST_PIVOT)
+
+
+def applied(equations: Equations, q: Vector, v: Vector, t: Number) -> list[Number]:
+    """What accelerates but for the constraints: Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t, k components."""
+    k = len(q)
+    energy = _flat(equations.T, k)
 
     def inertia_and_pull(*at: Number) -> tuple[list[Number], list[Number]]:
         momenta = [lambda *at, i=i: slope(energy, at, k + i) for i in range(k)]
         return [_along_motion(momentum, at, k) for momentum in momenta], [slope(energy, at, i) for i in range(k)]
 
-    inertia, pull = _read(inertia_and_pull, at)
-    mass, slopes = matrices(equations, at, k)
-    right = [minus(force, minus(i, p)) for force, i, p in zip(forces, inertia, pull, strict=True)]
-    right += [-rate for rate in (_along_motion(f, at, k) if slopes else ())]
-    (solution,), smallest = eliminate(bordered(mass, slopes), [right], k * definite(mass))
-    solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
-    return Accelerations(tuple(solution[:k]), tuple(solution[k:]), smallest <= SMALLEST_PIVOT)
+    forces = [known(force) for force in equations.Q(q, v, t)]
+    inertia, pull = _read(inertia_and_pull, (*q, *v, t))
+    return [minus(force, minus(i, p)) for force, i, p in zip(forces, inertia, pull, strict=True)]
 
 
 def matrices(equations: Equations, at: Vector, k: int) -> tuple[list[list[Number]], list[list[Number]]]:

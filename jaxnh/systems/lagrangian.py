@@ -7,8 +7,9 @@ the mass.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,6 +21,7 @@ from jaxtyping import Float
 
 from jaxnh.systems.defined import Defined, Definition, marked
 from jaxnh.systems.elimination import definite, eliminate, largest_of
+from jaxnh.systems.explicit import Explicit, all_velocities, explicit_velocities, free_accelerations
 from jaxnh.systems.flow import FAULTS, Number, Output, Parameters, Vector, turned
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
@@ -29,6 +31,7 @@ from jaxnh.systems.jourdain import (
     constraint_functions,
     matrices,
 )
+from jaxnh.systems.tracing import jacobian_trace
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
@@ -48,6 +51,18 @@ class Motion(NamedTuple):
     q: Vector
     v: Vector
     watch: Vector
+
+
+class Free(NamedTuple):
+    """What steps carry of a lane whose constraints give some of its velocities.
+
+    Attributes:
+        q: k coordinates.
+        u: k − m velocities, the others being functions of them.
+    """
+
+    q: Vector
+    u: Vector
 
 
 class Lagrangian(Defined):
@@ -139,6 +154,45 @@ class Lagrangian(Defined):
         reason = jnp.where(reason > 0.0, reason, code)
         q, v = (tuple(jnp.where(reason > 0.0, jnp.nan, x) for x in side) for side in (q, v))
         return Motion(q, v, lax.stop_gradient((drift, reason)))
+
+    # ---- what steps carry: no velocity that the constraints give
+
+    @property
+    def explicit(self) -> Explicit | None:
+        """Which velocities those are; None where there are none."""
+        return _explicit(jax.tree.structure(self), tuple(np.shape(leaf) for leaf in jax.tree.leaves(self)))
+
+    @property
+    def drifts(self) -> bool:
+        """Whether steps may leave the constraints."""
+        return self.explicit is None
+
+    def stepped(self, y: Motion) -> Motion | Free:
+        """Coordinates and the free velocities, where there is a choice."""
+        explicit = self.explicit
+        return y if explicit is None else Free(y.q, tuple(y.v[j] for j in explicit.free))
+
+    def stepped_rate(self, t: ArrayLike, z: Motion | Free, p: Parameters) -> Motion | Free:
+        """Time derivative of what steps carry."""
+        explicit = self.explicit
+        if explicit is None or not isinstance(z, Free):
+            assert isinstance(z, Motion)
+            return self.rhs(t, z, p)
+        equations = self.equations(p)
+        v = all_velocities(equations, explicit, z.q, z.u, t)
+        return Free(v, free_accelerations(equations, explicit, z.q, z.u, t))
+
+    def restored(self, t: ArrayLike, z: Motion | Free, y: Motion, p: Parameters) -> Motion:
+        """The state on its constraints."""
+        explicit = self.explicit
+        if explicit is None or not isinstance(z, Free):
+            assert isinstance(z, Motion)
+            return z
+        return Motion(z.q, all_velocities(self.equations(p), explicit, z.q, z.u, t), y.watch)
+
+    def divergence_of(self, rate: Callable[[Any], Any], y: Motion | Free) -> Number:
+        """The same on the constraints: volumes of both are in a constant ratio, as C is constant."""
+        return jacobian_trace(rate, y, lambda z: z) if isinstance(y, Free) else super().divergence_of(rate, y)
 
     def compared(self, y: Motion) -> tuple[Vector, Vector]:
         """Coordinates and velocities."""
@@ -251,6 +305,20 @@ class Lagrangian(Defined):
             "drift": Output(drift, "largest |f| that a step left before its projection"),
             "failure": Output(reason.astype(np.int8), "why the trajectory has failed", flags),
         }
+
+
+@functools.lru_cache(maxsize=256)
+def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit | None:
+    """Of a structure, once: parameters are no numbers then, and decide nothing."""
+    found: list[Explicit | None] = []
+
+    def look(system: Lagrangian, own: Parameters) -> float:
+        found.append(explicit_velocities(system.equations(own), len(system.names)) if system.constraints else None)
+        return 0.0
+
+    system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
+    jax.eval_shape(look, system, dict.fromkeys(system.own, 0.0))
+    return found[0]
 
 
 def lagrangian(
