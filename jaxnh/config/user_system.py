@@ -121,9 +121,19 @@ class UserSection(SectionBlock):
         given = self.normal or {}
         normal = tuple(given.get(name, 0.0) for name in self._names)
         number = int(np.argmax(np.abs(normal)))
-        words = " ".join(f"{weight:+g} {name}" for name, weight in given.items() if weight).removeprefix("+")
         made = SectionedFlow(flow, self._names[number], number, self.value, self.direction, normal)
-        return replace(made, longest=self.longest, title=words)
+        return replace(made, longest=self.longest, title=_combination(given))
+
+
+def _combination(weights: Mapping[str, float]) -> str:
+    """A sum as people write it: "x - y", "2 x + 0.5 z"."""
+    terms = [
+        f"{'-' if weight < 0 else '+'} {'' if abs(weight) == 1 else f'{abs(weight):g} '}{name}"
+        for name, weight in weights.items()
+        if weight
+    ]
+    first, *others = terms
+    return " ".join([first.replace("- ", "-").removeprefix("+ "), *others])
 
 
 class UserSystem(SystemBlock, UserBlock):

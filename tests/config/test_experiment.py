@@ -508,7 +508,11 @@ FAULTS = {
     ),
     "unknown solver": (
         ("target: 1e-8", "solver: dopri9\n  steps: 9"),
-        "FILE:17: accuracy.solver: must be one of strang2, blanes_moan4, blanes_moan6, processed6, kahan_li8, sofroniou_spaletta10, tsit5, dopri5, dopri8, not the text 'dopri9' (did you mean",
+        "FILE:17: accuracy.solver: must be one of strang2, blanes_moan4, blanes_moan6, processed6, kahan_li8, sofroniou_spaletta10, tsit5, dopri5, dopri8, tsitouras_papakostas8, verner9, nystrom8, not the text 'dopri9' (did you mean",
+    ),
+    "a solver of other flows": (
+        ("target: 1e-8", "solver: nystrom8\n  steps: 40"),
+        "FILE:17: accuracy.solver: nystrom8 is for flows x'' = F(x, t) - gamma x', and this particle is none",
     ),
     "solver without steps": (
         ("target: 1e-8", "solver: dopri8"),

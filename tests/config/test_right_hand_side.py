@@ -7,7 +7,7 @@ import pytest
 from conftest import ROOT, session_of
 
 import jaxnh
-from jaxnh.exceptions import ConfigError
+from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.section import SectionedFlow
 
 LORENZ = (ROOT / "configs/flows/lorenz.py").read_text()
@@ -40,11 +40,27 @@ def test_system_and_section(tmp_path):
     flow = experiment.flow()
     assert isinstance(flow, SectionedFlow)
     assert (flow.autonomous, flow.dimension, flow.exponents, flow.period) == (True, 2, 3, 1.0)
-    assert flow.section == "1 x -1 y = 0, up"
+    assert flow.section == "x - y = 0, up"
     assert flow.plane == ("y", "z")
     assert dict(flow.parameters) == {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}
     assert flow.own == ("rho",)
     assert [float(x[0]) for x in experiment.start({}, 1).state.y] == [1.0, 1.0, 20.0]
+
+
+@pytest.mark.parametrize(
+    ("normal", "words"),
+    [("{x: -1, z: 2}", "-x + 2 z = 0, up"), ("{y: 0.5, z: -1}", "0.5 y - z = 0, up"), ("{z: -3}", "-3 z = 0, up")],
+)
+def test_a_plane_in_words(tmp_path, normal, words):
+    config = CONFIG.replace("{x: 1.0, y: -1.0}", normal)
+    assert jaxnh.load(write(tmp_path, config)).flow().section == words
+
+
+def test_solver_of_other_flows_is_refused(tmp_path):
+    """Whether a flow is of second order is seen when it is traced: one line, before anything is run."""
+    config = CONFIG.replace("dopri8", "nystrom8")
+    with pytest.raises(AccuracyError, match=r"own.yaml: accuracy.solver: nystrom8 is for flows x'' = F\(x\)"):
+        jaxnh.run(jaxnh.load(write(tmp_path, config)))
 
 
 def test_lengths_of_time_and_of_returns(tmp_path):
