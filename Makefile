@@ -28,9 +28,11 @@ $(FIGURES) $(RANGES) unforced governor: $(INSTALLED)
 
 # Known flows (configs/flows), and their pictures.
 flows: $(INSTALLED)
-	for flow in $(FLOWS); do \
-	  $(RUN)/python -m jaxnh.sweep configs/flows/$$flow.yaml --fresh && $(RUN)/python -m jaxnh.plot results/$$flow.h5 || exit; \
-	done
+	failed=; for flow in $(FLOWS); do \
+	  $(RUN)/python -m jaxnh.sweep configs/flows/$$flow.yaml --fresh && $(RUN)/python -m jaxnh.plot results/$$flow.h5 \
+	    || failed="$$failed $$flow"; \
+	done; \
+	if [ "$$failed" ]; then echo "failed:$$failed"; exit 1; fi
 
 # Both tables and all ten figures anew, one after the other: each run uses all cores.
 paper: $(INSTALLED)

@@ -12,6 +12,8 @@ from sweeps.claims_reading import cells, doublings, number, rows, searched
 
 _PEERS = "results/peers.md"
 _PEERS_COMMAND = "python -m sweeps.peers --repeats 3"
+_FLOWS, _FLOWS_COMMAND = "results/peers_flows.md", "python -m sweeps.peers_flows --repeats 3"
+_FLOW_TARGETS = ("error ≤ 1e-06", "error ≤ 1e-08", "error ≤ 1e-10")
 _HARD = "results/hard.md"
 _SLOWING = "results/critical_slowing.md"
 _OVER = "jaxnh over each peer, 1 core"
@@ -125,8 +127,23 @@ def _speeds() -> list[Claim]:
         read = cells(_PEERS, _OVER, _TARGETS, over=row)
         return Claim("README.md", quote, _PEERS_COMMAND, _PEERS, f"{_OVER}; {row}", read)
 
+    def of_flow(quote: str, title: str, name: str) -> Claim:
+        read = cells(_FLOWS, title, _FLOW_TARGETS, flow=name)
+        return Claim("README.md", quote, _FLOWS_COMMAND, _FLOWS, f"{title}; {name}", read)
+
     cores = cells(_PEERS, "Two cores", ["over the first"], CPU_devices="two devices")
+    maps, spectra = "Maps over heyoka batch", "Spectra over heyoka's variational batch"
     return [
+        of_flow("Duffing's oscillator is [17.2], [12.0] and [6.07] times", maps, "duffing"),
+        of_flow("a driven pendulum's [6.45], [3.79] and [3.06]", maps, "pendulum"),
+        of_flow("Lorenz's [2.32], [1.61] and [1.29]", maps, "lorenz"),
+        of_flow("Roessler's [2.64], [2.02] and [1.26]", maps, "roessler"),
+        of_flow("a governor's by T, Q and f [2.00], [1.78] and [1.48]", maps, "governor"),
+        of_flow("is slower: [0.56], [0.55] and [0.47]", maps, "double_pendulum"),
+        of_flow("Duffing [4.94], [3.91] and [2.57]", spectra, "duffing"),
+        of_flow("pendulum [2.97], [2.71] and [2.99]", spectra, "pendulum"),
+        of_flow("Lorenz [2.19], [1.92] and [1.59]", spectra, "lorenz"),
+        of_flow("Roessler [1.44], [1.09] and [0.92] times", spectra, "roessler"),
         over(
             "jaxnh is [2.51], [2.52] and [1.84] times as fast as it, on one core",
             "heyoka batch, at the error that it has",

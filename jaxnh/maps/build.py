@@ -138,7 +138,7 @@ class Steps:
 
     reference: ClassVar[Solver] = verner9
     summations: ClassVar[tuple[bool, ...]] = (False,)
-    rough_steps: ClassVar[int] = 128
+    rough_steps: ClassVar[int] = 16
 
     def solvers(self, flow: Flow) -> tuple[Solver, ...]:
         # Where Nyström's method goes it needs half the arithmetic of the others, at every accuracy.
