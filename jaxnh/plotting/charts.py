@@ -57,7 +57,7 @@ def numbers_chart(data: xr.Dataset, ax: Axes | None = None, *, cascades: Iterabl
     finite = plane.values[np.isfinite(plane.values)]
     low, high = np.percentile(finite, _SPREAD) if finite.size else (0.0, 1.0)
     if len(levels) == 2:
-        colours, norm = colormaps["cividis"], Normalize(*levels)
+        colours, norm = colormaps["cividis"], Normalize(levels[0], levels[1])
     else:
         at = levels[0]
         width = max(abs(at), abs(high - low), 1e-9) * 1e-3
