@@ -107,8 +107,10 @@ class SectionedFlow(Flow):
 
     @property
     def plane(self) -> tuple[str, str]:
-        """The first plane of the flow that does not have the coordinate that the section gives."""
-        return next((pair for pair in self.inner.planes if self.coordinate not in pair), self.inner.plane)
+        """The first plane of the flow that does not have the coordinate that the section gives, or has it second."""
+        first, second = self.inner.plane
+        fallback = (second, first) if self.coordinate == first else (first, second)
+        return next((pair for pair in self.inner.planes if self.coordinate not in pair), fallback)
 
     @property
     def period(self) -> float:

@@ -9,6 +9,7 @@ import pytest
 from measure import UNIT
 
 from jaxnh.maps.section import Crossing, SectionedFlow
+from jaxnh.systems.first_order import first_order
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.particle import constant_speed
 
@@ -40,6 +41,17 @@ def test_names(flow, coordinate, number):
     assert (system.dimension, system.exponents) == (flow.dimension - 1, flow.exponents)
     assert system.section == f"{coordinate} = 0, up"
     assert system.autonomous
+
+
+def test_a_flow_of_two_coordinates_is_drawn_by_the_one_that_is_left():
+    """The other is the same number everywhere on the section."""
+
+    def spring():
+        return {"rhs": lambda y, t: (y[1], -y[0]), "coordinates": ("x", "v")}
+
+    flow = first_order(spring, {})
+    assert SectionedFlow(flow, "x", 0, 0.0, "up").plane == ("v", "x")
+    assert SectionedFlow(flow, "v", 1, 0.0, "up").plane == ("x", "v")
 
 
 @flows
