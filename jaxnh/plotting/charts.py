@@ -21,6 +21,7 @@ from jaxnh.plotting.meanings import NONE, meanings
 
 _PERIODS = (1, 2, 3, 4, 5, 6, 7, 8, 12, 16)  # with a colour each; the last stands for all from it on
 _SPREAD = (0.5, 99.5)  # percentiles that the colours end at: a few pixels may lie far beyond
+_COLOURS = [*(colormaps["tab10"](k) for k in (0, 1, 2, 3, 4, 5, 6, 8, 9)), "#0b3d5c"]  # all but grey: that is none
 _FAILED = "#000000"
 
 
@@ -84,7 +85,7 @@ def integers_chart(data: xr.Dataset, ax: Axes | None = None, *, cascades: Iterab
     plane = _plane(data)
     n = np.asarray(plane.values, float)
     place = np.where(n > 0, np.searchsorted(_PERIODS, n, side="right"), 0)
-    colours = ListedColormap([NONE, *(colormaps["tab10"](k) for k in range(len(_PERIODS)))])
+    colours = ListedColormap([NONE, *_COLOURS])
     edges = np.arange(len(_PERIODS) + 2) - 0.5
     image = _image(plane, place, colours, BoundaryNorm(edges, colours.N), ax)
     names = ["none", *_range_names()]
