@@ -33,7 +33,7 @@ def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int
         return
     print(
         f"{job.solver} in {experiment.precision}, {job.steps} steps a period, "
-        f"error of one {'return' if experiment.autonomous else 'period'} {job.error_estimate:.1e}; "
+        f"error of one {'return' if experiment.sectioned else 'period'} {job.error_estimate:.1e}; "
         f"{total.lane_periods:,.0f} lane-periods"
     )
     if outcome.run_seconds:

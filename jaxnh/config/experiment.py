@@ -183,13 +183,13 @@ class Experiment(Block):
         return self._block.flow({**swept, **shared})
 
     def flow(self, shared: Mapping[str, float] | None = None) -> Flow:
-        """What moves; where it has no clock, on its section.
+        """What moves; on its section where it has no clock and that is asked for.
 
         Args:
             shared: values of shared axes; the first value of each where it is not named.
         """
         flow = self._in_time(shared or {})
-        return (self.section or self._default_section()).of(flow) if flow.autonomous else flow
+        return (self.section or self._default_section()).of(flow) if self.sectioned else flow
 
     def start(
         self,
@@ -207,7 +207,7 @@ class Experiment(Block):
         flow = self._in_time(shared or {})
         given = {**self._block.start(self.initial), **coordinates}
         state = flow.start({name: np.full(count, value, dtype=np.float64) for name, value in given.items()})
-        return Crossing(state, np.zeros(count), np.zeros(count)) if flow.autonomous else state
+        return Crossing(state, np.zeros(count), np.zeros(count)) if self.sectioned else state
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -235,6 +235,12 @@ class Experiment(Block):
     def autonomous(self) -> bool:
         """Whether the scene has no clock: neither forcing nor disturbance."""
         return self._in_time({}).autonomous
+
+    @property
+    def sectioned(self) -> bool:
+        """Whether the scene is looked at on a section: it has no clock, and one is given or an analysis needs one."""
+        needed = self.section is not None or not all(analysis.in_time for analysis, _ in self.requested())
+        return needed and self.autonomous
 
     @property
     def precision(self) -> str:
@@ -290,7 +296,7 @@ class Experiment(Block):
         content = self._content()
         if len(names := tuple(self.sweep.grids)) > 1:
             content["sweep"] = [[name, content["sweep"][name]] for name in names]
-        if self.autonomous:
+        if self.sectioned:
             content["section"] = (self.section or self._default_section()).model_dump(mode="json", exclude_none=True)
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()

@@ -42,7 +42,7 @@ _TABLES = 4  # that the rounding of plain sums is measured on
 _PRECISE = {"float64": 1e-6, "float32": 1e-1}  # an error below this that more steps do not halve is rounding
 _MOST_KICKS = 1 << 20
 _LONG = 4.0  # times the median return: errors have grown in it
-_HOPELESS = 1 << 17  # kicks: fast motion is resolved by now, and what still does not converge never will
+_HOPELESS = 1 << 17  # kicks: fast motion is resolved by now, and what still does not converge is given little more time
 _PATIENT = 5  # refinements, as corners let the distance fall unevenly
 
 
@@ -106,13 +106,13 @@ class Calibration:
         """
         self._flows = [row.system for row in rows]
         self._lanes, self._precision = lanes, precision
+        self._tried = 0  # kicks of the finest map that was looked at
         self._near = max(_ROUNDING, _NEAR * (target or 0.0))
         flow = self._flows[0]
         self._way = way = way_of(flow)
-        section = flow is not flow.flow
-        # From crossing to crossing every step starts and ends by itself: no processor around many, no sums over them.
-        self._candidates = tuple(s for s in way.solvers(flow.flow) if not (section and s.processor[1]))
-        self._summations = (False,) if section else way.summations
+        # Without a clock every step starts and ends by itself: no processor around many, no sums over them.
+        self._candidates = tuple(s for s in way.solvers(flow.flow) if not (flow.autonomous and s.processor[1]))
+        self._summations = (False,) if flow.autonomous else way.summations
         self._samples, looked_at = self._take_samples(rows)
         self._left_out = int(_LEFT_OUT * looked_at)
         self._drop_lost()
@@ -159,7 +159,7 @@ class Calibration:
                     f"; it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
                 )
         return AccuracyError(
-            f"no solver has an error of one {what} of {target:g} over this sweep; with up to {_MOST_KICKS:,} kicks, "
+            f"no solver has an error of one {what} of {target:g} over this sweep; with up to {self._tried:,} kicks, "
             f"that at {where} comes down to {errors[worst]:.2g}{hint}"
         )
 
@@ -192,6 +192,8 @@ class Calibration:
 
     def _errors(self, solver: Solver, steps: int, compensated: bool) -> Float[np.ndarray, " samples"]:
         """Error estimate of every sample."""
+
+        self._tried = max(self._tried, solver.total_kicks(steps))
 
         def strobe(flow: Flow) -> Strobe:
             return in_precision(make_strobe(flow, solver, steps, compensated=compensated), self._precision)
@@ -307,6 +309,7 @@ class Calibration:
         return worst
 
     def _maps(self, solver: Solver, steps: int, *, compensated: bool = False) -> Callable[[Flow], Strobe]:
+        self._tried = max(self._tried, solver.total_kicks(steps))
         return lambda flow: make_strobe(flow, solver, steps, compensated=compensated)
 
     def _by_flow(

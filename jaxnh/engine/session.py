@@ -70,7 +70,7 @@ class Session:
         configure()
         self.experiment = experiment
         self._lanes = Lanes(as_progress(progress), list(devices) if devices else None)
-        self._plans: list[tuple[tuple[Axis, ...], Plan]] = []
+        self._plans: list[tuple[tuple[Axis, ...], bool, Plan]] = []
 
     @property
     def plan(self) -> Plan:
@@ -115,14 +115,14 @@ class Session:
 
     def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...]) -> Plan:
         """The plan of a sweep that has these lanes, calibrated if there is none yet."""
-        for known, plan in self._plans:
-            if _within(axes, known):
+        for known, sectioned, plan in self._plans:
+            if _within(axes, known) and sectioned >= experiment.sectioned:  # a return is made of steps in time
                 return plan
-        if _within(axes, self.experiment.axes):
+        if _within(axes, self.experiment.axes) and self.experiment.sectioned >= experiment.sectioned:
             experiment, axes = self.experiment, self.experiment.axes
         with self._lanes.stage("accuracy: errors of one period on sample lanes", 0):
             plan = plan_of(experiment, calibrate(experiment, axes, self._lanes, experiment.accuracy.only_target))
-        self._plans.append((axes, plan))
+        self._plans.append((axes, experiment.sectioned, plan))
         return plan
 
     def _computed(self, experiment: Experiment) -> tuple[Job, dict[str, xr.Dataset]]:

@@ -132,12 +132,14 @@ class GeneralStrobe(Strobe):
             def rate(z: State, own: Any) -> State:
                 return split_of(system).rest(values, system, (z, own))
 
-            value, moved = along(rate, y.state, own, y.tangents, by_p)
+            value, moved = linearised(rate, y.state, own, y.tangents, by_p)
             spread = system.divergence_of(lambda z: rate(z, own), y.state)
             return Moving(value, moved, spread)
 
         def project(t: Any, y: Moving) -> Moving:
-            value, moved = along(lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p)
+            value, moved = linearised(
+                lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p
+            )
             return Moving(value, moved, y.log_volume)
 
         zero = jnp.zeros_like(jax.tree.leaves(state)[0])
@@ -145,10 +147,12 @@ class GeneralStrobe(Strobe):
         if system.drifts:
             ended = self._march(field, project, begun, len(tangents) + 1)
         else:
-            placed, moved = along(lambda y, own: self._placed(y, {**p, **own}), state, own, begun.tangents, by_p)
+            placed, moved = linearised(lambda y, own: self._placed(y, {**p, **own}), state, own, begun.tangents, by_p)
             begun = Moving(system.stepped(placed), tuple(map(system.stepped, moved)), zero)
             ended = self._march(field, None, begun, len(tangents) + 1)
-            moved = along(lambda z, own: self._ended(z, placed, {**p, **own}), ended.state, own, ended.tangents, by_p)
+            moved = linearised(
+                lambda z, own: self._ended(z, placed, {**p, **own}), ended.state, own, ended.tangents, by_p
+            )
             ended = Moving(*moved, ended.log_volume)
         moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
         return Pushed(ended.state, moved, jnp.exp(ended.log_volume))
@@ -208,7 +212,7 @@ class GeneralStrobe(Strobe):
         return Pushed(self(state, p), tuple(moved), jnp.full_like(jax.tree.leaves(state)[0], jnp.nan))
 
 
-def along(
+def linearised(
     function: Callable[[Any, Any], Any],
     y: Any,
     own: Mapping[str, Any],

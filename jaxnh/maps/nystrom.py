@@ -16,8 +16,8 @@ from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.general_flow import (
     GeneralStrobe,
     Moving,
-    along,
     lanes_of,
+    linearised,
     own_parameters,
     stacked,
     with_stages,
@@ -56,10 +56,10 @@ class NystromStrobe(GeneralStrobe):
         return () if self.steps is None else (float(np.mean(self.steps)),)
 
     def __call__(self, state: State, p: Parameters) -> State:
-        order, own = self._order, own_parameters(self.system, p)
+        form, own = self._form, own_parameters(self.system, p)
 
         def force(values: Sequence[Any], x: Carried) -> Carried:
-            return [order.split.rest(values, self.system, (x[0], own))]
+            return [form.split.rest(values, self.system, (x[0], own))]
 
         def project(t: Any, y: Moving) -> Moving:
             return Moving(self.system.project(t, y.state, p))
@@ -67,15 +67,19 @@ class NystromStrobe(GeneralStrobe):
         return self._march_on(force, project, Moving(state)).state
 
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
-        order, own = self._order, own_parameters(self.system, p)
+        form, own = self._form, own_parameters(self.system, p)
         by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
 
         def force(values: Sequence[Any], x: Carried) -> Carried:
-            value, moved = along(lambda x, own: order.split.rest(values, self.system, (x, own)), x[0], own, x[1:], by_p)
+            value, moved = linearised(
+                lambda x, own: form.split.rest(values, self.system, (x, own)), x[0], own, x[1:], by_p
+            )
             return [value, *moved]
 
         def project(t: Any, y: Moving) -> Moving:
-            value, moved = along(lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p)
+            value, moved = linearised(
+                lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p
+            )
             return Moving(value, moved)
 
         ended = self._march_on(force, project, Moving(state, tuple(t.state for t in tangents)))
@@ -85,10 +89,10 @@ class NystromStrobe(GeneralStrobe):
         return Pushed(ended.state, moved, volume)
 
     @property
-    def _order(self) -> SecondOrder:
-        order = second_order(self.system)
-        assert order is not None
-        return order
+    def _form(self) -> SecondOrder:
+        form = second_order(self.system)
+        assert form is not None
+        return form
 
     def _march_on(
         self,
@@ -97,7 +101,7 @@ class NystromStrobe(GeneralStrobe):
         y: Moving,
     ) -> Moving:
         """All steps, each projected."""
-        halves, grid, values = self._order.halves, jnp.asarray(self.grid), [jnp.asarray(v) for v in self.values]
+        halves, grid, values = self._form.halves, jnp.asarray(self.grid), [jnp.asarray(v) for v in self.values]
         gamma = [jnp.asarray(self.gamma)[k] for k in range(len(halves.positions))] if self.damped else []
 
         def step(i: Any, y: Moving) -> Moving:
@@ -133,13 +137,13 @@ def nystrom_strobe(system: Flow, solver: Nystrom, grid: np.ndarray) -> NystromSt
     Raises:
         AccuracyError: the flow is not of second order.
     """
-    order = second_order(system)
-    if order is None:
+    form = second_order(system)
+    if form is None:
         raise AccuracyError(f"{solver.name} is for flows x'' = F(x, t) - gamma x', and this one is not seen to be one")
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
     grid, times = with_stages(grid, solver.c)
-    values, gamma = list(order.split.table(times, system)), order.damping(system)
-    if order.damped:
+    values, gamma = list(form.split.table(times, system)), form.damping(system)
+    if form.damped:
         since = np.diff(grid)[..., None] * np.asarray([*solver.c, 1.0])
         half = 0.5 * since[..., None] * gamma
         values += [np.exp(half), np.exp(-half)]
@@ -150,7 +154,7 @@ def nystrom_strobe(system: Flow, solver: Nystrom, grid: np.ndarray) -> NystromSt
         np.full(parts, count, np.int32),
         tuple(np.asarray(value) for value in values),
         gamma=np.broadcast_to(gamma, (*parts, len(gamma))),
-        damped=order.damped,
+        damped=form.damped,
     )
 
 
@@ -160,10 +164,10 @@ def nystrom_unit_step(system: Flow, solver: Nystrom) -> NystromStrobe:
     Raises:
         AccuracyError: the flow is not of second order, or damped.
     """
-    order = second_order(system)
-    if order is None or order.damped:
+    form = second_order(system)
+    if form is None or form.damped:
         raise AccuracyError(f"{solver.name} is for flows x'' = F(x) where there is no clock, and this is none of them")
-    return NystromStrobe(system, solver, np.array([0.0, 1.0]), None, gamma=np.zeros(len(order.halves.positions)))
+    return NystromStrobe(system, solver, np.array([0.0, 1.0]), None, gamma=np.zeros(len(form.halves.positions)))
 
 
 def _times(factors: Any, carried: Carried) -> Carried:

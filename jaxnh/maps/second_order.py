@@ -20,7 +20,6 @@ from jaxnh.systems.tracing import Known, Program, constants
 
 _MOST_COMPONENTS = 12  # of a state: each pair of them is traced
 _LARGEST_FORCE = 100  # equations: in larger ones the stages would have to be a loop
-_TIME, _LANE = 1, 1
 
 
 class Halves(NamedTuple):
@@ -58,7 +57,7 @@ class SecondOrder:
         """γ of each position, (positions,)."""
         if not self.damped:
             return np.zeros(len(self.halves.positions))
-        program, found = self._damping, dict[int, Any]()
+        program = self._damping
         found = dict(zip(program.inputs, [jnp.float64(0.0), *jax.tree.leaves(system)], strict=False))
         needed = program.needed(program.outputs)
         program.run(found, lambda step: not needed.isdisjoint(step.makes))
@@ -72,66 +71,112 @@ def second_order(system: Flow) -> SecondOrder | None:
 
 @functools.lru_cache(maxsize=256)
 def _second_order(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> SecondOrder | None:
-    system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
-    state = jax.eval_shape(system.unchart, jax.ShapeDtypeStruct((system.dimension,), jnp.float64))
-    count = len(jax.tree.leaves(state))
-    if count > _MOST_COMPONENTS:
+    field = _Field(jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes]))
+    small = field.carried_whole and field.count <= _MOST_COMPONENTS and field.size <= 2 * _LARGEST_FORCE
+    halves = field.halves() if small else None
+    if halves is None:
         return None
-    own = dict.fromkeys(system.own, 0.0)
-
-    def rates(t: Any, system: Flow, leaves: Sequence[Any], own: Mapping[str, Any]) -> list[Any]:
-        return jax.tree.leaves(system.rhs(t, jax.tree.unflatten(jax.tree.structure(state), leaves), own))
-
-    def slopes(t: Any, system: Flow, leaves: Sequence[Any], own: Mapping[str, Any]) -> list[list[Any]]:
-        """∂rate_i/∂leaf_j, [j][i]."""
-
-        def by(j: int) -> list[Any]:
-            def moved(x: Any) -> list[Any]:
-                return rates(t, system, [*leaves[:j], x, *leaves[j + 1 :]], own)
-
-            return jax.jvp(moved, (leaves[j],), (jnp.ones_like(leaves[j]),))[1]
-
-        return [by(j) for j in range(count)]
-
-    zeros = [0.0] * count
-    matrix = constants(slopes, 0.0, system, zeros, own)  # None where not the same for all
-    at_zero = constants(lambda t, system, own: rates(t, system, [jnp.zeros(())] * count, own), 0.0, system, own)
-    still = constants(rates, 0.0, system, zeros, own)
-    pairs: dict[int, int] = {}
-    for i in range(count):
-        column = [matrix[j][i] for j in range(count)]
-        if at_zero[i] == 0.0 and column.count(0.0) == count - 1 and column.count(1.0) == 1 and column[i] == 0.0:
-            pairs[i] = column.index(1.0)
-    moving = {*pairs, *pairs.values()}
-    unmoved = all(still[i] == 0.0 for i in range(count) if i not in moving)
-    if not pairs or not unmoved or len(moving) != 2 * len(pairs):
+    slopes = [[field.matrix[j][i] for i in halves.velocities] for j in halves.velocities]
+    if any(slope != 0.0 for k, row in enumerate(slopes) for n, slope in enumerate(row) if k != n):
         return None
-    halves = Halves(tuple(pairs), tuple(pairs.values()))
-    crossed = [matrix[j][i] for i in halves.velocities for j in halves.velocities if i != j]
-    if any(slope != 0.0 for slope in crossed):
+    damped = any(row[k] != 0.0 for k, row in enumerate(slopes))
+    if damped and field.system.autonomous:  # the steps of a section are of any length: no table has their exponentials
         return None
-    own_slopes = [matrix[j][j] for j in halves.velocities]
-    damped = any(slope != 0.0 for slope in own_slopes)
-    if damped and system.autonomous:  # the steps of a section are of any length: no table has their exponentials
+    damping = field.damping(halves)
+    if damping is None:
         return None
-
-    def gammas(t: Any, system: Flow, leaves: Sequence[Any], own: Mapping[str, Any]) -> list[Any]:
-        found = slopes(t, system, leaves, own)
-        return [-found[j][j] for j in halves.velocities]
-
-    damping = Program(gammas, 0.0, system, zeros, own)
-    shared = len(jax.tree.leaves(system))
-    level = damping.depends([_TIME] + [0] * shared + [_LANE] * (len(damping.inputs) - 1 - shared))
-    if any(not isinstance(slot, Known) and level[slot] for slot in damping.outputs):
-        return None
-
-    def force(t: Any, system: Flow, lane: tuple[list[Any], Mapping[str, Any]]) -> list[Any]:
-        x, own = lane
-        leaves = [jnp.zeros_like(x[0])] * count
-        for i, position in zip(halves.positions, x, strict=True):
-            leaves[i] = position
-        found = rates(t, system, leaves, own)
-        return [found[j] for j in halves.velocities]
-
-    split = TimeSplit(force, system, ([0.0] * len(pairs), own))
+    split = field.force(halves)
     return SecondOrder(halves, split, damped, damping) if split.size <= _LARGEST_FORCE else None
+
+
+class _Field:
+    """The rates of a flow's states, leaf by leaf, looked at by tracing.
+
+    Attributes:
+        system: the flow, its numbers of no meaning.
+        count: leaves of a state.
+        carried_whole: whether steps carry all of a state.
+        own: parameters of lanes' own.
+    """
+
+    def __init__(self, system: Flow) -> None:
+        section = jax.ShapeDtypeStruct((system.dimension,), jnp.float64)
+        state, carried = jax.eval_shape(lambda u: (system.unchart(u), system.stepped(system.unchart(u))), section)
+        self.system, self._structure = system, jax.tree.structure(state)
+        self.count = self._structure.num_leaves
+        self.carried_whole = jax.tree.structure(carried) == self._structure
+        self.own = dict.fromkeys(system.own, 0.0)
+        self._zeros = [0.0] * self.count
+
+    @property
+    def size(self) -> int:
+        """Equations of the rates."""
+        program = Program(self.rates, 0.0, self.system, self._zeros, self.own)
+        needed = program.needed(program.outputs)
+        return sum(not needed.isdisjoint(step.makes) for step in program.steps)
+
+    def rates(self, t: Any, system: Flow, leaves: Sequence[Any], own: Mapping[str, Any]) -> list[Any]:
+        """Of every leaf."""
+        return jax.tree.leaves(system.rhs(t, jax.tree.unflatten(self._structure, leaves), own))
+
+    def slopes(self, j: int, t: Any, system: Flow, leaves: Sequence[Any], own: Mapping[str, Any]) -> list[Any]:
+        """Of every rate, in leaf j."""
+
+        def moved(x: Any) -> list[Any]:
+            return self.rates(t, system, [*leaves[:j], x, *leaves[j + 1 :]], own)
+
+        return jax.jvp(moved, (leaves[j],), (jnp.ones_like(leaves[j]),))[1]
+
+    @functools.cached_property
+    def matrix(self) -> list[list[float | None]]:
+        """∂rate_i/∂leaf_j, [j][i]; None where it is not the same for all states, times and parameters."""
+
+        def every(*at: Any) -> list[list[Any]]:
+            return [self.slopes(j, *at) for j in range(self.count)]
+
+        return constants(every, 0.0, self.system, self._zeros, self.own)
+
+    def halves(self) -> Halves | None:
+        """Positions and their velocities, where there are no other leaves that move."""
+
+        def at_zero(t: Any, system: Flow, own: Mapping[str, Any]) -> list[Any]:
+            return self.rates(t, system, [jnp.zeros(())] * self.count, own)
+
+        still = constants(self.rates, 0.0, self.system, self._zeros, self.own)
+        begun = constants(at_zero, 0.0, self.system, self.own)
+        pairs: dict[int, int] = {}
+        for i in range(self.count):
+            if begun[i] == 0.0:
+                column = [self.matrix[j][i] for j in range(self.count)]
+                if column.count(0.0) == self.count - 1 and column.count(1.0) == 1 and column[i] == 0.0:
+                    pairs[i] = column.index(1.0)
+        moving = {*pairs, *pairs.values()}
+        others = [i for i in range(self.count) if i not in moving]
+        if not pairs or len(moving) != 2 * len(pairs) or any(still[i] != 0.0 for i in others):
+            return None
+        return Halves(tuple(pairs), tuple(pairs.values()))
+
+    def damping(self, halves: Halves) -> Program | None:
+        """γ of each position of (t, flow, leaves, own); None where time, states or lanes decide it."""
+
+        def gammas(*at: Any) -> list[Any]:
+            return [-self.slopes(j, *at)[j] for j in halves.velocities]
+
+        program = Program(gammas, 0.0, self.system, self._zeros, self.own)
+        shared = len(jax.tree.leaves(self.system))
+        level = program.depends([1] + [0] * shared + [1] * (len(program.inputs) - 1 - shared))
+        decided = any(not isinstance(slot, Known) and level[slot] for slot in program.outputs)
+        return None if decided else program
+
+    def force(self, halves: Halves) -> TimeSplit:
+        """The rates of the velocities where these are zero, of (t, flow, (positions, own))."""
+
+        def force(t: Any, system: Flow, lane: tuple[list[Any], Mapping[str, Any]]) -> list[Any]:
+            x, own = lane
+            leaves = [jnp.zeros_like(x[0])] * self.count
+            for i, position in zip(halves.positions, x, strict=True):
+                leaves[i] = position
+            found = self.rates(t, system, leaves, own)
+            return [found[j] for j in halves.velocities]
+
+        return TimeSplit(force, self.system, ([0.0] * len(halves.positions), self.own))

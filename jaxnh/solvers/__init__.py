@@ -1,4 +1,4 @@
-"""diffrax solvers of the package: isokinetic splittings, and methods of Runge and Kutta and of Nyström."""
+"""Steps: isokinetic splittings and Runge–Kutta methods, all diffrax solvers, and methods of Nyström's."""
 
 from jaxnh.solvers.compositions import SPLITTINGS
 from jaxnh.solvers.isokinetic import (

@@ -8,48 +8,20 @@ from typing import Any
 import equinox as eqx
 import jax
 
+from jaxnh.solvers.explicit_method import ExplicitMethod
 
-class Nystrom(eqx.Module):
-    """An explicit method for x″ = F(x, t), its stages written out.
+
+class Nystrom(ExplicitMethod):
+    """An explicit method for x″ = F(x, t), its stages written out; `a` and `b` are of positions, in units of h².
 
     Velocities are summed once a step and not once a stage, and as F does not see them, there are fewer conditions of
     order to meet: eight stages for order eight, where methods for any system have twelve.
 
     Attributes:
-        a: rows of the tableau below the diagonal, first row empty: of a stage's position, in units of h².
-        b: weights of the position, one a stage, in units of h².
         b_rate: weights of the velocity, one a stage, in units of h.
-        c: abscissae, one a stage.
-        convergence_order: order of the solution.
-        name: name in configs and result files.
-        source: where the coefficients come from.
     """
 
-    a: tuple[tuple[float, ...], ...] = eqx.field(static=True)
-    b: tuple[float, ...] = eqx.field(static=True)
     b_rate: tuple[float, ...] = eqx.field(static=True)
-    c: tuple[float, ...] = eqx.field(static=True)
-    convergence_order: int = eqx.field(static=True)
-    name: str = eqx.field(static=True)
-    source: str = eqx.field(static=True)
-
-    @property
-    def stages(self) -> int:
-        """Evaluations of F, a step."""
-        return len(self.b)
-
-    @property
-    def processor(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """None: steps alone have the order of the method."""
-        return (0.0,), ()
-
-    def most_steps(self, fields: int) -> int:
-        """Steps of a map with so many evaluations of F at most."""
-        return fields // self.stages
-
-    def total_kicks(self, steps: int) -> int:
-        """Evaluations of F of a map of so many steps."""
-        return steps * self.stages
 
     def written_stages(self, force: Callable[[int, Any], Any], h: Any, x: Any, v: Any) -> tuple[Any, Any]:
         """Position and velocity after a step h under a force of (number of the stage, position): pytrees alike."""

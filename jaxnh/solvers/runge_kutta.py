@@ -16,30 +16,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxnh.solvers.explicit_method import ExplicitMethod
 
-class WrittenOutRungeKutta(diffrax.AbstractAdaptiveSolver):
+
+class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
     """Any explicit diffrax tableau, with its embedded error estimate, stages written out.
 
     The state may be any pytree. Nothing is carried from step to step (no FSAL); what only the error estimate or the
     interpolation needs is removed by XLA where they are not read.
 
     Attributes:
-        a: rows of the tableau below the diagonal, first row empty.
-        b: weights of the solution, one a stage.
         b_error: weights of the error estimate, one a stage.
-        c: abscissae, one a stage.
-        convergence_order: order of the solution.
-        name: name in configs and result files.
-        source: where the coefficients come from.
     """
 
-    a: tuple[tuple[float, ...], ...] = eqx.field(static=True)
-    b: tuple[float, ...] = eqx.field(static=True)
     b_error: tuple[float, ...] = eqx.field(static=True)
-    c: tuple[float, ...] = eqx.field(static=True)
-    convergence_order: int = eqx.field(static=True)
-    name: str = eqx.field(static=True)
-    source: str = eqx.field(static=True)
 
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar = diffrax.ThirdOrderHermitePolynomialInterpolation
@@ -48,19 +38,6 @@ class WrittenOutRungeKutta(diffrax.AbstractAdaptiveSolver):
     def stages(self) -> int:
         """Evaluations of the vector field that the solution needs, a step."""
         return sum(1 for i in range(len(self.b)) if self.b[i] or any(i < len(row) and row[i] for row in self.a))
-
-    @property
-    def processor(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """None: steps alone have the order of the method."""
-        return (0.0,), ()
-
-    def most_steps(self, fields: int) -> int:
-        """Steps of a map with so many evaluations of the vector field at most."""
-        return fields // self.stages
-
-    def total_kicks(self, steps: int) -> int:
-        """Evaluations of the vector field of a map of so many steps."""
-        return steps * self.stages
 
     def order(self, terms: Any) -> int:
         return self.convergence_order

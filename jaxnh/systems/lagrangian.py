@@ -53,7 +53,7 @@ class Motion(NamedTuple):
     watch: Vector
 
 
-class Free(NamedTuple):
+class Reduced(NamedTuple):
     """What steps carry of a lane whose constraints give some of its velocities.
 
     Attributes:
@@ -167,32 +167,32 @@ class Lagrangian(Defined):
         """Whether steps may leave the constraints."""
         return self.explicit is None
 
-    def stepped(self, y: Motion) -> Motion | Free:
+    def stepped(self, y: Motion) -> Motion | Reduced:
         """Coordinates and the free velocities, where there is a choice."""
         explicit = self.explicit
-        return y if explicit is None else Free(y.q, tuple(y.v[j] for j in explicit.free))
+        return y if explicit is None else Reduced(y.q, tuple(y.v[j] for j in explicit.free))
 
-    def stepped_rate(self, t: ArrayLike, z: Motion | Free, p: Parameters) -> Motion | Free:
+    def stepped_rate(self, t: ArrayLike, z: Motion | Reduced, p: Parameters) -> Motion | Reduced:
         """Time derivative of what steps carry."""
         explicit = self.explicit
-        if explicit is None or not isinstance(z, Free):
+        if explicit is None or not isinstance(z, Reduced):
             assert isinstance(z, Motion)
             return self.rhs(t, z, p)
         equations = self.equations(p)
         v = all_velocities(equations, explicit, z.q, z.u, t)
-        return Free(v, free_accelerations(equations, explicit, z.q, z.u, t))
+        return Reduced(v, free_accelerations(equations, explicit, z.q, z.u, t))
 
-    def restored(self, t: ArrayLike, z: Motion | Free, y: Motion, p: Parameters) -> Motion:
+    def restored(self, t: ArrayLike, z: Motion | Reduced, y: Motion, p: Parameters) -> Motion:
         """The state on its constraints."""
         explicit = self.explicit
-        if explicit is None or not isinstance(z, Free):
+        if explicit is None or not isinstance(z, Reduced):
             assert isinstance(z, Motion)
             return z
         return Motion(z.q, all_velocities(self.equations(p), explicit, z.q, z.u, t), y.watch)
 
-    def divergence_of(self, rate: Callable[[Any], Any], y: Motion | Free) -> Number:
+    def divergence_of(self, rate: Callable[[Any], Any], y: Motion | Reduced) -> Number:
         """The same on the constraints: volumes of both are in a constant ratio, as C is constant."""
-        return jacobian_trace(rate, y, lambda z: z) if isinstance(y, Free) else super().divergence_of(rate, y)
+        return jacobian_trace(rate, y, lambda z: z) if isinstance(y, Reduced) else super().divergence_of(rate, y)
 
     def compared(self, y: Motion) -> tuple[Vector, Vector]:
         """Coordinates and velocities."""

@@ -180,6 +180,14 @@ def test_start_without_a_clock_is_on_its_way_to_the_section(config):
     assert start.state[0][0].tolist() == [0.0, 0.1]
 
 
+def test_a_section_that_nothing_needs_is_left_out(config):
+    """A spectrum is an average over time; what is found at crossings has the default section where none is given."""
+    for analysis, sectioned in (("lyapunov", False), ("diagram", True)):
+        experiment = load(config, ["section=null", f"analyses={{{analysis}: null}}"])
+        assert isinstance(experiment.flow(), SectionedFlow) == sectioned
+        assert isinstance(experiment.start({}, 1), Crossing) == sectioned
+
+
 def test_free_start_has_four_coordinates(tmp_path):
     path = plane(tmp_path, ("disturbed_speed", "free"), ("  d: {values: [0.1, 0.2]}", "  y2: {values: [0.3, 0.4]}"))
     experiment = load(path)

@@ -139,6 +139,24 @@ def test_calibration_is_kept_within_its_ends():
     assert session.plan == plan
 
 
+def test_a_plan_in_time_does_not_serve_returns():
+    """A spectrum of a flow without a clock needs no section; a diagram has one, whose steps serve both."""
+    system = {"constraint": "constant_speed", "a": 0.5, "c": 1.0, "without": ["forcing"]}
+    content = {"system": system, "sweep": {"b": {"values": [0.2, 0.3]}}, "accuracy": {"target": 1e-4}}
+    said = []
+    options = {"transient": 1, "periods": 16}
+    session = Session(
+        Experiment.from_dict({**content, "analyses": {"lyapunov": options}}), progress=lambda *told: said.append(told)
+    )
+    for analysis, given, calibrations in (
+        ("lyapunov", options, 1),
+        ("diagram", {"transient": 1, "strobes": 2}, 2),
+        ("lyapunov", options, 2),
+    ):
+        session.run(analysis, given)
+        assert sum(label.startswith("accuracy") and not done for label, done, _ in said) == calibrations
+
+
 def test_one_device(whole):
     """The lanes do not know on how many devices they are."""
     session = Session(Experiment.from_dict(CONTENT), devices=jax.devices()[:1])

@@ -14,7 +14,7 @@ from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.solvers import tsit5
 from jaxnh.systems.explicit import all_velocities, free_accelerations
 from jaxnh.systems.jourdain import accelerations
-from jaxnh.systems.lagrangian import Free, Motion, lagrangian
+from jaxnh.systems.lagrangian import Motion, Reduced, lagrangian
 
 PERIOD = 2 * np.pi
 
@@ -126,6 +126,7 @@ def test_motions_keep_the_constraints_and_are_those_of_projected_steps(lanes, na
     assert np.abs(np.asarray(left)).max() < 1e-14
     assert np.all(end.watch[1] == 0.0)
     whole = lanes(stepped_whole, (system,), (spread(start, 2), p))
+    # h⁴ over two periods of the classical method, h = π/1000, is 1e-9; that of order five, h = π/200, is below it.
     assert np.abs(system.section_point(end) - system.section_point(whole)).max() < 1e-9
 
 
@@ -176,7 +177,8 @@ def test_volume_is_that_of_the_whole_flow(lanes, name):
     p = {"drive": np.array([0.3, 0.8])}
     volume = lanes(volume_of, (make_strobe(system, tsit5, 400),), (spread(start, 2), p))
     integral = lanes(divergence_along, (make_strobe(system, tsit5, 400), system), (spread(start, 2), p))
-    assert np.abs(np.log(volume) - integral).max() < 1e-5
+    # Simpson's pieces, h = π/100: 2π h⁴/2880 times a fourth derivative of order 100; the states' errors are smaller.
+    assert np.abs(np.log(volume) - integral).max() < 1e-6
 
 
 def volume_of(strobe, state, p):
@@ -227,6 +229,6 @@ def test_steps_carry_no_velocity_that_is_given():
     """Two coordinates and one velocity of the governor, in place of both velocities and what is watched."""
     system, start = SYSTEMS["governor"][0], on_constraints("governor")
     carried = system.stepped(start)
-    assert isinstance(carried, Free)
+    assert isinstance(carried, Reduced)
     assert len(jax.tree.leaves(carried)) == 3
     assert not system.drifts
