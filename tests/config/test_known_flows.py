@@ -120,7 +120,7 @@ def flow_and_lanes(name):
     if axis.kind == "shared":
         values = np.repeat(axis.values[:1], 3)
     start = experiment.start({axis.name: values} if axis.kind == "start" else {}, 3)
-    state = start.state if flow.autonomous else start
+    state = start.state if experiment.sectioned else start
     return flow, state, {axis.name: values} if axis.kind == "lane" else {}, values
 
 
