@@ -7,6 +7,7 @@ the flow is integrated by itself, by Gauss–Legendre quadrature, where it is as
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -90,6 +91,18 @@ def parts_of(scene: Scene, parts: int, refinement: int = 1) -> Strobe:
     steps = refinement * scene.steps
     strobe = cut_strobe(scene.flow, scene.solver, steps, parts, compensated=scene.compensated)
     return in_precision(strobe, scene.precision)
+
+
+def one_by_one(strobes: Strobe, roomy: Strobe) -> list[Strobe]:
+    """Maps of a stack, each a stack of one, in tables as large as those of another: one program serves them and it."""
+
+    def row(leaf: ArrayLike, like: ArrayLike, k: int) -> np.ndarray:
+        one = np.asarray(leaf)[k : k + 1]
+        more = [(0, full - own) for full, own in zip(np.shape(like), one.shape, strict=True)]
+        return np.pad(one, more, mode="edge")
+
+    count = len(np.asarray(jax.tree.leaves(strobes)[0]))
+    return [jax.tree.map(functools.partial(row, k=k), strobes, roomy) for k in range(count)]
 
 
 def average(

@@ -23,7 +23,7 @@ from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, variable
 from jaxnh.analyses.exponent_errors import nearly_neutral, of_blocks, of_windows, smooth_parts, unseen_bursts
-from jaxnh.analyses.growth import BLOCKS, Growth, advance, average, begin, parts_of, quadrature
+from jaxnh.analyses.growth import BLOCKS, Growth, advance, average, begin, one_by_one, parts_of, quadrature
 from jaxnh.analyses.orbit_exponents import on_orbits
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.rest import rest
@@ -224,8 +224,13 @@ def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> int:
     while True:
         state, p = few.lanes
         growth = lanes(begin, (scene.system,), (state,), static=(k,))
-        growth, _ = average(lanes, parts_of(scene, parts), growth, p, _PILOT_PERIODS)
-        loss = float(np.max(growth.loss, initial=0.0, where=np.isfinite(growth.loss)))
+        # The first number of parts one at a time, through the program of a whole period, which is needed anyway.
+        single = parts == _PILOT_PARTS
+        strobes = parts_of(scene, parts)
+        loss = 0.0
+        for strobe in one_by_one(strobes, parts_of(scene, 1)) * _PILOT_PERIODS if single else (strobes,):
+            growth, _ = average(lanes, strobe, growth, p, 1 if single else _PILOT_PERIODS)
+            loss = float(np.max(growth.loss, initial=loss, where=np.isfinite(growth.loss)))
         if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
             break
         parts *= 4

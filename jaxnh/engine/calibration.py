@@ -14,7 +14,7 @@ from jaxnh.engine.axes import Points
 from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe, way_of
-from jaxnh.maps.iterate import compared, iterate
+from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.section import Crossing, SectionedFlow
 from jaxnh.maps.single_precision import in_precision
@@ -222,12 +222,10 @@ class Calibration:
         finer, coarser = (self._maps(self._way.reference, n) for n in (steps, max(1, steps // 2)))
         states, gaps = [], []
         for _ in range(_CALLS):
-            later, *seen = self._by_flow(
-                compared, lambda flow: (finer(flow), coarser(flow)), now, 2 * _PERIODS, static=(_PERIODS,)
-            )
-            now = now._replace(states=later)
-            states.append(seen[0])
-            gaps.append(seen[1])
+            end, following = self._by_flow(record, lambda flow: (finer(flow),), now, _PERIODS, static=(_PERIODS,))
+            states.append(jax.tree.map(lambda z, later: np.c_[z, later[:, :-1]], now.states, following))
+            gaps.append(self._differing(coarser, now._replace(states=states[-1]), following))
+            now = now._replace(states=end)
         whole = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *states)  # (lanes, periods)
         sensitive = np.concatenate(gaps, axis=1)
         sensitive = np.where(np.isfinite(sensitive), sensitive, -1.0)
@@ -238,6 +236,16 @@ class Calibration:
         lane, time = np.divmod(moving if len(moving) else chosen, sensitive.shape[1])
         taken = jax.tree.map(lambda leaf: leaf[lane], now)
         return taken._replace(states=jax.tree.map(lambda leaf: leaf[lane, time], whole)), sensitive.size
+
+    def _differing(
+        self, maps: Callable[[Flow], Strobe], samples: _Samples, images: State
+    ) -> Float[np.ndarray, "lanes periods"]:
+        """How far maps take states (lanes, periods) from images of theirs."""
+        periods = jax.tree.leaves(images)[0].shape[1]
+        lane = np.repeat(np.arange(len(samples.row)), periods)
+        each = samples.take(lane)._replace(states=jax.tree.map(np.ravel, samples.states))
+        theirs = jax.tree.leaves(self._flows[0].compared(jax.tree.map(np.ravel, images)))
+        return _gaps(self._image(maps, each), theirs).reshape(-1, periods)
 
     def _at_rest(self, samples: _Samples) -> Bool[np.ndarray, "samples periods"]:
         """Where lanes cross their section so slowly that they have come to rest on it: their time is then no number."""

@@ -29,23 +29,6 @@ def record(strobe: Strobe, state: State, p: Parameters, count: int) -> tuple[Sta
     return lax.scan(step, state, length=count)
 
 
-def compared(
-    strobe: Strobe, other: Strobe, state: State, p: Parameters, count: int
-) -> tuple[State, State, Float[Array, " count"]]:
-    """The state after `count` periods; those before each, along a new first axis; and what another map makes different.
-
-    The difference is the largest of any component that the flow compares, of the images of the same state.
-    """
-
-    def step(z: State, _: None) -> tuple[State, tuple[State, Array]]:
-        image = strobe(z, p)
-        one, two = (jax.tree.leaves(strobe.system.compared(y)) for y in (image, other(z, p)))
-        return image, (z, jnp.max(jnp.stack([jnp.abs(x - y) for x, y in zip(one, two, strict=True)])))
-
-    end, (before, gaps) = lax.scan(step, state, length=count)
-    return end, before, gaps
-
-
 def section_map(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
     """Pⁿ in section coordinates."""
     return strobe.system.chart(iterate(strobe, n, strobe.system.unchart(u), p))
