@@ -192,11 +192,10 @@ class Calibration:
 
     def _errors(self, solver: Solver, steps: int, compensated: bool) -> Float[np.ndarray, " samples"]:
         """Error estimate of every sample."""
-
-        self._tried = max(self._tried, solver.total_kicks(steps))
+        maps = self._maps(solver, steps, compensated=compensated)
 
         def strobe(flow: Flow) -> Strobe:
-            return in_precision(make_strobe(flow, solver, steps, compensated=compensated), self._precision)
+            return in_precision(maps(flow), self._precision)
 
         chance = 0.0 if compensated else self._rounding
         return np.maximum(
