@@ -49,7 +49,7 @@ class Contestant(FlowMaps):
             if setting.peer == WHOLE:
                 lyapunov.run(self._options(), scene, self.lanes)
             else:
-                lyapunov.averages(self._options(), scene, self.lanes, setting.parts)
+                lyapunov.averages(self._options(), scene, self.lanes, setting.parts, to_the_end=True)
             return scene.count * TANGENT_PERIODS
 
         return run

@@ -60,7 +60,7 @@ class Contestant(Splittings[TangentScene]):
             if setting.peer == WHOLE:
                 lyapunov.run(options, scene, self.lanes)
             elif exponents:
-                lyapunov.averages(options, scene, self.lanes, parts)
+                lyapunov.averages(options, scene, self.lanes, parts, to_the_end=True)
             else:
                 self.lanes(iterate, (scene.strobe(), np.int32(TANGENT_PERIODS)), scene.lanes)
             return count * TANGENT_PERIODS

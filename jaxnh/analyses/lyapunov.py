@@ -3,7 +3,7 @@
 Where a lane has settled on a stable periodic orbit, exponents are those of the orbit's multipliers, and where it has
 come to rest without a clock, those of the equilibrium's eigenvalues. Elsewhere they are averages of the growth of
 tangents: smooth ones where the motion is regular and they converge faster, else plain ones with the scatter of block
-means. `exponents_from` says which.
+means. `exponents_from` says which. Lanes on an orbit are known after a sixteenth of their averages, and end there.
 
 Without a clock the flow carries its own direction along, whose exponent is zero unless the motion comes to rest: the
 tangents are those across it, one fewer, and no section is needed.
@@ -24,7 +24,7 @@ from pydantic import Field
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, variable
 from jaxnh.analyses.exponent_errors import nearly_neutral, of_blocks, of_windows, smooth_parts, unseen_bursts
 from jaxnh.analyses.growth import BLOCKS, Growth, advance, average, begin, one_by_one, parts_of, quadrature
-from jaxnh.analyses.orbit_exponents import on_orbits
+from jaxnh.analyses.orbit_exponents import OrbitExponents, no_orbits, on_orbits
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.rest import rest
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
@@ -68,12 +68,14 @@ class Averages(NamedTuple):
             of volume, and of volume by quadrature, (lanes, blocks, sums).
         smooth: smooth averages over the whole, its first and its second half, without the last sum, (lanes, 3, sums).
         blocks: number of blocks that were run, (lanes,).
+        settled: exponents of the lanes that were found on orbits after the first block, which needed no others.
     """
 
     growth: Growth
     rates: Float[np.ndarray, "lanes blocks sums"]
     smooth: Float[np.ndarray, "lanes 3 sums"]
     blocks: Int[np.ndarray, " lanes"]
+    settled: OrbitExponents
 
 
 def periods(options: LyapunovOptions, lanes: int) -> float:
@@ -102,8 +104,14 @@ def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     return _dataset(options, scene, found, spectrum(options, scene, lanes, found, parts), parts)
 
 
-def averages(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, parts: int) -> Averages:
-    """Growth of all lanes in blocks, after the transient; lanes whose errors are small enough stop early."""
+def averages(
+    options: LyapunovOptions, scene: Scene, lanes: LaneRunner, parts: int, *, to_the_end: bool = False
+) -> Averages:
+    """Growth of all lanes in blocks, after the transient.
+
+    Lanes whose errors are small enough stop early, and so do those that are on a stable orbit after the first block,
+    which gives their exponents at once, unless all averages are to go on `to_the_end`.
+    """
     count, k, lead = scene.count, tangents(options, scene), int(scene.flow.autonomous)
     strobes = parts_of(scene, parts)
     nodes = quadrature(scene) if scene.flow.contraction and every_exponent(options, scene) else None
@@ -119,6 +127,7 @@ def averages(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, parts: i
     smooth = np.zeros((count, 3, lead + k + 1))
     done = np.zeros(count, int)
     running = np.arange(count)
+    settled = no_orbits(lead + k)
     with lanes.stage(f"lyapunov: averages of {count} lanes", count * options.periods):
         for i in range(BLOCKS):
             part, part_p = picked((growth, p), running)
@@ -127,13 +136,18 @@ def averages(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, parts: i
             for whole, moved in zip(jax.tree.leaves(growth), jax.tree.leaves(part), strict=True):
                 whole[running] = moved
             done[running] += 1
+            if i == 0 and not to_the_end and _have_orbits(scene):
+                # A chaotic lane whose tangent shrinks in this block is looked at as well, and goes on.
+                candidates = running[~(rates[running, 0, lead] > 0.0)]
+                settled = on_orbits(scene, lanes, growth, candidates, parts, options.periods)
+                running = np.setdiff1d(running, settled.lanes)
             if options.error and i + 1 >= BLOCKS // 4:
                 plain = of_blocks(rates[running, : i + 1, lead : lead + k])
                 error = nearly_neutral(plain, aligning, (i + 1) * block).error / scene.system.period
                 running = running[~(np.max(error, axis=1) < options.error)]
             if not len(running):
                 break
-    return Averages(growth, rates, smooth, done)
+    return Averages(growth, rates, smooth, done, settled)
 
 
 class Spectrum(NamedTuple):
@@ -153,13 +167,14 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
     """The best that is known of every lane: its orbit, a smooth average or a plain one."""
     lead, k = int(scene.flow.autonomous), tangents(options, scene)
     aligned, block = options.transient // _ALIGNING, options.periods // BLOCKS
-    mean, error = np.empty((2, scene.count, lead + k))
-    for blocks in np.unique(found.blocks):
-        chosen = found.blocks == blocks
+    mean, error = np.full((2, scene.count, lead + k), np.nan)
+    on_orbit = np.isin(np.arange(scene.count), found.settled.lanes)
+    for blocks in np.unique(found.blocks[~on_orbit]):
+        chosen = (found.blocks == blocks) & ~on_orbit
         plain = of_blocks(found.rates[chosen, :blocks, : lead + k])
         mean[chosen], error[chosen] = nearly_neutral(plain, aligned, blocks * block)
     source = np.zeros(scene.count, np.int8)
-    last = np.array([found.rates[i, n - n // 4 : n, lead].mean() for i, n in enumerate(found.blocks)])
+    last = np.array([found.rates[i, n - max(n // 4, 1) : n, lead].mean() for i, n in enumerate(found.blocks)])
     open_ = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
     open_ &= np.all(np.isfinite(mean), axis=1)
     whole = np.flatnonzero(open_ & (found.blocks == BLOCKS))
@@ -173,8 +188,10 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
     drifting = whole[~better]
     error[drifting] += unseen_bursts(found.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
     candidates = np.flatnonzero(open_)
-    if len(candidates) and not lead and scene.precision == "float64":
-        settled = on_orbits(scene, lanes, found.growth, candidates, parts, BLOCKS * block)
+    orbits = [found.settled]
+    if len(candidates) and _have_orbits(scene):
+        orbits.append(on_orbits(scene, lanes, found.growth, candidates, parts, BLOCKS * block))
+    for settled in orbits:
         source[settled.lanes] = SOURCES.index("orbit")
         mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
     if len(candidates) and lead:
@@ -185,6 +202,11 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
         for values, found_there in ((mean, exponents), (error, bound)):
             values[resting] = found_there[still, : lead + k] * scene.system.period if complete else np.nan
     return Spectrum(mean, error, source)
+
+
+def _have_orbits(scene: Scene) -> bool:
+    """Whether orbits of lanes are looked for: of a strobe map, whose multipliers are right to rounding."""
+    return not scene.flow.autonomous and scene.precision == "float64"
 
 
 def _of_steps(

@@ -37,6 +37,11 @@ class OrbitExponents(NamedTuple):
     error: Float[np.ndarray, "some k"]
 
 
+def no_orbits(k: int) -> OrbitExponents:
+    """Those of no lane, k each."""
+    return OrbitExponents(np.zeros(0, int), *np.empty((2, 0, k)))
+
+
 def on_orbits(
     scene: Scene, lanes: LaneRunner, growth: Growth, candidates: Int[np.ndarray, " some"], parts: int, longest: int
 ) -> OrbitExponents:
@@ -52,7 +57,7 @@ def on_orbits(
     found = survey(scene, lanes, scene.system.section_point(growth.state), min(longest, _LONGEST), "lyapunov", 0)
     settled = np.flatnonzero(found.period > 0)
     if not len(settled):
-        return OrbitExponents(settled, *np.empty((2, 0, len(growth.tangents))))
+        return no_orbits(len(growth.tangents))
     settled = settled[np.argsort(found.period[settled], kind="stable")]  # tiles of lanes that take equally long
     some = scene.take(settled), lanes, picked(growth, settled), picked(found, settled), parts
     (logs, rounding), (fine, _) = (_logs(*some, refinement) for refinement in (1, 2))

@@ -7,6 +7,7 @@ coexisting partner orbit is taken for another period.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -20,7 +21,7 @@ from pydantic import Field
 from jaxnh.analyses.base import LANE, Analysis, Options, variable
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked, section_points
-from jaxnh.maps.iterate import iterate, record, section_map
+from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.newton import Look, Orbit, find_doubled, find_orbits, look
 from jaxnh.systems.flow import Flow, Parameters, State
@@ -31,9 +32,9 @@ CONVERGED = 1e-7
 _CLOSE = 0.03  # sizes of the motion: strobe points nearer than this may be one point of a slowly converging orbit
 _NEARLY_NEUTRAL = 1e-3  # |1 − μ| below which an orbit of even period may be one that has just been born in a doubling
 ORBIT_TILE = 64
-# Few lanes have long orbits, and a tile takes as long for one lane as for all of it: eight lanes, a vector, a third of
-# the time that 64 take. Where there are many, a lane takes five times as long as in tiles of 64.
-_SHORT, _LONG_TILE = 8, 8
+# Few lanes have long orbits, and a tile takes as long for one lane as for all of it: sixteen take half the time that 64
+# do, no longer than eight, and where there are many lanes a lane takes twice as long as in tiles of 64.
+_SHORT, _LONG_TILE = 8, 16
 
 
 class PeriodOptions(Options):
@@ -131,35 +132,60 @@ def survey(
         else:
             radian = 0.0 if scene.system.autonomous else scene.system.period / (2 * np.pi)
             points, size = lanes(_sized_points, (*shared, radian), (u, p), periods=cost, static=static)
-    period = np.zeros(count, int)
-    base = np.zeros(count, int)  # least n after which the points recur, roughly: a multiple of it is the period
-    found = np.array(points[:, 0])
+    recurs = _recurrences(scene.system, points, size, limit, least, only_doublings)
+    period, found = np.zeros(count, int), np.array(points[:, 0])
     residual, multiplier = np.full(count, np.nan), np.full(count, np.nan)
-    for n in range(least, limit + 1):
-        ahead, behind = points[:, n : n + limit], points[:, :limit]
-        recurs = np.max(apart(scene.system, ahead, behind, size[:, None]), axis=1) < _CLOSE
-        base[(base == 0) & recurs] = n
-        ratio, rest = np.divmod(n, np.maximum(base, 1))
-        possible = (rest == 0) & ((ratio & (ratio - 1) == 0) | (not only_doublings))
-        open_ = np.flatnonzero((period == 0) & recurs & possible)
-        if not len(open_):
-            continue
-        with lanes.stage(f"{label}: orbits of period {n} of {len(open_)} lanes", 0):
-            orbit = orbits(lanes, strobe, found[open_], picked(p, open_), n, size[open_])
-        near = apart(scene.system, orbit.u, found[open_], size[open_]) < 2 * _CLOSE
+    rank, first, last = np.cumsum(recurs, axis=0), 1, 1
+    while np.any(rank[-1, period == 0] >= first):
+        # The next 1, 2, 4, … of every lane at once: few lanes have many, and those would wait for each other.
+        n, lane = np.nonzero(recurs & (rank >= first) & (rank <= last) & (period == 0))
+        first, last = last + 1, 2 * last + 1
+        with lanes.stage(f"{label}: orbits of {len(np.unique(lane))} lanes", 0):
+            orbit = orbits(lanes, strobe, found[lane], picked(p, lane), n, size[lane])
+        near = apart(scene.system, orbit.u, found[lane], size[lane]) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
-        settled = (orbit.residual < CONVERGED) & near & (largest < 1.0)
-        some = open_[settled]
-        shortest = least_period(lanes, strobe, orbit.u[settled], picked(p, some), n, size[some])
-        for d in np.unique(shortest):
-            part = np.flatnonzero(settled)[shortest == d]
-            here = open_[part]
-            exact = picked(orbit, part)
-            if d != n:
-                exact = orbits(lanes, strobe, orbit.u[part], picked(p, here), d, size[here])
-            period[here], found[here] = d, exact.u
-            residual[here], multiplier[here] = exact.residual, largest_multiplier(exact.monodromy)
+        settled = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
+        here, least_of = np.unique(lane[settled], return_index=True)
+        if not len(here):
+            continue
+        settled = settled[least_of]
+        exact = picked(orbit, settled)
+        shortest = least_period(lanes, strobe, exact.u, picked(p, here), n[settled], size[here])
+        shorter = np.flatnonzero(shortest != n[settled])
+        if len(shorter):
+            some = here[shorter]
+            turned = orbits(lanes, strobe, exact.u[shorter], picked(p, some), shortest[shorter], size[some])
+            for whole, part in zip(exact, turned, strict=True):
+                whole[shorter] = part
+        period[here], found[here] = shortest, exact.u
+        residual[here], multiplier[here] = exact.residual, largest_multiplier(exact.monodromy)
     return Survey(period, found, residual, multiplier, ~np.all(np.isfinite(points), axis=(1, 2)), size)
+
+
+def _recurrences(
+    system: Flow,
+    points: Float[np.ndarray, "lanes points d"],
+    size: Float[np.ndarray, "lanes d"],
+    limit: int,
+    least: int,
+    only_doublings: bool,
+) -> Bool[np.ndarray, "periods lanes"]:
+    """Whether n may be the period of a lane, for n from 0 to a limit: a multiple of the least after which points recur.
+
+    Newton decides: points that nearly recur do so too where a lane is still on its way.
+    """
+    possible = np.zeros((limit + 1, len(points)), np.bool_)
+    base = np.zeros(len(points), int)
+    for n in range(least, limit + 1):
+        lanes = np.flatnonzero(apart(system, points[:, n], points[:, 0], size) < _CLOSE)  # most do not recur
+        if not len(lanes):
+            continue
+        ahead, behind = points[lanes, n : n + limit], points[lanes, :limit]
+        lanes = lanes[np.max(apart(system, ahead, behind, size[lanes, None]), axis=1) < _CLOSE]
+        base[lanes] = np.where(base[lanes] == 0, n, base[lanes])
+        ratio, rest = np.divmod(n, base[lanes])
+        possible[n, lanes] = (rest == 0) & ((ratio & (ratio - 1) == 0) | (not only_doublings))
+    return possible
 
 
 def beyond_doublings(lanes: LaneRunner, strobe: Strobe, p: Parameters, found: Survey) -> Survey:
@@ -225,22 +251,32 @@ def least_period(
     strobe: Strobe,
     u: Float[np.ndarray, "lanes d"],
     p: Parameters,
-    n: int,
+    n: int | Int[np.ndarray, " lanes"],
     size: Float[np.ndarray, "lanes d"],
 ) -> Int[np.ndarray, " lanes"]:
     """Least d that divides n with P^d(u) = u, for points u of orbits of period n of motions with these sizes.
 
-    A lane that was still on its way may miss its orbit at d and meet it at a multiple.
+    All such d are multiples of the least, so that prime factors are taken off n one by one for as long as u comes
+    back. A lane that was still on its way may miss its orbit at d and meet it at a multiple.
     """
-    period = np.full(len(u), n)
-    for d in (d for d in range(1, n) if n % d == 0):
-        open_ = np.flatnonzero(period == n)
-        if not len(open_):
-            break
-        image = lanes(section_map, (strobe, np.int32(d)), picked((u, p), open_), periods=d, tile=ORBIT_TILE)
-        gap = np.abs(strobe.system.wrap(image - u[open_])) / size[open_]
-        period[open_[np.max(gap, axis=1) < CONVERGED]] = d
+    period = np.array(np.broadcast_to(n, len(u)))
+    factor = _prime_factors(period, np.ones_like(period))
+    while len(open_ := np.flatnonzero(factor)):
+        open_ = open_[np.argsort(period[open_] // factor[open_], kind="stable")]
+        d = (period[open_] // factor[open_]).astype(np.int32)
+        at = (d, u[open_], picked(p, open_), *sizes(strobe.system, size[open_]))
+        back = lanes(look, (strobe,), at, tile=ORBIT_TILE).residual < CONVERGED
+        period[open_[back]] //= factor[open_[back]]
+        factor[open_] = _prime_factors(period[open_], factor[open_] - back)
     return period
+
+
+def _prime_factors(n: Int[np.ndarray, " lanes"], above: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
+    """The least prime factor of each n that is larger than a bound of its own, 0 where there is none."""
+    most = int(np.max(n, initial=1))
+    primes = np.array([q for q in range(2, most + 1) if all(q % d for d in range(2, math.isqrt(q) + 1))], int)
+    divides = (n[:, None] % primes == 0) & (primes > above[:, None])
+    return np.where(np.any(divides, axis=1), primes[np.argmax(divides, axis=1)], 0) if len(primes) else 0 * n
 
 
 def largest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.ndarray, " lanes"]:
