@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.growth import Growth, parts_of, turn
-from jaxnh.analyses.period import ORBIT_TILE, Survey, orbits, survey
+from jaxnh.analyses.period import ORBIT_TILE, orbits, survey
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.systems.flow import Flow, State
 
@@ -59,27 +59,36 @@ def on_orbits(
     if not len(settled):
         return no_orbits(len(growth.tangents))
     settled = settled[np.argsort(found.period[settled], kind="stable")]  # tiles of lanes that take equally long
-    some = scene.take(settled), lanes, picked(growth, settled), picked(found, settled), parts
-    (logs, rounding), (fine, _) = (_logs(*some, refinement) for refinement in (1, 2))
+    scene, growth, found = scene.take(settled), picked(growth, settled), picked(found, settled)
+    n, p = found.period, dict(scene.p)
+    finer = orbits(lanes, scene.strobe(2), found.u, p, n, found.size)
+    logs, rounding = _logs(scene, lanes, growth, n, found.u, found.monodromy, parts, 1)
+    fine, _ = _logs(scene, lanes, growth, n, finer.u, finer.monodromy, parts, 2)
     error = 2.0 * np.abs(logs - fine) + rounding
     kept = np.all(np.isfinite(logs) & np.isfinite(error), axis=1)
     return OrbitExponents(candidates[settled[kept]], logs[kept], error[kept])
 
 
 def _logs(
-    scene: Scene, lanes: LaneRunner, growth: Growth, found: Survey, parts: int, refinement: int
+    scene: Scene,
+    lanes: LaneRunner,
+    growth: Growth,
+    n: Int[np.ndarray, " lanes"],
+    u: Float[np.ndarray, "lanes d"],
+    monodromy: Float[np.ndarray, "lanes d d"],
+    parts: int,
+    refinement: int,
 ) -> tuple[Float[np.ndarray, "lanes k"], Float[np.ndarray, "lanes k"]]:
-    """ln|μ|/n of the orbits that a survey has found, largest first, and its rounding, with refined steps."""
-    k, n = len(growth.tangents), found.period
-    orbit = orbits(lanes, scene.strobe(refinement), found.u, dict(scene.p), n, found.size)
-    moduli = np.sort(np.abs(np.linalg.eigvals(orbit.monodromy)), axis=1)[:, ::-1][:, :k]
-    share = moduli / np.linalg.norm(orbit.monodromy, axis=(1, 2))[:, None]
+    """ln|μ|/n of orbits of periods n through points u, largest first, and its rounding, of a map of refined steps."""
+    k = len(growth.tangents)
+    moduli = np.sort(np.abs(np.linalg.eigvals(monodromy)), axis=1)[:, ::-1][:, :k]
+    share = moduli / np.linalg.norm(monodromy, axis=(1, 2))[:, None]
     with np.errstate(divide="ignore"):
         logs, rounding = np.log(moduli) / n[:, None], _ROUNDING / share / n[:, None]
     unseen = ~(share > _SEEN)
     lost = np.flatnonzero(np.any(unseen, axis=1))
     if len(lost):
-        some = picked(growth, lost), orbit.u[lost], n[lost]
+        some = picked(growth, lost), u[lost], n[lost]
         carried, moved = _carried(scene.take(lost), lanes, *some, parts, refinement)
         logs[lost] = np.where(unseen[lost], carried, logs[lost])
         rounding[lost] = np.where(unseen[lost], moved + _ROUNDING, rounding[lost])

@@ -52,6 +52,7 @@ class Survey(NamedTuple):
         u: a point of the orbit in section coordinates, (lanes, d).
         residual: largest component of Pⁿ(u) − u in sizes of the motion, NaN where no orbit was found, (lanes,).
         multiplier: largest modulus of the multipliers, NaN likewise, (lanes,).
+        monodromy: ∂Pⁿ/∂u at the point, NaN likewise, (lanes, d, d).
         failed: whether the state of the lane is not finite, (lanes,).
         size: of the motion in each section coordinate, (lanes, d): what `near` means.
     """
@@ -60,6 +61,7 @@ class Survey(NamedTuple):
     u: Float[np.ndarray, "lanes d"]
     residual: Float[np.ndarray, " lanes"]
     multiplier: Float[np.ndarray, " lanes"]
+    monodromy: Float[np.ndarray, "lanes d d"]
     failed: Bool[np.ndarray, " lanes"]
     size: Float[np.ndarray, "lanes d"]
 
@@ -134,7 +136,7 @@ def survey(
             points, size = lanes(_sized_points, (*shared, radian), (u, p), periods=cost, static=static)
     recurs = _recurrences(scene.system, points, size, limit, least, only_doublings)
     period, found = np.zeros(count, int), np.array(points[:, 0])
-    residual, multiplier = np.full(count, np.nan), np.full(count, np.nan)
+    residual, monodromy = np.full(count, np.nan), np.full((count, u.shape[1], u.shape[1]), np.nan)
     rank, first, last = np.cumsum(recurs, axis=0), 1, 1
     while np.any(rank[-1, period == 0] >= first):
         # The next 1, 2, 4, … of every lane at once: few lanes have many, and those would wait for each other.
@@ -158,8 +160,9 @@ def survey(
             for whole, part in zip(exact, turned, strict=True):
                 whole[shorter] = part
         period[here], found[here] = shortest, exact.u
-        residual[here], multiplier[here] = exact.residual, largest_multiplier(exact.monodromy)
-    return Survey(period, found, residual, multiplier, ~np.all(np.isfinite(points), axis=(1, 2)), size)
+        residual[here], monodromy[here] = exact.residual, exact.monodromy
+    multiplier = np.where(period > 0, largest_multiplier(monodromy), np.nan)
+    return Survey(period, found, residual, multiplier, monodromy, ~np.all(np.isfinite(points), axis=(1, 2)), size)
 
 
 def _recurrences(
@@ -190,7 +193,7 @@ def _recurrences(
 
 def beyond_doublings(lanes: LaneRunner, strobe: Strobe, p: Parameters, found: Survey) -> Survey:
     """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
-    period, u, residual, multiplier, failed, size = (leaf.copy() for leaf in found)
+    period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in found)
     system = strobe.system
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
     for n in np.unique(period[near]):
@@ -200,8 +203,8 @@ def beyond_doublings(lanes: LaneRunner, strobe: Strobe, p: Parameters, found: Su
         settled = (orbit.residual < CONVERGED) & (apart(system, orbit.u, u[here], size[here]) < 2 * _CLOSE)
         part = here[settled]
         u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
-        multiplier[part] = largest_multiplier(orbit.monodromy[settled])
-    return Survey(period, u, residual, multiplier, failed, size)
+        multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]
+    return Survey(period, u, residual, multiplier, monodromy, failed, size)
 
 
 def orbits(
