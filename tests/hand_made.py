@@ -115,3 +115,14 @@ def write(path: Path, result: xr.DataTree) -> Path:
     """A result file."""
     result.to_netcdf(path, engine="h5netcdf")
     return path
+
+
+def basin_shares(b):
+    """Shares of three basins over a parameter, the last of which ends, and some of the lanes undecided at its end."""
+    fraction = np.linspace([0.5, 0.3, 0.2], [0.9, 0.0, 0.0], len(b))
+    bars = {"fraction": fraction, "fraction_low": fraction - 0.02, "fraction_high": fraction + 0.03}
+    axes = {"b": (np.asarray(b), "coupling b", "1"), "attractor": (np.arange(1, 4), "number of the attractor", "1")}
+    variables = {name: xr.Variable(("b", "attractor"), np.clip(values, 0.0, 1.0)) for name, values in bars.items()}
+    coordinates = {n: xr.Variable(n, v, {"long_name": w, "units": u}) for n, (v, w, u) in axes.items()}
+    attrs = {"panel": "shares", "panel_variables": "fraction", "axes": "b"}
+    return xr.Dataset(variables, coordinates, attrs)

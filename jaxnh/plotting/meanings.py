@@ -7,6 +7,9 @@ import xarray as xr
 
 from jaxnh.exceptions import ResultError
 
+FAILED = "#000000"
+"""Where a lane has failed."""
+
 NONE = "#b8b8b8"
 """Where there is nothing to say."""
 
@@ -15,7 +18,7 @@ _MEANINGS = {
     "quasiperiodic": "#e0a030",
     "chaotic": "#b3261e",
     "undecided": NONE,
-    "failed": "#000000",
+    "failed": FAILED,
 }
 _OTHER_MEANINGS = ("#7a3b8f", "#1c6e4a", "#6d4c41", "#e0447c", "#4f9d73", "#f1b04c")
 

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 from matplotlib.axes import Axes
 
+from jaxnh.plotting.basins import basins_chart, shares
 from jaxnh.plotting.cascade import cascade
 from jaxnh.plotting.charts import flags_chart, integers_chart, numbers_chart
 from jaxnh.plotting.curves import curves, flags, integers
@@ -21,13 +22,15 @@ class Kind(NamedTuple):
         draw: `draw(data, ax=None, ...)`, returns the axes.
         height: in inches.
         each: what gets a panel: a lane; a point of the axes beside the first, if these are few; or the whole group.
-        chart: `chart(data, ax=None, cascades=())` draws it over two axes, a pixel a lane; None: it cannot be.
+        chart: `chart(data, ax=None, over=())` draws it over two axes, a pixel a lane; None: it cannot be.
+        over: the kind of groups that are drawn over its chart.
     """
 
     draw: Callable[..., Axes]
     height: float
     each: Literal["lane", "point", "group"]
     chart: Callable[..., Axes] | None = None
+    over: str = "cascade"
 
 
 PANELS: Mapping[str, Kind] = {
@@ -37,6 +40,8 @@ PANELS: Mapping[str, Kind] = {
     "cascade": Kind(cascade, 2.8, "group"),
     "curves": Kind(curves, 4.0, "point", numbers_chart),
     "integers": Kind(integers, 2.8, "group", integers_chart),
+    "basins": Kind(integers, 2.8, "group", basins_chart, "shares"),
+    "shares": Kind(shares, 3.4, "group"),
     "flags": Kind(flags, 1.4, "group", flags_chart),
 }
 """Kinds of panels by name."""

@@ -106,14 +106,15 @@ def _of_lanes(name: str, data: xr.Dataset, kind: Kind, groups: _Groups) -> tuple
 
 def _over_an_axis(name: str, data: xr.Dataset, kind: Kind, groups: _Groups) -> tuple[list[Panel], list[str]]:
     """A panel of the group, or one for each of a few points of the other axes; over two long axes a chart."""
+    if kind is PANELS["shares"] and not axes_of(data):
+        return [], []  # the attractors are drawn over their basins
     others = other_axes(data)
     count = math.prod(data.sizes[axis] for axis in others)
     if count > _most_points(kind):
         if _has_chart(data):
             assert kind.chart is not None
-            return [
-                Panel(partial(_charted, name, kind.chart, data, _of_kind("cascade", groups)), _CHART_HEIGHT, True)
-            ], []
+            draw = partial(_charted, name, kind.chart, data, _of_kind(kind.over, groups))
+            return [Panel(draw, _CHART_HEIGHT, True)], []
         if kind is PANELS["cascade"] and len(others) == 1 and any(map(_has_chart, groups.values())):
             return [], []  # it is drawn over the charts
         points = f"{count:,} points of {' and '.join(others)}"
@@ -150,9 +151,9 @@ def _drawn(name: str, kind: Kind, data: xr.Dataset, ax: Axes, **options: object)
         return kind.draw(data, ax, **options)
 
 
-def _charted(name: str, chart: Callable[..., Axes], data: xr.Dataset, cascades: Sequence[xr.Dataset], ax: Axes) -> Axes:
+def _charted(name: str, chart: Callable[..., Axes], data: xr.Dataset, over: Sequence[xr.Dataset], ax: Axes) -> Axes:
     with _of_group(name):
-        return chart(data, ax, cascades=cascades)
+        return chart(data, ax, over=over)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hand_made import (
     WORDS,
+    basin_shares,
     dataset,
     doublings,
     exponents,
@@ -22,8 +23,9 @@ from jaxnh.plotting.panels import PANELS
 
 rng = np.random.default_rng(0)
 MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
-trajectories, points, density, cascade, curves, integers, flags = (
-    PANELS[name].draw for name in ("trajectories", "points", "density", "cascade", "curves", "integers", "flags")
+trajectories, points, density, cascade, curves, integers, flags, basins, shares = (
+    PANELS[name].draw
+    for name in ("trajectories", "points", "density", "cascade", "curves", "integers", "flags", "basins", "shares")
 )
 
 
@@ -46,6 +48,8 @@ DRAWINGS = {
     "one curve": lambda ax: curves(growth_rates(MANY), ax),
     "integers": lambda ax: integers(periods(MANY), ax),
     "flags": lambda ax: flags(verdicts(MANY), ax),
+    "basins": lambda ax: basins(periods(MANY), ax),
+    "shares": lambda ax: shares(basin_shares(MANY), ax),
 }
 
 

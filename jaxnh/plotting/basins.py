@@ -1,0 +1,165 @@
+"""Panels of basins of attraction: over two coordinates of the start with the attractors on them, and their shares.
+
+Attractors have numbers, and the same number is the same colour in both. The group of a plane says which attractor every
+point leads to; that of the shares has one row an attractor, with points of it under NAME_points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.patches import Patch
+
+from jaxnh.exceptions import ResultError
+from jaxnh.plotting.charts import framed, image_of, plane_of
+from jaxnh.plotting.frame import new_axes, over_axis
+from jaxnh.plotting.groups import along, needed
+from jaxnh.plotting.meanings import FAILED, NONE, meanings
+
+_COLOURS = (
+    "#9ec3e6",
+    "#f4c27a",
+    "#a8d5a2",
+    "#e59a9a",
+    "#c9b3dc",
+    "#d3b8a6",
+    "#f0b7d8",
+    "#b7dedd",
+    "#d9d37e",
+    "#8fa3c0",
+)
+_POINTS = ("#12476f", "#9a5b00", "#1f6b2a", "#8c1c1c", "#56307a", "#5e3a23", "#93265f", "#1b6f6d", "#6b6500", "#25334d")
+_REST = "#ededed"  # attractors beyond the last colour
+_FEW = 64  # points of an attractor that get large markers
+_UNDECIDED, _FAILED = 0, -1
+_SAME = 1e-6  # of the larger coordinate: points of an orbit that are one
+
+
+class _Attractor(NamedTuple):
+    """An attractor as the legend has it: number, colour of its basin and of its points, and what it is in words."""
+
+    number: int
+    colour: str
+    points: str
+    words: str
+
+
+def basins_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.Dataset] = ()) -> Axes:
+    """Which attractor every point of a plane leads to; grey where that is undecided, black where a lane has failed.
+
+    Args:
+        data: one variable (axis, axis) of whole numbers: of an attractor from 1 on, 0 undecided, -1 failed.
+        over: groups of attractors, whose points in this plane are drawn on it and which the legend names.
+
+    Raises:
+        ResultError: a variable is missing, or there are not two axes of more than one point.
+    """
+    ax = new_axes(ax)
+    plane = plane_of(data)
+    most = int(max(plane.values.max(initial=0), 1))
+    known = [group for group in over if group.sizes.get("attractor", 0) and "kind" in group and group["kind"].ndim == 1]
+    named = _named(known[0] if known else None, most)
+    colours = ListedColormap([FAILED, NONE, *(one.colour for one in named)])
+    image_of(plane, plane.values, colours, Normalize(_FAILED - 0.5, most + 0.5), ax)
+    shares = {number: 100 * float(np.mean(plane.values == number)) for number in range(_FAILED, most + 1)}
+    handles = [
+        Patch(facecolor=one.colour, edgecolor=one.points, label=f"{one.words}: {_percent(shares[one.number])}")
+        for one in named[: len(_COLOURS)]
+        if shares[one.number]
+    ]
+    if beyond := sum(shares[one.number] for one in named[len(_COLOURS) :]):
+        handles.append(Patch(color=_REST, label=f"{len(named) - len(_COLOURS)} others: {_percent(beyond)}"))
+    for number, colour, words in ((_UNDECIDED, NONE, "undecided"), (_FAILED, FAILED, "failed or escaped")):
+        if shares[number]:
+            handles.append(Patch(color=colour, label=f"{words}: {_percent(shares[number])}"))
+    ax.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, fontsize=8)
+    framed(data, plane, ax)
+    for group in known:
+        _attractors(group, str(plane.x.name), str(plane.y.name), named, ax)
+    return ax
+
+
+def shares(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Shares of the basins over one parameter, one on top of the other, with the intervals of their sums as bands.
+
+    Args:
+        data: `fraction`, `fraction_low` and `fraction_high` (axis, attractor); other axes have one point.
+
+    Raises:
+        ResultError: a variable is missing, or more than one axis has more than one point.
+    """
+    ax = new_axes(ax)
+    fraction, low, high = needed(data, "fraction", "fraction_low", "fraction_high")
+    if fraction.ndim < 2:
+        raise ResultError("shares are drawn over a parameter, and there is none")
+    axis, whole = along(data, fraction)
+    order = np.argsort(axis.to_numpy(), kind="stable")
+    x, shares = axis.to_numpy()[order], 100.0 * np.nan_to_num(whole.to_numpy().reshape(axis.size, -1)[order])
+    bars = [100.0 * along(data, variable)[1].to_numpy().reshape(axis.size, -1)[order] for variable in (low, high)]
+    total = np.zeros(len(x))
+    for one in _named(None, shares.shape[1]):
+        own = shares[:, one.number - 1]
+        below, total = total, total + own
+        if not own.any():
+            continue
+        ax.fill_between(x, below, total, color=one.colour, linewidth=0, label=one.words)
+        ax.plot(x, np.where(own > 0, total, np.nan), color=one.points, linewidth=0.8)
+        lower, upper = (below + bar[:, one.number - 1] for bar in bars)
+        ax.fill_between(x, lower, upper, where=own > 0, color=one.points, alpha=0.35, linewidth=0, zorder=3)
+    if np.any(total < 100.0 - 1e-9):
+        ax.fill_between(x, total, 100.0, color=NONE, linewidth=0, label="undecided, failed or escaped")
+    over_axis(data, axis, ax, "share of the start states (%)")
+    ax.set_ylim(0.0, 100.0)
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
+    return ax
+
+
+def _named(group: xr.Dataset | None, most: int) -> list[_Attractor]:
+    """Attractors up to a number, with what a group says that they are."""
+    words = _words(group) if group is not None else {}
+    found = []
+    for number in range(1, most + 1):
+        own = number <= len(_COLOURS)
+        colour, points = (_COLOURS[number - 1], _POINTS[number - 1]) if own else (_REST, NONE)
+        found.append(_Attractor(number, colour, points, words.get(number, f"attractor {number}")))
+    return found
+
+
+def _words(group: xr.Dataset) -> dict[int, str]:
+    """What each attractor of a group is: its number, its kind, and the period of what is periodic."""
+    kind, meaning = group["kind"].to_numpy(), meanings(group["kind"])
+    periods = group["period"].to_numpy() if "period" in group else np.zeros(len(kind), int)
+    found = {}
+    for number, one, period in zip(group["attractor"].to_numpy().tolist(), kind.tolist(), periods, strict=True):
+        said = meaning.get(one, ("unknown", ""))[0]
+        found[number] = f"{number}, {said}" + (f", period {period}" if period > 0 else "")
+    return found
+
+
+def _attractors(group: xr.Dataset, x: str, y: str, named: list[_Attractor], ax: Axes) -> None:
+    """Points of attractors in a plane, large where there are few; nothing where a coordinate is not among them."""
+    if f"{x}_points" not in group or f"{y}_points" not in group:
+        return
+    for one, points in zip(named, _points(group, x, y), strict=False):
+        few = len(points) <= _FEW
+        drawn = ax.plot(*points.T, "o", color=one.points, markersize=5.0 if few else 1.2, markeredgewidth=0, zorder=3)
+        drawn[0].set_path_effects([patheffects.Stroke(linewidth=1.5, foreground="white"), patheffects.Normal()] * few)
+
+
+def _points(group: xr.Dataset, x: str, y: str) -> Iterator[np.ndarray]:
+    """Different points of every attractor, each (points, 2)."""
+    for plane in zip(group[f"{x}_points"].to_numpy(), group[f"{y}_points"].to_numpy(), strict=True):
+        points = np.column_stack(plane)
+        points = points[np.all(np.isfinite(points), axis=1)]
+        unit = _SAME * max(float(np.abs(points).max(initial=0.0)), 1e-300)
+        yield points[np.unique((points / unit).round(), axis=0, return_index=True)[1]]
+
+
+def _percent(share: float) -> str:
+    return f"{share:.3g} %"
