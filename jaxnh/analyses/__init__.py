@@ -1,9 +1,16 @@
 """One file an analysis, one analysis a quantity. The table below is the only place that lists them."""
 
-from jaxnh.analyses import chaos01, diagram, doubling, lyapunov, period, poincare, portrait, verdict
+from jaxnh.analyses import basins, chaos01, diagram, doubling, lyapunov, period, poincare, portrait, verdict
 from jaxnh.analyses.base import Analysis
 
-_MODULES = (doubling, lyapunov, period, portrait, poincare, diagram, chaos01, verdict)
+_MODULES = (doubling, lyapunov, period, portrait, poincare, diagram, chaos01, verdict, basins)
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}
 """Every analysis by its key in YAML."""
+
+GROUPS: dict[str, Analysis] = {
+    group: analysis
+    for name, analysis in ANALYSES.items()
+    for group in (name, *(analysis.whole.brings if analysis.whole else ()))
+}
+"""The analysis that makes a group of a result, by its name."""

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Int
 from pydantic import BaseModel, ConfigDict
 from pydantic_core import PydanticCustomError
 
@@ -118,6 +119,31 @@ class Table(NamedTuple):
     breaks: tuple[int, ...] = ()
 
 
+class Sweep(NamedTuple):
+    """All lanes of a sweep, for what is made of them together.
+
+    Attributes:
+        axes: of the sweep.
+        rows: for each value of the axes that lanes share: the numbers of its lanes in C order of the sweep, and these.
+    """
+
+    axes: tuple[Axis, ...]
+    rows: tuple[tuple[Int[np.ndarray, " some"], Scene], ...]
+
+
+class Whole(NamedTuple):
+    """The second half of an analysis: what is made of all lanes of a sweep, once each has been run by itself.
+
+    Attributes:
+        brings: groups that it makes beside that of the analysis.
+        run: (options, sweep, lane runner, what the lanes have left over the axes) to the datasets of all groups; these
+            have the axes as dimensions, or `LANE` for all of them.
+    """
+
+    brings: tuple[str, ...]
+    run: Callable[[Any, Sweep, LaneRunner, xr.Dataset], Mapping[str, xr.Dataset]]
+
+
 def _always(options: Any) -> bool:
     return True
 
@@ -145,6 +171,7 @@ class Analysis:
         run: (options, scene, lane runner) to its dataset; with `needs`, also a mapping of the datasets it needs.
             Attributes of the dataset are those of the group: `panel` and what the panel reads, and `warnings`, lines
             for the user.
+        whole: what is made of all lanes in the end; what `run` gives is then kept until it is made, and no longer.
         needs: analyses that have to run before, with their defaults where the config does not ask for them.
         independent: options to whether its lanes know nothing of each other. If not, it is run along the whole first
             axis, once for each point of the others (`Scene.along`); variables without dimensions are then attributes
@@ -165,6 +192,7 @@ class Analysis:
     options: type[Options]
     periods: Callable[[Any, int], float]
     run: Callable[..., xr.Dataset]
+    whole: Whole | None = None
     needs: tuple[str, ...] = ()
     independent: Callable[[Any], bool] = _always
     newton: bool = False

@@ -95,9 +95,9 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
         iterates,
     )
     if clock:
-        timeless = _timeless(scene, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
-        cycle = contracts(exponents[timeless], errors[timeless], scene.system.period, span[timeless])
-        kind[timeless] = np.where(cycle, _LIMIT_CYCLE, _UNDECIDED)
+        some = timeless(scene, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
+        cycle = contracts(exponents[some], errors[some], scene.system.period, span[some])
+        kind[some] = np.where(cycle, _LIMIT_CYCLE, _UNDECIDED)
     else:
         some = np.flatnonzero(np.isin(kind, (_PERIODIC, _UNDECIDED, _FAILED)))
         kind[some] = _without_clock(scene.take(some), lanes, kind[some], int(span.max()))
@@ -163,7 +163,7 @@ def _without_clock(
     return np.where(still, _EQUILIBRIUM, np.where(kind == _PERIODIC, cycle, kind)).astype(np.int8)
 
 
-def _timeless(scene: Scene, lanes: LaneRunner, some: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
+def timeless(scene: Scene, lanes: LaneRunner, some: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
     """Those of some lanes whose right-hand side is the same at all times."""
     if not len(some):
         return some
@@ -226,6 +226,23 @@ def contracts(
     return (exponents[:, 1] + errors[:, 1]) * averaged * strobe_period < -2.0 * np.log(averaged)
 
 
+def beyond_shear(
+    largest: Float[np.ndarray, " lanes"],
+    error: Float[np.ndarray, " lanes"],
+    iterates: Float[np.ndarray, " lanes"] | Int[np.ndarray, " lanes"] | int,
+    each: Float[np.ndarray, " lanes"] | float,
+) -> Bool[np.ndarray, " lanes"]:
+    """Whether an exponent averaged over so many iterates of a time each is above what shear on a torus leaves in it."""
+    return (largest - error) * (iterates * each) > 2.0 * np.log(iterates)
+
+
+def nearly_zero(
+    largest: Float[np.ndarray, " lanes"], error: Float[np.ndarray, " lanes"], each: Float[np.ndarray, " lanes"] | float
+) -> Bool[np.ndarray, " lanes"]:
+    """Whether an exponent is zero within a small error, with the time of an iterate."""
+    return (np.abs(largest) <= error) & (error * each <= _SMALL_ERROR)
+
+
 def count(data: xr.Dataset) -> dict[str, int]:
     """Number of lanes of each kind."""
     return {name: int(np.sum(data["kind"].to_numpy() == i)) for i, name in enumerate(KINDS)}
@@ -246,13 +263,12 @@ def judge(
         time = iterates * each
         expected = np.log(multiplier) / (np.maximum(period, 1) * each)
         agrees = np.abs(largest - np.maximum(expected, -1e3)) <= error + _COMING / time
-        beyond_shear = (largest - error) * time > 2.0 * np.log(iterates)
     regular = k < 0.5
     conditions = [
         failed | ~np.isfinite(largest),
         (period > 0) & (multiplier < 1.0) & agrees & regular,
-        (period == 0) & beyond_shear & ~regular,
-        (period == 0) & (np.abs(largest) <= error) & (error * each <= _SMALL_ERROR) & regular,
+        (period == 0) & beyond_shear(largest, error, iterates, each) & ~regular,
+        (period == 0) & nearly_zero(largest, error, each) & regular,
     ]
     return np.select(conditions, [_FAILED, _PERIODIC, _CHAOTIC, _QUASIPERIODIC], _UNDECIDED).astype(np.int8)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from jaxnh.analyses import ANALYSES
+from jaxnh.analyses import GROUPS
 from jaxnh.cli.terminal import show
 from jaxnh.config.experiment import Experiment
 from jaxnh.config.messages import listed
@@ -24,7 +24,7 @@ def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int
         if not quiet:
             print(f"part {part[0]}/{part[1]}: {outcome.pieces[0]} of {outcome.pieces[1]} tiles")
         return
-    for name in job.order:
+    for name in job.groups:
         if not quiet:
             _show_table(experiment, path, name)
         for warning in filter(None, str(read_attrs(path, name).get("warnings", "")).split("\n")):
@@ -47,7 +47,7 @@ def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int
 
 def _show_table(experiment: Experiment, path: Path, name: str) -> None:
     """The table of an analysis that has one, beside published values."""
-    draw = ANALYSES[name].table
+    draw = GROUPS[name].table if GROUPS[name].name == name else None
     if draw is None:
         return
     console = Console()

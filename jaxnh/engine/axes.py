@@ -132,5 +132,18 @@ def on_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool)
     return found
 
 
+def whole_on_axes(data: xr.Dataset, axes: Sequence[Axis]) -> xr.Dataset:
+    """A dataset of all lanes of a sweep over its axes, and of what is there once for some of them."""
+    names, shape = tuple(axis.name for axis in axes), tuple(len(axis.values) for axis in axes)
+    content = {
+        name: (names + item.dims[1:], item.values.reshape(*shape, *item.shape[1:]), item.attrs)
+        if item.dims[:1] == (LANE,)
+        else (item.dims, item.values, item.attrs)
+        for name, item in data.variables.items()
+    }
+    met = [axis for axis in axes if any(axis.name in dims for dims, _, _ in content.values())]
+    return xr.Dataset({a.name: variable(a.name, a.values, a.long_name) for a in met} | content, attrs=data.attrs)
+
+
 def _coordinate(axis: Axis, piece: Piece, number: int) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
     return variable(axis.name, axis.values[piece.begin[number] : piece.end[number]], axis.long_name)

@@ -24,6 +24,7 @@ from jaxnh.engine.plan import compute
 from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
 from jaxnh.storage import tiles
 from jaxnh.storage.calls import Calls
+from jaxnh.storage.merge import gathered
 from jaxnh.storage.pieces import Job, Piece
 from jaxnh.storage.tiles import Receipt
 
@@ -58,7 +59,7 @@ def run(
     where: str,
     folder: Path,
     job: Job,
-    pieces: Sequence[Piece],
+    stages: Sequence[Sequence[Piece]],
     heed: Callable[[], None],
     finished: Callable[[Receipt], None],
 ) -> None:
@@ -66,6 +67,7 @@ def run(
 
     Args:
         where: `local`, `local:N`, the address of a scheduler or its file.
+        stages: pieces; those of a stage are begun once all before them are there.
         heed: called often; may raise to end the run.
         finished: called with each receipt.
 
@@ -75,33 +77,46 @@ def run(
         RunError: a piece failed on every try; its reason. One that loses its workers does not hold others up.
     """
     with _cluster(where) as client:
-        futures = {
-            client.submit(
-                _piece,
-                str(folder.resolve()),
-                job.id,
-                piece.number,
-                key=f"{job.id[:8]}-{piece.number}",
-                retries=_RETRIES,
-                pure=False,
-            ): piece
-            for piece in pieces
-        }
-        lost: list[LostError] = []
-        try:
-            while futures and len(lost) < _MOST_LOST:
-                heed()
-                for future in _ended(client, list(futures)):
-                    piece = futures.pop(future)
-                    try:
-                        finished(_receipt(future, piece))
-                    except LostError as error:
-                        lost.append(error)
-            if lost:
-                raise RunError("; ".join(map(str, lost))) from lost[0]
-        finally:
-            with contextlib.suppress(Exception):
-                client.cancel(list(futures), force=True)
+        for pieces in stages:
+            _run_stage(client, folder, job, pieces, heed, finished)
+
+
+def _run_stage(
+    client: Any,
+    folder: Path,
+    job: Job,
+    pieces: Sequence[Piece],
+    heed: Callable[[], None],
+    finished: Callable[[Receipt], None],
+) -> None:
+    """Have pieces computed that do not wait for each other."""
+    futures = {
+        client.submit(
+            _piece,
+            str(folder.resolve()),
+            job.id,
+            piece.number,
+            key=f"{job.id[:8]}-{piece.number}",
+            retries=_RETRIES,
+            pure=False,
+        ): piece
+        for piece in pieces
+    }
+    lost: list[LostError] = []
+    try:
+        while futures and len(lost) < _MOST_LOST:
+            heed()
+            for future in _ended(client, list(futures)):
+                piece = futures.pop(future)
+                try:
+                    finished(_receipt(future, piece))
+                except LostError as error:
+                    lost.append(error)
+        if lost:
+            raise RunError("; ".join(map(str, lost))) from lost[0]
+    finally:
+        with contextlib.suppress(Exception):
+            client.cancel(list(futures), force=True)
 
 
 def machine(where: str, lanes: Lanes, heed: Callable[[], None]) -> dict[str, str]:
@@ -223,7 +238,15 @@ def _piece(folder: str, job_id: str, index: int) -> Receipt:
             return tiles.check(Path(folder), job, piece)
         calls = Calls(Path(folder), job, [piece])
         with lanes.keeping(calls):
-            [done] = compute(experiment, experiment.axes, experiment.requested(), job, [piece], lanes)
+            [done] = compute(
+                experiment,
+                experiment.axes,
+                experiment.requested(),
+                job,
+                [piece],
+                lanes,
+                lambda name: gathered(Path(folder), job, name),
+            )
         receipt = tiles.write_piece(Path(folder), job, *done)
         calls.close(remove=True)
         return receipt

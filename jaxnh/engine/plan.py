@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,10 +12,10 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import LANE, Analysis, Options
+from jaxnh.analyses.base import LANE, Analysis, Options, Sweep
 from jaxnh.analyses.scene import Axis, Scene
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine.axes import Points, on_axes, places_of, points, sampled
+from jaxnh.engine.axes import Points, on_axes, places_of, points, sampled, whole_on_axes
 from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan
 from jaxnh.engine.lanes import TILE, Lanes
 from jaxnh.exceptions import AccuracyError
@@ -137,6 +137,7 @@ def job_of(
         independent=tuple(analysis.name for analysis, _ in split),
         axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in axes),
         tile=min(tile, -(-count // parts)),
+        wholes=tuple((analysis.name, *analysis.whole.brings) for analysis, _ in requested if analysis.whole),
         machine=machine,
     )
 
@@ -166,11 +167,11 @@ def work_of(analyses: Requested, lanes: int) -> float:
 
 
 def work_of_pieces(requested: Requested, job: Job, pieces: Sequence[Piece]) -> dict[int, float]:
-    """Expected lane-periods of pieces, by their numbers."""
+    """Expected lane-periods of pieces, by their numbers; of those made of all tiles, few and not known before."""
     options = {analysis.name: (analysis, options) for analysis, options in requested}
     kinds = {piece.names for piece in pieces}
-    each = {names: work_of([options[name] for name in names], job.lanes) for names in kinds}
-    return {piece.number: each[piece.names] * piece.lanes for piece in pieces}
+    each = {names: work_of([options[name] for name in names if name in options], job.lanes) for names in kinds}
+    return {piece.number: 0.0 if job.is_whole(piece) else each[piece.names] * piece.lanes for piece in pieces}
 
 
 def numbers_of(analyses: Requested) -> int:
@@ -228,8 +229,15 @@ def compute(
     job: Job,
     batch: Sequence[Piece],
     lanes: Lanes,
+    gathered: Callable[[str], xr.Dataset],
 ) -> list[Done]:
-    """The datasets of pieces of the same analyses and shared values, each what it is if computed alone, bit for bit."""
+    """The datasets of pieces of the same analyses and shared values, each what it is if computed alone, bit for bit.
+
+    Args:
+        gathered: name of an analysis to what all its tiles say, for a piece that is made of them.
+    """
+    if job.is_whole(batch[0]):
+        return [_of_all_tiles(experiment, axes, requested, job, piece, lanes, gathered) for piece in batch]
     began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
     names, line = batch[0].names, batch[0].names != job.independent
     places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
@@ -250,7 +258,7 @@ def compute(
         rows = {LANE: slice(first, first + piece.lanes)}
         first += piece.lanes
         cut = {name: data.isel(rows, missing_dims="ignore") for name, data in groups.items()}
-        counts = {name: dict(ANALYSES[name].count(data)) for name, data in cut.items()}
+        counts = {n: {} if ANALYSES[n].whole else dict(ANALYSES[n].count(data)) for n, data in cut.items()}
         share = piece.lanes / scene.count
         cost = Spent(
             after.seconds * share,
@@ -260,6 +268,38 @@ def compute(
         )
         done.append(Done(piece, {n: on_axes(data, piece, axes, line=line) for n, data in cut.items()}, counts, cost))
     return done
+
+
+def _of_all_tiles(
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    requested: Requested,
+    job: Job,
+    piece: Piece,
+    lanes: Lanes,
+    gathered: Callable[[str], xr.Dataset],
+) -> Done:
+    """What an analysis makes of all its tiles."""
+    began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
+    [(analysis, options)] = [(a, o) for a, o in requested if a.name == piece.names[0]]
+    assert analysis.whole is not None
+    number = np.arange(job.lanes).reshape(job.shape)
+    shared = [k for k, axis in enumerate(axes) if axis.kind == "shared"]
+    rows = []
+    for at in np.ndindex(*(job.shape[k] for k in shared)):
+        chosen = dict(zip(shared, at, strict=True))
+        some = number[tuple(chosen.get(k, slice(None)) for k in range(len(axes)))].ravel()
+        places = np.unravel_index(some, job.shape)
+        at_row = points(experiment, axes, places)
+        rows.append((some, scene_of(at_row, plan_of_job(job), experiment.precision, job.chosen, places[0])))
+    groups = analysis.whole.run(options, Sweep(tuple(axes), tuple(rows)), lanes, gathered(analysis.name))
+    after = spent(lanes, time.perf_counter() - began)
+    cost = after._replace(
+        compile_seconds=after.compile_seconds - before.compile_seconds,
+        lane_periods=after.lane_periods - before.lane_periods,
+    )
+    counts = {name: dict(analysis.count(data)) if name == analysis.name else {} for name, data in groups.items()}
+    return Done(piece, {name: whole_on_axes(data, axes) for name, data in groups.items()}, counts, cost)
 
 
 def count_warnings(name: str, counts: Mapping[str, int]) -> tuple[str, ...]:

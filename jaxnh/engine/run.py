@@ -30,7 +30,7 @@ from jaxnh.engine.xla_options import configure, differing
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
 from jaxnh.storage import tiles
 from jaxnh.storage.calls import Calls, left
-from jaxnh.storage.merge import DamagedPieceError, Extra, merge
+from jaxnh.storage.merge import DamagedPieceError, Extra, gathered, merge
 from jaxnh.storage.pieces import Job, Piece, share
 from jaxnh.storage.provenance import Method, UserFile, root_attributes, versions
 from jaxnh.storage.tiles import Receipt, Spent
@@ -125,7 +125,7 @@ class _Run:
     def run(self) -> Outcome:
         """Everything from what is there to the result, or to the end of the part."""
         job = self._job()
-        every = job.pieces()
+        every = [piece for piece in job.pieces() if not (self._how.part and job.is_whole(piece))]
         work = work_of_pieces(self._requested, job, every)
         self._pieces = share(job, self._how.part, work) if self._how.part else every
         self._find(job)
@@ -180,7 +180,7 @@ class _Run:
 
         Joining tiles computes nothing, and Dask workers look for themselves.
         """
-        if self._how.merge or self._how.dask:
+        if self._how.dask or (self._how.merge and not job.wholes):
             return ""
         return differing(job.machine, self._make_lanes().machine)
 
@@ -214,14 +214,16 @@ class _Run:
     def _compute(self, job: Job, missing: list[Piece]) -> None:
         if not missing:
             return
-        if self._how.merge:
+        last = [piece for piece in missing if job.is_whole(piece)]
+        missing = [piece for piece in missing if not job.is_whole(piece)]
+        if self._how.merge and missing:
             lost = ", ".join(str(piece.number) for piece in missing[:8]) + (", …" if len(missing) > 8 else "")
             raise ArgumentError(
                 "merge", f"{len(missing)} of {len(self._pieces)} tiles are missing ({lost}); run their parts again"
             )
         cost = work_of_pieces(self._requested, job, missing)
         if self._how.dask:
-            self._over(missing, cost, lambda: self._on_workers(job, missing, cost))
+            self._over([*missing, *last], cost, lambda: self._on_workers(job, (missing, last), cost))
             return
         lanes = self._make_lanes()
         found = self._batches(job, missing, len(lanes.devices))
@@ -230,6 +232,7 @@ class _Run:
             found = [batch for batch in found if batch[0].names != job.independent]
             self._over([piece for batch in cut for piece in batch], cost, lambda: self._in_turn(job, cut, lanes, cost))
         self._in_turn(job, found, lanes, {})
+        self._in_turn(job, [[piece] for piece in last], lanes, {})  # what they are made of has been written
 
     def _batches(self, job: Job, missing: Sequence[Piece], devices: int) -> list[list[Piece]]:
         """Pieces that are computed together, those first that a stopped run has begun together."""
@@ -269,7 +272,15 @@ class _Run:
                         numbers = ", ".join(str(piece.number) for piece in batch)
                         self._progress.note(f"tiles {numbers}: going on after {calls.seconds:.0f} s of work")
                     with lanes.keeping(calls):
-                        computed = compute(self._experiment, self._axes, self._requested, job, batch, lanes)
+                        computed = compute(
+                            self._experiment,
+                            self._axes,
+                            self._requested,
+                            job,
+                            batch,
+                            lanes,
+                            lambda name: gathered(self._folder, job, name),
+                        )
                     settle()
                     written.append(writer.submit(self._write, job, computed, calls))
             finally:
@@ -280,9 +291,9 @@ class _Run:
         calls.close(remove=True)
         return receipts
 
-    def _on_workers(self, job: Job, missing: list[Piece], cost: dict[int, float]) -> None:
+    def _on_workers(self, job: Job, stages: Sequence[Sequence[Piece]], cost: dict[int, float]) -> None:
         where = self._how.dask or ""
-        dask_workers.run(where, self._folder, job, missing, self._check, lambda receipt: self._done(receipt, cost))
+        dask_workers.run(where, self._folder, job, stages, self._check, lambda receipt: self._done(receipt, cost))
 
     def _done(self, receipt: Receipt, cost: dict[int, float]) -> None:
         self._receipts[receipt.number] = receipt
@@ -300,7 +311,8 @@ class _Run:
 
     def _finish(self, job: Job) -> None:
         """Merge, then remove the tiles."""
-        counts = {name: _counts(name, [self._receipts[piece.number] for piece in self._pieces]) for name in job.order}
+        of = {name: [self._receipts[piece.number] for piece in job.sources(name)] for name in job.groups}
+        counts = {name: _counts(name, receipts) for name, receipts in of.items()}
         extras = {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
         self._total = self._spent()
         attrs = attributes(self._experiment, job, self._total, self._how.command)

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
 
-from jaxnh.analyses import ANALYSES
+from jaxnh.analyses import ANALYSES, GROUPS
 from jaxnh.analyses.base import Options
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
@@ -85,7 +85,7 @@ class Session:
         """One analysis, on the experiment's lanes or on others.
 
         Args:
-            analysis: its name.
+            analysis: its name, or that of a group that one brings: of `attractors`, with the options of `basins`.
             options: in place of those of the experiment; what is not named has its default.
             **axes: values of parameters or of coordinates of the start state, by name: an array replaces the axis of
                 that name or adds one, a number fixes it. Axes of the experiment that are not named stay.
@@ -97,9 +97,10 @@ class Session:
             InputError: there is no such analysis, option, parameter or coordinate, or they do not go together.
             AccuracyError: nothing meets the accuracy asked for.
         """
-        if analysis not in ANALYSES:
+        if analysis not in GROUPS:
             raise InputError(f"there is no analysis {analysis}; known are {', '.join(ANALYSES)}")
-        asked = self.experiment.variant({**dict.fromkeys(ANALYSES[analysis].needs), analysis: options}, axes)
+        asked_for = GROUPS[analysis]
+        asked = self.experiment.variant({**dict.fromkeys(asked_for.needs), asked_for.name: options}, axes)
         _, groups = self._computed(asked)
         fixed = [name for name, values in axes.items() if np.ndim(values) == 0 and name in groups[analysis].dims]
         return groups[analysis].squeeze(fixed) if fixed else groups[analysis]
@@ -131,16 +132,20 @@ class Session:
         plan = self._plan_for(experiment, axes)
         chosen = choose(experiment, axes, plan, requested, lanes)
         job = job_of(experiment, axes, plan, chosen, requested, lanes.machine)
-        parts: dict[str, list[Any]] = {name: [] for name in job.order}
-        counts: dict[str, dict[str, int]] = {name: {} for name in job.order}
+        parts: dict[tuple[str, bool], list[Any]] = {}
+        counts: dict[str, dict[str, int]] = {name: {} for name in job.groups}
+
+        def gathered(name: str) -> xr.Dataset:
+            return assemble(parts.pop((name, False)), job)
+
         for batch in batches(requested, job, job.pieces(), len(lanes.devices)):
-            for done in compute(experiment, axes, requested, job, batch, lanes):
+            for done in compute(experiment, axes, requested, job, batch, lanes, gathered):
                 for name, data in done.groups.items():
-                    parts[name].append((done.piece, data))
+                    parts.setdefault((name, job.is_whole(done.piece)), []).append((done.piece, data))
                     for kind, number in done.counts[name].items():
                         counts[name][kind] = counts[name].get(kind, 0) + number
         extras = {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
-        whole = {name: assemble(parts[name], job, extras[name]) for name in job.order}
+        whole = {name: assemble(parts[name, job.is_whole(job.sources(name)[0])], job, extras[name]) for name in counts}
         for data in whole.values():
             data.attrs["axes"] = " ".join(job.names)
         return job, whole

@@ -14,7 +14,7 @@ from jaxnh.config.experiment import Experiment
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.plan import compute
 from jaxnh.engine.xla_options import configure
-from jaxnh.exceptions import ResultError
+from jaxnh.exceptions import ResultError, RunError
 from jaxnh.storage import hdf5
 from jaxnh.storage.pieces import Job, Piece, slab, tile_shape
 
@@ -25,8 +25,8 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     """For every analysis in a file: how many lanes were run again, and how many of them differ in any bit.
 
     Three blocks of neighbouring lanes are taken, from both ends and the middle of all axes; none where an analysis is
-    run along the whole first axis. The text of a user's system that is in the file is run: ask before whether it is
-    to be trusted (`jaxnh.inspect --trust`).
+    run along the whole first axis. What is made of a whole sweep is left out. The text of a user's system that is in
+    the file is run: ask before whether it is to be trusted (`jaxnh.inspect --trust`).
 
     Raises:
         ResultError: the file says too little of how it was made.
@@ -52,16 +52,21 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
         axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in axes),
         tile=_LANES,
     )
-    found: dict[str, tuple[int, int]] = dict.fromkeys(job.order, (0, 0))
+    found: dict[str, tuple[int, int]] = {a.name: (0, 0) for a, _ in requested if not a.whole}
     lanes = Lanes()
     for piece in _picked(job) if job.independent else ():
-        [done] = compute(experiment, axes, requested, job, [piece], lanes)
-        for name, data in done.groups.items():
+        [done] = compute(experiment, axes, requested, job, [piece], lanes, _nothing_gathered)
+        for name in filter(found.__contains__, done.groups):
+            data = done.groups[name]
             differs = np.zeros(piece.lanes, bool)
             for ours, theirs in _pairs(path, name, data, piece, job):
                 differs |= np.any(ours != theirs, axis=1)
             found[name] = found[name][0] + len(differs), found[name][1] + int(differs.sum())
     return found
+
+
+def _nothing_gathered(name: str) -> xr.Dataset:
+    raise RunError(f"no tiles of {name} are kept")
 
 
 def _picked(job: Job) -> list[Piece]:

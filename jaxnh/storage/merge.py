@@ -69,11 +69,10 @@ def merge(
         DamagedPieceError: a piece is not what its checksums say, or does not fit the others.
         ResultError: the folder or the disk refuses.
     """
-    pieces = job.pieces()
     with store.writing(path, checked=True) as (file, sink):
         store.set_attributes(file, attrs)
-        for name in job.order:
-            sources = [(piece, piece_path(folder, piece)) for piece in pieces if name in piece.names]
+        for name in job.groups:
+            sources = [(piece, piece_path(folder, piece)) for piece in job.sources(name)]
             merged = _MergedGroup(file.create_group(name, track_order=True), _growing(job, len(sources)))
             for piece, source in sources:
                 heed()
@@ -84,6 +83,16 @@ def merge(
                     raise DamagedPieceError(piece, str(error)) from None
             merged.finish(extras.get(name, Extra()))
             sink.check()
+
+
+def gathered(folder: Path, job: Job, name: str) -> xr.Dataset:
+    """What the tiles of an analysis say, as one dataset over the whole sweep.
+
+    Raises:
+        ResultError: a tile cannot be read.
+    """
+    tiles = job.tiles_of(name)
+    return assemble(((piece, store.read_group(piece_path(folder, piece), name)) for piece in tiles), job)
 
 
 def assemble(parts: Iterable[tuple[Piece, xr.Dataset]], job: Job, extra: Extra = Extra()) -> xr.Dataset:

@@ -51,6 +51,8 @@ class Job:
         independent: those whose lanes know nothing of each other; the others are run along the whole first axis.
         axes: of the sweep, in the order of results: name, size, and whether all lanes of a program share its value.
         tile: lanes a tile.
+        wholes: groups that are made of all tiles together once these are there: name of the analysis, whose tiles have
+            a group of that name as well, and then those that it brings.
         machine: kind of processor and options of the compiler, which the last bits of chaotic lanes rest on.
     """
 
@@ -65,6 +67,7 @@ class Job:
     independent: tuple[str, ...]
     axes: tuple[tuple[str, int, bool], ...]
     tile: int
+    wholes: tuple[tuple[str, ...], ...] = ()
     machine: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
@@ -87,8 +90,29 @@ class Job:
         """Lanes of the whole sweep."""
         return math.prod(self.shape)
 
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Names of the groups of the result, in order: of the analyses, each followed by what it brings."""
+        brought = {names[0]: names for names in self.wholes}
+        return tuple(group for name in self.order for group in brought.get(name, (name,)))
+
+    def is_whole(self, piece: Piece) -> bool:
+        """Whether a piece is made of all tiles together."""
+        return piece.names in self.wholes
+
+    def sources(self, group: str) -> list[Piece]:
+        """The pieces that a group of the result is put together from."""
+        last = any(group in names for names in self.wholes)
+        return [piece for piece in self.pieces() if group in piece.names and self.is_whole(piece) == last]
+
+    def tiles_of(self, name: str) -> list[Piece]:
+        """The tiles that have a group of an analysis."""
+        return [piece for piece in self.pieces() if name in piece.names and not self.is_whole(piece)]
+
     def pieces(self) -> list[Piece]:
         """All pieces of work: the tiles, then each analysis that is not independent at each point of the other axes.
+
+        Those that are made of all tiles come last.
 
         For each value of the axes that lanes share the others are cut into rectangles of at most `tile` lanes.
         """
@@ -96,6 +120,8 @@ class Job:
         for name in self.order:
             if name not in self.independent:
                 found += [Piece(len(found) + k, (name,), *box) for k, box in enumerate(self._lines())]
+        for names in self.wholes:
+            found.append(Piece(len(found), names, (0,) * len(self.shape), self.shape))
         return found
 
     def _tiles(self) -> Iterator[Box]:
@@ -150,7 +176,7 @@ def slab(dims: Sequence[str], piece: Piece, axes: Sequence[str]) -> tuple[slice,
 
 
 def share(job: Job, part: tuple[int, int], work: Mapping[int, float]) -> list[Piece]:
-    """The pieces of part (k, n), k from 1; for n parts every piece in exactly one.
+    """The pieces of part (k, n), k from 1; for n parts every piece in exactly one, but for those made of all tiles.
 
     What runs along the whole first axis goes in turn to the part that has least to do. The tiles then make the parts
     equal, as far as they can, and those of a part are neighbours.
@@ -159,7 +185,8 @@ def share(job: Job, part: tuple[int, int], work: Mapping[int, float]) -> list[Pi
         work: of every piece, by its number, in any unit.
     """
     k, n = part
-    pieces, loads, mine = job.pieces(), [0.0] * n, list[Piece]()
+    pieces = [piece for piece in job.pieces() if not job.is_whole(piece)]
+    loads, mine = [0.0] * n, list[Piece]()
     if not any(work[piece.number] for piece in pieces):  # start states alone
         work = {piece.number: piece.lanes for piece in pieces}
     lines = [piece for piece in pieces if piece.names != job.independent]

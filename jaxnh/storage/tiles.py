@@ -125,6 +125,7 @@ def read_job(folder: Path) -> Job | None:
         found = content["job"]
         for key in ("order", "independent"):
             found[key] = tuple(found[key])
+        found["wholes"] = tuple(map(tuple, found["wholes"]))
         found["axes"] = tuple((name, size, shared) for name, size, shared in found["axes"])
         job = Job(**found)
         return job if content["id"] == job.id else None

@@ -10,7 +10,7 @@ import pytest
 from measure import scene_of
 
 from jaxnh.analyses import ANALYSES, cascade, diagram, lyapunov, period, poincare
-from jaxnh.analyses.base import LANE, OptionError, Setting
+from jaxnh.analyses.base import LANE, OptionError, Setting, Sweep
 from jaxnh.analyses.scene import Axis, section_points
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.solvers import SPLITTINGS
@@ -103,7 +103,13 @@ def test_a_dataset_says_what_it_is(lanes, name):
 
     analysis = ANALYSES[name]
     data = run(analysis, {"strobes": 2, "levels": 1, "periods": 100 if name == "chaos01" else 16, **analysis.brief})
-    for variable in data.variables.values():
+    groups = {name: data}
+    if analysis.whole:
+        whole = Sweep((Axis("b", B[:3], "b"),), ((np.arange(3), scene),))
+        groups = analysis.whole.run(analysis.options(**analysis.brief), whole, lanes, data)
+        assert set(groups) == {name, *analysis.whole.brings}
+        data = groups[name]
+    for variable in (v for group in groups.values() for v in group.variables.values()):
         assert variable.attrs["long_name"]
         assert variable.attrs["units"]
         assert set(str(variable.attrs.get("ancillary_variables", "")).split()) <= set(data.variables)

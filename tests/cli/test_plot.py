@@ -14,7 +14,7 @@ from hand_made import doublings, exponents, states, tree, write
 from matplotlib.image import imread
 
 from jaxnh import plot
-from jaxnh.analyses import ANALYSES
+from jaxnh.analyses import ANALYSES, GROUPS
 from jaxnh.config.experiment import load
 from jaxnh.plotting import results as figures
 from jaxnh.plotting.panels import PANELS
@@ -33,6 +33,7 @@ analyses:
   period: {transient: 30, limit: 2}
   chaos01: {transient: 30, periods: 100}
   verdict: {}
+  basins: {transient: 32, longest: 64}
 """
 B = (5.8, 2.5, 4.1, 5.3)
 
@@ -56,11 +57,12 @@ def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     config.write_text(CONFIG)
     path, *_ = result("plot_everything", config)
     groups = xr.open_datatree(path, engine="h5netcdf").children
-    assert set(groups) == set(ANALYSES)
-    assert {group.attrs["panel"] for group in groups.values()} == set(PANELS)
+    assert set(groups) == set(GROUPS)
+    assert {groups[name].attrs["panel"] for name in ANALYSES} == set(PANELS)
     drawing = figures.figure(path)
-    assert len(drawing.axes) == 4 + 6
-    assert len(drawing.get_supxlabel().splitlines()) == 1
+    assert len(drawing.axes) == 4 + 7
+    _, left_out = drawing.get_supxlabel().splitlines()
+    assert left_out.endswith(": attractors")  # a table
     for ax in drawing.axes[:4]:
         track, dots = ax.lines
         assert len(track.get_xdata()) == 4 * 16

@@ -253,10 +253,10 @@ import os, sys
 if "--multiprocessing-fork" in sys.argv:  # a worker
     import jaxnh.engine.plan as work
     compute = work.compute
-    def deadly(experiment, axes, requested, job, batch, lanes):
+    def deadly(experiment, axes, requested, job, batch, *others):
         if batch[0].number == 5:
             os.kill(os.getpid(), 9)
-        return compute(experiment, axes, requested, job, batch, lanes)
+        return compute(experiment, axes, requested, job, batch, *others)
     work.compute = deadly
 """
 

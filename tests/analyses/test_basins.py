@@ -1,0 +1,248 @@
+"""Basins of attraction: against DOP853 with a classification of its own, closed forms, and bits against bits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import run_here, same_tree, session_of
+from scipy.integrate import solve_ivp
+
+import jaxnh
+from jaxnh.analyses.attractors import stays_near
+from jaxnh.analyses.basins import wilson
+from jaxnh.analyses.settling import REASONS
+from jaxnh.analyses.verdict import KINDS
+from jaxnh.config.experiment import Experiment
+
+FLOW = """
+import jax.numpy as jnp
+
+
+def system({parameters}):
+    def rhs(y, t):
+        {names} = y
+        return {rates}
+
+    return {{"rhs": rhs, "coordinates": {coordinates}, {rest}}}
+"""
+
+
+def experiment(folder, coordinates, rates, sweep, options=None, rest="", parameters="", **more):
+    """An experiment on a right-hand side written out."""
+    names = ", ".join(coordinates) + ("," if len(coordinates) == 1 else "")
+    file = folder / "flow.py"
+    file.write_text(
+        FLOW.format(parameters=parameters, names=names, rates=rates, coordinates=tuple(coordinates), rest=rest)
+    )
+    content = {
+        "system": {"file": str(file)},
+        "initial": {name: 0.0 for name in coordinates if name not in sweep},
+        "sweep": sweep,
+        "accuracy": {"target": 1e-8},
+        "analyses": {"basins": options or {}},
+    }
+    return Experiment.from_dict({**content, **more})
+
+
+def line(start, stop, count):
+    return {"start": start, "stop": stop, "count": count}
+
+
+def kinds(attractors):
+    return [KINDS[kind] for kind in attractors["kind"].values if kind >= 0]
+
+
+def same_partition(ours, theirs):
+    """Whether two labels of the same starts say the same, whatever the labels are."""
+    pairs = set(zip(ours, theirs, strict=True))
+    return len(pairs) == len(set(ours)) == len(set(theirs))
+
+
+# ---- against integrations of their own
+
+
+def dop853(rhs, starts, times):
+    """States (times, dimensions, starts) of all starts as one system: its error bounds hold for the worst of them."""
+    shape = starts.shape
+    found = solve_ivp(
+        lambda t, y: rhs(t, y.reshape(shape)).ravel(),
+        (0.0, times[-1]),
+        starts.ravel(),
+        "DOP853",
+        times,
+        rtol=1e-9,
+        atol=1e-9,
+    )
+    return found.y.T.reshape(len(times), *shape)
+
+
+def grid(tree, *names):
+    return np.stack([a.ravel() for a in np.meshgrid(*(tree["basins"][n].values for n in names), indexing="ij")])
+
+
+def test_driven_pendulum(tmp_path):
+    """Rotation and rest of a damped pendulum under a constant torque; exponents −γ and −γ/2 by its divergence.
+
+    Lanes at rest lie around the focus, lanes that rotate turn with about 0.5/0.1 radians a unit of time.
+    """
+    sweep = {"theta": line(-3.1, 3.1, 12), "rate": line(-10.0, 10.0, 12)}
+    rates = "rate, 0.5 - 0.1 * rate - jnp.sin(theta)"
+    tree = session_of(experiment(tmp_path, ("theta", "rate"), rates, sweep, rest='"angles": ("theta",)')).tree()
+    attractors = tree["attractors"]
+    assert kinds(attractors) == ["limit_cycle", "equilibrium"]
+    np.testing.assert_allclose(attractors["exponent"].values, [-0.1, -0.05], atol=1e-6)
+    assert attractors["theta"].values[1] == pytest.approx(np.arcsin(0.5), abs=1e-9)
+    states = dop853(
+        lambda t, y: np.stack([y[1], 0.5 - 0.1 * y[1] - np.sin(y[0])]), grid(tree, "theta", "rate"), [0.0, 200.0, 220.0]
+    )
+    rotates = states[2, 0] - states[1, 0] > 2 * np.pi
+    number = tree["basins"]["attractor"].values.ravel()
+    assert np.array_equal(number, np.where(rotates, 1, 2))
+    assert attractors["fraction"].values.tolist() == [np.mean(number == k) for k in (1, 2)]
+
+
+def test_five_attractors(tmp_path):
+    """x'' + 0.08 x' + x³ = 0.2 cos t has orbits of periods 1, 3, 1, 2, 2 in this box, whatever phase lanes come in.
+
+    DOP853 for 100 periods: what is left of the start is exp(−0.04 · 200π) = 1e-11. Its lanes are told apart by their
+    last six strobe points as sets, and periods by which of these are the same within 1e-4.
+    """
+    sweep = {"x": line(-1.0, 1.0, 16), "v": line(-0.5, 1.0, 16)}
+    rates = "v, 0.2 * jnp.cos(t) - 0.08 * v - x**3"
+    tree = session_of(experiment(tmp_path, ("x", "v"), rates, sweep, rest='"period": 2 * jnp.pi')).tree()
+    states = dop853(
+        lambda t, y: np.stack([y[1], 0.2 * np.cos(t) - 0.08 * y[1] - y[0] ** 3]),
+        grid(tree, "x", "v"),
+        2 * np.pi * np.arange(95, 101),
+    )
+    number = tree["basins"]["attractor"].values.ravel()
+    means = states.mean(axis=0).round(3)  # of six points, a multiple of all periods: the same in every phase
+    theirs = [tuple(mean) for mean in means.T]
+    assert same_partition(number.tolist(), theirs)
+    gaps = [np.abs(states[n:] - states[:-n]).max(axis=(0, 1)) < 1e-4 for n in (1, 2, 3)]
+    period = np.select(gaps, [1, 2, 3], 0)
+    attractors = tree["attractors"]
+    assert sorted(attractors["period"].values) == [1, 1, 2, 2, 3]
+    assert np.array_equal(attractors["period"].values[number - 1], period)
+    # ln|μ|/(nT) = −0.04, by the divergence −0.08, where multipliers are complex.
+    np.testing.assert_allclose(attractors["exponent"].values, -0.04, atol=1e-9)
+    last = attractors["x"].values[number - 1]
+    assert np.abs(states[:, 0] - last).min(axis=0).max() < 1e-6
+
+
+# ---- closed forms
+
+
+def test_twins_and_a_saddle(tmp_path):
+    """x'' = x − x³ − x'/5: foci at ±1, exponents −1/10, as many starts each; a start on the saddle is on neither."""
+    sweep = {"x": {"values": [-1.5, -0.7, -1e-9, 0.0, 1e-9, 0.7, 1.5]}, "v": {"values": [0.0]}}
+    tree = session_of(experiment(tmp_path, ("x", "v"), "v, x - x**3 - 0.2 * v", sweep)).tree()
+    number = tree["basins"]["attractor"].values.ravel()
+    assert number[3] == 0
+    assert kinds(tree["attractors"]) == ["equilibrium", "equilibrium"]
+    assert tree["attractors"]["x"].values.tolist() == pytest.approx([-1.0, 1.0] if number[1] == 1 else [1.0, -1.0])
+    np.testing.assert_allclose(tree["attractors"]["exponent"].values, -0.1, atol=1e-9)
+    assert tree["attractors"]["fraction"].values.tolist() == [3 / 7, 3 / 7]
+    assert (number[:3] != number[:3:-1]).all()
+
+
+@pytest.mark.parametrize("clock", [False, True])
+def test_a_bottleneck_is_no_attractor(tmp_path, clock):
+    """θ' = 1 + ε − sin θ turns once in 2π/√(2ε + ε²): in 4443 units of time it lingers near π/2, where nothing stays."""
+    sweep = {"theta": line(-3.0, 3.0, 12)}
+    rest = '"angles": ("theta",)' + (', "period": 1.0' if clock else "")
+    rates = "1.000001 - jnp.sin(theta)" + (" + 1e-7 * jnp.cos(2 * jnp.pi * t)," if clock else ",")
+    short = experiment(tmp_path, ("theta",), rates, sweep, {"longest": 512}, rest)
+    tree = session_of(short).tree()
+    assert kinds(tree["attractors"]) == []
+    assert np.all(tree["basins"]["attractor"].values == 0)
+
+
+def test_beyond_the_bottleneck_there_is_rotation(tmp_path):
+    """θ' = 1.01 − sin θ turns in 44.3 units of time: one limit cycle."""
+    sweep = {"theta": line(-3.0, 3.0, 12)}
+    tree = session_of(
+        experiment(tmp_path, ("theta",), "1.01 - jnp.sin(theta),", sweep, rest='"angles": ("theta",)')
+    ).tree()
+    assert kinds(tree["attractors"]) == ["limit_cycle"]
+    assert np.all(tree["basins"]["attractor"].values == 1)
+
+
+def test_escape(tmp_path):
+    """x' = x³ − x: within (−1, 1) to rest, exponent −1; beyond, to infinity in finite time."""
+    sweep = {"x": {"values": [-1.2, -0.9, 0.3, 0.9, 1.2]}}
+    tree = session_of(experiment(tmp_path, ("x",), "x**3 - x,", sweep)).tree()
+    assert tree["basins"]["attractor"].values.tolist() == [-1, 1, 1, 1, -1]
+    reasons = [REASONS[k] for k in tree["basins"]["failure"].values]
+    assert reasons == ["not_finite", "none", "none", "none", "not_finite"]
+    assert tree["attractors"]["exponent"].values.tolist() == pytest.approx([-1.0])
+    assert tree["attractors"]["fraction"].values.tolist() == [3 / 5]
+
+
+def test_escape_in_proportion_to_time(tmp_path):
+    """y' = 1 never ends in a number that is not finite, and is seen to leave."""
+    tree = session_of(
+        experiment(tmp_path, ("x", "y"), "-x, 1.0 + 0.0 * y", {"x": line(0.1, 1.0, 3)}, {"longest": 512})
+    ).tree()
+    assert tree["basins"]["attractor"].values.tolist() == [-1, -1, -1]
+    assert {REASONS[k] for k in tree["basins"]["failure"].values} == {"escaped"}
+
+
+def test_wilson():
+    """Of no hit among n the upper bound is z²/(n + z²); of all hits the lower one mirrors it."""
+    z2 = 3.841458820694124
+    low, high = wilson(np.array([0, 5, 10]), np.array([10, 10, 10]))
+    np.testing.assert_allclose(high[0], z2 / (10 + z2), rtol=1e-12)
+    np.testing.assert_allclose(low[2], 1 - z2 / (10 + z2), rtol=1e-12)
+    assert (low[0], high[2]) == (0.0, 1.0)
+    np.testing.assert_allclose(low[1] + high[1], 1.0, rtol=1e-12)
+
+
+def test_boxes_around_points():
+    """By brute force: a point whose box touches one of another point is near, also across the cut of an angle."""
+    random = np.random.default_rng(3)
+    points = random.uniform([-1.0, -np.pi], [1.0, np.pi], (50, 2))
+    paths = random.uniform([-1.3, -np.pi], [1.3, np.pi], (400, 1, 2))
+    edge = np.array([0.1, 2 * np.pi / 40])
+    turns = np.array([False, True])
+    lowest = np.array([points[:, 0].min(), -np.pi])
+    own, theirs = (np.floor((x - lowest) / edge) for x in (paths[:, 0], points))
+    gap = np.abs(own[:, None] - theirs[None])
+    gap[..., 1] = np.minimum(gap[..., 1], 40 - gap[..., 1])
+    expected = np.any(np.all(gap <= 1, axis=2), axis=1)
+    assert 50 < expected.sum() < 350
+    assert np.array_equal(stays_near(turns, paths, points, edge), expected)
+
+
+# ---- the same bits by every way
+
+
+@pytest.fixture(scope="module")
+def double_well(tmp_path_factory):
+    """Chaos beside periodic orbits: x'' = x − x³ − x'/5 + 0.3 cos t."""
+    folder = tmp_path_factory.mktemp("double_well")
+    sweep = {"x": line(-1.5, 1.5, 9), "v": line(-1.0, 1.0, 8)}
+    rates = "v, 0.3 * jnp.cos(t) - 0.2 * v + x - x**3"
+    options = {"transient": 32, "longest": 256}
+    return experiment(folder, ("x", "v"), rates, sweep, options, rest='"period": 2 * jnp.pi')
+
+
+def test_tiles_and_memory_agree(double_well, tmp_path):
+    """Tiles of 16 lanes on disk, and all lanes in memory."""
+    whole = session_of(double_well).tree()
+    same_tree(jaxnh.run(double_well, tmp_path / "tiles.h5", tile=16), whole)
+    assert not list(tmp_path.glob("*.tiles"))
+    assert session_of(double_well).run("attractors").identical(whole["attractors"].to_dataset())
+
+
+def test_parts_are_joined(double_well, tmp_path):
+    """Two parts, then what needs all tiles; a part alone has no basins."""
+    config = tmp_path / "job.yaml"
+    config.write_text(double_well.text)
+    for part in ("1/2", "2/2"):
+        done = run_here("job.yaml", "--tile", 16, "--part", part, "--output", "job.h5", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert not (tmp_path / "job.h5").exists()
+    done = run_here("job.yaml", "--merge", "--output", "job.h5", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    same_tree(jaxnh.open_result(tmp_path / "job.h5"), session_of(double_well).tree())
