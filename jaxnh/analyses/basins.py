@@ -181,7 +181,7 @@ def _basins(lot: Lot, number: Int[np.ndarray, " lanes"], unit: str) -> xr.Datase
         "time": variable(LANE, lot.time.astype(np.int32), "time until it was known", unit),
         "failure": variable(LANE, lot.reason, "why the lane has failed", **flags),
     }
-    attrs = {"panel": "integers", "panel_variables": "attractor", "panel_label": "attractor"}
+    attrs = {"panel": "basins", "panel_variables": "attractor", "panel_label": "attractor"}
     return xr.Dataset(variables, attrs=attrs)
 
 
@@ -236,7 +236,7 @@ def _attractors(
         every = name.endswith("_points")
         said = f"{output.long_name} of {'points' if every else 'a point'} of the attractor"
         variables[name] = variable((*dims, "point") if every else dims, table(values, np.nan), said)
-    return xr.Dataset(variables)
+    return xr.Dataset(variables, attrs={"panel": "shares", "panel_variables": "fraction"})
 
 
 def count(data: xr.Dataset) -> dict[str, int]:

@@ -53,11 +53,14 @@ def on_orbits(
         parts: orthonormalisations a period.
         longest: period that is looked for, at most.
     """
+    k = len(growth.tangents)
+    if not len(candidates):
+        return no_orbits(k)
     scene, growth = scene.take(candidates), picked(growth, candidates)
     found = survey(scene, lanes, scene.system.section_point(growth.state), min(longest, _LONGEST), "lyapunov", 0)
     settled = np.flatnonzero(found.period > 0)
     if not len(settled):
-        return no_orbits(len(growth.tangents))
+        return no_orbits(k)
     settled = settled[np.argsort(found.period[settled], kind="stable")]  # tiles of lanes that take equally long
     scene, growth, found = scene.take(settled), picked(growth, settled), picked(found, settled)
     n, p = found.period, dict(scene.p)
