@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import numpy as np
@@ -17,18 +17,23 @@ from jaxtyping import Int
 from pydantic import Field, model_validator
 
 from jaxnh.analyses.attractors import NONE, POINTS, Judged
-from jaxnh.analyses.base import LANE, Analysis, Options, Sweep, Whole, rule, variable
+from jaxnh.analyses.base import LANE, Analysis, Options, Setting, Sweep, Whole, rule, variable
 from jaxnh.analyses.growth import BLOCKS
 from jaxnh.analyses.looks import PARTS, look, maps
 from jaxnh.analyses.matching import Found, find
 from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.random_starts import check_box, started
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.settling import FAILED, REASONS, Lot, settle, states_at
 from jaxnh.analyses.verdict import KINDS
-from jaxnh.systems.flow import Output
+from jaxnh.systems.flow import Flow, Output
 
 _USUAL = 2.0  # looks as long as the transient that most lanes take, the transient among them
 _QUANTILE = 1.959963984540054  # of a normal distribution, 95 % two-sided
+
+
+Side = Annotated[tuple[float, float], Field(strict=False)]
+"""The lowest and the highest value of a coordinate."""
 
 
 class BasinsOptions(Options):
@@ -44,9 +49,21 @@ class BasinsOptions(Options):
         default=8192, ge=4 * BLOCKS, description="Periods after which a lane that has not settled is undecided"
     )
     limit: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
+    starts: int = Field(default=0, ge=0, description="Random start states at each value of the parameters; needs a box")
+    seed: int = Field(default=0, ge=0, description="Seed of the random start states")
+    box: dict[str, Side] = Field(
+        default_factory=dict, description="Coordinates of random start states, each with its lowest and highest value"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> BasinsOptions:
+        if bool(self.starts) != bool(self.box):
+            raise rule(*(("needs starts, their number", "box") if self.box else ("needs a box to draw from", "starts")))
+        for name, (low, high) in self.box.items():
+            if not low < high:
+                raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
+        if "seed" in self.model_fields_set and not self.starts:
+            raise rule("goes with starts, and there are none", "seed")
         if self.longest < 2 * self.transient:
             raise rule(f"must be at least twice the transient, {2 * self.transient}", "longest", "transient")
         return self
@@ -54,23 +71,38 @@ class BasinsOptions(Options):
 
 def periods(options: BasinsOptions, lanes: int) -> float:
     """Lane-periods of a run."""
-    return _USUAL * options.transient * lanes
+    return _USUAL * options.transient * lanes * max(1, options.starts)
 
 
 def numbers(options: BasinsOptions) -> int:
     """Numbers that a lane leaves, the blocks of a look among them."""
-    return 12 * BLOCKS
+    return 12 * BLOCKS * max(1, options.starts)
+
+
+def check(options: BasinsOptions, setting: Setting) -> None:
+    """See that there is a box for random starts, and nothing else that says where lanes start."""
+    if options.starts:
+        check_box(options.box, setting, "box")
 
 
 def run(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
-    """What every lane has come to by itself (`settling.Lot`), each (lane,), (lane, mean) or (lane, component)."""
+    """What every lane has come to by itself (`settling.Lot`), each (lane,), (lane, mean) or (lane, component).
+
+    With random starts `start` is a dimension after the lanes.
+    """
     scene = scene.in_time()
-    with lanes.stage(f"basins: {scene.count:,} lanes to their attractors", periods(options, scene.count)):
-        lot = settle(scene, lanes, options.transient, options.longest)
+    rows = (scene.count, options.starts) if options.starts else (scene.count,)
+    with lanes.stage(f"basins: {math.prod(rows):,} lanes to their attractors", periods(options, scene.count)):
+        lot = settle(_started(options, scene)[0], lanes, options.transient, options.longest)
+    dims = (LANE, "start")[: len(rows)]
     second = {"means": "lane_mean", "unit": "lane_mean", "u": "lane_component", "size": "lane_component"}
     return xr.Dataset(
         {
-            f"lane_{name}": variable((LANE, second[name]) if name in second else LANE, values, f"{name} of a lane")
+            f"lane_{name}": variable(
+                (*dims, second[name]) if name in second else dims,
+                values.reshape(*rows, *values.shape[1:]),
+                f"{name} of a lane",
+            )
             for name, values in lot._asdict().items()
         }
     )
@@ -79,16 +111,23 @@ def run(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
 def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `basins` and `attractors`, from what all lanes have come to by themselves."""
     shape = tuple(len(axis.values) for axis in sweep.axes)
-    count = math.prod(shape)
+    starts = (options.starts,) if options.starts else ()
+    each = math.prod(starts)
+    count = math.prod(shape) * each
     left = (data[f"lane_{name}"].to_numpy() for name in Lot._fields)
-    lot = Lot(*(np.array(values).reshape(count, *values.shape[len(shape) :]) for values in left))
+    lot = Lot(*(np.array(values).reshape(count, *values.shape[len(shape + starts) :]) for values in left))
     own = [k for k, axis in enumerate(sweep.axes) if axis.kind != "start"]
     sizes = tuple(shape[k] for k in own)
-    place = np.unravel_index(np.arange(count), shape)
+    place = np.unravel_index(np.arange(count) // each, shape)
     point = np.ravel_multi_index([place[k] for k in own], sizes) if own else np.zeros(count, int)
     number, known = np.zeros(count, np.int32), list[_Known]()
-    for some, scene in sweep.rows:
-        scene, part = scene.in_time(), picked(lot, some)
+    drawn: dict[str, np.ndarray] = {name: np.zeros(count) for name in options.box}
+    for row, at_row in sweep.rows:
+        some = (row[:, None] * each + np.arange(each)).ravel()
+        scene, here = _started(options, at_row.in_time())
+        part = picked(lot, some)
+        for name, values in here.items():
+            drawn[name][some] = values
         found = find(scene, lanes, part, point[some], options.limit, options.longest)
         for leaf, changed in zip(lot, part, strict=True):
             leaf[some] = changed
@@ -101,9 +140,14 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     most = max([1, *(int(one.rank.max(initial=0)) for one in known)])
     dims = tuple(sweep.axes[k].name for k in own)
     return {
-        "basins": _basins(lot, number, unit),
+        "basins": _basins(lot, number, unit, sweep.rows[0][1].flow, drawn, (count // each, *starts)),
         "attractors": _attractors(known, dims, sizes, most, _shares(number, point, math.prod(sizes), most), unit),
     }
+
+
+def _started(options: BasinsOptions, scene: Scene) -> tuple[Scene, dict[str, np.ndarray]]:
+    """The lanes with their random starts, and what was drawn, where there are some."""
+    return started(scene, options.starts, options.seed, options.box) if options.starts else (scene, {})
 
 
 class _Known(NamedTuple):
@@ -171,17 +215,32 @@ def wilson(hits: Int[np.ndarray, ...], count: Int[np.ndarray, ...]) -> tuple[np.
 # ---- datasets
 
 
-def _basins(lot: Lot, number: Int[np.ndarray, " lanes"], unit: str) -> xr.Dataset:
+def _basins(
+    lot: Lot,
+    number: Int[np.ndarray, " lanes"],
+    unit: str,
+    flow: Flow,
+    drawn: Mapping[str, np.ndarray],
+    shape: tuple[int, ...],
+) -> xr.Dataset:
+    """What every start state leads to, of lanes of this shape: (lanes,), or (lanes, starts)."""
+    dims = (LANE, "start")[: len(shape)]
     flags = {"flag_values": np.arange(len(REASONS), dtype=np.int8), "flag_meanings": " ".join(REASONS)}
     words = (
         "attractor that the start state leads to, by its number in `attractors`; 0: undecided, -1: failed or escaped"
     )
     variables = {
-        "attractor": variable(LANE, number, words),
-        "time": variable(LANE, lot.time.astype(np.int32), "time until it was known", unit),
-        "failure": variable(LANE, lot.reason, "why the lane has failed", **flags),
+        "attractor": variable(dims, number.reshape(shape), words),
+        "time": variable(dims, lot.time.astype(np.int32).reshape(shape), "time until it was known", unit),
+        "failure": variable(dims, lot.reason.reshape(shape), "why the lane has failed", **flags),
+        **{
+            name: variable(dims, values.reshape(shape), f"{flow.words(name)} of the start state")
+            for name, values in drawn.items()
+        },
     }
     attrs = {"panel": "basins", "panel_variables": "attractor", "panel_label": "attractor"}
+    if len(shape) > 1:  # no picture of its own: shares are
+        attrs = {}
     return xr.Dataset(variables, attrs=attrs)
 
 
@@ -268,6 +327,7 @@ ANALYSIS = Analysis(
     in_time=True,
     numbers=numbers,
     count=count,
+    check=check,
     price=price,
     brief={"transient": 2 * BLOCKS},
 )

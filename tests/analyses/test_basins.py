@@ -13,6 +13,7 @@ from jaxnh.analyses.basins import wilson
 from jaxnh.analyses.settling import REASONS
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.config.experiment import Experiment
+from jaxnh.exceptions import ConfigError
 
 FLOW = """
 import jax.numpy as jnp
@@ -149,10 +150,10 @@ def test_twins_and_a_saddle(tmp_path):
 @pytest.mark.parametrize("clock", [False, True])
 def test_a_bottleneck_is_no_attractor(tmp_path, clock):
     """θ' = 1 + ε − sin θ turns once in 2π/√(2ε + ε²): in 4443 units of time it lingers near π/2, where nothing stays."""
-    sweep = {"theta": line(-3.0, 3.0, 12)}
+    sweep = {"theta": line(-3.0, 3.0, 5)}
     rest = '"angles": ("theta",)' + (', "period": 1.0' if clock else "")
     rates = "1.000001 - jnp.sin(theta)" + (" + 1e-7 * jnp.cos(2 * jnp.pi * t)," if clock else ",")
-    short = experiment(tmp_path, ("theta",), rates, sweep, {"longest": 512}, rest)
+    short = experiment(tmp_path, ("theta",), rates, sweep, {"longest": 256}, rest)
     tree = session_of(short).tree()
     assert kinds(tree["attractors"]) == []
     assert np.all(tree["basins"]["attractor"].values == 0)
@@ -160,7 +161,7 @@ def test_a_bottleneck_is_no_attractor(tmp_path, clock):
 
 def test_beyond_the_bottleneck_there_is_rotation(tmp_path):
     """θ' = 1.01 − sin θ turns in 44.3 units of time: one limit cycle."""
-    sweep = {"theta": line(-3.0, 3.0, 12)}
+    sweep = {"theta": line(-3.0, 3.0, 5)}
     tree = session_of(
         experiment(tmp_path, ("theta",), "1.01 - jnp.sin(theta),", sweep, rest='"angles": ("theta",)')
     ).tree()
@@ -212,6 +213,89 @@ def test_boxes_around_points():
     expected = np.any(np.all(gap <= 1, axis=2), axis=1)
     assert 50 < expected.sum() < 350
     assert np.array_equal(stays_near(turns, paths, points, edge), expected)
+
+
+# ---- over parameters
+
+DUFFING = ("v, drive * jnp.cos(t) - 0.08 * v - x**3", '"period": 2 * jnp.pi', "drive=0.2")
+
+
+def duffing(folder, sweep, options):
+    """With steps that are given, as those chosen depend on the sweep."""
+    rates, rest, parameters = DUFFING
+    accuracy = {"solver": "verner9", "steps": 32}
+    return experiment(folder, ("x", "v"), rates, sweep, options, rest, parameters, accuracy=accuracy)
+
+
+def test_planes_of_starts_at_each_value(tmp_path):
+    """Every value of a parameter has the numbers and shares of a plane of starts by itself."""
+    plane = {"x": line(-1.0, 1.0, 8), "v": line(-0.5, 1.0, 8)}
+    drives = [0.15, 0.2]
+    whole = session_of(duffing(tmp_path, {"drive": {"values": drives}, **plane}, {})).tree()
+    assert whole["attractors"]["fraction"].dims == ("drive", "attractor")
+    for place, drive in enumerate(drives):
+        alone = session_of(duffing(tmp_path, {"drive": {"values": [drive]}, **plane}, {})).tree()
+        for name in ("attractor", "time", "failure"):
+            assert np.array_equal(whole["basins"][name].values[place], alone["basins"][name].values[0])
+        count = alone["attractors"].sizes["attractor"]
+        for name in ("kind", "period", "exponent", "fraction", "x"):
+            ours = whole["attractors"][name].values[place]
+            assert np.array_equal(ours[:count], alone["attractors"][name].values[0])
+        assert np.all(whole["attractors"]["fraction"].values[place, count:] == 0.0)
+
+
+BOX = {"starts": 40, "seed": 7, "box": {"x": [-1.0, 1.0], "v": [-0.5, 1.0]}}
+
+
+def test_random_starts(tmp_path):
+    """Each start is the lane of its coordinates, in the box; the same for any tiles, others at another value."""
+    sweep = {"drive": {"values": [0.15, 0.2]}}
+    asked = duffing(tmp_path, sweep, BOX)
+    tree = session_of(asked).tree()
+    basins = tree["basins"]
+    assert basins["attractor"].dims == ("drive", "start")
+    x, v, number = (basins[name].values for name in ("x", "v", "attractor"))
+    assert -1.0 <= x.min() < -0.9 < 0.9 < x.max() <= 1.0
+    assert -0.5 <= v.min() < -0.4 < 0.9 < v.max() <= 1.0
+    assert len(np.unique(x)) == 80
+    np.testing.assert_array_equal(
+        tree["attractors"]["fraction"].values[1],
+        [np.mean(number[1] == k) for k in tree["attractors"]["attractor"].values],
+    )
+    for start in (0, 17):
+        where = {"drive": {"values": [0.2]}, "x": {"values": [x[1, start]]}, "v": {"values": [v[1, start]]}}
+        alone = session_of(duffing(tmp_path, where, {})).tree()["attractors"]
+        k = number[1, start] - 1
+        for name in ("kind", "period", "multiplier"):
+            assert alone[name].values[0, 0] == pytest.approx(tree["attractors"][name].values[1, k], rel=1e-9)
+    same_tree(jaxnh.run(asked, tmp_path / "tiles.h5", tile=1), tree)
+
+
+@pytest.mark.parametrize(
+    ("options", "sweep", "message"),
+    [
+        ({"starts": 4}, {}, "needs a box to draw from"),
+        ({"box": {"x": [0.0, 1.0]}}, {}, "needs starts, their number"),
+        ({"starts": 4, "box": {"x": [1.0, 0.0]}}, {}, "the first number must be the lower one, not 1 and 0"),
+        ({"starts": 4, "box": {"z": [0.0, 1.0]}}, {}, "there is no coordinate z; known are x, v"),
+        ({"starts": 4, "box": {"x": [0.0, 1.0]}}, {"v": {"values": [0.0]}}, "random starts and the axis v of start"),
+        ({"seed": 4}, {}, "goes with starts, and there are none"),
+        ({"transient": 64, "longest": 100}, {}, "must be at least twice the transient, 128"),
+    ],
+)
+def test_what_does_not_go_together(tmp_path, options, sweep, message):
+    with pytest.raises(ConfigError, match=message):
+        duffing(tmp_path, {"drive": {"values": [0.15, 0.2]}, **sweep}, options)
+
+
+def test_a_coordinate_that_the_constraint_decides():
+    content = {
+        "system": {"constraint": "constant_speed"},
+        "sweep": {"b": {"values": [5.3]}},
+        "analyses": {"basins": {"starts": 4, "box": {"y2": [0.0, 1.0]}}},
+    }
+    with pytest.raises(ConfigError, match="the constraint decides y2; leave it out"):
+        Experiment.from_dict(content)
 
 
 # ---- the same bits by every way

@@ -1,0 +1,64 @@
+"""Start states drawn evenly from a box of coordinates, some at each value of the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.analyses.base import OptionError, Setting
+from jaxnh.analyses.scene import Scene
+from jaxnh.systems.flow import Flow, State
+
+Box = Mapping[str, tuple[float, float]]
+"""Coordinates of the start by name, each with its lowest and its highest value."""
+
+
+def check_box(box: Box, setting: Setting, key: str) -> None:
+    """See that a box is one of coordinates that a start has, and that no axis is in its way."""
+    flow = setting.flow
+    for name in box:
+        if name not in flow.coordinates:
+            raise OptionError(
+                f"there is no coordinate {name}; known are {', '.join(flow.coordinates)}", f"{key}.{name}"
+            )
+        if not _decides(flow, name):
+            raise OptionError(f"the constraint decides {name}; leave it out", f"{key}.{name}")
+    for axis in setting.axes:
+        if axis.kind == "start":
+            message = f"random starts and the axis {axis.name} of start states exclude each other; leave one out"
+            raise OptionError(message, key)
+
+
+def _decides(flow: Flow, name: str) -> bool:
+    """Whether a start state depends on a coordinate."""
+    states = [flow.start({**dict.fromkeys(flow.coordinates, 0.0), name: value}) for value in (0.0, 1e-3)]
+    one, other = (np.stack(np.broadcast_arrays(*jax.tree.leaves(state))) for state in states)
+    return not np.array_equal(one, other)
+
+
+def started(scene: Scene, starts: int, seed: int, box: Box) -> tuple[Scene, dict[str, Float[np.ndarray, " lanes"]]]:
+    """The lanes of a scene with so many starts each, one after the other, and what was drawn, by coordinate.
+
+    A lane has its starts by its place along the first axis, whatever lanes it is computed with.
+    """
+    places, width = scene.places, starts * len(box)
+    first = int(places.min())
+    bits = np.random.PCG64(seed)
+    bits.advance(first * width)  # a draw of 64 bits a number
+    count = int(places.max()) - first + 1
+    draws = np.random.Generator(bits).random((count, starts, len(box)))[places - first].reshape(-1, len(box))
+    drawn = {name: low + (high - low) * draws[:, k] for k, (name, (low, high)) in enumerate(box.items())}
+    flow = scene.flow
+    here = flow.outputs(jax.tree.map(_as_path, scene.start), np.zeros(1))
+    others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in here.items()}
+    p = {name: np.repeat(values, starts) for name, values in scene.p.items()}
+    state: State = flow.start(others | drawn)
+    return replace(scene, start=state, p=p, place=np.repeat(places, starts), along=None), drawn
+
+
+def _as_path(leaf: np.ndarray) -> np.ndarray:
+    return leaf[:, None]
