@@ -103,6 +103,8 @@ def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int) -> Jud
         kind[at_rest & there.stable], exponent[at_rest] = EQUILIBRIUM, there.exponent[at_rest]
         u[at_rest] = there.u[at_rest]
         left = np.flatnonzero(stays & ~there.found)
+    elif not np.any(stays):
+        left = np.zeros(0, int)
     else:
         some = np.flatnonzero(stays)
         found = _orbits(moved_on.take(some), lanes, u[some], longest_period)

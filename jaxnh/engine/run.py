@@ -221,7 +221,7 @@ class _Run:
             raise ArgumentError(
                 "merge", f"{len(missing)} of {len(self._pieces)} tiles are missing ({lost}); run their parts again"
             )
-        cost = work_of_pieces(self._requested, job, missing)
+        cost = work_of_pieces(self._requested, job, [*missing, *last])
         if self._how.dask:
             self._over([*missing, *last], cost, lambda: self._on_workers(job, (missing, last), cost))
             return

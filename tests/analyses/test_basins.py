@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from conftest import run_here, same_tree, session_of
+from measure import scene_of
 from scipy.integrate import solve_ivp
 
 import jaxnh
-from jaxnh.analyses.attractors import stays_near
+from jaxnh.analyses.attractors import NONE, judge, scene_from, stays_near
 from jaxnh.analyses.basins import wilson
-from jaxnh.analyses.settling import REASONS
+from jaxnh.analyses.settling import REASONS, SETTLED, settle
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import ConfigError
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.systems.particle import constant_speed
 
 FLOW = """
 import jax.numpy as jnp
@@ -187,6 +192,15 @@ def test_escape_in_proportion_to_time(tmp_path):
     ).tree()
     assert tree["basins"]["attractor"].values.tolist() == [-1, -1, -1]
     assert {REASONS[k] for k in tree["basins"]["failure"].values} == {"escaped"}
+
+
+def test_what_does_not_stay_is_none(lanes):
+    """Lanes whose means are not those of their longer look, none of them: nothing is left to be judged."""
+    scene = scene_of(constant_speed(), ((0.1, 0.1), (0.1, math.sqrt(0.99))), [5.4, 5.5], SPLITTINGS["blanes_moan6"], 40)
+    lot = settle(scene, lanes, 32, 64)
+    lot.known[:] = SETTLED
+    lot.means[:] += 1.0
+    assert judge(scene_from(scene, lanes, lot.u), lanes, lot, 4).kind.tolist() == [NONE, NONE]
 
 
 def test_wilson():
