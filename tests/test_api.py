@@ -291,6 +291,7 @@ OTHERS = {
     },
     "PydanticCustomError": dict.fromkeys(
         (
+            "analyses/basins.py",
             "analyses/diagram.py",
             "config/blocks.py",
             "config/experiment.py",

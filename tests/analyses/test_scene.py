@@ -113,7 +113,16 @@ def test_a_dataset_says_what_it_is(lanes, name):
         assert variable.attrs["long_name"]
         assert variable.attrs["units"]
         assert set(str(variable.attrs.get("ancillary_variables", "")).split()) <= set(data.variables)
-    assert data.attrs["panel"] in ("trajectories", "points", "density", "cascade", "curves", "integers", "flags")
+    assert data.attrs["panel"] in (
+        "trajectories",
+        "points",
+        "density",
+        "cascade",
+        "curves",
+        "integers",
+        "flags",
+        "basins",
+    )
     assert set(data.attrs["panel_variables"].split()) <= set(data.variables)
     assert (LANE in data.dims) == analysis.independent(analysis.options())
 

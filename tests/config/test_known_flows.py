@@ -52,6 +52,10 @@ def pendulum(t, u, gamma):
     return u[1], natural**2 * (gamma * math.cos(drive * t) - math.sin(u[0])) - natural / 2 * u[1]
 
 
+def torque_pendulum(t, u, _):
+    return u[1], 0.5 - 0.1 * u[1] - math.sin(u[0])
+
+
 def van_der_pol(t, u, omega):
     return u[1], (1 - u[0] ** 2) * u[1] - u[0] + 1.2 * math.cos(omega * t)
 
@@ -93,6 +97,7 @@ NAMES = {
     "duffing_single_well": single_well,
     "duffing_double_well": double_well,
     "pendulum": pendulum,
+    "torque_pendulum": torque_pendulum,
     "van_der_pol": van_der_pol,
     "van_der_pol_free": van_der_pol_free,
     "chua": chua,
