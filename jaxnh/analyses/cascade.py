@@ -24,7 +24,7 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.orbits.doubling_points import DoublingPoint
 
 TRANSIENT = 512
-"""Periods before the strobe points are looked at."""
+"""Periods before the last look at the strobe points."""
 
 _SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: the cascade may begin at 2 or 3
 _OUTSIDE = 64  # lanes of a survey on either side of the sweep

@@ -35,13 +35,14 @@ ORBIT_TILE = 64
 # Few lanes have long orbits, and a tile takes as long for one lane as for all of it: sixteen take half the time that 64
 # do, no longer than eight, and where there are many lanes a lane takes twice as long as in tiles of 64.
 _SHORT, _LONG_TILE = 8, 16
+_EARLY = 8  # the share of the transient after which lanes are looked at first
 
 
 class PeriodOptions(Options):
     """Options of `period`."""
 
     limit: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
-    transient: int = Field(default=512, ge=0, description="Periods before the strobe points are looked at")
+    transient: int = Field(default=512, ge=0, description="Periods before the last look at the strobe points")
 
 
 class Survey(NamedTuple):
@@ -122,23 +123,68 @@ def survey(
 ) -> Survey:
     """Attractor and period (from `least` up to a limit) of every lane of a scene, from start points u.
 
-    The period is a multiple of the least n after which the points roughly recur; with `only_doublings`, for a cascade,
-    2, 4, 8, … times that alone are tried.
+    Lanes whose orbit is not found early are looked at again after the whole transient. The period is a multiple of the
+    least n after which the points roughly recur; with `only_doublings`, for a cascade, 2, 4, 8, … times that alone are
+    tried.
     """
+    found = _nothing_found(u)
+    open_, begin = np.arange(scene.count), u
+    for wait, tries in _looks(transient, limit):
+        part, ends = _look(scene.take(open_), lanes, begin, limit, label, wait, tries, least, only_doublings)
+        for whole, some in zip(found, part, strict=True):
+            whole[open_] = some
+        left = np.flatnonzero((part.period == 0) & ~part.failed)
+        if not len(left):
+            break
+        open_, begin = open_[left], ends[left]
+    return found
+
+
+def _looks(transient: int, limit: int) -> list[tuple[int, float]]:
+    """Periods before each look at 2 limit points, and how many periods of a lane are tried in it.
+
+    All lanes are looked at early, since most are on their orbits long before the transient is over: only the least
+    period that they recur after is tried, so that the others lose little. Those are looked at again after all of it.
+    """
+    early = transient // _EARLY
+    left = transient - early - 2 * limit
+    return [(early, 1), (left, math.inf)] if early and left > 0 else [(transient, math.inf)]
+
+
+def _nothing_found(u: Float[np.ndarray, "lanes d"]) -> Survey:
+    """A survey of lanes that have not been looked at."""
+    count, d = u.shape
+    nan, none = np.full(count, np.nan), np.zeros(count, np.bool_)
+    monodromy = np.full((count, d, d), np.nan)
+    return Survey(np.zeros(count, int), u.copy(), nan, nan.copy(), monodromy, none, np.ones_like(u))
+
+
+def _look(
+    scene: Scene,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, "lanes d"],
+    limit: int,
+    label: str,
+    wait: int,
+    tries: float,
+    least: int,
+    only_doublings: bool,
+) -> tuple[Survey, Float[np.ndarray, "lanes d"]]:
+    """What is seen of lanes some periods on, in 2 limit points of each, and the last of these points."""
     strobe, count, p = scene.strobe(), scene.count, dict(scene.p)
-    cost = transient + 2 * limit
+    cost = wait + 2 * limit
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
-        shared, static = (strobe, np.int32(transient)), (2 * limit,)
+        shared, static = (strobe, np.int32(wait)), (2 * limit,)
         if scene.system.dimensionless:
             points, size = lanes(_strobe_points, shared, (u, p), periods=cost, static=static), np.ones_like(u)
         else:
             radian = 0.0 if scene.system.autonomous else scene.system.period / (2 * np.pi)
             points, size = lanes(_sized_points, (*shared, radian), (u, p), periods=cost, static=static)
     recurs = _recurrences(scene.system, points, size, limit, least, only_doublings)
-    period, found = np.zeros(count, int), np.array(points[:, 0])
-    residual, monodromy = np.full(count, np.nan), np.full((count, u.shape[1], u.shape[1]), np.nan)
+    period, found, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
+    failed |= ~np.all(np.isfinite(points), axis=(1, 2))
     rank, first, last = np.cumsum(recurs, axis=0), 1, 1
-    while np.any(rank[-1, period == 0] >= first):
+    while first <= tries and np.any(rank[-1, period == 0] >= first):
         # The next 1, 2, 4, … of every lane at once: few lanes have many, and those would wait for each other.
         n, lane = np.nonzero(recurs & (rank >= first) & (rank <= last) & (period == 0))
         first, last = last + 1, 2 * last + 1
@@ -161,8 +207,9 @@ def survey(
                 whole[shorter] = part
         period[here], found[here] = shortest, exact.u
         residual[here], monodromy[here] = exact.residual, exact.monodromy
-    multiplier = np.where(period > 0, largest_multiplier(monodromy), np.nan)
-    return Survey(period, found, residual, multiplier, monodromy, ~np.all(np.isfinite(points), axis=(1, 2)), size)
+    on_orbit = period > 0
+    multiplier[on_orbit] = largest_multiplier(monodromy[on_orbit])
+    return Survey(period, found, residual, multiplier, monodromy, failed, size), points[:, -1]
 
 
 def _recurrences(

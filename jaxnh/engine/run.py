@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine import dask_workers
+from jaxnh.engine import dask_workers, early_imports
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.output import other_than
 from jaxnh.engine.plan import (
@@ -187,6 +187,7 @@ class _Run:
     def _make_lanes(self) -> Lanes:
         if self._lanes is None:
             configure()
+            early_imports.start()
             self._lanes = Lanes(self._progress)
         return self._lanes
 

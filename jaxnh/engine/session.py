@@ -15,7 +15,7 @@ from jaxnh.analyses import ANALYSES, GROUPS
 from jaxnh.analyses.base import Options
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine import dask_workers
+from jaxnh.engine import dask_workers, early_imports
 from jaxnh.engine.calibration import Plan
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.output import check_output, file_of, is_there
@@ -68,6 +68,7 @@ class Session:
             JaxStartedWarning: JAX had started without the options of the package.
         """
         configure()
+        early_imports.start()
         self.experiment = experiment
         self._lanes = Lanes(as_progress(progress), list(devices) if devices else None)
         self._plans: list[tuple[tuple[Axis, ...], bool, Plan]] = []

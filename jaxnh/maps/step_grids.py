@@ -9,7 +9,7 @@ from jaxnh.systems.flow import Flow
 GRID_POINTS = 1 << 16
 _CELLS = 1 << 12
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
-_NEWTON_STEPS = 4
+_NEWTON_STEPS, _SETTLED = 4, 1e-10  # of a period: its square is far below rounding
 
 
 def step_grid(system: Flow, steps: int, span: tuple[float, float]) -> np.ndarray:
@@ -47,7 +47,10 @@ class SmoothGrid:
         turns, rest = np.divmod(share, self._shares[-1])
         t = np.interp(rest, self._shares, np.arange(_CELLS + 1) * self._width) + turns * self._system.period
         for _ in range(_NEWTON_STEPS):
-            t = t - (self.share(t) - share) / self._system.density(t)
+            step = (self.share(t) - share) / self._system.density(t)
+            t = t - step
+            if np.max(np.abs(step), initial=0.0) < _SETTLED * self._system.period:
+                break
         return t
 
     def rate(self, t: np.ndarray) -> np.ndarray:
