@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TextIO
 
@@ -199,7 +199,7 @@ def _place(axes: Sequence[h5py.Dataset | None], place: Sequence[int]) -> str:
 def write_csv(path: Path, group: str, out: TextIO) -> None:
     """A row for every place along the dimensions of the group's largest variables; those with fewer are repeated.
 
-    Numbers are written so that they are read back to the last bit.
+    Numbers are written so that they are read back to the last bit, and flags as the words that they stand for.
     """
     with h5py.File(path, "r") as file:
         of = {key: store.dimensions(item) for key, item in store.variables(store.groups(file)[group]).items()}
@@ -217,8 +217,18 @@ def write_csv(path: Path, group: str, out: TextIO) -> None:
 
 
 def _in_full(variable: xr.DataArray) -> xr.DataArray:
-    """Numbers of single precision as doubles, which have the digits that a reader of doubles needs."""
+    """Numbers of single precision as doubles, which have the digits that a reader of doubles needs; flags as words."""
+    words = str(variable.attrs.get("flag_meanings", "")).split()
+    if words:
+        return _in_words(variable, dict(zip(np.atleast_1d(variable.attrs["flag_values"]).tolist(), words, strict=True)))
     return variable.astype(np.float64) if variable.dtype == np.float32 else variable
+
+
+def _in_words(variable: xr.DataArray, meanings: Mapping[int, str]) -> xr.DataArray:
+    """Flags as words; a number that has none is kept."""
+    numbers, place = np.unique(variable.to_numpy(), return_inverse=True)
+    words = np.array([meanings.get(number, str(number)) for number in numbers.tolist()], dtype=object)
+    return variable.copy(data=words[place].reshape(variable.shape))
 
 
 # ---- is it right

@@ -10,17 +10,18 @@
         def f(q, v, t): ...                           # constraints: numbers that are zero; without any, leave it out
         return dict(T=T, Q=Q, f=f, coordinates=("x", "y"), period=2 * jnp.pi)
 
-`y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. What depends on t has a
-`period`; what does not may have a `time_unit`. Whatever is wrong with the file is said in one line with its place.
+`y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. One number or one name
+stands for the tuple of it. What depends on t has a `period`; what does not may have a `time_unit`. Whatever is wrong
+with the file is said in one line with its place.
 """
 
 from __future__ import annotations
 
 import difflib
+import functools
 import hashlib
 import inspect
 import math
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -35,12 +36,21 @@ from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.tracing import Known, Program
+from jaxnh.systems.user_code import explained
 
 _ALWAYS = ("coordinates", "period", "time_unit", "angles")
 _FIRST_ORDER = ("rhs", *_ALWAYS)
 _MECHANICS = ("T", "Q", "f", "ignorable", *_ALWAYS)
 _CLOCKS = ("period", "time_unit")
+_LISTS_OF_NAMES = ("coordinates", "angles", "ignorable")
+_OF_COMPONENTS = ("rhs", "Q", "f")  # functions that return a number a coordinate, or a constraint
 _KEYS = ("file", "constraint")  # of a config, beside the parameters
+_RETURNED = {
+    "T": "a number",
+    "rhs": "a number a coordinate",
+    "Q": "a number a coordinate",
+    "f": "a number a constraint",
+}
 _BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "failure")  # in results, beside the coordinates
 
 DIMENSIONS = ("lane", "strobe", "time", "start", "exponent", "level")
@@ -105,15 +115,16 @@ class UserFile:
         return hashlib.sha256("".join(found).encode()).hexdigest() if len(found) == len(self._equations) else None
 
     def define(self, **parameters: Any) -> Mapping[str, Any]:
-        """What the function returns, checked.
+        """What the function returns, checked; one name, or one number that a function returns, as a tuple of it.
 
         Raises:
             UserFileError: it fails, or says what is no definition.
         """
-        definition = self._guarded(lambda: self._define(**parameters))
+        said = self._guarded(lambda: self._define(**parameters))
         line = self._define.__code__.co_firstlineno
-        if not isinstance(definition, Mapping):
+        if not isinstance(said, Mapping):
             raise self._fault(line, "system must return dict(rhs=..., coordinates=...), or dict(T=..., Q=..., ...)")
+        definition = _with_lists_of_names(said)
         known = _FIRST_ORDER if "rhs" in definition else _MECHANICS
         for name in definition:
             if name not in known:
@@ -138,7 +149,7 @@ class UserFile:
             length = definition.get(name, 1.0)
             if not isinstance(length, Tracer) and not (math.isfinite(float(length)) and float(length) > 0):
                 raise self._fault(line, f"{name} must be a positive number, not {length}")
-        return definition
+        return {key: _components(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period, or the unit of time, with these parameters."""
@@ -184,7 +195,7 @@ class UserFile:
 
     def _check_names(self, definition: Mapping[str, Any], line: int) -> None:
         names = definition["coordinates"]
-        if isinstance(names, str) or not names or not all(isinstance(n, str) and n.isidentifier() for n in names):
+        if not names or not all(isinstance(n, str) and n.isidentifier() for n in names):
             raise self._fault(line, 'coordinates must be names, as in coordinates=("x", "y")')
         every = list(names) if "rhs" in definition else list(_with_velocities(names))
         if len(set(every)) < len(every) or set(every) & set(_BESIDE_STATES):
@@ -207,15 +218,13 @@ class UserFile:
             def evaluate(p: Mapping[str, Any], t: Any, q: Any, v: Any, name: str = name) -> Any:
                 function = self.define(**p).get(name)
                 found = () if function is None else function(q, v, t)
-                if name != "T" and not isinstance(found, tuple | list) and jnp.ndim(found) != 1:
-                    raise self._fault(self._line_of(name), f"{name} must return a tuple of numbers")
-                return found if name == "T" else tuple(jnp.asarray(x) for x in found)
+                return self._numbers(name, (found,) if name == "T" else found)
 
             leaves, timed = self._traced(evaluate, 2)
             uses_time |= timed
             line = self._line_of(name)
-            if any(leaf.shape for leaf in leaves) or (count is None and len(leaves) != 1):
-                raise self._fault(line, f"{name} must return {'a number' if count is None else 'a tuple of numbers'}")
+            if any(leaf.shape for leaf in leaves):
+                raise self._fault(line, f"{name} must return {_RETURNED[name]}")
             if count and len(leaves) != count:
                 raise self._fault(line, f"Q must return {k} numbers, one a coordinate, not {len(leaves)}")
             if name == "f" and len(leaves) >= k:
@@ -227,14 +236,11 @@ class UserFile:
         line, d = self._line_of("rhs"), len(self.coordinates)
 
         def evaluate(p: Mapping[str, Any], t: Any, y: Any) -> Any:
-            found = self.define(**p)["rhs"](y, t)
-            if not isinstance(found, tuple | list) and jnp.ndim(found) != 1:
-                raise self._fault(line, "rhs must return a tuple of numbers")
-            return tuple(jnp.asarray(x) for x in found)
+            return self._numbers("rhs", self.define(**p)["rhs"](y, t))
 
         leaves, uses_time = self._traced(evaluate, 1)
         if any(leaf.shape for leaf in leaves):
-            raise self._fault(line, "rhs must return a tuple of numbers")
+            raise self._fault(line, f"rhs must return {_RETURNED['rhs']}")
         if len(leaves) != d:
             raise self._fault(line, f"rhs must return {d} numbers, one a coordinate, not {len(leaves)}")
         return uses_time
@@ -249,9 +255,17 @@ class UserFile:
         depends = traced.depends([1, *[0] * (len(traced.inputs) - 1)])
         return traced.shapes, any(not isinstance(slot, Known) and depends[slot] for slot in traced.outputs)
 
+    def _numbers(self, name: str, found: Sequence[Any]) -> tuple[Any, ...]:
+        """What a function has returned as arrays."""
+        if any(one is None or isinstance(one, str | Mapping | tuple | list) for one in found):
+            nothing = ", and returns nothing" if found[0] is None else ""
+            raise self._fault(self._line_of(name), f"{name} must return {_RETURNED[name]}{nothing}")
+        return tuple(jnp.asarray(one) for one in found)
+
     def _line_of(self, name: str) -> int:
         definition = self.define(**self.parameters)
-        code = getattr(definition.get(name) or definition.get("T"), "__code__", None)
+        function = definition.get(name) or definition.get("T")
+        code = getattr(inspect.unwrap(function) if function else None, "__code__", None)
         return code.co_firstlineno if code else self._define.__code__.co_firstlineno
 
     def _guarded(self, body: Callable[[], Any]) -> Any:
@@ -260,10 +274,8 @@ class UserFile:
         except UserFileError:
             raise
         except Exception as error:
-            frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(self.path)]
-            said = " ".join(str(error).split("\n\n")[0].split())[:300]
-            line = (frames[-1].lineno if frames else None) or self._define.__code__.co_firstlineno
-            raise self._fault(line, f"{type(error).__name__}: {said}") from None
+            line, what = explained(error, self.text, str(self.path))
+            raise self._fault(line or self._define.__code__.co_firstlineno, what) from None
 
     def _fault(self, line: int, message: str) -> UserFileError:
         return UserFileError(f"{self.path}:{line}: {message}")
@@ -272,3 +284,20 @@ class UserFile:
 def _with_velocities(names: Sequence[str]) -> tuple[str, ...]:
     """Each coordinate, and its velocity."""
     return tuple(word for name in names for word in (name, f"{name}_dot"))
+
+
+def _with_lists_of_names(definition: Mapping[str, Any]) -> dict[str, Any]:
+    """A definition with one name as a tuple of it."""
+    names = {key: (definition[key],) for key in _LISTS_OF_NAMES if isinstance(definition.get(key), str)}
+    return {**definition, **names}
+
+
+def _components(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that returns a tuple, also of the one number that it says."""
+
+    @functools.wraps(function)
+    def components(*arguments: Any) -> Any:
+        found = function(*arguments)
+        return found if isinstance(found, tuple | list) or (hasattr(found, "ndim") and found.ndim) else (found,)
+
+    return components

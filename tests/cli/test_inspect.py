@@ -194,6 +194,15 @@ def test_table_of_two_axes(plane):
     assert rows == [["delta", "levels"], ["4.669", "6"]]
 
 
+def test_flags_are_words_in_a_table(plane):
+    """A kind, or why a lane has failed, by its meaning."""
+    path, groups = plane
+    rows = list(csv.reader(io.StringIO(inspect(path, "--csv", "poincare").stdout)))
+    codes = groups["poincare"]["failure"].to_numpy().ravel()
+    assert rows[0][-1] == "failure"
+    assert [row[-1] for row in rows[1:]] == [("none", "singular")[code] for code in codes]
+
+
 def test_file_without_axes(tmp_path):
     """A result that does not say over what it goes is shown all the same."""
     path = tmp_path / "costs.h5"

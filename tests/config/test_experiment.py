@@ -195,6 +195,19 @@ def test_overrides_change_values_and_make_keys(tmp_path):
     assert experiment.axes[0].values.tolist() == [1.0, 2.5, 3.0]
 
 
+def test_null_drops_an_analysis(tmp_path):
+    """Also from the text that results keep and resumed runs read; what is not there need not be dropped."""
+    path = write(tmp_path, EXAMPLE + "  lyapunov:\n  diagram: {strobes: 4}\n")
+    left = load(path, ["analyses.lyapunov=null", "analyses.verdict=null"])
+    assert [analysis.name for analysis, _ in left.requested()] == ["doubling", "diagram"]
+    assert Experiment.from_text(left.text).sha256 == left.sha256
+    assert load(path, ["analyses.lyapunov=null", "analyses.lyapunov.exponents=1"]).analyses.lyapunov.exponents == 1
+    said = fault(path, "analyses.lyapunow=null")
+    assert said.startswith("command line: analyses.lyapunow: unknown key (did you mean lyapunov?)")
+    every = [f"analyses.{name}=null" for name in ("doubling", "lyapunov", "diagram")]
+    assert "at least one analysis is needed" in fault(path, *every)
+
+
 def test_last_override_wins(tmp_path):
     assert load(write(tmp_path, CONFIG), ["system.d=0.2", "system.d=0.05"]).system.d == 0.05
 

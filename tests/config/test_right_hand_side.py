@@ -112,7 +112,7 @@ FILE_FAULTS = {
     "a name": (("rho - z", "ro - z"), ":11: NameError: name 'ro' is not defined"),
     "an ignorable coordinate": (('"coordinates"', '"ignorable": ("x",), "coordinates"'), ":8: system returns rhs and 'ignorable'"),
     "no unit": (('"coordinates"', '"time_unit": -1, "coordinates"'), ":8: time_unit must be a positive number, not -1"),
-    "one number": (("return sigma * (y_ - x), x * (rho - z) - y_, x * y_ - beta * z", "return sigma"), ":9: rhs must return a tuple"),
+    "one number": (("return sigma * (y_ - x), x * (rho - z) - y_, x * y_ - beta * z", "return sigma"), ":9: rhs must return 3 numbers, one a coordinate, not 1"),
 }  # fmt: skip
 
 

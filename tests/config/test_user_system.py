@@ -23,7 +23,7 @@ from jaxnh.config.experiment import load
 from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
 from jaxnh.engine.lanes import Lanes
-from jaxnh.exceptions import ConfigError
+from jaxnh.exceptions import ConfigError, UserFileError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.general_flow import GeneralStrobe
 from jaxnh.maps.iterate import derivatives, section_map
@@ -31,6 +31,7 @@ from jaxnh.plotting import results as figures
 from jaxnh.solvers import SOLVERS, SPLITTINGS, Projected
 from jaxnh.storage import hdf5 as store
 from jaxnh.systems.lagrangian import Motion
+from jaxnh.systems.user_file import UserFile
 
 PARTICLE = """import jax.numpy as jnp
 
@@ -221,8 +222,9 @@ FAULTS = {
     "not Python": (("return 0.5", "return 0.5 *)"), "own.py:5: not valid Python: "),
     "no function": (("def system(", "def machine("), "own.py:1: there is no function system"),
     "a name in Q": (("b * y,", "beta * y,"), "own.py:9: NameError: name 'beta' is not defined"),
-    "math on what a lane decides": (("jnp.sin(omega * t)", "__import__('math').sin(omega * t)"), "own.py:8: "),
-    "too few forces": (("+ b * y, -g", "+ b * y - g"), "own.py:7: Q must return a tuple of numbers"),
+    "forces in a string": (("+ b * y, -g", "+ b * y, '' if 1 else g"), "own.py:7: Q must return a number a coordinate"),
+    "no forces": (("        return -a * g", "        -a * g"), "own.py:7: Q must return a number a coordinate, and returns nothing"),
+    "too few forces": (("+ b * y, -g", "+ b * y - g"), "own.py:7: Q must return 2 numbers, one a coordinate, not 1"),
     "no period": ((", period=2 * jnp.pi / omega", ""), "own.py:4: the system depends on t: give its period"),
     "a clock and a unit": (("period=", "time_unit=1.0, period="), "own.py:3: period and time_unit exclude each other"),
     "both ways": (("f=f", "rhs=f"), "own.py:3: system returns rhs and 'T'; a system is a right-hand side, or T and Q"),
@@ -242,6 +244,72 @@ def test_fault_in_the_users_file(tmp_path, edit, message):
         load(write(tmp_path, PARTICLE.replace(*edit)))
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(f"{tmp_path}/{message}")
+
+
+OSCILLATOR = """import math
+from math import cos as cosine
+import jax.numpy as jnp
+import numpy as np
+def system(drive=0.5, damping=0.1):
+    def rhs(y, t):
+        x, v = y
+        force = -x
+        return v, force - damping * v + drive * jnp.sin(t)
+    return dict(rhs=rhs, coordinates=("x", "v"), period=2 * math.pi)
+"""
+PYTHON_OF_PLAIN_NUMBERS = {
+    "math": (("jnp.sin(t)", "math.sin(t)"), 9, "math.sin takes plain numbers, not what changes during the run: use jnp.sin (import jax.numpy as jnp)"),
+    "math by another name": (("jnp.sin(t)", "cosine(t)"), 9, "cosine takes plain numbers, not what changes during the run: use jnp.cos ("),
+    "numpy": (("jnp.sin(t)", "np.sin(t)"), 9, "np.sin takes plain numbers, not what changes during the run: use jnp.sin ("),
+    "an array of numpy": (("return v, force", "return np.array([v, force])"), 9, "np.array takes plain numbers, not what changes during the run: use jnp.array ("),
+    "an array changed in place": (("force = -x", "force = np.zeros(1); force[0] = -x"), 8, "NumPy's arrays hold plain numbers, not what changes during the run: return a tuple"),
+    "if": (("force = -x", "force = -x\n        if x > 0:\n            force = 0.0"), 9, "if cannot decide by what changes during the run: use jnp.where(x > 0, a, b) ("),
+    "a conditional expression": (("= -x", "= -x if x > 0 else 0.0"), 8, "if cannot decide by what changes during the run: use jnp.where(x > 0, a, b) ("),
+    "while": (("force = -x", "while x > 1: x = x - 1"), 8, "while cannot decide by what changes during the run: use jnp.where(x > 1, a, b) ("),
+    "and": (("= -x", "= -x * (x > 0 and x < 1)"), 8, "and cannot decide by what changes during the run: use jnp.logical_and ("),
+    "a comparison of three": (("= -x", "= -x * (0 < x < 1)"), 8, "a comparison of three cannot decide by what changes during the run: use jnp.logical_and ("),
+    "max": (("= -x", "= max(-x, 0.0)"), 8, "max() cannot choose by what changes during the run: use jnp.maximum ("),
+    "float": (("= -x", "= -float(x)"), 8, "float() takes a plain number, not what changes during the run: leave it out"),
+    "an index": (("= -x", "= [1.0, 2.0][x]"), 8, "TypeError: "),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("edit", "line", "message"), PYTHON_OF_PLAIN_NUMBERS.values(), ids=PYTHON_OF_PLAIN_NUMBERS)
+def test_python_of_plain_numbers_is_named_with_what_to_use(tmp_path, edit, line, message):
+    """The functions and choices of Python that newcomers write, each with its counterpart in jax.numpy."""
+    assert edit[0] in OSCILLATOR
+    path = tmp_path / "own.py"
+    path.write_text(OSCILLATOR.replace(*edit))
+    with pytest.raises(UserFileError) as caught:
+        UserFile(path)
+    assert str(caught.value).startswith(f"{path}:{line}: {message}")
+    assert "\n" not in str(caught.value)
+
+
+def test_one_number_and_one_name_stand_for_tuples_of_them(tmp_path):
+    """One degree of freedom said without commas is the same system, bit for bit."""
+    path = tmp_path / "own.py"
+    path.write_text(
+        """import jax.numpy as jnp
+def system(drive=0.5):
+    T = lambda q, v, t: 0.5 * v[0] ** 2
+    Q = lambda q, v, t: (-jnp.sin(q[0]) + drive * jnp.cos(t))
+    return dict(T=T, Q=Q, coordinates="theta", angles="theta", period=2 * jnp.pi)
+"""
+    )
+    single = UserFile(path)
+    path.write_text(path.read_text().replace("jnp.cos(t))", "jnp.cos(t),)").replace('"theta"', '("theta",)'))
+    pair = UserFile(path)
+    assert single.states == pair.states == ("theta", "theta_dot")
+    assert single.traced == pair.traced
+    flow = single.flow({"drive": 0.5})
+    assert flow.angles == (True,)
+    assert float(flow.rhs(0.0, flow.start({"theta": 0.0, "theta_dot": 0.0}), {}).v[0]) == 0.5
+    path.write_text("def system(r=2.0): return dict(rhs=lambda y, t: r * y[0] * (1 - y[0]), coordinates='x')\n")
+    assert UserFile(path).coordinates == ("x",)
+    path.write_text(path.read_text().replace("'x'", "'x, y'"))
+    with pytest.raises(UserFileError, match=r"own.py:1: coordinates must be names"):
+        UserFile(path)
 
 
 CONFIG_FAULTS = {
