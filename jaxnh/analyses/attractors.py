@@ -116,10 +116,10 @@ def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int) -> Jud
             exponent[here] = np.log(multiplier[here]) / (period[here] * scene.system.period)
         left = some[~on_orbit]
     near = np.full(count, _NEAR_ORBIT)
-    points = _recorded(scene_from(scene, lanes, u), lanes, POINTS)
+    points = recorded(scene_from(scene, lanes, u), lanes, POINTS)
     if len(left):
         kind[left], exponent[left] = _by_exponents(moved_on.take(left), lanes, picked(seen, left), LONGER * look[left])
-        cloud = _recorded(moved_on.take(left), lanes, _CLOUD)
+        cloud = recorded(moved_on.take(left), lanes, _CLOUD)
         drift = _drift(scene.system, cloud[:, -POINTS:], size[left])
         passing = (kind[left] == QUASIPERIODIC) & (drift * LONGER * look[left] < 1.0) & (not scene.flow.autonomous)
         kind[left[passing | ((kind[left] == CHAOTIC) & (drift <= _REPEATS))]] = NONE
@@ -269,7 +269,7 @@ def _drift(
     return drift
 
 
-def _recorded(scene: Scene, lanes: LaneRunner, count: int) -> Float[np.ndarray, "lanes points d"]:
+def recorded(scene: Scene, lanes: LaneRunner, count: int) -> Float[np.ndarray, "lanes points d"]:
     """Points of lanes, one after the other: strobes, or without a clock several in a unit of time."""
     strobe, stacked = maps(scene)
     return lanes(_record, (strobe,), scene.lanes, periods=count, static=(count, stacked))

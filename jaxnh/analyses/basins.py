@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import jax
 import numpy as np
@@ -16,21 +16,20 @@ import xarray as xr
 from jaxtyping import Int
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.attractors import NONE, POINTS, Judged
+from jaxnh.analyses.attractors import POINTS, Judged, recorded, scene_from
 from jaxnh.analyses.base import LANE, Analysis, Options, Setting, Sweep, Whole, rule, variable
+from jaxnh.analyses.basin_tables import Known, attractors_group, basins_group, shares
 from jaxnh.analyses.growth import BLOCKS
 from jaxnh.analyses.looks import PARTS, look, maps
-from jaxnh.analyses.matching import Found, find
+from jaxnh.analyses.matching import find, joined
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.random_starts import check_box, started
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
-from jaxnh.analyses.settling import FAILED, REASONS, Lot, settle, states_at
-from jaxnh.analyses.verdict import KINDS
-from jaxnh.systems.flow import Flow, Output
+from jaxnh.analyses.settling import FAILED, Lot, settle, states_at
+from jaxnh.analyses.tracking import Grid, Tracked, track
+from jaxnh.systems.flow import Output
 
 _USUAL = 2.0  # looks as long as the transient that most lanes take, the transient among them
-_QUANTILE = 1.959963984540054  # of a normal distribution, 95 % two-sided
-
 
 Side = Annotated[tuple[float, float], Field(strict=False)]
 """The lowest and the highest value of a coordinate."""
@@ -120,7 +119,7 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     sizes = tuple(shape[k] for k in own)
     place = np.unravel_index(np.arange(count) // each, shape)
     point = np.ravel_multi_index([place[k] for k in own], sizes) if own else np.zeros(count, int)
-    number, known = np.zeros(count, np.int32), list[_Known]()
+    on, parts, at = np.full(count, -1), list[Judged](), np.zeros(0, int)
     drawn: dict[str, np.ndarray] = {name: np.zeros(count) for name in options.box}
     for row, at_row in sweep.rows:
         some = (row[:, None] * each + np.arange(each)).ravel()
@@ -131,17 +130,28 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
         found = find(scene, lanes, part, point[some], options.limit, options.longest)
         for leaf, changed in zip(lot, part, strict=True):
             leaf[some] = changed
-        number[some], rank = _numbered(found, point[some])
-        if found.attractors is not None:
-            at = scene.take(np.array([int(np.flatnonzero(point[some] == k)[0]) for k in found.point]))
-            known.append(_Known(found.point, rank, found.attractors, _coordinates(at, lanes, found.attractors)))
-    number[lot.known == FAILED] = -1
-    unit = counted_in(sweep.rows[0][1].flow)
-    most = max([1, *(int(one.rank.max(initial=0)) for one in known)])
-    dims = tuple(sweep.axes[k].name for k in own)
+        if found.attractors is None:
+            continue
+        used, back = np.unique(found.number, return_inverse=True)
+        used, back = used[used >= 0], back - (len(used) - np.sum(used >= 0))
+        on[some] = np.where(back >= 0, back + len(at), -1)
+        parts.append(picked(found.attractors, used))
+        at = np.concatenate([at, found.point[used]])
+    every = joined(parts) if len(at) else None
+    grid = _grid(sweep, own, point[::each])
+    number = np.where(lot.known == FAILED, -1, 0).astype(np.int32)
+    table = Known(at, np.zeros(0, np.int32), None, {}, ())
+    if every is not None:
+        tracked = track(grid, lanes, every, at, options.transient, options.longest)
+        table, of = _known(grid, lanes, every, at, tracked, on)
+        number[on >= 0] = of[on[on >= 0]]
+    flow = sweep.rows[0][1].flow
+    unit = counted_in(flow)
+    axes = tuple(sweep.axes[k] for k in own)
+    hits = shares(number, point, math.prod(sizes), max([1, *table.number.tolist()]))
     return {
-        "basins": _basins(lot, number, unit, sweep.rows[0][1].flow, drawn, (count // each, *starts)),
-        "attractors": _attractors(known, dims, sizes, most, _shares(number, point, math.prod(sizes), most), unit),
+        "basins": basins_group(lot, number, unit, flow, drawn, (count // each, *starts)),
+        "attractors": attractors_group(table, axes, hits, unit),
     }
 
 
@@ -150,37 +160,58 @@ def _started(options: BasinsOptions, scene: Scene) -> tuple[Scene, dict[str, np.
     return started(scene, options.starts, options.seed, options.box) if options.starts else (scene, {})
 
 
-class _Known(NamedTuple):
-    """Attractors of one value of the axes that lanes share.
+def _grid(sweep: Sweep, own: Sequence[int], point: Int[np.ndarray, " lanes"]) -> Grid:
+    """The values of the axes that are parameters, each with the first lane there."""
+    first = np.unique(point, return_index=True)[1]
+    row, lane = np.zeros((2, len(first)), int)
+    for number, (some, _) in enumerate(sweep.rows):
+        here = np.isin(first, some)
+        row[here], lane[here] = number, np.searchsorted(some, first[here])
+    values = tuple(sweep.axes[k].values for k in own)
+    return Grid(values, [scene.in_time() for _, scene in sweep.rows], row, lane)
 
-    Attributes:
-        point: value of the parameters, (attractors,).
-        rank: number there, from 1 by size of basin; 0: no lane is on it in the end, (attractors,).
-        judged: what they are.
-        coordinates: of a point of each, and of its points, by name, each (attractors,) or (attractors, points).
+
+def _known(
+    grid: Grid,
+    lanes: LaneRunner,
+    every: Judged,
+    point: Int[np.ndarray, " attractors"],
+    tracked: Tracked,
+    on: Int[np.ndarray, " lanes"],
+) -> tuple[Known, Int[np.ndarray, " attractors"]]:
+    """All attractors, those too that no start state leads to, and the numbers of those that some lead to.
+
+    Numbers are from 1 on, by the size of the basin over all values, ties by the first lane.
     """
-
-    point: Int[np.ndarray, " attractors"]
-    rank: Int[np.ndarray, " attractors"]
-    judged: Judged
-    coordinates: Mapping[str, Output]
-
-
-def _numbered(
-    found: Found, point: Int[np.ndarray, " lanes"]
-) -> tuple[Int[np.ndarray, " lanes"], Int[np.ndarray, " attractors"]]:
-    """Numbers of lanes, and of attractors, from 1 by size of basin at each point, ties by the first lane."""
-    on = np.flatnonzero(found.number >= 0)
-    size = np.bincount(found.number[on], minlength=len(found.point))
-    first = np.full(len(found.point), len(point))
-    np.minimum.at(first, found.number[on], on)
-    rank = np.zeros(len(found.point), np.int32)
-    for at in np.unique(found.point):
-        here = np.flatnonzero((found.point == at) & (size > 0))
-        rank[here[np.lexsort((first[here], -size[here]))]] = np.arange(1, len(here) + 1)
-    number = np.zeros(len(point), np.int32)
-    number[on] = rank[found.number[on]]
-    return number, rank
+    lanes_on = np.flatnonzero(on >= 0)
+    same = tracked.same
+    size = np.bincount(same[on[lanes_on]], minlength=len(same))
+    first = np.full(len(same), len(on))
+    np.minimum.at(first, same[on[lanes_on]], lanes_on)
+    groups = np.unique(same)
+    number = np.zeros(len(same), np.int32)
+    number[groups[np.lexsort((first[groups], -size[groups]))]] = np.arange(1, len(groups) + 1)
+    number = number[same]
+    unseen = tracked.unseen
+    origin = np.array([one.origin for one in unseen], int)
+    at = np.concatenate([point, np.array([one.point for one in unseen], int)])
+    if unseen:
+        u, multiplier, exponent = (
+            np.array([getattr(one, k) for one in unseen]) for k in ("u", "multiplier", "exponent")
+        )
+        there = picked(every, origin)._replace(u=u, multiplier=multiplier, exponent=exponent)
+        for here, scene in grid.at(at[len(same) :]):
+            there.points[here, :POINTS] = recorded(scene_from(scene, lanes, u[here]), lanes, POINTS)
+        every = joined([every, there])
+    coordinates = dict[str, Output]()
+    for here, scene in grid.at(at):
+        for name, output in _coordinates(scene, lanes, picked(every, here)).items():
+            kept = coordinates.setdefault(
+                name, output._replace(data=np.full((len(at), *output.data.shape[1:]), np.nan))
+            )
+            kept.data[here] = output.data
+    changes = [change._replace(attractor=int(number[change.attractor])) for change in tracked.changes]
+    return Known(at, np.concatenate([number, number[origin]]), every, coordinates, changes), number
 
 
 def _coordinates(scene: Scene, lanes: LaneRunner, judged: Judged) -> dict[str, Output]:
@@ -193,109 +224,6 @@ def _coordinates(scene: Scene, lanes: LaneRunner, judged: Judged) -> dict[str, O
     found = scene.system.outputs(jax.tree.map(lambda leaf: leaf[:, None], one), start)
     found = {name: output._replace(data=output.data[:, 0]) for name, output in found.items()}
     return found | {f"{name}_points": output for name, output in scene.system.outputs(every, start).items()}
-
-
-def _shares(
-    number: Int[np.ndarray, " lanes"], point: Int[np.ndarray, " lanes"], points: int, most: int
-) -> tuple[Int[np.ndarray, "points attractors"], Int[np.ndarray, " points"]]:
-    """Number of lanes on each attractor at each point, and of all of them."""
-    on = number > 0
-    table = np.bincount(point[on] * most + number[on] - 1, minlength=points * most).reshape(points, most)
-    return table, np.bincount(point, minlength=points)
-
-
-def wilson(hits: Int[np.ndarray, ...], count: Int[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of a probability at 95 % (Wilson, J. Am. Stat. Assoc. 22 (1927) 209), of hits among so many."""
-    z2 = _QUANTILE**2
-    middle = (hits + z2 / 2) / (count + z2)
-    half = _QUANTILE / (count + z2) * np.sqrt(hits * (count - hits) / count + z2 / 4)
-    return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)
-
-
-# ---- datasets
-
-
-def _basins(
-    lot: Lot,
-    number: Int[np.ndarray, " lanes"],
-    unit: str,
-    flow: Flow,
-    drawn: Mapping[str, np.ndarray],
-    shape: tuple[int, ...],
-) -> xr.Dataset:
-    """What every start state leads to, of lanes of this shape: (lanes,), or (lanes, starts)."""
-    dims = (LANE, "start")[: len(shape)]
-    flags = {"flag_values": np.arange(len(REASONS), dtype=np.int8), "flag_meanings": " ".join(REASONS)}
-    words = (
-        "attractor that the start state leads to, by its number in `attractors`; 0: undecided, -1: failed or escaped"
-    )
-    variables = {
-        "attractor": variable(dims, number.reshape(shape), words),
-        "time": variable(dims, lot.time.astype(np.int32).reshape(shape), "time until it was known", unit),
-        "failure": variable(dims, lot.reason.reshape(shape), "why the lane has failed", **flags),
-        **{
-            name: variable(dims, values.reshape(shape), f"{flow.words(name)} of the start state")
-            for name, values in drawn.items()
-        },
-    }
-    attrs = {"panel": "basins", "panel_variables": "attractor", "panel_label": "attractor"}
-    if len(shape) > 1:  # no picture of its own: shares are
-        attrs = {}
-    return xr.Dataset(variables, attrs=attrs)
-
-
-def _attractors(
-    known: Sequence[_Known],
-    axes: tuple[str, ...],
-    sizes: tuple[int, ...],
-    most: int,
-    shares: tuple[np.ndarray, np.ndarray],
-    unit: str,
-) -> xr.Dataset:
-    """All attractors over the axes that are parameters, and their numbers."""
-    dims = (*axes, "attractor")
-
-    def table(values: Sequence[np.ndarray], empty: float) -> np.ndarray:
-        """Values of the attractors of every part of `known` where they belong."""
-        first = np.asarray(values[0]) if values else np.zeros((0,), type(empty))
-        whole = np.full((math.prod(sizes), most, *first.shape[1:]), empty, first.dtype)
-        for one, here in zip(known, values, strict=True):
-            there = one.rank > 0
-            whole[one.point[there], one.rank[there] - 1] = here[there]
-        return whole.reshape(*sizes, most, *first.shape[1:])
-
-    kinds = ("absent", *KINDS)
-    flags = {"flag_values": np.arange(-1, len(KINDS), dtype=np.int8), "flag_meanings": " ".join(kinds)}
-    hits, count = shares
-    low, high = wilson(hits, count[:, None])
-    fraction = {"fraction": hits / count[:, None], "fraction_low": low, "fraction_high": high}
-    words = {
-        "fraction": "share of the start states in its basin",
-        "fraction_low": "lower bound of the share at 95 %",
-        "fraction_high": "upper bound of the share at 95 %",
-    }
-    judged = [one.judged for one in known]
-    of_exponent = "largest Lyapunov exponent, without a clock that along the flow left out"
-    variables = {
-        "attractor": variable("attractor", np.arange(1, most + 1), "number of the attractor, by size of its basin"),
-        "kind": variable(dims, table([one.kind for one in judged], NONE), "kind of motion", **flags),
-        "period": variable(
-            dims, table([one.period for one in judged], 0), "least period of a periodic orbit, 0 of others", unit
-        ),
-        "exponent": variable(dims, table([one.exponent for one in judged], np.nan), of_exponent, "1/time"),
-        "multiplier": variable(
-            dims,
-            table([one.multiplier for one in judged], np.nan),
-            "largest modulus of the Floquet multipliers of a periodic orbit",
-        ),
-        **{name: variable(dims, v.reshape(*sizes, most), words[name]) for name, v in fraction.items()},
-    }
-    for name, output in known[0].coordinates.items() if known else ():
-        values = [one.coordinates[name].data for one in known]
-        every = name.endswith("_points")
-        said = f"{output.long_name} of {'points' if every else 'a point'} of the attractor"
-        variables[name] = variable((*dims, "point") if every else dims, table(values, np.nan), said)
-    return xr.Dataset(variables, attrs={"panel": "shares", "panel_variables": "fraction"})
 
 
 def count(data: xr.Dataset) -> dict[str, int]:

@@ -6,6 +6,7 @@ as lanes at different ones have nothing to do with each other.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -26,6 +27,7 @@ from jaxnh.analyses.attractors import (
 from jaxnh.analyses.looks import angles
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.settling import OPEN, RESTLESS, SETTLED, Lot, go_on
+from jaxnh.systems.flow import Flow
 
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
 _SEEDS = 4  # of restless lanes, likewise
@@ -58,7 +60,7 @@ def find(
     """
     found = Found(np.full(scene.count, -1), np.zeros(0, int), None)
     while True:
-        _match(scene, lanes, lot, point, found)
+        match(scene, lanes, lot, point, found)
         seeds, cluster = _representatives(lot, point, found.number)
         if len(seeds):
             here = scene_from(scene.take(seeds), lanes, lot.u[seeds])
@@ -67,7 +69,7 @@ def find(
             found, place = _added(here, lanes, found, judged, point[seeds], largest)
             mine = np.flatnonzero((cluster >= 0) & (found.number < 0))
             found.number[mine] = place[cluster[mine]]
-            _match(scene, lanes, lot, point, found)
+            match(scene, lanes, lot, point, found)
         left = (found.number < 0) & np.isin(lot.known, (SETTLED, RESTLESS))
         some = np.flatnonzero(left & (2 * lot.time <= longest))
         if not len(some):
@@ -77,7 +79,7 @@ def find(
             go_on(scene, lanes, lot, some, longest)
 
 
-def _match(scene: Scene, lanes: LaneRunner, lot: Lot, point: Int[np.ndarray, " lanes"], found: Found) -> None:
+def match(scene: Scene, lanes: LaneRunner, lot: Lot, point: Int[np.ndarray, " lanes"], found: Found) -> None:
     """Numbers of the attractors of lanes that have none yet, in place, where there is one that fits.
 
     Lanes that have settled have its means; restless ones stay near its points.
@@ -164,16 +166,15 @@ def _added(
     added = picked(judged, np.array(new, int))
     if found.attractors is None:
         return Found(found.number, point[new], added if new else None), place
-    both = jax.tree.map(lambda *leaves: np.concatenate(_alike(leaves)), found.attractors, added)
+    both = joined([found.attractors, added])
     return Found(found.number, np.concatenate([found.point, point[new]]), both), place
 
 
-def _alike(leaves: tuple[np.ndarray, ...]) -> list[np.ndarray]:
-    """Arrays of one second size, points of attractors filled up."""
-    if leaves[0].ndim < 3:
-        return list(leaves)
-    most = max(leaf.shape[1] for leaf in leaves)
-    return [filled_up(leaf, most) for leaf in leaves]
+def joined(parts: Sequence[Judged]) -> Judged:
+    """Attractors of several parts, one after the other, with as many points each."""
+    most = max(part.points.shape[1] for part in parts)
+    even = [part._replace(points=filled_up(part.points, most)) for part in parts]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *even)
 
 
 def _same(
@@ -185,16 +186,26 @@ def _same(
     here: Bool[np.ndarray, " others"],
 ) -> Bool[np.ndarray, " others"]:
     """Which of some attractors at the same point another one is: orbits have a point in common, others stay near it."""
-    system = scene.system
-    alike = (others.kind == one.kind) & (others.period == one.period) & here
     if one.kind in (PERIODIC, EQUILIBRIUM):
-        bound = _SAME_ORBIT * np.where(largest > 0.0, largest, 1.0)
-        turns = max(1, int(one.period))
-        apart = np.abs(system.wrap(others.points[:, :turns] - one.u)) if one.kind == PERIODIC else None
-        if apart is None:
-            apart = np.abs(system.wrap(others.u - one.u))[:, None]
-        return alike & np.any(np.all(apart <= bound, axis=-1), axis=1)
+        return same_orbits(scene.system, one, others, largest) & here
+    alike = (others.kind == one.kind) & here
     for k in np.flatnonzero(alike):
         other: Judged = jax.tree.map(lambda leaf, k=k: leaf[k], others)
         alike[k] = bool(_near(scene, other, followed(scene, lanes, one.u[None]))[0])
     return alike
+
+
+def same_orbits(
+    system: Flow, one: Judged, others: Judged, largest: Float[np.ndarray, " d"]
+) -> Bool[np.ndarray, " others"]:
+    """Which of some attractors are an equilibrium or an orbit that has these kind, period and point `u`."""
+    turns = int(one.period)
+    points = others.points[:, :turns] if turns else others.u[:, None]
+    apart = np.abs(system.wrap(points - one.u))
+    alike = (others.kind == one.kind) & (others.period == one.period)
+    return alike & np.any(np.all(apart <= same_within(largest), axis=-1), axis=1)
+
+
+def same_within(largest: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+    """How far apart points of one orbit are at most, with the largest motion of a sweep."""
+    return _SAME_ORBIT * np.where(largest > 0.0, largest, 1.0)

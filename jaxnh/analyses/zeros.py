@@ -31,9 +31,18 @@ class Zeros(NamedTuple):
 def zeros(
     scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"], seen: Look
 ) -> Zeros:
+    """Zeros of the field that lanes have come to: near their points, against how far they have moved in a look."""
+    found = rest_points(scene, lanes, u, size)
+    apart = np.abs(scene.system.wrap(found.u - u))
+    near = np.all(apart <= _NEAR * (seen.high - seen.low) + _rounding(scene, size), axis=1)
+    exponent = np.where(near, found.exponent, np.nan)
+    return Zeros(found.found & near, found.stable & near, found.u, exponent)
+
+
+def rest_points(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
+) -> Zeros:
     """Newton for a zero of the field, least squares where that is singular, from points of lanes."""
-    unit = np.where(angles(scene.system), 1.0, size)
-    rounding = _ROUNDING * unit + _NOTHING * unit.max(axis=1, keepdims=True)
     at, step = u.copy(), np.zeros_like(u)
     rates, change = _fields(scene, lanes, u)
     for _ in range(_STEPS):
@@ -43,8 +52,7 @@ def zeros(
         step = -np.einsum("lij,lj->li", inverse, np.where(finite[:, None], rates, 0.0))
         at = at + step
         rates, change = _fields(scene, lanes, at)
-    settled = np.all(np.abs(step) <= rounding, axis=1)
-    found = settled & np.all(np.abs(scene.system.wrap(at - u)) <= _NEAR * (seen.high - seen.low) + rounding, axis=1)
+    found = np.all(np.abs(step) <= _rounding(scene, size), axis=1)
     real = np.sort(np.linalg.eigvals(np.where(found[:, None, None], change, 0.0)).real, axis=1)[:, ::-1]
     hidden = scene.flow.dimension - scene.flow.exponents  # zeros, of what constraints keep
     if hidden:
@@ -52,6 +60,11 @@ def zeros(
         real = np.sort(np.take_along_axis(real, order, axis=1), axis=1)[:, ::-1]
     least = _ROUNDING * np.linalg.norm(change, axis=(1, 2))
     return Zeros(found, found & (real[:, 0] < -least), at, np.where(found, real[:, 0], np.nan))
+
+
+def _rounding(scene: Scene, size: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
+    unit = np.where(angles(scene.system), 1.0, size)
+    return _ROUNDING * unit + _NOTHING * unit.max(axis=1, keepdims=True)
 
 
 def _fields(
