@@ -111,7 +111,7 @@ class Session:
         """All analyses that the experiment asks for, with the root attributes of a result file."""
         began = time.perf_counter()
         job, groups = self._computed(self.experiment)
-        attrs = attributes(self.experiment, job, spent(self._lanes, time.perf_counter() - began))
+        attrs = attributes(self.experiment, job.stages()[-1], spent(self._lanes, time.perf_counter() - began))
         return xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs), **groups})  # pyright: ignore[reportUnknownMemberType]
 
     # ---- how
