@@ -182,6 +182,9 @@ class Analysis:
         choose: (options, scene, lane runner) to whole numbers that hold for all lanes of a sweep; of several scenes
             that sample one, the largest count. `run` finds them in `Scene.chosen`.
         count: dataset to the number of lanes of each kind: attributes of the group, that add up over parts.
+        classes: dataset over the axes to whole numbers over them, which differ where the kind of motion does; without
+            it all lanes are of one kind.
+        smooth: variables that a level of a sweep interpolates where it leaves lanes out; others are a neighbour's.
         check: (options, setting) raises `OptionError` where they do not go together.
         table: (dataset, published values by name, their source) to a table for the terminal.
         price: (options, scene) to what a period of it costs; without, it is not measured.
@@ -200,6 +203,8 @@ class Analysis:
     numbers: Callable[[Any], int] = _few
     choose: Callable[[Any, Scene, LaneRunner], Mapping[str, int]] | None = None
     count: Callable[[xr.Dataset], Mapping[str, int]] = _nothing
+    classes: Callable[[xr.Dataset], Int[np.ndarray, ...]] | None = None
+    smooth: tuple[str, ...] = ()
     check: Callable[[Any, Setting], None] = _all_right
     table: Callable[[xr.Dataset, Mapping[str, np.ndarray], str], Table] | None = None
     price: Callable[[Any, Scene], Price] | None = None

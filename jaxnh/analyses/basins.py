@@ -245,6 +245,11 @@ def price(options: BasinsOptions, scene: Scene) -> Price:
     return Price(program, map_alone(scene), "means of every coordinate and its square")
 
 
+def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
+    """Number of the attractor, 0: undecided, -1: failed; of random starts one after the other in the last dimension."""
+    return data["attractor"].to_numpy()
+
+
 ANALYSIS = Analysis(
     "basins",
     BasinsOptions,
@@ -255,6 +260,7 @@ ANALYSIS = Analysis(
     in_time=True,
     numbers=numbers,
     count=count,
+    classes=classes,
     check=check,
     price=price,
     brief={"transient": 2 * BLOCKS},

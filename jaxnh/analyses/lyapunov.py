@@ -340,6 +340,13 @@ def price(options: LyapunovOptions, scene: Scene) -> Price:
     return Price(program(scene, k), program(scene, 0), f"{k} tangent{'s' if k > 1 else ''}")
 
 
+def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
+    """Sign of the largest exponent, 0 where its bar covers zero, 2 where there is no exponent."""
+    largest, error = (data[name].to_numpy()[..., 0] for name in ("exponents", "exponents_error"))
+    sign = np.where(np.abs(largest) > error, np.sign(largest), 0.0)
+    return np.where(np.isfinite(largest), sign, 2.0).astype(int)
+
+
 ANALYSIS = Analysis(
     "lyapunov",
     LyapunovOptions,
@@ -347,6 +354,8 @@ ANALYSIS = Analysis(
     run,
     in_time=True,
     choose=choose,
+    classes=classes,
+    smooth=("exponents", "exponents_error"),
     check=check,
     price=price,
     brief={"transient": 1, "periods": BLOCKS},

@@ -372,6 +372,11 @@ def price(options: PeriodOptions, scene: Scene) -> Price:
     return newton_price(scene, ORBIT_TILE)
 
 
+def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
+    """Kind of motion: the period, 0 where there is none, -1 where the state is not finite."""
+    return np.where(data["failed"].to_numpy() > 0, -1, data["period"].to_numpy())
+
+
 ANALYSIS = Analysis(
     "period",
     PeriodOptions,
@@ -379,6 +384,7 @@ ANALYSIS = Analysis(
     run,
     newton=True,
     numbers=numbers,
+    classes=classes,
     price=price,
     brief={"transient": 1, "limit": 1},
 )

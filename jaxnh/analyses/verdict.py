@@ -278,6 +278,11 @@ def price(options: VerdictOptions, scene: Scene) -> Price:
     return Price(None, map_alone(scene), "not measured: the map alone, for lanes that look chaotic")
 
 
+def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
+    """Kind of motion."""
+    return data["kind"].to_numpy().astype(int)
+
+
 ANALYSIS = Analysis(
     "verdict",
     VerdictOptions,
@@ -285,6 +290,7 @@ ANALYSIS = Analysis(
     run,
     needs=("period", "lyapunov", "chaos01"),
     count=count,
+    classes=classes,
     price=price,
 )
 """The entry of this analysis in the table."""

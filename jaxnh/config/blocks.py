@@ -146,6 +146,24 @@ class SweepBlock(Block, abc.ABC):
             raise rule(f"{counts} are {lanes:,} lanes, and {MOST_LANES:,} is the most", "sweep", *keys)
 
 
+class Levels(Block):
+    """A sweep from coarse to fine: every level has twice as many values of each axis as the one before."""
+
+    count: int = Field(
+        ge=2, le=16, description="Number of levels; the coarsest has every 2^(count - 1)-th value of each axis"
+    )
+    refine: Literal["all", "boundary"] = Field(
+        default="all",
+        description="Lanes that a level adds: all, or those near a change of period, verdict, sign of the largest "
+        "exponent or attractor in the level before; the others are filled from it",
+    )
+
+    @property
+    def coarsest(self) -> int:
+        """Step of the coarsest level along the axes."""
+        return 2 ** (self.count - 1)
+
+
 # ---- a system and its start
 
 

@@ -21,9 +21,9 @@ from pydantic import Field, PrivateAttr, ValidationError, field_validator, model
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, rule
 from jaxnh.analyses.scene import Axis
-from jaxnh.config.blocks import Accuracy, Analyses, Block, Published, SectionBlock, SystemBlock
+from jaxnh.config.blocks import Accuracy, Analyses, Block, Levels, Published, SectionBlock, SystemBlock
 from jaxnh.config.layout import layout, user_layout
-from jaxnh.config.messages import close_match, first_fault
+from jaxnh.config.messages import close_match, first_fault, listed
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, PrescribedSpeed, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_source import Source, from_dict, from_text, read
@@ -46,6 +46,9 @@ class Experiment(Block):
     )
     initial: Initial = Field(default=Initial(), description="Start state at t = 0, where it is not swept")
     sweep: Sweep = Field(description="The parameters and start coordinates that differ from lane to lane: their values")
+    levels: Levels | None = Field(
+        default=None, description="From coarse to fine: levels of the sweep, each a result that can be read"
+    )
     section: PoincareSection | None = Field(
         default=None, description="Without forcing and disturbance, the section whose crossings take the strobe's place"
     )
@@ -88,7 +91,7 @@ class Experiment(Block):
     def variant(
         self, analyses: Mapping[str, Options | Mapping[str, Any] | None], axes: Mapping[str, ArrayLike]
     ) -> Experiment:
-        """The same experiment with other analyses, and on other lanes.
+        """The same experiment with other analyses, on other lanes and without levels.
 
         Args:
             analyses: name to options; None for those that it has here, or else all defaults.
@@ -98,7 +101,7 @@ class Experiment(Block):
         Raises:
             ConfigError: one line, `experiment: KEY: what is wrong`.
         """
-        content: dict[str, Any] = {**(self._origin.data if self._origin else {}), "compare": None}
+        content: dict[str, Any] = {**(self._origin.data if self._origin else {}), "compare": None, "levels": None}
         for block in ("system", "initial"):
             given = content.get(block) or {}
             content[block] = {key: value for key, value in given.items() if key not in axes}
@@ -134,7 +137,25 @@ class Experiment(Block):
         )
         for analysis, options in self.requested():
             self._check_analysis(analysis, options, setting)
+        if self.levels:
+            self._check_levels(self.levels)
         return self
+
+    def _check_levels(self, levels: Levels) -> None:
+        """See that the coarsest level has two values of every axis, and that lanes can be left out."""
+        for name, grid in self.sweep.grids.items():
+            if 1 < grid.size <= levels.coarsest:
+                most = (grid.size - 1).bit_length()
+                few = f"{grid.size} values of {name} are too few for {levels.count} levels"
+                advice = f"{most} at most, or {levels.coarsest + 1} values" if most > 1 else "leave levels out"
+                raise rule(f"{few}: {advice}", "levels.count", f"sweep.{name}")
+        for analysis, options in self.requested():
+            if not analysis.independent(options):
+                along = f"{analysis.name} runs along all values of {next(iter(self.sweep.grids))}"
+                raise rule(f"{along}, and levels leave some out: run it without them", f"analyses.{analysis.name}")
+        if levels.refine == "boundary" and not any(analysis.classes for analysis, _ in self.requested()):
+            known = listed([analysis.name for analysis in ANALYSES.values() if analysis.classes])
+            raise rule(f"a boundary is seen in {known}; ask for one of them as well", "levels.refine")
 
     def _check_accuracy(self) -> None:
         """See that solver and precision go with the system."""

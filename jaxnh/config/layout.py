@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.config.blocks import Accuracy, Analyses, Evenly, Named, Published
+from jaxnh.config.blocks import Accuracy, Analyses, Evenly, Levels, Named, Published
 from jaxnh.config.messages import Layout
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
@@ -18,6 +18,7 @@ _GRIDS: Mapping[str, type[BaseModel]] = {"start, stop, count": Evenly, "values":
 _SHARED: Mapping[KeyPath, type[BaseModel]] = {
     ("accuracy",): Accuracy,
     ("analyses",): Analyses,
+    ("levels",): Levels,
     **{("analyses", name): analysis.options for name, analysis in ANALYSES.items()},
     **{("compare", name): Published for name in ANALYSES},
 }

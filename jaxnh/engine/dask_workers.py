@@ -15,11 +15,12 @@ import re
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine import xla_options
+from jaxnh.engine import level_files, xla_options
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.levels import Level, axes_of
 from jaxnh.engine.plan import compute
 from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
 from jaxnh.storage import tiles
@@ -56,7 +57,7 @@ def check(where: str) -> None:
 
 
 def run(
-    where: str,
+    client: Any,
     folder: Path,
     job: Job,
     stages: Sequence[Sequence[Piece]],
@@ -66,19 +67,18 @@ def run(
     """Have pieces computed by the workers of a cluster.
 
     Args:
-        where: `local`, `local:N`, the address of a scheduler or its file.
+        client: of the cluster (`cluster`).
+        job: that the pieces are of, a level's where the sweep has levels.
         stages: pieces; those of a stage are begun once all before them are there.
         heed: called often; may raise to end the run.
         finished: called with each receipt.
 
     Raises:
-        ArgumentError: there is no such cluster.
         Stopped: the cluster is gone.
         RunError: a piece failed on every try; its reason. One that loses its workers does not hold others up.
     """
-    with _cluster(where) as client:
-        for pieces in stages:
-            _run_stage(client, folder, job, pieces, heed, finished)
+    for pieces in stages:
+        _run_stage(client, folder, job, pieces, heed, finished)
 
 
 def _run_stage(
@@ -128,7 +128,7 @@ def machine(where: str, lanes: Lanes, heed: Callable[[], None]) -> dict[str, str
     """
     if _LOCAL.fullmatch(where):
         return xla_options.machine(lanes.devices[0], xla_options.flags_of_a_process())
-    with _cluster(where) as client:
+    with cluster(where) as client:
         future = client.submit(_machine, pure=False)
         while not _ended(client, [future]):
             heed()
@@ -163,8 +163,15 @@ def _ended(client: Any, futures: list[Any]) -> list[Any]:
 
 
 @contextlib.contextmanager
-def _cluster(where: str) -> Iterator[Any]:
-    """A client of the cluster; one of our own ends with it."""
+def cluster(where: str) -> Iterator[Any]:
+    """A client of a cluster; one of our own ends with it.
+
+    Args:
+        where: `local`, `local:N`, the address of a scheduler or its file.
+
+    Raises:
+        ArgumentError: there is no such cluster.
+    """
     import dask.config as settings
     from distributed import Client, LocalCluster
 
@@ -212,13 +219,23 @@ def _lanes() -> Lanes:
     return Lanes()
 
 
+class _Task(NamedTuple):
+    """What all pieces of a job have in common: a level's where the sweep has levels."""
+
+    experiment: Experiment
+    job: Job
+    level: Level | None
+
+
 @functools.lru_cache(maxsize=1)
-def _experiment(folder: Path, job_id: str) -> tuple[Experiment, Job]:
-    job = tiles.read_job(folder)
-    if job is None or job.id != job_id:
+def _task(folder: Path, job_id: str) -> _Task:
+    whole = tiles.read_job(folder)
+    job = next((stage for stage in whole.stages() if stage.id == job_id), None) if whole else None
+    if whole is None or job is None:
         raise RuntimeError(f"{folder}, as a worker sees it, is not the folder of this run")
     origin = tiles.origin(folder)
-    return Experiment.from_text(origin.config, origin.user_text), job
+    experiment = Experiment.from_text(origin.config, origin.user_text)
+    return _Task(experiment, job, level_files.read(folder, whole, job))
 
 
 def _machine() -> dict[str, str]:
@@ -226,26 +243,27 @@ def _machine() -> dict[str, str]:
         return _lanes().machine
 
 
-def _piece(folder: str, job_id: str, index: int) -> Receipt:
+def _piece(folder: str, job_id: str, number: int) -> Receipt:
     """Compute a piece and write it, unless it is there; runs in a worker, one at a time."""
     with _AT_ONCE:
         lanes = _lanes()
-        experiment, job = _experiment(Path(folder), job_id)
+        experiment, job, level = _task(Path(folder), job_id)
         if other := xla_options.differing(job.machine, lanes.machine):
             raise RuntimeError(f"the tiles are {other}")
-        piece = job.pieces()[index]
+        piece = job.pieces()[number - job.first]
         with contextlib.suppress(FileNotFoundError, DamagedError):
             return tiles.check(Path(folder), job, piece)
         calls = Calls(Path(folder), job, [piece])
         with lanes.keeping(calls):
             [done] = compute(
                 experiment,
-                experiment.axes,
+                axes_of(experiment.axes, job),
                 experiment.requested(),
                 job,
                 [piece],
                 lanes,
                 lambda name: gathered(Path(folder), job, name),
+                level,
             )
         receipt = tiles.write_piece(Path(folder), job, *done)
         calls.close(remove=True)

@@ -13,6 +13,8 @@ from jaxnh.storage.atomic import check_writable, target_of
 def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
     """Whether a file is the result of this very experiment. Anything else is only replaced when that is asked for.
 
+    What a coarser level has left is not yet the result.
+
     All of it is read and compared with its checksums.
 
     Raises:
@@ -25,6 +27,8 @@ def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
         same = attrs["config_sha256"] == experiment.sha256
     except (ResultError, KeyError):
         raise ArgumentError("output", f"{path} is there and is no result of jaxnh", "replaces it") from None
+    if same and attrs.get("level", 0) < attrs.get("levels", 0):
+        return False
     if not same:
         other = other_than(experiment, attrs.get("system_file"))
         raise ArgumentError("output", f"{path} holds the result of {other}", "replaces it")

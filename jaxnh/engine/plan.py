@@ -18,6 +18,7 @@ from jaxnh.config.experiment import Experiment
 from jaxnh.engine.axes import Points, on_axes, places_of, points, sampled, whole_on_axes
 from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan
 from jaxnh.engine.lanes import TILE, Lanes
+from jaxnh.engine.levels import Level, filled, with_computed
 from jaxnh.exceptions import AccuracyError
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece, tile_lanes
@@ -139,6 +140,8 @@ def job_of(
         tile=min(tile, -(-count // parts)),
         wholes=tuple((analysis.name, *analysis.whole.brings) for analysis, _ in requested if analysis.whole),
         machine=machine,
+        levels=experiment.levels.count if experiment.levels else 1,
+        refine=experiment.levels.refine if experiment.levels else "",
     )
 
 
@@ -166,12 +169,21 @@ def work_of(analyses: Requested, lanes: int) -> float:
     return sum(analysis.periods(options, lanes) for analysis, options in analyses) / lanes
 
 
-def work_of_pieces(requested: Requested, job: Job, pieces: Sequence[Piece]) -> dict[int, float]:
+def lanes_of(piece: Piece, level: Level | None) -> int:
+    """How many lanes of a piece are computed."""
+    return piece.lanes if level is None else int(level.wanted_in(piece).sum())
+
+
+def work_of_pieces(
+    requested: Requested, job: Job, pieces: Sequence[Piece], level: Level | None = None
+) -> dict[int, float]:
     """Expected lane-periods of pieces, by their numbers; of those made of all tiles, few and not known before."""
     options = {analysis.name: (analysis, options) for analysis, options in requested}
     kinds = {piece.names for piece in pieces}
     each = {names: work_of([options[name] for name in names if name in options], job.lanes) for names in kinds}
-    return {piece.number: 0.0 if job.is_whole(piece) else each[piece.names] * piece.lanes for piece in pieces}
+    return {
+        piece.number: 0.0 if job.is_whole(piece) else each[piece.names] * lanes_of(piece, level) for piece in pieces
+    }
 
 
 def numbers_of(analyses: Requested) -> int:
@@ -202,18 +214,24 @@ def plan_of_job(job: Job) -> Plan:
 # ---- pieces
 
 
-def batches(requested: Requested, job: Job, pieces: Sequence[Piece], devices: int) -> list[list[Piece]]:
+def batches(
+    requested: Requested, job: Job, pieces: Sequence[Piece], devices: int, level: Level | None = None
+) -> list[list[Piece]]:
     """Pieces that are computed together: tiles in a row, of the same shared values, enough for all devices."""
     numbers = max(1, numbers_of([(a, options) for a, options in requested if a.name in job.independent]))
-    most = max(1, min(devices * TILE // job.tile, _BATCH_BYTES // (8 * numbers * job.tile)))
+    most, held = max(job.tile, devices * TILE), max(job.tile, _BATCH_BYTES // (8 * numbers))
     found: list[list[Piece]] = []
+    computed, there = 0, 0  # lanes of the last batch
     for piece in pieces:
         last = found[-1] if found else []
         follows = bool(last) and piece.number == last[-1].number + 1 and _shared(piece, job) == _shared(last[-1], job)
-        if follows and piece.names == job.independent == last[-1].names and len(last) < most:
+        fits = computed + lanes_of(piece, level) <= most and there + piece.lanes <= held
+        if follows and fits and piece.names == job.independent == last[-1].names:
             last.append(piece)
         else:
             found.append([piece])
+            computed, there = 0, 0
+        computed, there = computed + lanes_of(piece, level), there + piece.lanes
     return found
 
 
@@ -230,19 +248,62 @@ def compute(
     batch: Sequence[Piece],
     lanes: Lanes,
     gathered: Callable[[str], xr.Dataset],
+    level: Level | None = None,
 ) -> list[Done]:
     """The datasets of pieces of the same analyses and shared values, each what it is if computed alone, bit for bit.
 
     Args:
+        axes: of the sweep, or of a level of it with the values that this has.
         gathered: name of an analysis to what all its tiles say, for a piece that is made of them.
+        level: of the job of one, which lanes are computed, and what the others are filled with.
     """
     if job.is_whole(batch[0]):
         return [_of_all_tiles(experiment, axes, requested, job, piece, lanes, gathered) for piece in batch]
     began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
-    names, line = batch[0].names, batch[0].names != job.independent
+    line = batch[0].names != job.independent
     places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
+    if level is not None:
+        wanted = np.concatenate([level.wanted_in(piece) for piece in batch])
+        places = tuple(place[wanted] for place in places)
+    groups = _groups(experiment, axes, requested, job, batch[0].names, places, lanes, line=line)
+    after = spent(lanes, time.perf_counter() - began)
+    done, first = [], 0
+    for piece in batch:
+        some = lanes_of(piece, level)
+        rows = {LANE: slice(first, first + some)}
+        first += some
+        cut = {name: data.isel(rows, missing_dims="ignore") for name, data in groups.items()}
+        if level is not None:
+            cut = {name: filled(level, name, piece, axes, cut.get(name) if some else None) for name in piece.names}
+        counts = {n: {} if ANALYSES[n].whole else dict(ANALYSES[n].count(data)) for n, data in cut.items()}
+        share = some / len(places[0]) if len(places[0]) else 1.0 / len(batch)
+        cost = Spent(
+            after.seconds * share,
+            (after.compile_seconds - before.compile_seconds) * share,
+            (after.lane_periods - before.lane_periods) * share,
+            after.device,
+        )
+        done.append(Done(piece, {n: on_axes(data, piece, axes, line=line) for n, data in cut.items()}, counts, cost))
+    return done
+
+
+def _groups(
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    requested: Requested,
+    job: Job,
+    names: Sequence[str],
+    places: Sequence[np.ndarray],
+    lanes: Lanes,
+    *,
+    line: bool,
+) -> dict[str, xr.Dataset]:
+    """The datasets of analyses of the lanes at some places along the axes; none where there are no lanes."""
+    if not len(places[0]):
+        return {}
     at = points(experiment, axes, places)
-    scene = scene_of(at, plan_of_job(job), experiment.precision, job.chosen, places[0], axes[0] if line else None)
+    place = places[0] * job.step
+    scene = scene_of(at, plan_of_job(job), experiment.precision, job.chosen, place, axes[0] if line else None)
     if line and axes[0].kind == "shared":
         shared = {axis.name: float(at.where[axis.name][0]) for axis in axes[1:] if axis.kind == "shared"}
         scene = replace(scene, flow_at=lambda value: experiment.flow({**shared, axes[0].name: value}))
@@ -252,22 +313,7 @@ def compute(
         analysis = ANALYSES[name]
         needed = ({need: groups[need] for need in analysis.needs},) if analysis.needs else ()
         groups[name] = analysis.run(options[name], scene, lanes, *needed)
-    after = spent(lanes, time.perf_counter() - began)
-    done, first = [], 0
-    for piece in batch:
-        rows = {LANE: slice(first, first + piece.lanes)}
-        first += piece.lanes
-        cut = {name: data.isel(rows, missing_dims="ignore") for name, data in groups.items()}
-        counts = {n: {} if ANALYSES[n].whole else dict(ANALYSES[n].count(data)) for n, data in cut.items()}
-        share = piece.lanes / scene.count
-        cost = Spent(
-            after.seconds * share,
-            (after.compile_seconds - before.compile_seconds) * share,
-            (after.lane_periods - before.lane_periods) * share,
-            after.device,
-        )
-        done.append(Done(piece, {n: on_axes(data, piece, axes, line=line) for n, data in cut.items()}, counts, cost))
-    return done
+    return groups
 
 
 def _of_all_tiles(
@@ -291,8 +337,12 @@ def _of_all_tiles(
         some = number[tuple(chosen.get(k, slice(None)) for k in range(len(axes)))].ravel()
         places = np.unravel_index(some, job.shape)
         at_row = points(experiment, axes, places)
-        rows.append((some, scene_of(at_row, plan_of_job(job), experiment.precision, job.chosen, places[0])))
-    groups = analysis.whole.run(options, Sweep(tuple(axes), tuple(rows)), lanes, gathered(analysis.name))
+        place = places[0] * job.step
+        rows.append((some, scene_of(at_row, plan_of_job(job), experiment.precision, job.chosen, place)))
+    data = gathered(analysis.name)
+    groups = analysis.whole.run(options, Sweep(tuple(axes), tuple(rows)), lanes, data)
+    if job.level:
+        groups = {name: with_computed(group, data) for name, group in groups.items()}
     after = spent(lanes, time.perf_counter() - began)
     cost = after._replace(
         compile_seconds=after.compile_seconds - before.compile_seconds,

@@ -8,12 +8,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine import dask_workers, early_imports
+from jaxnh.engine import dask_workers, early_imports, level_files
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.levels import Level, axes_of
 from jaxnh.engine.output import other_than
 from jaxnh.engine.plan import (
     Done,
@@ -29,10 +31,11 @@ from jaxnh.engine.progress import Heeding, Progress, Silent
 from jaxnh.engine.xla_options import configure, differing
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
 from jaxnh.storage import tiles
+from jaxnh.storage.atomic import same_file
 from jaxnh.storage.calls import Calls, left
 from jaxnh.storage.merge import DamagedPieceError, Extra, gathered, merge
 from jaxnh.storage.pieces import Job, Piece, share
-from jaxnh.storage.provenance import Method, UserFile, root_attributes, versions
+from jaxnh.storage.provenance import LevelOf, Method, UserFile, root_attributes, versions
 from jaxnh.storage.tiles import Receipt, Spent
 
 GO_ON = "run the same command again to go on"
@@ -100,6 +103,10 @@ def run_to_file(
         return _Run(experiment, path, how, progress, check, began).run()
 
 
+class _Waiting(Stopped):
+    """A part has done its share of a level, and the next one needs that of the others."""
+
+
 class _Run:
     """One run on a folder that is held."""
 
@@ -113,40 +120,82 @@ class _Run:
         began: float,
     ) -> None:
         self._experiment, self._path, self._how, self._check, self._began = experiment, path, how, check, began
-        self._axes, self._requested = experiment.axes, experiment.requested()
+        self._requested = experiment.requested()
         self._folder = tiles.folder_of(path)
         self._shown, self._progress = progress, Heeding(progress, check)
         self._receipts: dict[int, Receipt] = {}
         self._dropped: set[int] = set()
-        self._pieces: Sequence[Piece] = ()
+        self._pieces: list[Piece] = []  # this run's to do, of the levels up to the present one
+        self._every = 0  # pieces of these levels
+        self._level: Level | None = None
+        self._workers = ExitStack()
+        self._client: Any = None
         self._lanes: Lanes | None = None
         self._earlier = 0.0  # seconds that earlier runs have spent on what is there
 
     def run(self) -> Outcome:
-        """Everything from what is there to the result, or to the end of the part."""
+        """Everything from what is there to the result, or to the end of the part: one level after the other."""
         job = self._job()
-        every = [piece for piece in job.pieces() if not (self._how.part and job.is_whole(piece))]
-        work = work_of_pieces(self._requested, job, every)
-        self._pieces = share(job, self._how.part, work) if self._how.part else every
-        self._find(job)
-        self._earlier += sum(receipt.spent.seconds for receipt in self._receipts.values())
+        stages = job.stages()
         try:
-            while True:
-                self._compute(job, [piece for piece in self._pieces if piece.number not in self._receipts])
-                if self._how.part:
-                    return self._outcome(job, len(every), whole=False)
-                try:
-                    self._finish(job)
-                    return self._outcome(job, len(every), whole=True)
-                except DamagedPieceError as error:
-                    if error.piece.number in self._dropped:  # computed anew, and the same: it is not the disk
-                        raise RunError(f"tile {error.piece.number} does not fit the others: {error.why}") from error
-                    self._drop(error.piece, error.why)
+            with self._workers:
+                for stage in stages:
+                    self._stage(job, stage)
+            return self._outcome(job, whole=not self._how.part)
+        except _Waiting:
+            raise
         except Stopped as end:
             raise Stopped(f"{end} with {len(self._receipts)} of {len(self._pieces)} tiles done") from None
         except (ResultError, RunError) as error:
             kept = f"; {len(self._receipts)} of {len(self._pieces)} tiles are kept: {GO_ON}"
             raise RunError(f"{error}{kept if self._folder.is_dir() else ''}") from error
+
+    def _stage(self, job: Job, stage: Job) -> None:
+        """A level of the sweep, or without levels all of it, from what is there of it to its result."""
+        part, last = self._how.part, stage.level in (0, job.levels)
+        if not self._how.merge:
+            self._level = level_files.read(self._folder, job, stage)
+        every = [piece for piece in stage.pieces() if not (part and stage.is_whole(piece))]
+        mine = every
+        if part:
+            mine = share(stage, part, work_of_pieces(self._requested, stage, every, self._level))
+        self._pieces += mine
+        self._every += len(every)
+        self._find(stage, mine)
+        while True:
+            self._compute(stage, [piece for piece in mine if piece.number not in self._receipts])
+            if part and last:
+                return
+            if part:
+                self._join(stage, every)
+            try:
+                if last:
+                    self._finish(stage)
+                elif not self._how.merge:
+                    self._publish(stage)
+                return
+            except DamagedPieceError as error:
+                if error.piece.number in self._dropped:  # computed anew, and the same: it is not the disk
+                    raise RunError(f"tile {error.piece.number} does not fit the others: {error.why}") from error
+                self._drop(error.piece, error.why)
+
+    def _join(self, stage: Job, every: Sequence[Piece]) -> None:
+        """See that the other parts have done their tiles of a level, and do what is made of all tiles.
+
+        Raises:
+            _Waiting: they have not.
+        """
+        others = [piece for piece in every if piece.number not in self._receipts]
+        there = self._there(stage, others)
+        if len(there) < len(others):
+            part, of = self._how.part or (1, 1)
+            raise _Waiting(
+                f"part {part}/{of} of level {stage.level} of {stage.levels} is done, and {len(others) - len(there)} "
+                "tiles of other parts are not"
+            )
+        last = [piece for piece in stage.pieces() if stage.is_whole(piece)]
+        missing = set(last) - set(self._there(stage, last))
+        self._compute(stage, sorted(missing))
 
     def _job(self) -> Job:
         """The job of the folder if it is of this config, else a new one."""
@@ -191,9 +240,18 @@ class _Run:
             self._lanes = Lanes(self._progress)
         return self._lanes
 
-    def _find(self, job: Job) -> None:
+    def _find(self, job: Job, pieces: Sequence[Piece]) -> None:
         """Which pieces are done; those that are there and of no use are dropped."""
-        for piece in self._pieces:
+        there = self._there(job, pieces)
+        self._dropped.clear()
+        self._earlier += sum(self._receipts[piece.number].spent.seconds for piece in there)
+        if there:
+            of = f" of level {job.level}" if job.level else ""
+            self._progress.note(f"{len(there)} of {len(pieces)} tiles{of} are done; going on")
+
+    def _there(self, job: Job, pieces: Sequence[Piece]) -> list[Piece]:
+        """The pieces that are there; those of no use are dropped."""
+        for piece in pieces:
             try:
                 self._receipts[piece.number] = tiles.check(self._folder, job, piece)
             except FileNotFoundError:
@@ -201,9 +259,7 @@ class _Run:
             except DamagedError as error:
                 self._drop(piece, str(error))
             self._check()
-        self._dropped.clear()
-        if self._receipts:
-            self._progress.note(f"{len(self._receipts)} of {len(self._pieces)} tiles are done; going on")
+        return [piece for piece in pieces if piece.number in self._receipts]
 
     def _drop(self, piece: Piece, why: str) -> None:
         self._receipts.pop(piece.number, None)
@@ -222,16 +278,18 @@ class _Run:
             raise ArgumentError(
                 "merge", f"{len(missing)} of {len(self._pieces)} tiles are missing ({lost}); run their parts again"
             )
-        cost = work_of_pieces(self._requested, job, [*missing, *last])
+        cost = work_of_pieces(self._requested, job, [*missing, *last], self._level)
         if self._how.dask:
-            self._over([*missing, *last], cost, lambda: self._on_workers(job, (missing, last), cost))
+            self._over(job, [*missing, *last], cost, lambda: self._on_workers(job, (missing, last), cost))
             return
         lanes = self._make_lanes()
         found = self._batches(job, missing, len(lanes.devices))
         cut = [batch for batch in found if batch[0].names == job.independent]
         if len(cut) > 1:
             found = [batch for batch in found if batch[0].names != job.independent]
-            self._over([piece for batch in cut for piece in batch], cost, lambda: self._in_turn(job, cut, lanes, cost))
+            self._over(
+                job, [piece for batch in cut for piece in batch], cost, lambda: self._in_turn(job, cut, lanes, cost)
+            )
         self._in_turn(job, found, lanes, {})
         self._in_turn(job, [[piece] for piece in last], lanes, {})  # what they are made of has been written
 
@@ -241,11 +299,12 @@ class _Run:
         for numbers in left(self._folder, job):
             if rest.keys() >= set(numbers):  # those of another part are not ours to go on with
                 begun.append([rest.pop(number) for number in numbers])
-        return begun + batches(self._requested, job, list(rest.values()), devices)
+        return begun + batches(self._requested, job, list(rest.values()), devices, self._level)
 
-    def _over(self, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
+    def _over(self, job: Job, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""
-        label = f"{', '.join(dict.fromkeys(name for piece in pieces for name in piece.names))}: {len(pieces)} tiles"
+        names = ", ".join(dict.fromkeys(name for piece in pieces for name in piece.names))
+        label = f"{names}: {len(pieces)} tiles{f' of level {job.level} of {job.levels}' if job.level else ''}"
         self._shown.start(label, sum(cost[piece.number] for piece in pieces))
         self._progress.shown = Silent()
         try:
@@ -257,6 +316,7 @@ class _Run:
     def _in_turn(self, job: Job, found: Sequence[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
         """Compute batches one after the other; each is written while the next is computed."""
         written: list[Future[list[Receipt]]] = []
+        axes = axes_of(self._experiment.axes, job)
 
         def settle() -> None:
             while written:
@@ -275,12 +335,13 @@ class _Run:
                     with lanes.keeping(calls):
                         computed = compute(
                             self._experiment,
-                            self._axes,
+                            axes,
                             self._requested,
                             job,
                             batch,
                             lanes,
                             lambda name: gathered(self._folder, job, name),
+                            self._level,
                         )
                     settle()
                     written.append(writer.submit(self._write, job, computed, calls))
@@ -293,8 +354,9 @@ class _Run:
         return receipts
 
     def _on_workers(self, job: Job, stages: Sequence[Sequence[Piece]], cost: dict[int, float]) -> None:
-        where = self._how.dask or ""
-        dask_workers.run(where, self._folder, job, stages, self._check, lambda receipt: self._done(receipt, cost))
+        if self._client is None:
+            self._client = self._workers.enter_context(dask_workers.cluster(self._how.dask or ""))
+        dask_workers.run(self._client, self._folder, job, stages, self._check, lambda one: self._done(one, cost))
 
     def _done(self, receipt: Receipt, cost: dict[int, float]) -> None:
         self._receipts[receipt.number] = receipt
@@ -312,15 +374,25 @@ class _Run:
 
     def _finish(self, job: Job) -> None:
         """Merge, then remove the tiles."""
+        self._merge(job, self._path)
+        tiles.clear(self._folder)
+
+    def _publish(self, stage: Job) -> None:
+        """The result of a level, in the folder for the next one, and in place of the result that comes in the end."""
+        kept = level_files.path_of(self._folder, stage)
+        if not level_files.is_there(self._folder, stage):
+            self._merge(stage, kept)
+        same_file(kept, self._path)
+
+    def _merge(self, job: Job, path: Path) -> None:
         of = {name: [self._receipts[piece.number] for piece in job.sources(name)] for name in job.groups}
         counts = {name: _counts(name, receipts) for name, receipts in of.items()}
         extras = {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
         self._total = self._spent()
         attrs = attributes(self._experiment, job, self._total, self._how.command)
-        merge(self._path, attrs, self._folder, job, extras, self._check)
-        tiles.clear(self._folder)
+        merge(path, attrs, self._folder, job, extras, self._check)
 
-    def _outcome(self, job: Job, every: int, *, whole: bool) -> Outcome:
+    def _outcome(self, job: Job, *, whole: bool) -> Outcome:
         lanes = self._lanes
         return Outcome(
             job,
@@ -328,14 +400,14 @@ class _Run:
             time.perf_counter() - self._began,
             lanes.compile_seconds if lanes else 0.0,
             lanes.run_seconds if lanes else 0.0,
-            (len(self._pieces), every),
+            (len(self._pieces), self._every),
             whole,
         )
 
 
 def attributes(experiment: Experiment, job: Job, total: Spent, command: str = "") -> dict[str, object]:
     """Root attributes of a result; `command` is "" for a call from Python."""
-    own, clock = experiment.user_file, clock_of(experiment, experiment.axes)
+    own, clock = experiment.user_file, clock_of(experiment, axes_of(experiment.axes, job))
     return root_attributes(
         title=experiment.title,
         config=experiment.text,
@@ -350,6 +422,7 @@ def attributes(experiment: Experiment, job: Job, total: Spent, command: str = ""
         user_file=UserFile(str(own.path), own.text, own.sha256) if own else None,
         chosen=job.chosen,
         machine=job.machine,
+        level=LevelOf(job.level, job.levels, job.refine) if job.level else None,
     )
 
 

@@ -18,8 +18,10 @@ from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers, early_imports
 from jaxnh.engine.calibration import Plan
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.levels import Level, axes_of, level_of
 from jaxnh.engine.output import check_output, file_of, is_there
 from jaxnh.engine.plan import (
+    Requested,
     batches,
     calibrate,
     choose,
@@ -110,7 +112,7 @@ class Session:
         """All analyses that the experiment asks for, with the root attributes of a result file."""
         began = time.perf_counter()
         job, groups = self._computed(self.experiment)
-        attrs = attributes(self.experiment, job, spent(self._lanes, time.perf_counter() - began))
+        attrs = attributes(self.experiment, job.stages()[-1], spent(self._lanes, time.perf_counter() - began))
         return xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs), **groups})  # pyright: ignore[reportUnknownMemberType]
 
     # ---- how
@@ -133,23 +135,36 @@ class Session:
         plan = self._plan_for(experiment, axes)
         chosen = choose(experiment, axes, plan, requested, lanes)
         job = job_of(experiment, axes, plan, chosen, requested, lanes.machine)
+        whole, of_lanes = dict[str, xr.Dataset](), dict[str, xr.Dataset]()
+        for stage in job.stages():
+            level = level_of(stage, whole, of_lanes)
+            whole, of_lanes = self._stage(experiment, requested, stage, level)
+        for data in whole.values():
+            data.attrs["axes"] = " ".join(job.names)
+        return job, whole
+
+    def _stage(
+        self, experiment: Experiment, requested: Requested, job: Job, level: Level | None
+    ) -> tuple[dict[str, xr.Dataset], dict[str, xr.Dataset]]:
+        """The groups of the result of a sweep, or of a level of it, and what its lanes have left by themselves."""
+        lanes, axes = self._lanes, axes_of(experiment.axes, job)
         parts: dict[tuple[str, bool], list[Any]] = {}
+        of_lanes: dict[str, xr.Dataset] = {}
         counts: dict[str, dict[str, int]] = {name: {} for name in job.groups}
 
         def gathered(name: str) -> xr.Dataset:
-            return assemble(parts.pop((name, False)), job)
+            of_lanes[name] = assemble(parts.pop((name, False)), job)
+            return of_lanes[name]
 
-        for batch in batches(requested, job, job.pieces(), len(lanes.devices)):
-            for done in compute(experiment, axes, requested, job, batch, lanes, gathered):
+        for batch in batches(requested, job, job.pieces(), len(lanes.devices), level):
+            for done in compute(experiment, axes, requested, job, batch, lanes, gathered, level):
                 for name, data in done.groups.items():
                     parts.setdefault((name, job.is_whole(done.piece)), []).append((done.piece, data))
                     for kind, number in done.counts[name].items():
                         counts[name][kind] = counts[name].get(kind, 0) + number
         extras = {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
         whole = {name: assemble(parts[name, job.is_whole(job.sources(name)[0])], job, extras[name]) for name in counts}
-        for data in whole.values():
-            data.attrs["axes"] = " ".join(job.names)
-        return job, whole
+        return whole, {**whole, **of_lanes}
 
 
 def run(

@@ -12,6 +12,7 @@ import xarray as xr
 
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.levels import COMPUTED, axes_of
 from jaxnh.engine.plan import compute
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ResultError, RunError
@@ -25,8 +26,9 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     """For every analysis in a file: how many lanes were run again, and how many of them differ in any bit.
 
     Three blocks of neighbouring lanes are taken, from both ends and the middle of all axes; none where an analysis is
-    run along the whole first axis. What is made of a whole sweep is left out. The text of a user's system that is in
-    the file is run: ask before whether it is to be trusted (`jaxnh.inspect --trust`).
+    run along the whole first axis. Left out are lanes that a level was filled with, and what is made of a whole sweep.
+    The text of a user's system that is in the file is run: ask before whether it is to be trusted (`jaxnh.inspect
+    --trust`).
 
     Raises:
         ResultError: the file says too little of how it was made.
@@ -38,7 +40,7 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     configure()
     # Of a user's system the text in the result alone, never a file that a config in it may name.
     experiment = Experiment.from_text(attrs["config"], attrs.get("system_file", ""))
-    axes, requested = experiment.axes, experiment.requested()
+    requested = experiment.requested()
     job = Job(
         config_sha256=attrs["config_sha256"],
         versions={},
@@ -49,19 +51,23 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
         chosen=json.loads(attrs["chosen"]),
         order=tuple(analysis.name for analysis, _ in requested),
         independent=tuple(analysis.name for analysis, options in requested if analysis.independent(options)),
-        axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in axes),
+        axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in experiment.axes),
         tile=_LANES,
+        levels=int(attrs.get("levels", 1)),
     )
+    job = job.stages()[int(attrs.get("level", 1)) - 1]
+    axes = axes_of(experiment.axes, job)
     found: dict[str, tuple[int, int]] = {a.name: (0, 0) for a, _ in requested if not a.whole}
     lanes = Lanes()
     for piece in _picked(job) if job.independent else ():
         [done] = compute(experiment, axes, requested, job, [piece], lanes, _nothing_gathered)
         for name in filter(found.__contains__, done.groups):
             data = done.groups[name]
+            computed = _computed(path, name, piece, job)
             differs = np.zeros(piece.lanes, bool)
             for ours, theirs in _pairs(path, name, data, piece, job):
                 differs |= np.any(ours != theirs, axis=1)
-            found[name] = found[name][0] + len(differs), found[name][1] + int(differs.sum())
+            found[name] = found[name][0] + int(computed.sum()), found[name][1] + int(differs[computed].sum())
     return found
 
 
@@ -77,6 +83,15 @@ def _picked(job: Job) -> list[Piece]:
     room = np.array(job.shape) - size
     begins = dict.fromkeys(tuple((room * k // 2).tolist()) for k in range(3))
     return [Piece(0, job.independent, begin, tuple((np.array(begin) + size).tolist())) for begin in begins]
+
+
+def _computed(path: Path, name: str, piece: Piece, job: Job) -> np.ndarray:
+    """Which lanes of a piece were computed, and not filled from a coarser level."""
+    if not job.level:
+        return np.ones(piece.lanes, bool)
+    with h5py.File(path, "r") as file:
+        item = hdf5.variables(hdf5.groups(file)[name])[COMPUTED]
+        return hdf5.read(item, slab(job.names, piece, job.names)).ravel().astype(bool)
 
 
 def _pairs(path: Path, name: str, data: xr.Dataset, piece: Piece, job: Job) -> Iterator[tuple[np.ndarray, np.ndarray]]:

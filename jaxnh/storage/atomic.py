@@ -114,6 +114,22 @@ def replacing(path: Path) -> Iterator[Sink]:
             sink.path.unlink(missing_ok=True)
 
 
+def same_file(source: Path, path: Path) -> None:
+    """Give a file that is whole and stays as it is a second name, in place of what has that name.
+
+    Raises:
+        ResultError: the folder or the disk refuses.
+    """
+    try:
+        name = path.with_name(f".{path.name}.{os.getpid()}.part")
+        name.unlink(missing_ok=True)
+        name.hardlink_to(source)
+        name.replace(path)
+        sync(path.parent)
+    except OSError as error:
+        raise ResultError(f"cannot write {path}: {error.strerror or error}") from error
+
+
 def check_writable(path: Path) -> None:
     """Make the folder of an output and see that a file can be made in it, without leaving one.
 

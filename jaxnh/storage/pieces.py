@@ -7,7 +7,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import NamedTuple
 
 _WORK = 2e6  # lane-periods a tile: ten to thirty seconds on one core
@@ -54,6 +54,10 @@ class Job:
         wholes: groups that are made of all tiles together once these are there: name of the analysis, whose tiles have
             a group of that name as well, and then those that it brings.
         machine: kind of processor and options of the compiler, which the last bits of chaotic lanes rest on.
+        levels: from coarse to fine, that the sweep is computed in; each is a job of its own (`stages`).
+        refine: which lanes a level adds, "all" or "boundary"; "" without levels.
+        level: of such a job, from 1; 0 of the whole.
+        first: number of its first piece.
     """
 
     config_sha256: str
@@ -69,6 +73,10 @@ class Job:
     tile: int
     wholes: tuple[tuple[str, ...], ...] = ()
     machine: Mapping[str, str] = field(default_factory=dict[str, str])
+    levels: int = 1
+    refine: str = ""
+    level: int = 0
+    first: int = 0
 
     @property
     def id(self) -> str:
@@ -89,6 +97,27 @@ class Job:
     def lanes(self) -> int:
         """Lanes of the whole sweep."""
         return math.prod(self.shape)
+
+    @property
+    def step(self) -> int:
+        """How many values of an axis of the sweep it is from one of this level to the next."""
+        return 2 ** (self.levels - self.level) if self.level else 1
+
+    def stages(self) -> list[Job]:
+        """The jobs that this one is done in, one after the other: one a level, on every step-th value of each axis."""
+        if self.levels == 1:
+            return [self]
+        found: list[Job] = []
+        for level in range(1, self.levels + 1):
+            stage = replace(self, level=level, first=found[-1].end if found else 0)
+            axes = tuple((name, -(-size // stage.step), shared) for name, size, shared in self.axes)
+            found.append(replace(stage, axes=axes))
+        return found
+
+    @property
+    def end(self) -> int:
+        """Number after that of its last piece."""
+        return self.first + len(self.pieces())
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -116,13 +145,10 @@ class Job:
 
         For each value of the axes that lanes share the others are cut into rectangles of at most `tile` lanes.
         """
-        found = [Piece(k, self.independent, *box) for k, box in enumerate(self._tiles() if self.independent else ())]
-        for name in self.order:
-            if name not in self.independent:
-                found += [Piece(len(found) + k, (name,), *box) for k, box in enumerate(self._lines())]
-        for names in self.wholes:
-            found.append(Piece(len(found), names, (0,) * len(self.shape), self.shape))
-        return found
+        boxes = [(self.independent, box) for box in (self._tiles() if self.independent else ())]
+        boxes += [((name,), box) for name in self.order if name not in self.independent for box in self._lines()]
+        boxes += [(names, ((0,) * len(self.shape), self.shape)) for names in self.wholes]
+        return [Piece(number, names, *box) for number, (names, box) in enumerate(boxes, self.first)]
 
     def _tiles(self) -> Iterator[Box]:
         own = [k for k, (_, _, shared) in enumerate(self.axes) if not shared]

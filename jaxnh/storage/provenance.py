@@ -16,6 +16,14 @@ from jaxnh.storage.tiles import Spent
 _LIBRARIES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
 
 
+class LevelOf(NamedTuple):
+    """Which level of a sweep a result is of, from 1, of how many, and which lanes a level adds: "all" or "boundary"."""
+
+    level: int
+    levels: int
+    refine: str
+
+
 class Method(NamedTuple):
     """What a period is computed with.
 
@@ -63,6 +71,7 @@ def root_attributes(
     user_file: UserFile | None = None,
     chosen: Mapping[str, Mapping[str, int]] | None = None,
     machine: Mapping[str, str] | None = None,
+    level: LevelOf | None = None,
 ) -> Attributes:
     """Root attributes of a result file, in their order.
 
@@ -78,6 +87,7 @@ def root_attributes(
         user_file: of a user's system.
         chosen: what analyses have chosen from the whole sweep; None for what cannot be computed again from the file.
         machine: kind of processor and options of the compiler, each under its name.
+        level: that the result is of, where the sweep has levels.
     """
     libraries = {name: number for name, number in versions.items() if name != "jaxnh"}
     period = np.ravel(np.asarray(strobe_period, np.float64))  # netCDF has attributes of one dimension alone
@@ -103,6 +113,8 @@ def root_attributes(
             "system_file_path": user_file.path,
             "system_file_sha256": user_file.sha256,
         }
+    if level:
+        attrs |= level._asdict()
     if chosen is not None:
         attrs["chosen"] = json.dumps(chosen)
     return attrs

@@ -285,5 +285,6 @@ def tidy(folder: Path) -> None:
         return
     with contextlib.suppress(BusyError, ResultError), hold(folder):
         job = read_job(folder)
-        if job is None or all(piece_path(folder, piece).exists() for piece in job.pieces()):
+        pieces = [piece for stage in job.stages() for piece in stage.pieces()] if job else []
+        if all(piece_path(folder, piece).exists() for piece in pieces):
             clear(folder)

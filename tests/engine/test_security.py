@@ -35,7 +35,7 @@ def test_our_own_cluster_is_on_loopback():
 
     What it computes is waited for by the client that has asked for it, which is no default of the process.
     """
-    with dask_workers._cluster("local:1") as client:
+    with dask_workers.cluster("local:1") as client:
         client.wait_for_workers(1, timeout=60)
         future = client.submit(abs, -2, pure=False)
         while not (ended := dask_workers._ended(client, [future])):
@@ -64,7 +64,7 @@ def test_what_is_not_secured_is_said(address, settings, words):
     """TLS without certificates, and an open address where Dask is told to encrypt: one line each, at once."""
     import dask
 
-    with dask.config.set(settings), pytest.raises(ArgumentError, match=f"(?i){words}"), dask_workers._cluster(address):
+    with dask.config.set(settings), pytest.raises(ArgumentError, match=f"(?i){words}"), dask_workers.cluster(address):
         pass
 
 

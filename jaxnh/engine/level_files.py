@@ -1,0 +1,43 @@
+"""Levels of a sweep in the folder of its tiles: the result of each but the last, which the next one is made from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from jaxnh.engine.levels import Level, level_of
+from jaxnh.exceptions import DamagedError, ResultError
+from jaxnh.storage.hdf5 import open_result, verify
+from jaxnh.storage.merge import gathered
+from jaxnh.storage.pieces import Job
+
+
+def path_of(folder: Path, stage: Job) -> Path:
+    """File of the result of a level."""
+    return folder / f"level-{stage.level}.h5"
+
+
+def is_there(folder: Path, stage: Job) -> bool:
+    """Whether the result of a level is there, and sound."""
+    try:
+        verify(path_of(folder, stage))
+    except (DamagedError, ResultError):
+        return False
+    return True
+
+
+def read(folder: Path, job: Job, stage: Job) -> Level | None:
+    """What a level computes, from the one before; data are read from its file where they are used.
+
+    Args:
+        job: of all levels.
+
+    Raises:
+        ResultError: the level before is not there or damaged.
+    """
+    if stage.level < 2:
+        return level_of(stage, {}, {})
+    before = job.stages()[stage.level - 2]
+    tree = open_result(path_of(folder, before))
+    results = {name: tree[name].to_dataset() for name in before.groups}
+    of_lanes = {names[0]: gathered(folder, before, names[0]) for names in before.wholes}
+    return level_of(stage, results, {**results, **of_lanes})
