@@ -81,6 +81,7 @@ class Orbits(NamedTuple):
         residual: largest component of P(u_i) − u_{i+1} in sizes, (lanes,).
         missed: how far Newton has gone from the guess in its first step, in lengths, (lanes,).
         converged: whether Newton has come to rest, (lanes,).
+        other_way: the direction across `way` that solves the linear equations where two curves cross, of length one.
     """
 
     points: Float[np.ndarray, "lanes n d"]
@@ -91,6 +92,7 @@ class Orbits(NamedTuple):
     residual: Float[np.ndarray, " lanes"]
     missed: Float[np.ndarray, " lanes"]
     converged: Bool[np.ndarray, " lanes"]
+    other_way: Way
 
     def take(self, lanes: Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"] | slice) -> Orbits:
         """Those of some lanes."""
@@ -110,6 +112,17 @@ def inner(family: Family, one: Way, other: Way) -> Float[np.ndarray, " lanes"]:
 def length(family: Family, way: Way) -> Float[np.ndarray, " lanes"]:
     """Lengths of ways."""
     return np.sqrt(inner(family, way, way))
+
+
+def times(factor: Float[np.ndarray, " lanes"], way: Way) -> Way:
+    """Ways times numbers."""
+    return Way(factor[:, None, None] * way.points, factor * way.value)
+
+
+def minus(one: Way, factor: Float[np.ndarray, " lanes"], other: Way) -> Way:
+    """Ways less so many times others."""
+    more = times(factor, other)
+    return Way(one.points - more.points, one.value - more.value)
 
 
 def along_parameter(family: Family, lanes: int, n: int) -> Way:
@@ -146,6 +159,7 @@ def correct(
         none.copy(),
         none.copy(),
         np.zeros(lanes, bool),
+        Way(np.full((lanes, n, d), np.nan), none.copy()),
     )
     last, open_ = np.full(lanes, np.inf), np.arange(lanes)
     for step in range(_NEWTON_STEPS + 1):
@@ -157,11 +171,12 @@ def correct(
         if not len(open_):
             break
         here = Way(across.points[open_], across.value[open_])
-        moved, way, crossing = _solutions(family, missing, blocks, columns, here)
+        moved, way, other, crossing = _solutions(family, missing, blocks, columns, here)
         at_rest = last[open_] <= tolerance
         done = open_[at_rest]
         found.converged[done] = True
-        found.way.points[done], found.way.value[done] = way.points[at_rest], way.value[at_rest]
+        for leaf, new in zip((*found.way, *found.other_way), (*way, *other), strict=True):
+            leaf[done] = new[at_rest]
         found.crossing[done] = crossing[at_rest]
         size = length(family, moved)
         if step == 0:
@@ -192,8 +207,8 @@ def _equations(
 
 def _solutions(
     family: Family, missing: np.ndarray, blocks: np.ndarray, columns: np.ndarray, across: Way
-) -> tuple[Way, Way, np.ndarray]:
-    """The step of Newton across ways, the direction of the curve, and the determinant with it."""
+) -> tuple[Way, Way, Way, np.ndarray]:
+    """The step of Newton across ways, the direction of the curve, that of another one, and the determinant with it."""
     there = np.broadcast_to(-np.eye(blocks.shape[-1]), blocks.shape)
     cycle = cyclic.eliminate(blocks, there)
     solved = cyclic.underdetermined(cycle, missing, columns)
@@ -202,7 +217,10 @@ def _solutions(
     share = inner(family, way, across)
     with np.errstate(divide="ignore", invalid="ignore"):
         back = inner(family, step, across) / share
-    step = Way(step.points - back[:, None, None] * way.points, step.value - back * way.value)
+    step = minus(step, back, way)
     scale = np.where(share < 0.0, -1.0, 1.0) / length(family, way)
     crossing = cyclic.determinant(cycle._replace(closed=solved.square)) * np.sign(scale)
-    return step, Way(scale[:, None, None] * way.points, scale * way.value), crossing
+    way = times(scale, way)
+    other = Way(solved.other_way * family.size, solved.other_rate * family.width)
+    other = minus(other, inner(family, other, way), way)
+    return step, way, times(1.0 / length(family, other), other), crossing

@@ -61,7 +61,7 @@ class Branch:
         tests: test functions of the kinds of the family, (k, kinds).
         multipliers: (k, d).
         residual: largest component of P(u_i) − u_{i+1} in sizes of the motion, (k,).
-        ends: why it ends where it begins, and at its end, numbers in `ENDS`.
+        ends: why it ends where it begins, and at its end, numbers in `ENDS`. A collapsed one goes on to a point beyond.
     """
 
     points: Float[np.ndarray, "k n d"]
@@ -112,13 +112,14 @@ def follow(family: Family, begun: Orbits, steps: Steps = STEPS) -> list[Branch]:
     count, end = np.ones(lanes, int), np.full(lanes, MOST_POINTS)
     size, now, open_ = np.full(lanes, _FIRST * steps.largest), begun, np.arange(lanes)
     while len(open_):
-        taken, step, at_end = _stepped(family, now, size[open_])
+        taken, step, at_end = _stepped(family, now, np.minimum(size[open_], _room(family, now)))
         with np.errstate(invalid="ignore"):
             share = np.where(step > 0.0, taken.missed / np.maximum(step, _SMALLEST), 0.0)
             good = taken.converged & (inner(family, taken.way, now.way) >= _BENT) & (share <= _MISSED)
-        collapsed = good & _collapses(family, now, taken)
-        closed = good & (count[open_] > _LEAST_LOOP) & _passes(family, begun.take(open_), now, taken, 2 * steps.largest)
-        kept = good & ~collapsed & (step > 0.0)
+            good &= (taken.value >= family.low) & (taken.value <= family.high)
+        collapsed, merged = (good & which for which in _collapses(family, now, taken))
+        closed = good & (count[open_] > _LEAST_LOOP) & _passes(family, begun.take(open_), now, taken, 2.0 * step)
+        kept = good & ~merged & (step > 0.0)
         history.append(_Points.of(family, open_[kept], taken.take(kept)))
         count[open_[kept]] += 1
         factor = np.where(good, np.clip(_WANTED / np.maximum(share, _SMALLEST), 0.5, 2.0), 0.25)
@@ -210,17 +211,40 @@ def _stepped(
     return correct(family, points, value, across), step, at_end
 
 
-def _collapses(family: Family, now: Orbits, taken: Orbits) -> Bool[np.ndarray, " lanes"]:
-    """Whether orbits are, or have been on the way, ones of a shorter period: a doubling that the branch is born in."""
-    n, found = now.points.shape[1], np.zeros(len(now.value), bool)
+def _gap(points: np.ndarray) -> np.ndarray:
+    """From each point (or vector) to the one half a period on."""
+    return points - np.roll(points, points.shape[1] // 2, 1)
+
+
+def _room(family: Family, now: Orbits) -> Float[np.ndarray, " lanes"]:
+    """Largest steps of orbits that have just been born in a doubling: half of what they are apart from its orbit."""
+    none = np.zeros(len(now.value))
+    if now.points.shape[1] % 2:
+        return none + np.inf
+    gap, change = (Way(leaf, none) for leaf in (family.wrap(_gap(now.points)), _gap(now.way.points)))
+    return np.where(inner(family, gap, change) > 0.0, 0.5 * length(family, gap), np.inf)
+
+
+def _collapses(
+    family: Family, now: Orbits, taken: Orbits
+) -> tuple[Bool[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
+    """Whether orbits are, or have been on the way, ones of a shorter period; and whether they still are.
+
+    That is a doubling that the branch is born in. Beyond it, it has the same orbits again, half a period on.
+    """
+    n = now.points.shape[1]
+    found, merged = np.zeros((2, len(now.value)), bool)
     none = np.zeros(len(found))
     for m in (n // q for q in range(2, n + 1) if n % q == 0 and all(q % r for r in range(2, q))):
         before, after = (Way(family.wrap(o.points - np.roll(o.points, -m, 1)), none) for o in (now, taken))
-        found |= (inner(family, before, after) <= 0.0) | (length(family, after) < _SAME)
-    return found
+        merged |= length(family, after) < _SAME
+        found |= merged | (inner(family, before, after) <= 0.0)
+    return found, merged
 
 
-def _passes(family: Family, begun: Orbits, now: Orbits, taken: Orbits, near: float) -> Bool[np.ndarray, " lanes"]:
+def _passes(
+    family: Family, begun: Orbits, now: Orbits, taken: Orbits, near: Float[np.ndarray, " lanes"]
+) -> Bool[np.ndarray, " lanes"]:
     """Whether a step passes the orbit that its branch has begun with, whichever of its points comes first."""
     found = np.zeros(len(now.value), bool)
     for m in range(now.points.shape[1]):

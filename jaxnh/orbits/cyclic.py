@@ -59,6 +59,7 @@ class Solutions(NamedTuple):
         y, x: one of them, the least in (y_0, x): (..., n, m) and (...).
         way, rate: the direction of the line, (..., n, m) and (...), of length one in (y_0, x).
         square: `closed` with the column c and, as a last row, the direction in (y_0, x), (..., m + 1, m + 1).
+        other_way, other_rate: as way and rate, of the direction that is least far from one of a plane of solutions.
     """
 
     y: Float[np.ndarray, "... n m"]
@@ -66,6 +67,8 @@ class Solutions(NamedTuple):
     way: Float[np.ndarray, "... n m"]
     rate: Float[np.ndarray, ...]
     square: Float[np.ndarray, "... m m"]
+    other_way: Float[np.ndarray, "... n m"]
+    other_rate: Float[np.ndarray, ...]
 
 
 def underdetermined(
@@ -75,10 +78,10 @@ def underdetermined(
     (last, known), (last_column, known_column) = _carried(cycle, right), _carried(cycle, column)
     wide = np.concatenate([cycle.closed, last_column[..., None]], axis=-1)
     left, singular, rows = np.linalg.svd(wide, full_matrices=True)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = (np.swapaxes(left, -1, -2) @ last[..., None])[..., 0] / singular
-        least = (np.swapaxes(rows[..., :-1, :], -1, -2) @ shares[..., None])[..., 0]
-    null = rows[..., -1, :]
+    shares = (np.swapaxes(left, -1, -2) @ last[..., None])[..., 0]
+    shares = np.where(singular > 0.0, shares / np.where(singular > 0.0, singular, 1.0), 0.0)
+    least = (np.swapaxes(rows[..., :-1, :], -1, -2) @ shares[..., None])[..., 0]
+    null, other = rows[..., -1, :], rows[..., -2, :]
 
     def whole(first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:
         x = first[..., -1:]
@@ -86,7 +89,8 @@ def underdetermined(
 
     none = [np.zeros_like(k) for k in known]
     square = np.concatenate([wide, null[..., None, :]], axis=-2)
-    return Solutions(whole(least, known), least[..., -1], whole(null, none), null[..., -1], square)
+    ways = (whole(null, none), null[..., -1]), (whole(other, none), other[..., -1])
+    return Solutions(whole(least, known), least[..., -1], *ways[0], square, *ways[1])
 
 
 def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:
