@@ -48,14 +48,49 @@ def eliminate(here: Float[np.ndarray, "... n m m"], there: Float[np.ndarray, "..
 
 def solve(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> Float[np.ndarray, "... n m"]:
     """y of r."""
-    m = right.shape[-1]
-    carried, known = right[..., 0, :], []
-    for i, turn in enumerate(cycle.turns, 1):
-        both = np.concatenate([carried, right[..., i, :]], axis=-1)
-        both = (np.swapaxes(turn, -1, -2) @ both[..., None])[..., 0]
-        known.append(both[..., :m])
-        carried = both[..., m:]
+    carried, known = _carried(cycle, right)
     return _back(cycle, np.linalg.solve(cycle.closed, carried[..., None])[..., 0], known)
+
+
+class Solutions(NamedTuple):
+    """All solutions (y, x) of A_i y_i + B_i y_{i+1} + c_i x = r_i, a line: `y` + any number · `way`, and x alike.
+
+    Attributes:
+        y, x: one of them, the least in (y_0, x): (..., n, m) and (...).
+        way, rate: the direction of the line, (..., n, m) and (...), of length one in (y_0, x).
+        square: `closed` with the column c and, as a last row, the direction in (y_0, x), (..., m + 1, m + 1).
+        other_way, other_rate: as way and rate, of the direction that is least far from one of a plane of solutions.
+    """
+
+    y: Float[np.ndarray, "... n m"]
+    x: Float[np.ndarray, ...]
+    way: Float[np.ndarray, "... n m"]
+    rate: Float[np.ndarray, ...]
+    square: Float[np.ndarray, "... m m"]
+    other_way: Float[np.ndarray, "... n m"]
+    other_rate: Float[np.ndarray, ...]
+
+
+def underdetermined(
+    cycle: Cyclic, right: Float[np.ndarray, "... n m"], column: Float[np.ndarray, "... n m"]
+) -> Solutions:
+    """The solutions with one unknown more, which all equations know; `closed` itself may be singular, as at a fold."""
+    (last, known), (last_column, known_column) = _carried(cycle, right), _carried(cycle, column)
+    wide = np.concatenate([cycle.closed, last_column[..., None]], axis=-1)
+    left, singular, rows = np.linalg.svd(wide, full_matrices=True)
+    shares = (np.swapaxes(left, -1, -2) @ last[..., None])[..., 0]
+    shares = np.where(singular > 0.0, shares / np.where(singular > 0.0, singular, 1.0), 0.0)
+    least = (np.swapaxes(rows[..., :-1, :], -1, -2) @ shares[..., None])[..., 0]
+    null, other = rows[..., -1, :], rows[..., -2, :]
+
+    def whole(first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:
+        x = first[..., -1:]
+        return _back(cycle, first[..., :-1], [k - x * kc for k, kc in zip(known, known_column, strict=True)])
+
+    none = [np.zeros_like(k) for k in known]
+    square = np.concatenate([wide, null[..., None, :]], axis=-2)
+    ways = (whole(null, none), null[..., -1]), (whole(other, none), other[..., -1])
+    return Solutions(whole(least, known), least[..., -1], *ways[0], square, *ways[1])
 
 
 def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:
@@ -66,7 +101,8 @@ def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:
 
 def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
     """Determinant of the whole system; with B_i = −1 but for the last, which is +1, that of M_{n−1}…M_0 + 1."""
-    m, steps = cycle.closed.shape[-1], len(cycle.turns)
+    steps = len(cycle.turns)
+    m = cycle.upper[0].shape[-1] if steps else cycle.closed.shape[-1]
     sign, logarithm = np.linalg.slogdet(cycle.closed)
     for turn, upper in zip(cycle.turns, cycle.upper, strict=True):
         diagonal = np.diagonal(upper, axis1=-2, axis2=-1)
@@ -74,6 +110,18 @@ def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
         logarithm = logarithm + np.sum(np.log(np.abs(diagonal)), axis=-1)
     # The equations that are left stand in another order than the points.
     return (-1.0) ** (m * steps) * sign * np.exp(logarithm)
+
+
+def _carried(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """What stands on the right of the equation left for y_0, and of those of the points eliminated."""
+    m = right.shape[-1]
+    carried, known = right[..., 0, :], []
+    for i, turn in enumerate(cycle.turns, 1):
+        both = np.concatenate([carried, right[..., i, :]], axis=-1)
+        both = (np.swapaxes(turn, -1, -2) @ both[..., None])[..., 0]
+        known.append(both[..., :m])
+        carried = both[..., m:]
+    return carried, known
 
 
 def _back(cycle: Cyclic, first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:

@@ -1,0 +1,66 @@
+"""The family of maps that a scene is over its first axis, for `orbits.arclength`: of orbits, or of equilibria."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxnh.analyses.locating import PERIOD_TILE
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.maps.iterate import Derivatives, derivatives
+from jaxnh.maps.protocol import Strobe
+from jaxnh.orbits.arclength import Family
+from jaxnh.systems.flow import Flow, Parameters
+
+
+def orbits_of(
+    scene: Scene, lanes: LaneRunner, strobe: Strobe, size: Float[np.ndarray, " d"], ends: tuple[float, float]
+) -> Family:
+    """Periodic orbits of a map of the scene.
+
+    Args:
+        scene: lanes along the first axis.
+        lanes: runs lanes.
+        strobe: the map, in any refinement.
+        size: of the motion in each section coordinate.
+        ends: of the range of the parameter, the lower one first.
+    """
+    name, shared = scene.line.name, (strobe, np.int32(1))
+
+    def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
+        if not len(u):
+            return _nothing(u)
+        return lanes(derivatives, shared, (u, scene.at(values).p), tile=PERIOD_TILE, static=(name,))
+
+    return Family(period, scene.system.wrap, size, *ends)
+
+
+def equilibria_of(scene: Scene, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]) -> Family:
+    """Equilibria of the field of a scene's flow, which has no clock; sizes as of the flow's own coordinates."""
+    name, scene = scene.line.name, replace(scene.in_time(), along=scene.line)
+
+    def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
+        if not len(u):
+            return _nothing(u)
+        return lanes(field, (scene.flow,), (u, scene.at(values).p), tile=PERIOD_TILE, static=(name,))
+
+    return Family(period, scene.system.wrap, size, *ends, field=True)
+
+
+def field(flow: Flow, u: Float[Array, " d"], p: Parameters, name: str) -> Derivatives:
+    """u + f(u; p) with the rate f of the coordinates, and its derivatives in u and a parameter, of one lane."""
+
+    def moved(u: Array, value: Array) -> Array:
+        y = flow.unchart(u)
+        return u + jnp.stack(flow.lower(y, flow.rhs(0.0, y, {**p, name: value})))
+
+    value = jnp.asarray(p[name])
+    return Derivatives(moved(u, value), jax.jacfwd(moved)(u, value), jax.jacfwd(moved, 1)(u, value))
+
+
+def _nothing(u: Float[np.ndarray, "0 d"]) -> Derivatives:
+    return Derivatives(u, np.zeros((0, u.shape[1], u.shape[1])), u)  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,220 @@
+"""All branches that orbits belong to, and those that cross them at their bifurcations, generation by generation.
+
+Orbits come in waves. Those of a wave that are on no known branch are followed side by side; bifurcations are located on
+what is new, doubled branches and the branches that cross at branch points are followed in turn, and so on up to a
+limit of the period. Then comes the next wave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Complex, Float
+
+from jaxnh.analyses.known_branches import on_branch, same_orbit
+from jaxnh.orbits.arclength import FINE, Family, Orbits, along_parameter, correct
+from jaxnh.orbits.bifurcations import brackets, locate, neutral_pair
+from jaxnh.orbits.branches import COLLAPSED, Branch, Steps, both_ways, follow
+from jaxnh.orbits.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKER, eigenvalues
+from jaxnh.orbits.normal_forms import cubic
+from jaxnh.orbits.switching import crossing, doubled
+
+_NARROW = 1 / 64  # of a chord, about the place of a bifurcation of a less fine map
+_SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have the bifurcation in common
+
+
+class Orbit(NamedTuple):
+    """A periodic orbit at a value of the parameter: (n, d), nearly."""
+
+    points: Float[np.ndarray, "n d"]
+    value: float
+
+
+class Bifurcation(NamedTuple):
+    """A bifurcation.
+
+    Attributes:
+        kind: number in `KINDS`.
+        value, error: of the parameter.
+        branch, place: number of the branch, and of the point of it that comes before.
+        points: the orbit, (n, d).
+        multipliers: of it, (d,).
+        coefficient: cubic one of the normal form; of a fold the second derivative of the parameter along the curve.
+        criticality: −1 subcritical, 1 supercritical, 0 none or not known.
+    """
+
+    kind: int
+    value: float
+    error: float
+    branch: int
+    place: int
+    points: Float[np.ndarray, "n d"]
+    multipliers: Complex[np.ndarray, " d"]
+    coefficient: float
+    criticality: int
+
+
+class Tree(NamedTuple):
+    """Branches, their bifurcations, and how many sign changes of test functions led to none."""
+
+    branches: list[Branch]
+    bifurcations: list[Bifurcation]
+    lost: int
+
+
+Stage = Callable[[str], None]
+"""Told what is done next."""
+
+
+def grow(
+    families: Sequence[Family],
+    waves: Sequence[Sequence[Orbit]],
+    limit: int,
+    steps: Steps,
+    tell: Stage = lambda label: None,
+) -> Tree:
+    """All branches that waves of orbits lead to.
+
+    Args:
+        families: the map, and the same with 2 and 4 times the steps, for the errors of parameters.
+        waves: orbits to begin with.
+        limit: largest period.
+        steps: how branches are followed.
+        tell: is told what is done next.
+    """
+    tree = Tree([], [], 0)
+    for wave in waves:
+        open_ = list(wave)
+        begun: dict[int, list[Orbits]] = {}
+        while open_ or begun:
+            n = min([*(len(orbit.points) for orbit in open_), *begun])
+            mine = [orbit for orbit in open_ if len(orbit.points) == n]
+            open_ = [orbit for orbit in open_ if len(orbit.points) != n]
+            new = _followed(families[0], tree, mine, begun.pop(n, []), steps, tell)
+            if not new:
+                continue
+            tree, more, parents = _with(families, tree, new, limit, tell)
+            open_ += parents
+            for orbits in more:
+                begun.setdefault(orbits.points.shape[1], []).append(orbits)
+    return tree
+
+
+def _followed(
+    family: Family, tree: Tree, some: Sequence[Orbit], begun: Sequence[Orbits], steps: Steps, tell: Stage
+) -> list[Branch]:
+    """The new branches through orbits, and on from orbits at bifurcations, all of one period."""
+    new = list[Branch]()
+    for orbits in begun:  # first, as they begin where their branches do
+        keep = [k for k in range(len(orbits.value)) if _is_new(family, tree.branches, orbits, k)]
+        if keep:
+            tell(f"{len(keep)} branches of period {orbits.points.shape[1]} from bifurcations")
+            _add(family, new, orbits.take(np.array(keep)), follow(family, orbits.take(np.array(keep)), steps))
+    known = [*tree.branches, *new]
+    some = [orbit for orbit in some if not on_branch(family, known, orbit.points, orbit.value)]
+    if some:
+        points, value = np.stack([orbit.points for orbit in some]), np.array([orbit.value for orbit in some])
+        orbits = correct(family, points, value, along_parameter(family, *points.shape[:2]), FINE)
+        keep = [k for k in range(len(some)) if orbits.converged[k] and _is_new(family, known, orbits, k)]
+        keep = [k for i, k in enumerate(keep) if not any(_equal(family, orbits, k, j) for j in keep[:i])]
+        if keep:
+            tell(f"{len(keep)} branches of period {points.shape[1]}")
+            here = orbits.take(np.array(keep))
+            _add(family, new, here, both_ways(family, here, steps))
+    return new
+
+
+def _is_new(family: Family, known: Sequence[Branch], orbits: Orbits, k: int) -> bool:
+    return bool(orbits.converged[k]) and not on_branch(family, known, orbits.points[k], float(orbits.value[k]))
+
+
+def _equal(family: Family, orbits: Orbits, k: int, j: int) -> bool:
+    return orbits.value[k] == orbits.value[j] and same_orbit(family, orbits.points[k], orbits.points[j], _SAME_POINT)
+
+
+def _add(family: Family, new: list[Branch], begun: Orbits, branches: Sequence[Branch]) -> None:
+    """Those that do not begin on one added before."""
+    for k, branch in enumerate(branches):
+        if len(branch.value) > 1 and _is_new(family, new, begun, k):
+            new.append(branch)
+
+
+def _with(
+    families: Sequence[Family], tree: Tree, new: Sequence[Branch], limit: int, tell: Stage
+) -> tuple[Tree, list[Orbits], list[Orbit]]:
+    """The tree with new branches of one period and their bifurcations; first orbits of the branches that leave there.
+
+    And orbits of the shorter period where a branch ends because it was born in a doubling.
+    """
+    family, count, n = families[0], len(tree.branches), new[0].period
+    tree = tree._replace(branches=[*tree.branches, *new])
+    parents = [orbit for branch in new for orbit in _parents(branch)]
+    stretch = brackets(family, new)
+    if stretch is None:
+        return tree, [], parents
+    tell(f"{len(stretch.kind)} bifurcations of period {n}")
+    first = locate(family, stretch)
+    found = first.found.copy()
+    pairs = found & np.isin(stretch.kind, (NEIMARK_SACKER, HOPF))
+    neutral = np.zeros(len(found), bool)
+    neutral[pairs] = neutral_pair(family, first._replace(orbits=first.orbits))[pairs]
+    some = np.flatnonzero(found & ~neutral)
+    lost = int(np.sum(~found))
+    stretch, first = (jax.tree.map(lambda leaf: leaf[some], part) for part in (stretch, first))
+    second, third = (locate(finer, stretch, first.share, _NARROW) for finer in families[1:])
+    error = np.abs(second.orbits.value - first.orbits.value) + np.abs(third.orbits.value - second.orbits.value)
+    error += np.maximum(second.error, third.error)
+    sure = second.found & third.found & np.isfinite(error)
+    lost += int(np.sum(~sure))
+    normal = cubic(families[1], second.orbits, np.where(sure, stretch.kind, FOLD))
+    values = eigenvalues(families[1], second.orbits.take(sure))
+    kept = list[int]()
+    for row, k in enumerate(np.flatnonzero(sure).tolist()):
+        kind = int(stretch.kind[k])
+        coefficient = second.bend[k] if kind == FOLD else normal.coefficient[k]
+        point = Bifurcation(
+            kind,
+            float(second.orbits.value[k]),
+            float(error[k]),
+            count + int(stretch.branch[k]),
+            int(stretch.place[k]),
+            second.orbits.points[k],
+            values[row],
+            float(coefficient),
+            int(normal.criticality[k]),
+        )
+        if not any(_same(family, point, other) for other in tree.bifurcations):
+            tree.bifurcations.append(point)
+            kept.append(k)
+    chosen, kind = np.array(kept, int), stretch.kind[kept]
+    begun = list[Orbits]()
+    double, cross = chosen[kind == DOUBLING], chosen[kind == BRANCH_POINT]
+    if len(double) and 2 * n <= limit:
+        begun.append(doubled(family, first.orbits.take(double), np.real(normal.vectors[double])))
+    if len(cross):
+        sides = [crossing(family, first.orbits.take(cross), sign) for sign in (1.0, -1.0)]
+        begun.append(jax.tree.map(lambda *leaves: np.concatenate(leaves), *sides))
+    return tree._replace(lost=tree.lost + lost), begun, parents
+
+
+def _parents(branch: Branch) -> list[Orbit]:
+    """Orbits of half the period that a branch of doubled ones ends in."""
+    n = branch.period
+    ends = [k for k, end in zip((0, -1), branch.ends, strict=True) if end == COLLAPSED and n % 2 == 0]
+    return [Orbit(_middle(branch.points[k]), float(branch.value[k])) for k in ends]
+
+
+def _middle(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "half d"]:
+    half = len(points) // 2
+    return 0.5 * (points[:half] + points[half:])
+
+
+def _same(family: Family, one: Bifurcation, other: Bifurcation) -> bool:
+    """Whether two branches have a bifurcation in common."""
+    near = _SAME_POINT * family.width + one.error + other.error
+    if one.kind != other.kind or abs(one.value - other.value) > near:
+        return False
+    return same_orbit(family, one.points, other.points, 1e2 * _SAME_POINT)

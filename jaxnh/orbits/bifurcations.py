@@ -1,0 +1,220 @@
+"""Bifurcations on branches: where test functions are zero between two points of a branch. Host code.
+
+As for doublings (`doubling_points`), no derivative of a test function is asked for: it is computed at a few nodes along
+the chord between the two points, a polynomial through them has the root, and narrower rounds follow until rounding is
+reached. The parameter there is that of a polynomial through the nodes as well, also where it turns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+
+from jaxnh.orbits.arclength import FINE, Family, Orbits, Way, correct, inner, length, times
+from jaxnh.orbits.branches import COLLAPSED, Branch
+from jaxnh.orbits.kinds import BRANCH_POINT, FOLD, eigenvalues, kinds, tested
+
+_NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)  # Chebyshev nodes of [−1, 1]
+_DEGREE = 3  # two less than what would go through all nodes: the rest shows truncation and rounding
+_FIT = np.linalg.pinv(np.vander(_NODES, _DEGREE + 1, increasing=True))
+_NARROWER = 64  # from round to round
+_ROUNDS = 4
+_SAFETY = 2.0  # the largest of six misfits, of two degrees of freedom, against the error of a fit
+_BEYOND = 1.5  # nodes' width that a root may lie outside
+_NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
+_REAL = 1e-6  # imaginary part of a multiplier, of its modulus
+
+
+class Brackets(NamedTuple):
+    """Stretches of branches between two points, between which a test function changes sign.
+
+    Attributes:
+        branch: number of the branch, (some,).
+        place: of the first of the two points on it, (some,).
+        kind: of bifurcation, a number in `KINDS`, (some,).
+        points: first points and the chord to the next, each (some, n, d), with their parameters (some,).
+        chord: from the first to the second.
+        ways: directions of the curve at both, as lengths of the chord.
+    """
+
+    branch: Int[np.ndarray, " some"]
+    place: Int[np.ndarray, " some"]
+    kind: Int[np.ndarray, " some"]
+    begun: Way
+    chord: Way
+    ways: tuple[Way, Way]
+
+
+class Located(NamedTuple):
+    """Zeros of test functions.
+
+    Attributes:
+        share: of the chord, in direction of it, where they are, (some,).
+        error: of the value of the parameter, by rounding and interpolation, (some,).
+        bend: second derivative of the parameter along the curve, in widths of the range, (some,).
+        orbits: there.
+        found: whether there is one, (some,).
+    """
+
+    share: Float[np.ndarray, " some"]
+    error: Float[np.ndarray, " some"]
+    bend: Float[np.ndarray, " some"]
+    orbits: Orbits
+    found: Bool[np.ndarray, " some"]
+
+
+def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
+    """All that test functions show on branches of one period; None where they show nothing."""
+    order, found = kinds(family), list[tuple[int, int, int]]()
+    for number, branch in enumerate(branches):
+        changes = np.diff(np.signbit(branch.tests), axis=0) & np.isfinite(branch.tests[1:] + branch.tests[:-1])
+        # Where both change, the branch turns because another one crosses it there: it is that one's pitchfork.
+        changes[:, order.index(FOLD)] &= ~changes[:, order.index(BRANCH_POINT)]
+        changes[0] &= branch.ends[0] != COLLAPSED  # there it is the doubling of another branch that shows
+        changes[-1] &= branch.ends[1] != COLLAPSED
+        found += [(number, int(i), order[k]) for i, k in zip(*np.nonzero(changes), strict=True)]
+    if not found:
+        return None
+    branch, place, kind = (np.array(column) for column in zip(*found, strict=True))
+
+    def at(step: int) -> tuple[Way, Way]:
+        rows = [(branches[b], i + step) for b, i, _ in found]
+        where = Way(np.stack([b.points[i] for b, i in rows]), np.array([b.value[i] for b, i in rows]))
+        return where, Way(np.stack([b.way.points[i] for b, i in rows]), np.array([b.way.value[i] for b, i in rows]))
+
+    (begun, first), (ended, second) = at(0), at(1)
+    chord = Way(ended.points - begun.points, ended.value - begun.value)
+    size = length(family, chord)
+    return Brackets(branch, place, kind, begun, chord, (times(size, first), times(size, second)))
+
+
+def locate(
+    family: Family,
+    stretch: Brackets,
+    centre: Float[np.ndarray, " some"] | None = None,
+    half: float = 0.5,
+) -> Located:
+    """The zeros in brackets, or near shares of their chords that are nearly known, as those of another map.
+
+    Args:
+        family: the map.
+        stretch: where.
+        centre: shares of the chords, by default the middle.
+        half: of the chord, that the first nodes reach to either side.
+    """
+    some = len(stretch.kind)
+    centre, widths = np.full(some, 0.5) if centre is None else np.array(centre), np.full(some, half)
+    best = Located(
+        centre.copy(), np.full(some, np.inf), np.zeros(some), _at(family, stretch, centre), np.zeros(some, bool)
+    )
+    sharp, open_ = np.full(some, np.inf), np.arange(some)
+    for _ in range(_ROUNDS):
+        part: Brackets = jax.tree.map(lambda leaf, o=open_: leaf[o], stretch)
+        shares = centre[open_, None] + widths[open_, None] * _NODES
+        nodes = _at(family, jax.tree.map(lambda leaf: np.repeat(leaf, len(_NODES), axis=0), part), shares.ravel())
+        good = nodes.converged.reshape(shares.shape).all(axis=1)
+        tests = _own_test(family, nodes, np.repeat(part.kind, len(_NODES))).reshape(shares.shape)
+        root, blur, error, bend = _roots(tests, nodes.value.reshape(shares.shape))
+        blur = blur * widths[open_]
+        with np.errstate(invalid="ignore"):
+            good &= np.isfinite(root) & (blur < _NOISE * half) & (error < 0.25 * best.error[open_])
+        some_good = open_[good]
+        best.share[some_good] = centre[some_good] + widths[some_good] * root[good]
+        size = length(family, part.chord)[good] * widths[some_good]
+        best.error[some_good], best.bend[some_good] = error[good], bend[good] / family.width / size**2
+        best.found[some_good], sharp[some_good] = True, blur[good]
+        centre[some_good] = best.share[some_good]
+        inside = np.abs(root[good]) <= 1.0
+        widths[some_good] /= np.where(inside, _NARROWER, 1.0)
+        open_ = some_good
+        if not len(open_):
+            break
+    at_root = _at(family, stretch, best.share)
+    return best._replace(orbits=at_root, found=best.found & at_root.converged)
+
+
+def neutral_pair(family: Family, located: Located) -> Bool[np.ndarray, " some"]:
+    """Whether two real multipliers of product one, or eigenvalues of sum zero, make the zero: no bifurcation."""
+    values = eigenvalues(family, located.orbits)
+    return ~np.isfinite(critical(family, values))
+
+
+def critical(family: Family, values: Complex[np.ndarray, "some d"]) -> Complex[np.ndarray, " some"]:
+    """Of each orbit the complex multiplier nearest the unit circle (eigenvalue nearest the axis), above the real line.
+
+    NaN where all are real.
+    """
+    away = np.abs(np.real(values)) if family.field else np.abs(np.abs(values) - 1.0)
+    away = np.where(np.imag(values) > _REAL * np.abs(values), away, np.inf)
+    chosen = np.take_along_axis(values, np.argmin(away, axis=1)[:, None], axis=1)[:, 0]
+    return np.where(np.isfinite(away.min(axis=1)), chosen, np.nan)
+
+
+def _at(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> Orbits:
+    """The orbits of the curve in the hyperplanes across the chord at shares of it, from a cubic through both ends."""
+    begun, chord, (first, second) = stretch.begun, stretch.chord, stretch.ways
+    s, left = share, 1.0 - share
+    parts = (s * s * (3.0 - 2.0 * s), chord), (s * left**2, first), (-s * s * left, second)
+    points = begun.points + sum(times(weight, way).points for weight, way in parts)
+    value = begun.value + sum(times(weight, way).value for weight, way in parts)
+    # Onto the hyperplane: the cubic's own share of the chord is not quite the one asked for.
+    size = inner(family, chord, chord)
+    gone = inner(family, Way(points - begun.points, value - begun.value), chord) / size
+    more = times(share - gone, chord)
+    return correct(family, points + more.points, value + more.value, times(1.0 / np.sqrt(size), chord), FINE)
+
+
+def _own_test(family: Family, nodes: Orbits, kind: Int[np.ndarray, " nodes"]) -> Float[np.ndarray, " nodes"]:
+    """Of each node the test function of its kind, not a number where there is no orbit."""
+    column = np.array([kinds(family).index(k) for k in kind.tolist()], int)
+    with np.errstate(all="ignore"):
+        safe = nodes._replace(blocks=np.where(nodes.converged[:, None, None, None], nodes.blocks, 0.0))
+        return np.take_along_axis(tested(family, safe), column[:, None], axis=1)[:, 0]
+
+
+def _roots(
+    tests: Float[np.ndarray, "some nodes"], values: Float[np.ndarray, "some nodes"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Roots of polynomials through test functions, in nodes' widths, with their errors; the errors of values there.
+
+    And the second derivatives of these. Not a number where there is no root near.
+    """
+    reference = values[:, :1]
+    fit, line = _fitted(tests), _fitted(values - reference)
+    misfit, off = (
+        np.abs(x - _polynomial(c, _NODES)).max(axis=1) for x, c in ((tests, fit), (values - reference, line))
+    )
+    root = np.full(len(tests), np.nan)
+    for k in np.flatnonzero(np.isfinite(fit).all(axis=1)):
+        all_ = np.polynomial.polynomial.polyroots(fit[k])
+        real = np.real(all_)[(np.abs(np.imag(all_)) < 1e-6) & (np.abs(np.real(all_)) < _BEYOND)]
+        root[k] = real[np.argmin(np.abs(real))] if len(real) else np.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = _polynomial(_derived(fit), root[:, None])[:, 0]
+        root = root - _polynomial(fit, root[:, None])[:, 0] / slope
+        blur = _SAFETY * misfit / np.abs(slope)
+        rise = _polynomial(_derived(line), root[:, None])[:, 0]
+        bend = _polynomial(_derived(_derived(line)), root[:, None])[:, 0]
+        rounding = np.spacing(np.abs(reference[:, 0]))
+        error = _SAFETY * off + np.abs(rise) * blur + 0.5 * np.abs(bend) * blur**2 + rounding
+    return root, blur, error, bend
+
+
+def _fitted(values: Float[np.ndarray, "some nodes"]) -> Float[np.ndarray, "some terms"]:
+    return np.sum(values[:, None, :] * _FIT, axis=2)
+
+
+def _polynomial(terms: Float[np.ndarray, "some terms"], at: np.ndarray) -> np.ndarray:
+    """Values (some, points) at points (points,) or (some, points)."""
+    found = np.zeros(np.broadcast_shapes((len(terms), 1), np.shape(np.atleast_2d(at))))
+    for k in range(terms.shape[1])[::-1]:
+        found = found * at + terms[:, k, None]
+    return found
+
+
+def _derived(terms: Float[np.ndarray, "some terms"]) -> Float[np.ndarray, "some fewer"]:
+    return terms[:, 1:] * np.arange(1, terms.shape[1])

@@ -1,0 +1,264 @@
+"""Branches: curves of periodic orbits over a parameter, followed by arclength, many side by side. Host code.
+
+Each step goes along the direction of the curve and comes back to it by Newton (`arclength`). Steps are as long as the
+curve is straight: where it turns, or Newton goes far from the guess, they are taken anew and shorter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+
+from jaxnh.orbits.arclength import Family, Orbits, Way, along_parameter, correct, inner, length
+from jaxnh.orbits.kinds import eigenvalues, odd, tested
+
+ENDS = ("start", "range", "collapsed", "closed", "no_convergence", "most_points", "unbounded")
+"""Why a branch ends: it was begun there, as at a bifurcation; the parameter leaves its range; the orbit is one of a
+shorter period; the curve is closed; Newton does not converge at the smallest step; as many points are known as were
+asked for; the orbit leaves all bounds."""
+
+START, RANGE, COLLAPSED, CLOSED, NO_CONVERGENCE, MOST_POINTS, UNBOUNDED = range(len(ENDS))
+
+_BENT = 0.97  # cosine of the angle between directions at the ends of a step, at least
+_MISSED = 0.15  # of a step that Newton goes back, at most
+_WANTED = 0.04  # what steps are chosen for
+_SMALLEST = 1e-7  # step
+_FIRST = 0.1  # of the largest step
+_FARTHEST = 1e3  # sizes of the motion
+_SAME = 1e-6  # sizes: an orbit this near to one of a shorter period is that one
+_LEAST_LOOP = 8  # points of a closed branch
+
+
+class Steps(NamedTuple):
+    """How branches are followed.
+
+    Attributes:
+        largest: step, in sizes of the motion and widths of the range.
+        most: points of a branch in either direction.
+    """
+
+    largest: float = 0.02
+    most: int = 2000
+
+
+STEPS = Steps()
+"""As they are where nothing is said."""
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A branch, point by point.
+
+    Attributes:
+        points: of its orbits, section coordinates with angles that go on, (k, n, d).
+        value: of the parameter, (k,).
+        way: direction of the curve, (k, n, d) and (k,).
+        tests: test functions of the kinds of the family, (k, kinds).
+        multipliers: (k, d).
+        residual: largest component of P(u_i) − u_{i+1} in sizes of the motion, (k,).
+        ends: why it ends where it begins, and at its end, numbers in `ENDS`. A collapsed one goes on to a point beyond.
+    """
+
+    points: Float[np.ndarray, "k n d"]
+    value: Float[np.ndarray, " k"]
+    way: Way
+    tests: Float[np.ndarray, "k kinds"]
+    multipliers: Complex[np.ndarray, "k d"]
+    residual: Float[np.ndarray, " k"]
+    ends: tuple[int, int]
+
+    @property
+    def period(self) -> int:
+        """Points of an orbit."""
+        return self.points.shape[1]
+
+    def ending(self, reason: int) -> Branch:
+        """The branch with one reason for both of its ends."""
+        return replace(self, ends=(reason, reason))
+
+    def reversed(self, odd: Bool[np.ndarray, " kinds"]) -> Branch:
+        """The branch from its end, with test functions that change sign with the direction (`odd`)."""
+        way = Way(-self.way.points[::-1], -self.way.value[::-1])
+        tests = np.where(odd, -self.tests, self.tests)[::-1]
+        back = (self.points[::-1], self.value[::-1], way, tests, self.multipliers[::-1], self.residual[::-1])
+        return Branch(*back, ends=(self.ends[1], self.ends[0]))
+
+    def joined(self, other: Branch) -> Branch:
+        """This branch and one that begins where it ends."""
+
+        def both(one: np.ndarray, more: np.ndarray) -> np.ndarray:
+            return np.concatenate([one, more[1:]])
+
+        return Branch(
+            both(self.points, other.points),
+            both(self.value, other.value),
+            Way(both(self.way.points, other.way.points), both(self.way.value, other.way.value)),
+            both(self.tests, other.tests),
+            both(self.multipliers, other.multipliers),
+            both(self.residual, other.residual),
+            (self.ends[0], other.ends[1]),
+        )
+
+
+def follow(family: Family, begun: Orbits, steps: Steps = STEPS) -> list[Branch]:
+    """The branches on from orbits in the directions of their ways, each to its end; lanes do not feel each other."""
+    lanes = len(begun.value)
+    history = [_Points.of(family, np.arange(lanes), begun)]
+    count, end = np.ones(lanes, int), np.full(lanes, MOST_POINTS)
+    size, now, open_ = np.full(lanes, _FIRST * steps.largest), begun, np.arange(lanes)
+    while len(open_):
+        taken, step, at_end = _stepped(family, now, np.minimum(size[open_], _room(family, now)))
+        with np.errstate(invalid="ignore"):
+            share = np.where(step > 0.0, taken.missed / np.maximum(step, _SMALLEST), 0.0)
+            good = taken.converged & (inner(family, taken.way, now.way) >= _BENT) & (share <= _MISSED)
+            good &= (taken.value >= family.low) & (taken.value <= family.high)
+        collapsed, merged = (good & which for which in _collapses(family, now, taken))
+        closed = good & (count[open_] > _LEAST_LOOP) & _passes(family, begun.take(open_), now, taken, 2.0 * step)
+        kept = good & ~merged & (step > 0.0)
+        history.append(_Points.of(family, open_[kept], taken.take(kept)))
+        count[open_[kept]] += 1
+        factor = np.where(good, np.clip(_WANTED / np.maximum(share, _SMALLEST), 0.5, 2.0), 0.25)
+        size[open_] = np.minimum(np.minimum(size[open_], np.maximum(step, _SMALLEST)) * factor, steps.largest)
+        far = np.abs(now.points / family.size).max(axis=(1, 2)) > _FARTHEST
+        done = np.zeros(len(open_), bool)
+        for which, reason in (
+            (count[open_] >= steps.most, MOST_POINTS),
+            (~good & (size[open_] <= _SMALLEST), NO_CONVERGENCE),
+            (far, UNBOUNDED),
+            (good & at_end, RANGE),
+            (closed, CLOSED),
+            (collapsed, COLLAPSED),
+        ):
+            end[open_[which]] = reason
+            done |= which
+        now, open_ = _chosen(good, taken, now).take(~done), open_[~done]
+    return _gathered(history, end)
+
+
+def both_ways(family: Family, begun: Orbits, steps: Steps = STEPS) -> list[Branch]:
+    """The branches through orbits, from one end to the other; of a closed one the loop."""
+    lanes = len(begun.value)
+    back = begun._replace(way=Way(-begun.way.points, -begun.way.value), crossing=-begun.crossing)
+    twice: Orbits = jax.tree.map(lambda *leaves: np.concatenate(leaves), begun, back)
+    halves = follow(family, twice, steps)
+    joined = []
+    for ahead, behind in zip(halves[:lanes], halves[lanes:], strict=True):
+        loop = ahead.ends[1] == CLOSED
+        joined.append(ahead.ending(CLOSED) if loop else behind.reversed(odd(family)).joined(ahead))
+    return joined
+
+
+class _Points(NamedTuple):
+    """Points of some branches, one each: the numbers of the branches, and what is known there."""
+
+    lane: np.ndarray
+    orbits: Orbits
+    tests: np.ndarray
+    multipliers: np.ndarray
+
+    @staticmethod
+    def of(family: Family, lane: np.ndarray, orbits: Orbits) -> _Points:
+        slim = orbits._replace(blocks=np.zeros((len(lane), 0)))  # the largest, and never asked for again
+        return _Points(lane, slim, tested(family, orbits), eigenvalues(family, orbits))
+
+
+def _gathered(history: list[_Points], end: Int[np.ndarray, " lanes"]) -> list[Branch]:
+    """The branches of all their points."""
+    lane = np.concatenate([part.lane for part in history])
+    order = np.argsort(lane, kind="stable")
+    starts = np.searchsorted(lane[order], np.arange(len(end) + 1))
+
+    def every(leaves: Sequence[np.ndarray]) -> np.ndarray:
+        return np.concatenate(leaves)[order]
+
+    orbits = [part.orbits for part in history]
+    points, value = every([o.points for o in orbits]), every([o.value for o in orbits])
+    way = Way(every([o.way.points for o in orbits]), every([o.way.value for o in orbits]))
+    tests, multipliers = every([part.tests for part in history]), every([part.multipliers for part in history])
+    residual = every([o.residual for o in orbits])
+    found = []
+    for k, reason in enumerate(end.tolist()):
+        mine = slice(int(starts[k]), int(starts[k + 1]))
+        there = Way(way.points[mine], way.value[mine])
+        found.append(
+            Branch(points[mine], value[mine], there, tests[mine], multipliers[mine], residual[mine], (START, reason))
+        )
+    return found
+
+
+def _stepped(
+    family: Family, now: Orbits, size: Float[np.ndarray, " lanes"]
+) -> tuple[Orbits, Float[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
+    """Orbits a step further, the lengths of the steps, and whether they end where the range does."""
+    ahead = now.value + size * now.way.value
+    at_end = (ahead >= family.high) | (ahead <= family.low)
+    edge = np.where(ahead >= family.high, family.high, family.low)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        step = np.where(at_end, np.maximum((edge - now.value) / now.way.value, 0.0), size)
+    points = now.points + step[:, None, None] * now.way.points
+    value = np.where(at_end, edge, ahead)
+    straight = along_parameter(family, len(value), now.points.shape[1])
+    sign = np.where(now.way.value < 0.0, -1.0, 1.0)
+    across = Way(
+        np.where(at_end[:, None, None], straight.points, now.way.points),
+        np.where(at_end, sign * straight.value, now.way.value),
+    )
+    return correct(family, points, value, across), step, at_end
+
+
+def _gap(points: np.ndarray) -> np.ndarray:
+    """From each point (or vector) to the one half a period on."""
+    return points - np.roll(points, points.shape[1] // 2, 1)
+
+
+def _room(family: Family, now: Orbits) -> Float[np.ndarray, " lanes"]:
+    """Largest steps of orbits that have just been born in a doubling: half of what they are apart from its orbit."""
+    none = np.zeros(len(now.value))
+    if now.points.shape[1] % 2:
+        return none + np.inf
+    gap, change = (Way(leaf, none) for leaf in (family.wrap(_gap(now.points)), _gap(now.way.points)))
+    return np.where(inner(family, gap, change) > 0.0, 0.5 * length(family, gap), np.inf)
+
+
+def _collapses(
+    family: Family, now: Orbits, taken: Orbits
+) -> tuple[Bool[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
+    """Whether orbits are, or have been on the way, ones of a shorter period; and whether they still are.
+
+    That is a doubling that the branch is born in. Beyond it, it has the same orbits again, half a period on.
+    """
+    n = now.points.shape[1]
+    found, merged = np.zeros((2, len(now.value)), bool)
+    none = np.zeros(len(found))
+    for m in (n // q for q in range(2, n + 1) if n % q == 0 and all(q % r for r in range(2, q))):
+        before, after = (Way(family.wrap(o.points - np.roll(o.points, -m, 1)), none) for o in (now, taken))
+        merged |= length(family, after) < _SAME
+        found |= merged | (inner(family, before, after) <= 0.0)
+    return found, merged
+
+
+def _passes(
+    family: Family, begun: Orbits, now: Orbits, taken: Orbits, near: Float[np.ndarray, " lanes"]
+) -> Bool[np.ndarray, " lanes"]:
+    """Whether a step passes the orbit that its branch has begun with, whichever of its points comes first."""
+    found = np.zeros(len(now.value), bool)
+    for m in range(now.points.shape[1]):
+        points, way = np.roll(begun.points, m, 1), Way(np.roll(begun.way.points, m, 1), begun.way.value)
+        before, after = (Way(family.wrap(o.points - points), o.value - begun.value) for o in (now, taken))
+        passed = (inner(family, before, way) < 0.0) & (inner(family, after, way) >= 0.0)
+        found |= passed & (length(family, after) <= near)
+    return found
+
+
+def _chosen(which: Bool[np.ndarray, " lanes"], one: Orbits, other: Orbits) -> Orbits:
+    """Of each lane the one, or the other."""
+
+    def leaf(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+    return jax.tree.map(leaf, one, other)

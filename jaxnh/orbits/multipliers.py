@@ -1,0 +1,48 @@
+"""Multipliers of orbits from derivatives of single periods, without the product that loses small ones. Host code.
+
+An orthonormal basis is carried around the orbit a few times. Directions that grow differently are then apart, and each
+block of the triangle has its own multipliers; those that grow alike stay together in one, whose product is harmless.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+_TURNS = 4  # directions whose growth differs by more than 10³ a turn are then apart to rounding; others need not be
+_APART = 1e-12
+
+
+def multipliers(blocks: Float[np.ndarray, "... n d d"]) -> Complex[np.ndarray, "... d"]:
+    """Eigenvalues of M_{n−1}…M_0 of blocks, largest modulus first; not a number where one of them is not finite."""
+    n, d = blocks.shape[-3:-1]
+    flat = blocks.reshape(-1, n, d, d)
+    finite = np.all(np.isfinite(flat), axis=(1, 2, 3))
+    flat = np.where(finite[:, None, None, None], flat, 0.0)
+    if n == 1:
+        values = np.linalg.eigvals(flat[:, 0]).astype(complex)
+    else:
+        values = np.array([_of_triangle(*one) for one in zip(*_carried_around(flat), strict=True)]).reshape(-1, d)
+    order = np.lexsort((np.imag(values), -np.abs(values)), axis=-1)
+    values = np.take_along_axis(values, order, axis=-1)
+    return np.where(finite[:, None], values, np.nan).reshape(*blocks.shape[:-3], d)
+
+
+def _carried_around(blocks: Float[np.ndarray, "lanes n d d"]) -> tuple[np.ndarray, np.ndarray]:
+    """Q_0ᵀQ_n and R_{n−1}…R_0 of the last turn, each (lanes, d, d)."""
+    basis = np.broadcast_to(np.eye(blocks.shape[-1]), blocks[:, 0].shape)
+    begun, product = basis, basis
+    for _ in range(_TURNS):
+        begun, product = basis, np.broadcast_to(np.eye(blocks.shape[-1]), blocks[:, 0].shape)
+        for i in range(blocks.shape[1]):
+            basis, upper = np.linalg.qr(blocks[:, i] @ basis)
+            product = upper @ product
+    return np.swapaxes(begun, -1, -2) @ basis, product
+
+
+def _of_triangle(turn: Float[np.ndarray, "d d"], upper: Float[np.ndarray, "d d"]) -> Complex[np.ndarray, " d"]:
+    """Eigenvalues of turn @ upper, block by block where the turn leaves the first directions among themselves."""
+    d = len(turn)
+    ends = [k for k in range(1, d) if np.abs(turn[k:, :k]).max() < _APART]
+    found = [np.linalg.eigvals(turn[i:j, i:j] @ upper[i:j, i:j]) for i, j in zip([0, *ends], [*ends, d], strict=True)]
+    return np.concatenate(found).astype(complex)

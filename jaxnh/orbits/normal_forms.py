@@ -1,0 +1,159 @@
+"""Criticality of bifurcations: the cubic coefficient of the normal form, by differences of derivatives. Host code.
+
+With the critical vector q_i around the orbit, M_i q_i = q_{i+1} and q_n = z q_0, and r_i its left counterpart,
+r_{i+1} M_i = r_i and r_n q_n = 1, an amplitude x grows in a turn by the factor z (1 + s |x|²), with
+
+    s = Σ r_{i+1} (½ C(q, q, q̄) + B(q, w) + ½ B(q̄, v)),   w_{i+1} = M_i w_i + B(q, q̄),   v_{i+1} = M_i v_i + B(q, q),
+
+w_n = w_0 and v_n = z² v_0, for a pair of complex z; a third of it for z = ±1 (Kuznetsov, Elements of Applied
+Bifurcation Theory, 2004, 5.4). Where the real part of s is negative the bifurcation is supercritical. Of an equilibrium
+it is the same with M = 1 + A and z = 1 + iω. B and C are differences of ∂P/∂u at u ± h Re q and u ± h Im q.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from jaxnh.orbits import cyclic
+from jaxnh.orbits.arclength import Family, Orbits, Way, length
+from jaxnh.orbits.bifurcations import critical
+from jaxnh.orbits.kinds import BRANCH_POINT, DOUBLING, FOLD, eigenvalues
+
+CRITICALITIES = ("subcritical", "none", "supercritical")
+"""Signs of −s: −1, 0 where it is not known or there is none, 1."""
+
+_SHIFT = 1e-3  # h, in sizes of the motion: differences are wrong by its square, and by roundings over it, and over that
+_REAL = {DOUBLING: -1.0, BRANCH_POINT: 1.0}  # z
+_CERTAIN = 4.0  # a coefficient is known where it is so many times the change with twice the h
+
+
+class Cubic(NamedTuple):
+    """Cubic coefficients.
+
+    Attributes:
+        coefficient: real part of s, in sizes of the motion, (some,); of a fold NaN.
+        error: of it, (some,).
+        criticality: −1, 0 or 1, (some,).
+        vectors: q of length one, at each point of the orbit, in sizes of the motion, (some, n, d).
+    """
+
+    coefficient: Float[np.ndarray, " some"]
+    error: Float[np.ndarray, " some"]
+    criticality: Int[np.ndarray, " some"]
+    vectors: Complex[np.ndarray, "some n d"]
+
+
+def cubic(family: Family, orbits: Orbits, kind: Int[np.ndarray, " some"]) -> Cubic:
+    """The cubic coefficient of bifurcations of these kinds (numbers in `KINDS`)."""
+    none = np.full(len(kind), np.nan)
+    found = Cubic(none, none.copy(), np.zeros(len(kind), int), np.zeros(orbits.points.shape, complex))
+    for each in set(kind.tolist()) - {FOLD}:
+        some, real = np.flatnonzero(kind == each), each in _REAL
+        here = orbits.take(some)
+        if real:
+            z = np.full(len(some), _REAL[each], complex)
+        else:
+            z = critical(family, eigenvalues(family, here))
+            z = 1.0 + 1j * np.imag(z) if family.field else z / np.abs(z)
+        known = np.isfinite(z)
+        some, here, z = some[known], here.take(known), z[known]
+        q = _normal(family, here, _null(here.blocks, z, real))
+        one, two = (_coefficient(family, here, q, z, real, h) for h in (_SHIFT, 2.0 * _SHIFT))
+        found.coefficient[some], found.error[some] = one, np.abs(two - one)
+        found.vectors[some] = q
+    with np.errstate(invalid="ignore"):
+        sure = np.abs(found.coefficient) > _CERTAIN * found.error
+    found.criticality[sure] = -np.sign(found.coefficient[sure]).astype(int)
+    return found
+
+
+def _normal(family: Family, orbits: Orbits, q: Complex[np.ndarray, "some n d"]) -> Complex[np.ndarray, "some n d"]:
+    """Vectors of length one."""
+    none = np.zeros(len(q))
+    parts = (length(family, Way(part * family.size, none)) for part in (np.real(q), np.imag(q)))
+    return q / np.sqrt(sum(part**2 for part in parts))[:, None, None]
+
+
+def _coefficient(
+    family: Family, orbits: Orbits, q: np.ndarray, z: Complex[np.ndarray, " some"], real: bool, h: float
+) -> Float[np.ndarray, " some"]:
+    """Real part of s with differences over ±h."""
+    blocks = orbits.blocks
+    parts = (np.real(q),) if real else (np.real(q), np.imag(q))
+    first, second = np.zeros(blocks.shape, complex), np.zeros(blocks.shape)
+    for factor, part in zip((1.0, 1j), parts, strict=False):
+        ahead, behind = (_blocks(family, orbits, part, sign * h) for sign in (1.0, -1.0))
+        first = first + factor * (ahead - behind) / (2.0 * h)  # B(q, ·)
+        second = second + (ahead - 2.0 * blocks + behind) / h**2  # C(q, q̄, ·)
+    left = _left(blocks, z, real)
+    ends = _times(blocks, q) if not family.field else q
+    left = left / np.sum(left[:, -1] * ends[:, -1], axis=1)[:, None, None]
+    back = np.conj(first)
+    if real:
+        v = w = _real_response(blocks, left, np.real(_times(first, q)), bool(np.all(np.real(z) > 0.0)))
+    else:
+        w = _response(blocks, _times(back, q), np.ones_like(z))
+        v = _response(blocks, _times(first, q), 2.0 * z - 1.0 if family.field else z * z)
+    g = 0.5 * _times(second, q) + _times(first, w) + 0.5 * _times(back, v)
+    return np.real(np.sum(left * g, axis=(1, 2))) * (1 / 3 if real else 1.0)
+
+
+def _blocks(family: Family, orbits: Orbits, way: np.ndarray, shift: float) -> np.ndarray:
+    """∂P/∂u in sizes at points moved along a way that is given in sizes."""
+    points = orbits.points + shift * way * family.size
+    _, matrix, _ = family.period(points.reshape(-1, points.shape[-1]), np.repeat(orbits.value, points.shape[1]))
+    return np.asarray(matrix).reshape(orbits.blocks.shape) * (family.size / family.size[:, None])
+
+
+def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return (matrices @ vectors[..., None])[..., 0]
+
+
+# ---- linear equations around the orbit whose last is closed by a number z, in real numbers
+
+
+def _cycle(blocks: np.ndarray, z: Complex[np.ndarray, " some"], real: bool) -> cyclic.Cyclic:
+    """M_i y_i − y_{i+1} with y_n = z y_0, of real and imaginary parts one after the other where z is complex."""
+    d = blocks.shape[-1]
+    one = np.eye(d)
+    if not real:
+        blocks = np.concatenate(
+            [np.concatenate([blocks, 0 * blocks], axis=-1), np.concatenate([0 * blocks, blocks], axis=-1)], axis=-2
+        )
+    there = np.zeros_like(blocks)
+    there[:] = -np.eye(blocks.shape[-1])
+    x, y = np.real(z)[:, None, None] * one, np.imag(z)[:, None, None] * one
+    there[:, -1] = -x if real else -np.concatenate([np.concatenate([x, -y], 2), np.concatenate([y, x], 2)], 1)
+    return cyclic.eliminate(blocks, there)
+
+
+def _complex(y: np.ndarray, real: bool) -> np.ndarray:
+    d = y.shape[-1] // 2
+    return y.astype(complex) if real else y[..., :d] + 1j * y[..., d:]
+
+
+def _null(blocks: np.ndarray, z: Complex[np.ndarray, " some"], real: bool) -> np.ndarray:
+    """q of M_i q_i = q_{i+1} with q_n = z q_0."""
+    return _complex(cyclic.null_vector(_cycle(blocks, z, real)), real)
+
+
+def _left(blocks: np.ndarray, z: Complex[np.ndarray, " some"], real: bool) -> np.ndarray:
+    """r_{i+1} of r_{i+1} M_i = r_i with r_0 = z r_n, at place i: the same equations, transposed and turned round."""
+    return _null(np.swapaxes(blocks, -1, -2)[:, ::-1], z, real)[:, ::-1]
+
+
+def _response(blocks: np.ndarray, force: np.ndarray, z: Complex[np.ndarray, " some"]) -> np.ndarray:
+    """y of y_{i+1} = M_i y_i + f_i with y_n = z y_0."""
+    right = -np.concatenate([np.real(force), np.imag(force)], axis=-1)
+    return _complex(cyclic.solve(_cycle(blocks, z, False), right), False)
+
+
+def _real_response(blocks: np.ndarray, left: np.ndarray, force: np.ndarray, critical: bool) -> np.ndarray:
+    """The same with z = 1; where a multiplier is one (`critical`), but for what is along its left vector."""
+    cycle = _cycle(blocks, np.ones(len(blocks), complex), True)
+    if critical:
+        return cyclic.underdetermined(cycle, -force, np.real(left)).y
+    return cyclic.solve(cycle, -force)

@@ -1,0 +1,198 @@
+"""Bifurcations against maps and flows where they are known in closed form, and folds of a resonance against scipy."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+from measure import scene_of, some_slow
+from test_branches import DAMPING, FORCE, LOGISTIC, duffing, logistic_orbit
+
+from jaxnh.analyses.families import equilibria_of, orbits_of
+from jaxnh.analyses.family_tree import Orbit, grow
+from jaxnh.analyses.locating import refined
+from jaxnh.orbits.branches import ENDS, STEPS
+from jaxnh.orbits.kinds import KINDS
+from jaxnh.orbits.multipliers import multipliers
+from jaxnh.solvers import verner9
+from jaxnh.systems.first_order import first_order
+
+
+def named(tree):
+    """Kind, period and parameter of all bifurcations, in the order of the parameter."""
+    points = sorted(tree.bifurcations, key=lambda point: point.value)
+    return [(KINDS[point.kind], len(point.points)) for point in points], points
+
+
+# ---- a map
+
+DOUBLINGS = [3.0, 1 + np.sqrt(6), 3.5440903595519228536, 3.5644072660954325977, 3.5687594195438264349]
+
+
+def test_cascade_of_the_logistic_map():
+    """From period 1 alone: doubled branches of doubled branches, each with its doubling, up to the limit of periods."""
+    orbits = [Orbit(np.array(logistic_orbit(1, 2.8)), 2.8)]
+    tree = grow([LOGISTIC] * 3, [orbits], 16, STEPS)
+    kinds, points = named(tree)
+    assert kinds == [("period_doubling", 2**k) for k in range(5)]
+    assert [branch.period for branch in tree.branches] == [2**k for k in range(5)]
+    for point, exact in zip(points, DOUBLINGS, strict=True):
+        assert abs(point.value - exact) < min(1e-13, point.error + 5e-16)
+        assert abs(point.multipliers[0] + 1) < 1e-8
+        assert point.criticality == 1  # where the orbit loses its stability, the doubled one takes it over
+    # Kuznetsov's c = (C + 3 B (1 − A)⁻¹ B)/6 with A = −1, B = −2p = −6, C = 0; differences of a line are exact.
+    assert abs(points[0].coefficient + 9.0) < 1e-9
+    assert tree.lost == 0
+    again = grow([LOGISTIC] * 3, [orbits, [Orbit(np.array(logistic_orbit(4, 3.5)), 3.5)]], 16, STEPS)
+    assert len(again.branches) == 5  # the orbit of period 4 is on a branch that is known
+
+
+def test_window_of_period_three():
+    """A fold at 1 + √8 and a doubling beyond, from one orbit; a parent is found from its child."""
+    tree = grow([LOGISTIC] * 3, [[Orbit(np.array(logistic_orbit(3, 3.835)), 3.835)]], 3, STEPS)
+    kinds, points = named(tree)
+    assert kinds == [("fold", 3), ("period_doubling", 3)]
+    assert abs(points[0].value - (1 + np.sqrt(8))) < 1e-13
+    assert points[0].coefficient > 0  # the branch lies above
+    tree = grow([LOGISTIC] * 3, [[Orbit(np.array(logistic_orbit(2, 3.3)), 3.3)]], 2, STEPS)
+    assert [branch.period for branch in tree.branches] == [2, 1]
+
+
+def test_multipliers_far_apart():
+    """Moduli from 10^±20 and a complex pair, from eight matrices; the product alone has none of the small ones."""
+    rng = np.random.default_rng(8)
+    basis = np.linalg.qr(rng.normal(size=(8, 4, 4)))[0]
+    core = np.zeros((4, 4))
+    core[0, 0], core[3, 3] = 10**2.5, -(10**-2.5)
+    core[1:3, 1:3] = 0.9 * np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    blocks = np.roll(basis, -1, axis=0) @ core @ np.swapaxes(basis, 1, 2)
+    pair = 0.9**8 * np.exp(2.4j)
+    exact = np.array([1e20, pair.conj(), pair, 1e-20])
+    assert np.all(np.abs(multipliers(blocks) - exact) < 1e-11 * np.abs(exact))
+
+
+# ---- flows with a clock whose bifurcations are known; one period is a unit of time, and a map is exact to roundings
+
+
+def made(rates, names):
+    def define(mu=0.0):
+        return {"rhs": lambda y, t: rates(*y, mu), "coordinates": names, "period": 1.0}
+
+    return define
+
+
+def swirl(cubic):
+    """z' = (μ + 2i) z + cubic |z|² z, and a little z², which does nothing to the first order in which it matters."""
+
+    def rates(x, y, mu):
+        square = x * x + y * y
+        return mu * x - 2.0 * y + cubic * square * x, mu * y + 2.0 * x + cubic * square * y
+
+    return rates
+
+
+NORMAL_FORMS = {
+    # rates, coordinates, an orbit at a value, kind, cubic coefficient a unit of time
+    "fold": (lambda x, mu: (mu - x * x,), "x", [0.5], 0.25, "fold", None),
+    "pitchfork": (lambda x, mu: (mu * x - x**3,), "x", [0.0], -0.3, "branch_point", -1.0),
+    "subcritical pitchfork": (lambda x, mu: (mu * x + x**3,), "x", [0.0], -0.3, "branch_point", 1.0),
+    # |z|² of the real vector (Re ζq, …) with |q| = 1 is twice |ζ|²
+    "torus": (swirl(-1.0), "xy", [0.0, 0.0], -0.3, "neimark_sacker", -2.0),
+    "subcritical torus": (swirl(0.5), "xy", [0.0, 0.0], -0.3, "neimark_sacker", 1.0),
+}
+
+
+@pytest.mark.parametrize("name", some_slow({name: name for name in NORMAL_FORMS}, "fold", "pitchfork", "torus"))
+def test_normal_forms(lanes, name):
+    """At μ = 0 each, with the coefficient and criticality of the flow's own equation."""
+    rates, names, u, value, kind, coefficient = NORMAL_FORMS[name]
+    flow = first_order(made(rates, tuple(names)), {"mu": 0.0})
+    start = flow.start(dict.fromkeys(names, 0.0))
+    scene = scene_of(flow, start, [-0.5, 0.71], verner9, 16, name="mu")
+    families = [orbits_of(scene, lanes, strobe, np.ones(len(names)), (-0.5, 0.71)) for strobe in refined(scene)]
+    tree = grow(families, [[Orbit(np.array([u]), value)]], 2, STEPS)
+    [point] = tree.bifurcations
+    assert KINDS[point.kind] == kind
+    assert abs(point.value) < min(1e-8, 2 * point.error)
+    if coefficient is None:
+        assert abs(point.coefficient * 1.21 - 2.0) < 1e-3  # μ = x² along x, in widths of the range; a third-degree fit
+        return
+    # Differences over h = 10⁻³ leave h² of the fifth order.
+    assert abs(point.coefficient - coefficient) < 1e-4
+    assert point.criticality == (1 if coefficient < 0 else -1)
+    if kind != "branch_point":
+        return
+    sides = [branch for branch in tree.branches if np.abs(branch.points).max() > 1e-3]
+    assert len(sides) == 2  # x = ±√(∓μ)
+    for branch in sides:
+        assert np.abs(branch.points[:, 0, 0] ** 2 - np.abs(branch.value)).max() < 1e-10
+    assert np.sign(sides[0].points[-1, 0, 0]) == -np.sign(sides[1].points[-1, 0, 0])
+
+
+def test_hopf(lanes):
+    """Equilibria of a flow without a clock: z' = (μ + 2i) z − |z|² z beside w' = −w, at μ = 0 with coefficient −2."""
+
+    def define(mu=0.0):
+        def rhs(y, t):
+            return (*swirl(-1.0)(y[0], y[1], mu), -y[2])
+
+        return {"rhs": rhs, "coordinates": ("x", "y", "w")}
+
+    flow = first_order(define, {"mu": 0.0})
+    scene = scene_of(flow, flow.start({"x": 0.0, "y": 0.0, "w": 0.0}), [-0.5, 0.71], verner9, 16, name="mu")
+    family = equilibria_of(scene, lanes, np.ones(3), (-0.5, 0.71))
+    tree = grow([family] * 3, [[Orbit(np.zeros((1, 3)), -0.3)]], 1, STEPS)
+    [point] = tree.bifurcations
+    assert KINDS[point.kind] == "hopf"
+    assert abs(point.value) < 1e-13
+    assert np.abs(np.sort_complex(point.multipliers) - [-1, -2j, 2j]).max() < 1e-12
+    assert abs(point.coefficient + 2.0) < 1e-6
+    assert point.criticality == 1
+
+
+# ---- Duffing's resonance
+
+
+def fold_by_scipy(omega, u):
+    """(ω, u): Newton on P(u) = u and det(∂P/∂u − 1) = 0 by DOP853 and variational equations."""
+
+    def rates(t, y):
+        x, v = y[:2]
+        tangents = y[2:].reshape(2, 2)
+        force = FORCE * np.cos(t) - DAMPING * v - x - x**3
+        change = [tangents[1], -(1 + 3 * x**2) * tangents[0] - DAMPING * tangents[1]]
+        return np.concatenate([[v, force], *change])
+
+    def mismatch(at):
+        def scaled(t, y):
+            return rates(t, y) / at[0]
+
+        start = np.concatenate([at[1:], np.eye(2).ravel()])
+        end = scipy.integrate.solve_ivp(scaled, (0, 2 * np.pi), start, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+        return np.append(end[:2] - at[1:], np.linalg.det(end[2:].reshape(2, 2) - np.eye(2)))
+
+    at = np.array([omega, *u])
+    # Slopes of the first point do for all: it is known to some eight digits, and each step gains as many less three.
+    slopes = np.array([(mismatch(at + h) - mismatch(at - h)) / 2e-5 for h in 1e-5 * np.eye(3)]).T
+    for _ in range(3):
+        at = at - np.linalg.solve(slopes, mismatch(at))
+    return at[0]
+
+
+def test_folds_of_duffings_resonance(lanes):
+    """Both ends of the bistable range of frequencies, to 1e-8 of scipy's and within their errors; nothing else is there."""
+    flow = first_order(duffing, {"omega": 1.0})
+    scene = scene_of(flow, flow.start({"x": 0.0, "v": 0.0}), [0.6, 2.0], verner9, 48, name="omega")
+    families = [orbits_of(scene, lanes, strobe, np.ones(2), (0.6, 2.0)) for strobe in refined(scene)]
+    tree = grow(families, [[Orbit(np.array([[0.22, 0.01]]), 0.6)]], 1, STEPS)
+    kinds, points = named(tree)
+    assert kinds == [("fold", 1), ("fold", 1)]
+    assert [np.sign(point.coefficient) for point in points] == [1.0, -1.0]
+    for point in points:
+        exact = fold_by_scipy(point.value, point.points[0])
+        # scipy's own error, of tolerances of 1e-13 over some fifty steps, and of its differences
+        assert abs(point.value - exact) < min(1e-8, point.error + 1e-11)
+        assert abs(point.multipliers[0] - 1) < 1e-5  # it goes through one like a root
+    assert {ENDS[end] for end in tree.branches[0].ends} == {"range"}
+    assert jnp.isfinite(tree.branches[0].residual).all()

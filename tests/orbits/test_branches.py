@@ -1,0 +1,129 @@
+"""Branches of orbits against a map whose orbits are known, and against scipy's integrator with a Newton of its own."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+from measure import scene_of
+
+from jaxnh.analyses.families import orbits_of
+from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
+from jaxnh.orbits.branches import COLLAPSED, ENDS, RANGE, both_ways
+from jaxnh.solvers import verner9
+from jaxnh.systems.first_order import first_order
+
+
+def logistic(u, p):
+    """x → p x (1 − x) and its derivatives."""
+    slope = (p[:, None] * (1 - 2 * u))[..., None]
+    return Derivatives(p[:, None] * u * (1 - u), slope, u * (1 - u))
+
+
+LOGISTIC = Family(logistic, lambda difference: difference, np.ones(1), 2.0, 3.9)
+
+
+def begun(family, points, value):
+    """The orbit near some points (n, d) at a value of the parameter."""
+    points = np.asarray(points, float)[None]
+    found = correct(family, points, np.array([value]), along_parameter(family, *points.shape[:2]), FINE)
+    assert found.converged[0]
+    return found
+
+
+def logistic_orbit(n, p):
+    x = 0.5
+    for _ in range(4000):
+        x = p * x * (1 - x)
+    points = []
+    for _ in range(n):
+        points.append([x])
+        x = p * x * (1 - x)
+    return points
+
+
+def test_branch_of_fixed_points():
+    """x = 1 − 1/p with the multiplier 2 − p, over the whole range and on where it is unstable."""
+    [branch] = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(1, 2.8), 2.8))
+    assert branch.ends == (RANGE, RANGE)
+    assert sorted(branch.value[[0, -1]]) == [2.0, 3.9]
+    rounding = 1e-11  # the square of Newton's last step, below 1e-6, and curvature of order one
+    assert np.abs(branch.points[:, 0, 0] - (1 - 1 / branch.value)).max() < rounding
+    assert np.abs(branch.multipliers[:, 0] - (2 - branch.value)).max() < 10 * rounding
+
+
+def test_branch_turns_at_its_fold():
+    """Period 3 is born at p = 1 + √8, and both of its orbits are followed from one; none is below."""
+    [branch] = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(3, 3.835), 3.835))
+    assert branch.ends == (RANGE, RANGE)
+    assert np.all(branch.value[[0, -1]] == 3.9)
+    fold = 1 + np.sqrt(8)
+    assert fold - 1e-11 < branch.value.min() < fold + 1e-2
+    image = logistic(branch.points.reshape(-1, 1), np.repeat(branch.value, 3)).image.reshape(branch.points.shape)
+    assert np.abs(image - np.roll(branch.points, -1, 1)).max() < 1e-11
+    unstable, stable = branch.multipliers[[0, -1], 0].real[np.argsort(-branch.multipliers[[0, -1], 0].real)]
+    assert unstable > 1 > stable
+
+
+def test_branch_ends_where_it_was_born_in_a_doubling():
+    """Period 2 from p = 3, where its two points (1 + 1/p ± √((1 − 3/p)(1 + 1/p)))/2 are one."""
+    [branch] = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(2, 3.3), 3.3))
+    assert sorted(branch.ends) == sorted((COLLAPSED, RANGE))
+    p = branch.value
+    gap = np.sqrt((1 - 3 / p) * (1 + 1 / p))
+    assert np.abs(np.abs(branch.points[:, 0, 0] - branch.points[:, 1, 0]) - gap).max() < 1e-10
+    assert p.min() < 3.01
+
+
+# ---- Duffing's resonance, in the phase of its forcing: its frequency is a parameter like others
+
+DAMPING, FORCE = 0.1, 0.15
+
+
+def duffing(omega=1.0):
+    def rhs(y, t):
+        x, v = y
+        return v / omega, (FORCE * jnp.cos(t) - DAMPING * v - x - x**3) / omega
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * np.pi}
+
+
+@pytest.fixture(scope="module")
+def resonance(lanes):
+    """The family of its orbits over the frequency."""
+    flow = first_order(duffing, {"omega": 1.0})
+    # 96 steps of order nine: an error of some 1e-13 a period, the rounding of its states.
+    scene = scene_of(flow, flow.start({"x": 0.0, "v": 0.0}), [0.6, 2.0], verner9, 96, name="omega")
+    return orbits_of(scene, lanes, scene.strobe(), np.ones(2), (0.6, 2.0))
+
+
+def by_scipy(omega, u):
+    """P and its derivative in (x, v) by DOP853 with variational equations."""
+
+    def rates(t, y):
+        x, v = y[:2]
+        tangents = y[2:].reshape(2, 2)
+        force = FORCE * np.cos(t) - DAMPING * v - x - x**3
+        change = [tangents[1], -(1 + 3 * x**2) * tangents[0] - DAMPING * tangents[1]]
+        return np.concatenate([[v, force], *change]) / omega
+
+    start = np.concatenate([u, np.eye(2).ravel()])
+    end = scipy.integrate.solve_ivp(rates, (0, 2 * np.pi), start, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    return end[:2], end[2:].reshape(2, 2)
+
+
+def test_resonance_of_duffing(resonance):
+    """One branch over the frequency, folded twice; its orbits close and have their multipliers by scipy."""
+    [branch] = both_ways(resonance, begun(resonance, [[0.0, 0.1]], 0.6))
+    assert {ENDS[end] for end in branch.ends} == {"range"}
+    turns = np.flatnonzero(np.diff(np.sign(branch.way.value)))
+    assert len(turns) == 2
+    middle = (turns[0] + turns[1]) // 2
+    for k in (len(branch.value) // 8, middle, -1):
+        image, matrix = by_scipy(branch.value[k], branch.points[k, 0])
+        assert np.abs(image - branch.points[k, 0]).max() < 1e-10  # Newton's last step squared, and scipy's tolerance
+        exact = np.linalg.eigvals(matrix)
+        assert np.abs(np.sort_complex(exact) - np.sort_complex(branch.multipliers[k])).max() < 1e-9
+    assert np.abs(branch.multipliers[middle, 0]) > 1 > np.abs(branch.multipliers[0, 0])
