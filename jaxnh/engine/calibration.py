@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -19,7 +20,7 @@ from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.section import Crossing, SectionedFlow
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.systems.flow import Parameters, State
 
 SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
@@ -43,6 +44,7 @@ _PRECISE = {"float64": 1e-6, "float32": 1e-1}  # an error below this that more s
 _MOST_KICKS = 1 << 20
 _LONG = 4.0  # times the median return: errors have grown in it
 _HOPELESS = 1 << 17  # kicks: fast motion is resolved by now, and what still does not converge is given little more time
+_MAPS_KEPT = 64  # of flows, while a number of steps is looked at
 _PATIENT = 5  # refinements, as corners let the distance fall unevenly
 
 
@@ -194,8 +196,8 @@ class Calibration:
         """Error estimate of every sample."""
         maps = self._maps(solver, steps, compensated=compensated)
 
-        def strobe(flow: Flow) -> Strobe:
-            return in_precision(maps(flow), self._precision)
+        def strobe(row: int) -> Strobe:
+            return in_precision(maps(row), self._precision)
 
         chance = 0.0 if compensated else self._rounding
         return np.maximum(
@@ -221,7 +223,7 @@ class Calibration:
         finer, coarser = (self._maps(self._way.reference, n) for n in (steps, max(1, steps // 2)))
         states, gaps = [], []
         for _ in range(_CALLS):
-            end, following = self._by_flow(record, lambda flow: (finer(flow),), now, _PERIODS, static=(_PERIODS,))
+            end, following = self._by_flow(record, lambda row: (finer(row),), now, _PERIODS, static=(_PERIODS,))
             states.append(jax.tree.map(lambda z, later: np.c_[z, later[:, :-1]], now.states, following))
             gaps.append(self._differing(coarser, now._replace(states=states[-1]), following))
             now = now._replace(states=end)
@@ -237,7 +239,7 @@ class Calibration:
         return taken._replace(states=jax.tree.map(lambda leaf: leaf[lane, time], whole)), sensitive.size
 
     def _differing(
-        self, maps: Callable[[Flow], Strobe], samples: _Samples, images: State
+        self, maps: Callable[[int], Strobe], samples: _Samples, images: State
     ) -> Float[np.ndarray, "lanes periods"]:
         """How far maps take states (lanes, periods) from images of theirs."""
         periods = jax.tree.leaves(images)[0].shape[1]
@@ -250,7 +252,7 @@ class Calibration:
         """Where lanes cross their section so slowly that they have come to rest on it: their time is then no number."""
         if self._flows[0] is self._flows[0].flow:
             return np.zeros(jax.tree.leaves(samples.states)[0].shape, bool)
-        speed = np.abs(self._by_flow(_crossing_rates, lambda flow: (flow,), samples, 0))
+        speed = np.abs(self._by_flow(_crossing_rates, lambda row: (self._flows[row],), samples, 0))
         return speed < _AT_REST * np.max(speed, axis=1, initial=0.0, where=np.isfinite(speed), keepdims=True)
 
     def _drop_lost(self) -> None:
@@ -315,14 +317,20 @@ class Calibration:
             worst = max(worst, self._largest(np.where(np.isfinite(gaps), gaps, 0.0)))
         return worst
 
-    def _maps(self, solver: Solver, steps: int, *, compensated: bool = False) -> Callable[[Flow], Strobe]:
+    def _maps(self, solver: Solver, steps: int, *, compensated: bool = False) -> Callable[[int], Strobe]:
+        """The maps of all flows, by their numbers."""
         self._tried = max(self._tried, solver.total_kicks(steps))
-        return lambda flow: make_strobe(flow, solver, steps, compensated=compensated)
+
+        @functools.lru_cache(_MAPS_KEPT)
+        def of(row: int) -> Strobe:
+            return make_strobe(self._flows[row], solver, steps, compensated=compensated)
+
+        return of
 
     def _by_flow(
         self,
         function: Callable[..., Any],
-        maps: Callable[[Flow], tuple[Any, ...]],
+        maps: Callable[[int], tuple[Any, ...]],
         samples: _Samples,
         periods: int,
         static: tuple[Any, ...] = (),
@@ -332,7 +340,7 @@ class Calibration:
         for k in np.unique(samples.row):
             here = np.flatnonzero(samples.row == k)
             part = samples.take(here)
-            found = self._lanes(function, maps(self._flows[k]), (part.states, part.p), periods=periods, static=static)
+            found = self._lanes(function, maps(int(k)), (part.states, part.p), periods=periods, static=static)
             if len(here) == len(samples.row):
                 return found
             whole = whole or jax.tree.map(lambda leaf: np.empty((len(samples.row), *leaf.shape[1:]), leaf.dtype), found)
@@ -340,9 +348,9 @@ class Calibration:
                 leaf[here] = new
         return whole
 
-    def _image(self, strobe: Callable[[Flow], Strobe], samples: _Samples) -> list[np.ndarray]:
+    def _image(self, strobe: Callable[[int], Strobe], samples: _Samples) -> list[np.ndarray]:
         """What a map makes of the samples, component by component, without what flows only report."""
-        states = self._by_flow(iterate, lambda flow: (strobe(flow), np.int32(1)), samples, 1)
+        states = self._by_flow(iterate, lambda row: (strobe(row), np.int32(1)), samples, 1)
         return [np.array(leaf) for leaf in jax.tree.leaves(self._flows[0].compared(states))]
 
 
