@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import functools
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.engine.axes import Points
@@ -45,6 +48,9 @@ _MOST_KICKS = 1 << 20
 _LONG = 4.0  # times the median return: errors have grown in it
 _HOPELESS = 1 << 17  # kicks: fast motion is resolved by now, and what still does not converge is given little more time
 _MAPS_KEPT = 64  # of flows, while a number of steps is looked at
+_STIFF = 200.0  # rates a unit of time that explicit steps of the reference do not follow
+_SILENT_SECONDS = 10.0
+_NOT_SMOOTH, _ORDER_OF_LAST = 2.5, 5  # order seen in the last refinements below which fields are taken to have corners
 _PATIENT = 5  # refinements, as corners let the distance fall unevenly
 
 
@@ -109,6 +115,8 @@ class Calibration:
         self._flows = [row.system for row in rows]
         self._lanes, self._precision = lanes, precision
         self._tried = 0  # kicks of the finest map that was looked at
+        self._said = time.monotonic()
+        self._fall: list[tuple[int, float]] = []  # kicks, and how far apart references of so many and of fewer are
         self._near = max(_ROUNDING, _NEAR * (target or 0.0))
         flow = self._flows[0]
         self._way = way = way_of(flow)
@@ -152,7 +160,7 @@ class Calibration:
     def _refusal(self, target: float, errors: Float[np.ndarray, " samples"]) -> AccuracyError:
         """What to say when the least errors there are exceed the target."""
         worst = self._largest_at(errors)
-        where = ", ".join(f"{name} = {values[worst]:.9g}" for name, values in self._samples.where.items())
+        where = _place(self._samples, worst)
         what, hint = "period", ""
         if self._flows[0] is not self._flows[0].flow:
             what, lengths = "return", np.abs(self._reference[-1] - self._samples.states.t)
@@ -160,6 +168,11 @@ class Calibration:
                 hint = (
                     f"; it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
                 )
+        if _order_of(self._fall) < _NOT_SMOOTH:
+            hint += (
+                "; more steps lessen it so slowly as where the equations jump or have corners (sign, abs, where): "
+                "make these smooth, or ask for less"
+            )
         return AccuracyError(
             f"no solver has an error of one {what} of {target:g} over this sweep; with up to {self._tried:,} kicks, "
             f"that at {where} comes down to {errors[worst]:.2g}{hint}"
@@ -264,14 +277,41 @@ class Calibration:
         image = self._image(self._maps(self._way.reference, _REFERENCE_STEPS), self._samples)
         kept = np.flatnonzero(np.all(np.isfinite(image), axis=0))
         if not len(kept):
-            raise AccuracyError("every lane of this sweep has a non-finite state within a period")
+            why = self._fault()
+            raise AccuracyError(f"every lane of this sweep has a non-finite state within a period{why and f'; {why}'}")
         self._samples = self._samples.take(kept)
+
+    def _fault(self) -> str:
+        """Why the map of the first sample has no value, with its place in the sweep; "" where that is not seen."""
+        one = jax.tree.map(lambda leaf: leaf[0], self._samples)
+        system = self._flows[int(one.row)]
+        flow, where = system.flow, f"at {_place(self._samples, 0)}"
+        state = one.states if flow is system else one.states.state
+        if why := flow.fault_at(0.0, state, one.p):
+            return f"{where} {why}"
+        if (fastest := _fastest(flow, state, one.p)) > _STIFF:
+            time_unit = ", or give a smaller time_unit" if flow.autonomous else ""
+            unit = "unit of time" if flow.autonomous else "period"
+            return (
+                f"{where} rates of change reach {fastest:.2g} a {unit}, and solvers are explicit: the system is stiff; "
+                f"slow down what is fast in it{time_unit}"
+            )
+        if isinstance(system, SectionedFlow):
+            return f"{where} the section may not be met within {system.longest:g} units of time"
+        return ""
+
+    def _tell(self, text: str) -> None:
+        """Say how far a calibration is that takes long."""
+        if time.monotonic() - self._said > _SILENT_SECONDS:
+            self._said = time.monotonic()
+            self._lanes.note(f"accuracy: {text}")
 
     def _seed_steps(self, samples: _Samples) -> int:
         """Steps with which the first period is roughly right."""
         solver, steps = self._way.reference, self._way.rough_steps
         image = self._image(self._maps(solver, steps), samples)
         while 2 * steps * solver.stages <= _MOST_SEED_KICKS:
+            self._tell(f"the start states with {2 * steps * solver.stages:,} kicks a period")
             coarser, image = image, self._image(self._maps(solver, 2 * steps), samples)
             gaps = _gaps(coarser, image)
             if np.all(~np.isfinite(gaps) | (gaps < _SEED_ERROR)):
@@ -303,6 +343,8 @@ class Calibration:
             least = np.minimum(least, gaps)
             for leaf, new in zip(finest, finer, strict=True):
                 leaf[open_] = new
+            self._fall.append((steps * solver.stages, self._largest(gaps)))
+            self._tell(f"with {self._fall[-1][0]:,} kicks a period, references differ by {self._fall[-1][1]:.1e}")
         return finest, gaps, steps * solver.stages
 
     def _rounding_of_sums(self) -> float:
@@ -359,6 +401,27 @@ def _order_seen(few: int, before: float, many: int, after: float, order: float) 
     if many <= few or not 0.0 < after < before < math.inf:
         return order
     return min(max(math.log(before / after) / math.log(many / few), 1.0), order)
+
+
+def _fastest(flow: Flow, y: State, p: Parameters) -> float:
+    """Largest modulus of the eigenvalues of a flow's linearisation at a state and t = 0, times its unit of time."""
+    flat, whole = ravel_pytree(jax.tree.map(jnp.asarray, y))
+    jacobian = np.asarray(jax.jacfwd(lambda z: ravel_pytree(flow.rhs(0.0, whole(z), p))[0])(flat))
+    return float(np.abs(np.linalg.eigvals(jacobian)).max()) * flow.period if np.isfinite(jacobian).all() else 0.0
+
+
+def _order_of(fall: Sequence[tuple[int, float]]) -> float:
+    """With which power of the kicks distances fall in the last refinements above rounding; infinite: unknown."""
+    seen = [(kicks, gap) for kicks, gap in fall if _ROUNDING < gap < math.inf][-_ORDER_OF_LAST:]
+    if len(seen) < _ORDER_OF_LAST:
+        return math.inf
+    kicks, gaps = np.log(np.array(seen)).T
+    return float(-np.polyfit(kicks, gaps, 1)[0])
+
+
+def _place(samples: _Samples, number: int) -> str:
+    """Where in the sweep a sample lies, in values of its axes."""
+    return ", ".join(f"{name} = {values[number]:.9g}" for name, values in samples.where.items())
 
 
 def _crossing_rates(section: SectionedFlow, states: Crossing, p: Parameters) -> Float[Array, " points"]:

@@ -90,6 +90,10 @@ class Lanes:
         finally:
             self._progress.finish()
 
+    def note(self, text: str) -> None:
+        """Say something worth knowing of the stage in hand."""
+        self._progress.note(text)
+
     def __call__(
         self,
         function: Callable[..., Any],

@@ -121,6 +121,10 @@ class Flow(eqx.Module):
     def rhs(self, t: ArrayLike, y: State, p: Parameters) -> State:
         """Time derivative of a state; components (...,) in and out."""
 
+    def fault_at(self, t: ArrayLike, y: State, p: Parameters) -> str:
+        """Why one state has no time derivative, in words; "" where nothing is known of that. On the host alone."""
+        return ""
+
     def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Number:
         """Divergence of the flow; its mean is the sum of the Lyapunov exponents."""
         return self.divergence_of(lambda z: self.rhs(t, z, p), y)

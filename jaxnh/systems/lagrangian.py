@@ -114,6 +114,18 @@ class Lagrangian(Defined):
         zero = jnp.zeros_like(y.q[0])
         return Motion(y.v, solved.a, (zero, jnp.where(solved.singular, jnp.nan, zero)))
 
+    def fault_at(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
+        """Which matrix is singular at a state, and for which velocities."""
+        equations, k = self.equations(p), len(y.q)
+        if not bool(accelerations(equations, y.q, y.v, t).singular):
+            return ""
+        mass = np.array(matrices(equations, (*y.q, *y.v, t), k)[0], float)
+        if np.linalg.matrix_rank(mass) == k:
+            return "the constraints f are not independent: df/dv has not the full rank"
+        without = [f"{name}_dot" for name, row in zip(self.names, mass, strict=True) if not row.any()]
+        missing = f": T has no term with the square of {', '.join(without)}" if without else ""
+        return f"the mass matrix, the second derivatives of T by the velocities, is singular{missing}"
+
     def multipliers(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
         """The m multipliers λ of (6)."""
         return accelerations(self.equations(p), y.q, y.v, t).multipliers

@@ -1,0 +1,75 @@
+"""What a newcomer meets whose own system cannot be run: one line with the reason, in words of mechanics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import run_here
+
+from jaxnh.engine import calibration
+
+CONFIG = """\
+system: {file: own.py}
+initial: {x: 2.0}
+sweep: {rate: {values: [1000.0]}}
+accuracy: {target: 1.0e-6}
+analyses:
+  portrait: {periods: 2, samples: 8}
+"""
+SYSTEMS = {
+    "no mass in a coordinate": (
+        "def system(rate=1.0):\n"
+        "    return dict(T=lambda q, v, t: v[0] ** 2, Q=lambda q, v, t: (-rate * q[0], -q[1]), coordinates=('x', 'y'))\n",
+        "at rate = 1000 the mass matrix, the second derivatives of T by the velocities, is singular: T has no term with "
+        "the square of y_dot",
+    ),
+    "the same constraint twice": (
+        "def system(rate=1.0):\n"
+        "    return dict(T=lambda q, v, t: sum(w * w for w in v), Q=lambda q, v, t: (-rate * q[0], -q[1], 0.0),\n"
+        "                f=lambda q, v, t: (v[0] - v[1], 2 * v[0] - 2 * v[1]), coordinates=('x', 'y', 'z'))\n",
+        "at rate = 1000 the constraints f are not independent: df/dv has not the full rank",
+    ),
+    "stiff": (  # eigenvalues at x = 2 are those of x'' = -3 rate x' - x: -3000 is one of them, to 1e-6
+        "def system(rate=1.0):\n"
+        "    return dict(rhs=lambda y, t: (y[1], rate * (1 - y[0] ** 2) * y[1] - y[0]), coordinates=('x', 'v'))\n",
+        "at rate = 1000 rates of change reach 3e+03 a unit of time, and solvers are explicit: the system is stiff",
+    ),
+}
+
+
+@pytest.mark.parametrize(("system", "reason"), SYSTEMS.values(), ids=SYSTEMS)
+def test_why_no_lane_has_a_period(tmp_path, system, reason):
+    (tmp_path / "own.py").write_text(system)
+    (tmp_path / "own.yaml").write_text(CONFIG)
+    run = run_here("own.yaml", "--quiet", cwd=tmp_path)
+    assert run.returncode == 2
+    assert len(run.stderr.splitlines()) == 1
+    assert "sweep: every lane of this sweep has a non-finite state within a period; " in run.stderr
+    assert reason in run.stderr
+
+
+def test_order_that_refinements_show():
+    """Errors of a field with a jump fall with the first power of the steps, those of a smooth one with the method's."""
+    kicks = [1000 * 1.5**k for k in range(8)]
+    for order in (1, 9):
+        fall = [(int(n), 1e-2 * (n / 1000.0) ** -order) for n in kicks]
+        assert calibration._order_of([(100, np.inf), *fall]) == pytest.approx(order, rel=1e-3)  # of rounded kicks
+    assert calibration._order_of([(100, np.inf), (150, 1e-5)]) == np.inf
+
+
+def test_a_calibration_that_takes_long_says_how_far_it_is(tmp_path, monkeypatch):
+    """Its steps and what they have come to, and of a field with a jump why it comes no further."""
+    monkeypatch.setattr(calibration, "_SILENT_SECONDS", 0.0)
+    monkeypatch.setattr(calibration, "_MOST_KICKS", 1 << 15)
+    (tmp_path / "own.py").write_text(
+        "import jax.numpy as jnp\n"
+        "def system(rate=1.0):\n"
+        "    return dict(rhs=lambda y, t: (y[1], -y[0] - 0.3 * jnp.sign(y[1]) + 2 * jnp.cos(t)), coordinates=('x', 'v'),\n"
+        "                period=2 * jnp.pi)\n"
+    )
+    (tmp_path / "own.yaml").write_text(CONFIG)
+    run = run_here("own.yaml", cwd=tmp_path)
+    *said, last = run.stderr.splitlines()
+    assert run.returncode == 2
+    assert any(" kicks a period, references differ by " in line for line in said)
+    assert "more steps lessen it so slowly as where the equations jump or have corners" in last
