@@ -23,7 +23,7 @@ from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.section import Crossing, SectionedFlow
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.flow import Flow, Parameters, State
 
 SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
