@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from jaxnh.analyses.attractors import POINTS, Judged, recorded, scene_from
 from jaxnh.analyses.base import LANE, Analysis, Options, Setting, Sweep, Whole, rule, variable
 from jaxnh.analyses.basin_tables import Known, attractors_group, basins_group, shares
+from jaxnh.analyses.boundary import boundary_variables, check_plane
 from jaxnh.analyses.growth import BLOCKS
 from jaxnh.analyses.looks import PARTS, look, maps
 from jaxnh.analyses.matching import find, joined
@@ -54,6 +55,11 @@ class BasinsOptions(Options):
         default_factory=dict, description="Coordinates of random start states, each with its lowest and highest value"
     )
 
+    boundary: bool = Field(
+        default=False,
+        description="Whether entropies and the uncertainty exponent of planes of start states are measured",
+    )
+
     @model_validator(mode="after")
     def _check(self) -> BasinsOptions:
         if bool(self.starts) != bool(self.box):
@@ -79,9 +85,11 @@ def numbers(options: BasinsOptions) -> int:
 
 
 def check(options: BasinsOptions, setting: Setting) -> None:
-    """See that there is a box for random starts, and nothing else that says where lanes start."""
+    """See that there is a box for random starts and nothing else that says where lanes start, and a plane if needed."""
     if options.starts:
         check_box(options.box, setting, "box")
+    if options.boundary:
+        check_plane(setting, "boundary")
 
 
 def run(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
@@ -149,8 +157,11 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     unit = counted_in(flow)
     axes = tuple(sweep.axes[k] for k in own)
     hits = shares(number, point, math.prod(sizes), max([1, *table.number.tolist()]))
+    basins = basins_group(lot, number, unit, flow, drawn, (count // each, *starts))
+    if options.boundary:
+        basins = basins.merge(boundary_variables(number, sweep.axes))
     return {
-        "basins": basins_group(lot, number, unit, flow, drawn, (count // each, *starts)),
+        "basins": basins,
         "attractors": attractors_group(table, axes, hits, unit),
     }
 

@@ -13,8 +13,10 @@ from jaxtyping import Float
 
 from jaxnh.analyses.growth import BLOCKS, Growth, window, windows
 
-_STUDENT = {16: 2.131, 15: 2.145, 14: 2.160, 13: 2.179, 12: 2.201, 11: 2.228, 10: 2.262, 9: 2.306, 8: 2.365}
-_STUDENT |= {7: 2.447, 6: 2.571, 5: 2.776, 4: 3.182, 3: 4.303, 2: 12.706}  # of so many means, 95 %
+STUDENT = {16: 2.131, 15: 2.145, 14: 2.160, 13: 2.179, 12: 2.201, 11: 2.228, 10: 2.262, 9: 2.306, 8: 2.365}
+STUDENT |= {7: 2.447, 6: 2.571, 5: 2.776, 4: 3.182, 3: 4.303, 2: 12.706}
+"""Student's quantile of 95 %, two-sided, for the mean of so many numbers: one more than its degrees of freedom."""
+
 _FEWEST = 4  # means of a batch that an error is taken from
 _ROUNDING = 1e-10  # of a smooth average a period
 _UNSEEN = 3.0  # events that were never seen: their mean number over as long a run is below this, 95 %
@@ -46,7 +48,7 @@ def of_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
     while blocks // size >= _FEWEST:
         count = blocks // size
         batches = rates[:, : count * size].reshape(len(rates), count, size, -1).mean(axis=2)
-        error = np.maximum(error, _STUDENT[count] * batches.std(axis=1, ddof=1) / math.sqrt(count))
+        error = np.maximum(error, STUDENT[count] * batches.std(axis=1, ddof=1) / math.sqrt(count))
         size *= 2
     strayed = np.cumsum(rates - mean[:, None], axis=1) / blocks
     low, high = np.minimum(strayed.min(axis=1), 0.0), np.maximum(strayed.max(axis=1), 0.0)
