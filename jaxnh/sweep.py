@@ -40,6 +40,9 @@ def sweep(
             min=1, metavar="LANES", help="Lanes a tile; by default some ten seconds of work, no part without tiles"
         ),
     ] = None,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Run a sweep of any size: of days, or of more lanes than 10^7")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors")] = False,
     print_schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of a config")] = False,
 ) -> None:
@@ -70,7 +73,7 @@ def sweep(
             print(f"{path}: the result of this config is there; --fresh runs it again")
         return
     check_output(path)
-    how = How(fresh, share, merge_only, dask, tile, called("jaxnh.sweep"))
+    how = How(fresh, share, merge_only, dask, tile, called("jaxnh.sweep"), yes)
     shown = progress(Console(stderr=True), quiet=quiet)
     try:
         with Stop() as stop:

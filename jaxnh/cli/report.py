@@ -36,6 +36,9 @@ def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int
         f"error of one {'return' if experiment.sectioned else 'period'} {job.error_estimate:.1e}; "
         f"{total.lane_periods:,.0f} lane-periods"
     )
+    if job.levels > 1:
+        share = float(read_group(path, job.groups[0])["computed"].mean())
+        print(f"{job.levels} levels; {share:.1%} of {job.lanes:,} lanes computed")
     if outcome.run_seconds:
         rest = outcome.seconds - outcome.compile_seconds - outcome.run_seconds
         parts = f"compile {outcome.compile_seconds:.1f} s, run {outcome.run_seconds:.1f} s"

@@ -27,6 +27,7 @@ from jaxnh.config.messages import close_match, first_fault, listed
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, PrescribedSpeed, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_source import Source, from_dict, from_text, read
+from jaxnh.exceptions import ConfigError
 from jaxnh.maps.section import Crossing
 from jaxnh.solvers import NYSTROM, RUNGE_KUTTA, SPLITTINGS
 from jaxnh.systems.flow import Flow, State
@@ -267,6 +268,19 @@ class Experiment(Block):
     def precision(self) -> str:
         """Arithmetic within a period: "float64", or "float32" where it is asked for."""
         return self.accuracy.precision or "float64"
+
+    def too_large(self, would: str) -> ConfigError:
+        """What to say of a sweep that has too many lanes, at the axis that is most likely meant to be shorter.
+
+        Args:
+            would: what it would take, and what to do.
+        """
+        grids = self.sweep.grids
+        keys = [("sweep",), *(("sweep", name, key) for key in ("count", "values") for name in grids)]
+        keys += [("sweep", name) for name in grids]
+        counts = " x ".join(f"{grid.size:,}" for grid in grids.values())
+        message = f"{counts} are {self.sweep.lanes:,} lanes{would}"
+        return self._origin.error(self._origin.blame(keys), message) if self._origin else ConfigError(message)
 
     def unlike(self, published: Published) -> list[str]:
         """In words, in what system and start differ from those that published values are of; the first axis may."""

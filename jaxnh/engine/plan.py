@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -14,10 +15,11 @@ from jaxtyping import Float
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, Analysis, Options, Sweep
 from jaxnh.analyses.scene import Axis, Scene
+from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.axes import Points, on_axes, places_of, points, sampled, whole_on_axes
 from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan
-from jaxnh.engine.lanes import TILE, Lanes
+from jaxnh.engine.lanes import TILE, Lanes, turns_of
 from jaxnh.engine.levels import Level, filled, with_computed
 from jaxnh.exceptions import AccuracyError
 from jaxnh.solvers import SOLVERS
@@ -28,6 +30,9 @@ from jaxnh.storage.tiles import Spent
 Requested = Sequence[tuple[Analysis, Options]]
 
 _BATCH_BYTES = 1 << 28  # of results that are computed at once
+_MOST_CHOOSING = 1 << 16  # lanes of a sweep with more than are run unasked that analyses choose by
+_LONGEST_RUN = 86400.0  # seconds that a sweep may take unasked: what takes days is a slip, or work for a cluster
+_UNITS = ((172800.0, 86400.0, "days"), (7200.0, 3600.0, "hours"), (0.0, 60.0, "minutes"))  # from what time on
 _TILES_A_PART = 4  # at least, so that parts differ by one in four at most
 
 
@@ -94,7 +99,8 @@ def choose(
     """What analyses choose from a whole sweep: of several values of the shared axes the largest."""
     found: dict[str, dict[str, int]] = {}
     choosing = [(a, options) for a, options in requested if a.choose and a.independent(options)]
-    for places in sampled(axes, None) if choosing else ():
+    most = None if experiment.sweep.lanes <= MOST_LANES else _MOST_CHOOSING
+    for places in sampled(axes, most) if choosing else ():
         scene = scene_of(points(experiment, axes, places), plan, experiment.precision)
         for analysis, options in choosing:
             assert analysis.choose is not None
@@ -151,17 +157,56 @@ def decide(
     tile: int | None = None,
     parts: int = 1,
     machine: Mapping[str, str] | None = None,
+    *,
+    asked: bool = True,
 ) -> Job:
     """Everything that holds for the whole sweep of an experiment, which is computed here unless a machine is named.
 
+    Args:
+        asked: whether it may be larger than is run unasked.
+
     Raises:
         AccuracyError: no solver meets the target.
+        ConfigError: it is too large.
     """
     axes, requested = experiment.axes, experiment.requested()
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
         plan = plan_of(experiment, calibrate(experiment, axes, lanes, experiment.accuracy.only_target))
+        if not asked:
+            check_size(experiment, axes, plan, requested, lanes)
         chosen = choose(experiment, axes, plan, requested, lanes)
     return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
+
+
+def check_size(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: Lanes) -> None:
+    """See that a sweep is one that is run unasked: of no more than `MOST_LANES` lanes and `_LONGEST_RUN`.
+
+    The time is that of its lane-periods in turns of the loop of the map, as fast as in the calibration.
+
+    Raises:
+        ConfigError: it is not; the message says how large it is and what it would take.
+    """
+    count = experiment.sweep.lanes
+    work = work_of(requested, count) * count
+    first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
+    turns = turns_of((scene_of(first, plan, experiment.precision).strobe(),))
+    seconds = work * turns * lanes.fastest if math.isfinite(lanes.fastest) else 0.0
+    if count > MOST_LANES or seconds > _LONGEST_RUN:
+        size = f", {8e-9 * count:.2g} GB a variable" if count > MOST_LANES else ""
+        would = f"{size}, and about {_rounded(work)} lane-periods, {_said(seconds)} on this machine; --yes goes on"
+        raise experiment.too_large(would)
+
+
+def _said(seconds: float) -> str:
+    """A time in words."""
+    _, unit, name = next(one for one in _UNITS if seconds >= one[0])
+    return f"{float(f'{seconds / unit:.2g}'):,g} {name}"
+
+
+def _rounded(number: float) -> str:
+    """Two digits of a large number."""
+    digits, power = f"{number:.1e}".split("e")
+    return f"{digits}e{int(power)}"
 
 
 def work_of(analyses: Requested, lanes: int) -> float:

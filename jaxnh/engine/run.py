@@ -51,6 +51,7 @@ class How(NamedTuple):
         dask: where Dask workers are.
         tile: lanes a tile.
         command: what is run, for the history of the result.
+        yes: run a sweep however large.
     """
 
     fresh: bool = False
@@ -59,6 +60,7 @@ class How(NamedTuple):
     dask: str | None = None
     tile: int | None = None
     command: str = ""
+    yes: bool = False
 
 
 class Outcome(NamedTuple):
@@ -94,6 +96,7 @@ def run_to_file(
     Raises:
         ArgumentError: the folder holds tiles of something else, or there is nothing to merge.
         AccuracyError: no solver meets the target.
+        ConfigError: the sweep is larger than is run unasked.
         BusyError: another process is at work on the same output.
         Stopped: `check` has raised it; what is done is kept.
         RunError: the run cannot go on; the message says what is kept.
@@ -218,7 +221,7 @@ class _Run:
         lanes = self._make_lanes()
         machine = dask_workers.machine(self._how.dask, lanes, self._check) if self._how.dask else lanes.machine
         parts = self._how.part[1] if self._how.part else 1
-        job = decide(self._experiment, lanes, self._how.tile, parts, machine)
+        job = decide(self._experiment, lanes, self._how.tile, parts, machine, asked=self._how.yes)
         self._check()
         cost = spent(lanes, time.perf_counter() - self._began)
         own = self._experiment.user_file

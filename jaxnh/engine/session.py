@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 from jaxnh.analyses import ANALYSES, GROUPS
 from jaxnh.analyses.base import Options
 from jaxnh.analyses.scene import Axis
+from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers, early_imports
 from jaxnh.engine.calibration import Plan
@@ -131,6 +132,10 @@ class Session:
 
     def _computed(self, experiment: Experiment) -> tuple[Job, dict[str, xr.Dataset]]:
         """The datasets of all analyses that an experiment asks for, this one's or a variant of it."""
+        if experiment.sweep.lanes > MOST_LANES:
+            raise experiment.too_large(
+                f", and {MOST_LANES:,} is the most in memory; a run with an output may have more"
+            )
         axes, requested, lanes = experiment.axes, experiment.requested(), self._lanes
         plan = self._plan_for(experiment, axes)
         chosen = choose(experiment, axes, plan, requested, lanes)
@@ -175,6 +180,7 @@ def run(
     fresh: bool = False,
     dask: str | None = None,
     tile: int | None = None,
+    yes: bool = False,
 ) -> xr.DataTree:
     """All analyses that an experiment asks for, as a tree with a dataset each.
 
@@ -185,6 +191,7 @@ def run(
         fresh: replace an output that is there.
         dask: workers to use: "local", "local:N", "tcp://HOST:PORT" or a scheduler file; needs an output.
         tile: lanes a tile of the output, by default some ten seconds of work.
+        yes: run a sweep into an output however large: of days, or of more than 10,000,000 lanes.
 
     Raises:
         InputError: an argument cannot be used.
@@ -204,7 +211,7 @@ def run(
     path = file_of(Path(output))
     if not is_there(experiment, path, fresh=fresh):
         check_output(path)
-        run_to_file(experiment, path, How(fresh=fresh, dask=dask, tile=tile), as_progress(progress))
+        run_to_file(experiment, path, How(fresh=fresh, dask=dask, tile=tile, yes=yes), as_progress(progress))
     return open_result(path)
 
 

@@ -63,7 +63,9 @@ def figure(result: xr.DataTree | xr.Dataset | Path | str) -> Figure:
             lines.append(f"not drawn, since no attribute panel says how: {', '.join(silent)}")
         if panels:
             attrs = {str(key): value for key, value in tree.attrs.items()}
-            return laid_out(panels, str(attrs.get("title", "")), [*_provenance(attrs), *lines])
+            return laid_out(
+                panels, str(attrs.get("title", "")), [*_provenance(attrs), *_of_level(attrs, groups), *lines]
+            )
     except ResultError as error:
         raise ResultError(f"{source}: {error}") from error
     raise ResultError("; ".join((f"{source} has nothing that can be drawn", *lines)))
@@ -186,3 +188,14 @@ def _provenance(attrs: Mapping[str, object]) -> list[str]:
     except (KeyError, ValueError) as missing:
         raise ResultError(f"its attributes are not as jaxnh writes them: {missing}") from missing
     return [f"jaxnh {version}, {solver}, {steps} steps {time}, error of one {turn} {error:.1g}"]
+
+
+def _of_level(attrs: Mapping[str, object], groups: _Groups) -> list[str]:
+    """Which level of a sweep it is, and what share of it was computed; nothing where there are no levels."""
+    shares = [float(data["computed"].mean()) for data in groups.values() if "computed" in data.variables]
+    if "levels" not in attrs or not shares:
+        return []
+    level = f"level {attrs['level']} of {attrs['levels']}"
+    if shares[0] == 1.0:
+        return [level]
+    return [f"{level}, {100 * shares[0]:.3g} % of the points computed, the others filled from neighbours of their kind"]

@@ -216,7 +216,6 @@ REFUSED = {
     "no common period at one d": (("disturbed_speed", "disturbed_speed\n  omega: 0.123456789"), "FILE:3: system.omega: sin(0.123457 t) and the disturbance sin t have no common period to strobe at; omega must be a ratio p/q of whole numbers with q up to 64"),
     "too fast": (("  b: {", "  x2: {values: [0.1, -1.5]}\n  b: {"), "FILE:5: sweep.x2: the speed at t = 0 is 1, and |x2| cannot be above it; x2 is -1.5"),
     "too fast at one c": (("  d: {values: [0.1, 0.2]}", "  c: {values: [1, 0.25]}\n  x2: {values: [0.1, 0.6]}"), "FILE:5: sweep.x2: the speed at t = 0 is 0.5, and |x2| cannot be above it; x2 is 0.6"),
-    "too many lanes": (("count: 3", "count: 2000000"), "FILE:3: sweep: 2 x 2,000,000 x 4 are 16,000,000 lanes, and 10,000,000 is the most"),
     "search along d": (("lyapunov: {}", "doubling: {search: true}"), "FILE:8: analyses.doubling.search: it looks beyond the sweep, and all lanes share d: the system may not exist there; leave it out"),
     "doubling along omega": (("  d: {values: [0.1, 0.2]}", "  omega: {values: [1, 2]}"), ("lyapunov: {}", "doubling: {}"), "FILE:8: analyses.doubling: doubling looks between the values of omega, and there sin(1.75855 t) and the disturbance sin t have no common period to strobe at; omega must be a ratio p/q of whole numbers with q up to 64; put a parameter such as b first"),
     "doubling along x1": (("  d: {values: [0.1, 0.2]}", "  x2: {values: [0.1, 0.2]}"), ("lyapunov: {}", "doubling: {}"), "FILE:8: analyses.doubling: doubling follows orbits along the first axis of the sweep, and x2 is a coordinate of the start state; put a parameter such as b first"),
@@ -232,13 +231,6 @@ def test_axes_that_do_not_go_together(tmp_path, name):
     with pytest.raises(ConfigError) as caught:
         load(path)
     assert str(caught.value).replace(str(path), "FILE") == message
-
-
-def test_too_many_lanes_on_the_command_line(tmp_path):
-    with pytest.raises(ConfigError) as caught:
-        load(plane(tmp_path), ["sweep.b.count=2000000"])
-    message = "command line: sweep.b.count: 2 x 2,000,000 x 4 are 16,000,000 lanes, and 10,000,000 is the most"
-    assert str(caught.value) == message
 
 
 def test_one_value_of_d_keeps_the_strobe_of_any(tmp_path):

@@ -30,7 +30,7 @@ def _job(tile, parts):
     return decide(EXPERIMENT, lanes_with_kept_programs(), tile, parts)
 
 
-def _decided(experiment, lanes, tile, parts, machine):
+def _decided(experiment, lanes, tile, parts, machine, *, asked):
     """What is decided for the whole sweep, once for all tests."""
     return _job(tile, parts)
 
