@@ -75,7 +75,8 @@ def _of_spectra(root: Path) -> list[float]:
 def _held_out(root: Path) -> list[float]:
     """The least and the most over heyoka, of all scenes held out and all targets."""
     text = (root / _PEERS).read_text(encoding="utf-8")
-    ratios = [number(line.split("|")[6]) for line in re.findall(r"^\| held out \d \|.*processed6.*$", text, re.MULTILINE)]
+    rows = re.findall(r"^\| held out \d \|.*processed6.*$", text, re.MULTILINE)
+    ratios = [number(line.split("|")[6]) for line in rows]
     return [min(ratios), max(ratios)]
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from jaxnh.analyses.looks import PARTS, Look, angles, look_at, maps, units
+from jaxnh.analyses.looks import Look, angles, look_at, maps, points_a_unit, units
 from jaxnh.analyses.lyapunov import LyapunovOptions
 from jaxnh.analyses.lyapunov import run as exponents_of
 from jaxnh.analyses.period import beyond_doublings, survey
@@ -141,15 +141,15 @@ def scene_from(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"])
 
 def followed(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes points d"]:
     """Points of lanes that go on from u, that among them."""
-    strobe, stacked = maps(scene)
-    return lanes(_followed, (strobe,), (u, dict(scene.p)), periods=FOLLOWED, static=(stacked,))
+    strobe, parts = maps(scene)
+    return lanes(_followed, (strobe,), (u, dict(scene.p)), periods=FOLLOWED, static=(parts,))
 
 
-def _followed(strobe: Strobe, u: Array, p: Parameters, stacked: bool) -> Float[Array, "points d"]:
+def _followed(strobe: Strobe, u: Array, p: Parameters, parts: int) -> Float[Array, "points d"]:
     flow = strobe.system
 
     def follow(state: State, _: None) -> tuple[State, Array]:
-        if stacked:
+        if parts:
             state, _ = lax.scan(lambda z, part: (part(z, p), None), state, strobe)
         else:
             state = strobe(state, p)
@@ -220,7 +220,7 @@ def _by_exponents(
     """Kinds by the largest exponents, and the one that counts."""
     clock, period = not scene.flow.autonomous, scene.system.period
     if not clock and scene.flow.exponents == 1:  # along the flow there is one alone
-        around = _comes_back(scene.system, seen, looked)
+        around = _comes_back(scene, seen, looked)
         return np.where(around, LIMIT_CYCLE, NONE).astype(np.int8), np.full(scene.count, np.nan)
     options = LyapunovOptions(transient=_LAGS, periods=_AVERAGED, exponents=min(2, scene.flow.exponents))
     found = exponents_of(options, scene, lanes)
@@ -237,15 +237,15 @@ def _by_exponents(
         largest[here] = np.where(cycle, every[here, -1], largest[here])
     else:
         kind[largest + error < 0.0] = LIMIT_CYCLE
-        kind[(kind != CHAOTIC) & ~_comes_back(scene.system, seen, looked)] = NONE
+        kind[(kind != CHAOTIC) & ~_comes_back(scene, seen, looked)] = NONE
     return kind, largest
 
 
-def _comes_back(system: Flow, seen: Look, looked: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
+def _comes_back(scene: Scene, seen: Look, looked: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
     """Whether a motion without a clock has gone to and fro or around: a slow passage goes one way."""
-    turns = angles(system)
+    turns = angles(scene.system)
     fro = ~turns & (seen.path > _TO_AND_FRO * (seen.high - seen.low)) & (seen.high > seen.low)
-    turned = turns & (np.abs(_turning(turns, seen)) * looked[:, None] * PARTS > _TURNED)
+    turned = turns & (np.abs(_turning(turns, seen)) * looked[:, None] * points_a_unit(scene) > _TURNED)
     return np.any(fro | turned, axis=1)
 
 
@@ -271,19 +271,19 @@ def _drift(
 
 def recorded(scene: Scene, lanes: LaneRunner, count: int) -> Float[np.ndarray, "lanes points d"]:
     """Points of lanes, one after the other: strobes, or without a clock several in a unit of time."""
-    strobe, stacked = maps(scene)
-    return lanes(_record, (strobe,), scene.lanes, periods=count, static=(count, stacked))
+    strobe, parts = maps(scene)
+    return lanes(_record, (strobe,), scene.lanes, periods=count, static=(count, parts))
 
 
-def _record(strobe: Strobe, state: State, p: Parameters, count: int, stacked: bool) -> Float[Array, "points d"]:
+def _record(strobe: Strobe, state: State, p: Parameters, count: int, parts: int) -> Float[Array, "points d"]:
     def point(state: State, strobe: Strobe) -> tuple[State, Array]:
         after = strobe(state, p)
         return after, strobe.system.chart(after)
 
-    if not stacked:
+    if not parts:
         return lax.scan(lambda state, _: point(state, strobe), state, length=count)[1]
-    points = lax.scan(lambda state, _: lax.scan(point, state, strobe), state, length=count // PARTS)[1]
-    return points.reshape(count, -1)
+    points = lax.scan(lambda state, _: lax.scan(point, state, strobe), state, length=-(-count // parts))[1]
+    return points.reshape(-1, points.shape[-1])[:count]
 
 
 def _spacing(system: Flow, points: Float[np.ndarray, "points d"], size: Float[np.ndarray, " d"]) -> float:

@@ -21,7 +21,7 @@ from jaxnh.analyses.base import LANE, Analysis, Options, Setting, Sweep, Whole, 
 from jaxnh.analyses.basin_tables import Known, attractors_group, basins_group, shares
 from jaxnh.analyses.boundary import boundary_variables, check_plane
 from jaxnh.analyses.growth import BLOCKS
-from jaxnh.analyses.looks import PARTS, look, maps
+from jaxnh.analyses.looks import look, maps
 from jaxnh.analyses.matching import find, joined
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.random_starts import check_box, started
@@ -250,9 +250,9 @@ def count(data: xr.Dataset) -> dict[str, int]:
 def price(options: BasinsOptions, scene: Scene) -> Price:
     """A period of a look, with its means, against the map alone."""
     scene = scene.in_time()
-    strobe, stacked = maps(scene)
-    turns = (float(BLOCKS), 1.0, *((float(PARTS),) if stacked else ()), *strobe.turns)
-    program = Program(look, (strobe, np.int32(1)), scene.lanes, turns, (stacked,), BLOCKS, whole=True)
+    strobe, parts = maps(scene)
+    turns = (float(BLOCKS), 1.0, *((float(parts),) if parts else ()), *strobe.turns)
+    program = Program(look, (strobe, np.int32(1)), scene.lanes, turns, (parts,), BLOCKS, whole=True)
     return Price(program, map_alone(scene), "means of every coordinate and its square")
 
 

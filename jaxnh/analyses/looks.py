@@ -24,8 +24,12 @@ from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Flow, Parameters, State
 
-PARTS = 8
-"""Points of a unit of time that means are taken over where there is no clock."""
+_MOST_PARTS = 8
+"""Points of a unit of time that means are taken over, at most, where there is no clock.
+
+Fewer where a unit has fewer steps: what these resolve to the accuracy asked for has no harmonics worth mention at as
+many points, so that a cycle that the unit is a multiple of has the same means at every phase.
+"""
 
 
 class Look(NamedTuple):
@@ -87,22 +91,28 @@ def units(turns: Bool[np.ndarray, " d"], size: Float[np.ndarray, "lanes d"]) -> 
     return np.stack(found, axis=-1)
 
 
-def maps(scene: Scene) -> tuple[Strobe, bool]:
-    """The map of a period, or without a clock those of its parts, stacked; and which of the two it is."""
+def points_a_unit(scene: Scene) -> int:
+    """Points of a unit of time that means are taken over where there is no clock."""
+    return min(_MOST_PARTS, scene.steps)
+
+
+def maps(scene: Scene) -> tuple[Strobe, int]:
+    """The map of a period, and 0, or without a clock those of the parts of a unit of time, stacked, and how many."""
     if not scene.flow.autonomous:
-        return scene.strobe(), False
-    parts = make_parts(scene.flow, scene.solver, scene.steps, PARTS, compensated=scene.compensated)
-    return in_precision(parts, scene.precision), True
+        return scene.strobe(), 0
+    parts = points_a_unit(scene)
+    strobes = make_parts(scene.flow, scene.solver, scene.steps, parts, compensated=scene.compensated)
+    return in_precision(strobes, scene.precision), parts
 
 
 def look_at(scene: Scene, lanes: LaneRunner, state: State, count: int) -> Look:
     """Lanes of a scene from a state over `count` periods, a multiple of `BLOCKS`."""
-    strobe, stacked = maps(scene)
-    shared, static = (strobe, np.int32(count // BLOCKS)), (stacked,)
+    strobe, parts = maps(scene)
+    shared, static = (strobe, np.int32(count // BLOCKS)), (parts,)
     return lanes(look, shared, (state, dict(scene.p)), periods=count, static=static)
 
 
-def look(strobe: Strobe, each: ArrayLike, state: State, p: Parameters, stacked: bool) -> Look:
+def look(strobe: Strobe, each: ArrayLike, state: State, p: Parameters, parts: int) -> Look:
     """One lane over `BLOCKS` times `each` periods."""
     flow = strobe.system
     turns, d = angles(flow), flow.dimension
@@ -119,7 +129,7 @@ def look(strobe: Strobe, each: ArrayLike, state: State, p: Parameters, stacked: 
 
     def period(k: Array, carry: tuple[_Sums, Array]) -> tuple[_Sums, Array]:
         sums, weights = carry
-        if stacked:
+        if parts:
             sums, seen = lax.scan(point, sums, strobe)
             seen = jnp.mean(seen, axis=0)
         else:
