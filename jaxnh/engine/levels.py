@@ -1,10 +1,13 @@
 """A sweep from coarse to fine: which lanes a level adds, and what the places are filled with that it leaves out.
 
-A level has every second value, along each axis, of the one after it. With `refine: boundary` it computes what lies near
-a change of the kind of motion in the level before: a lane of that level is near one where any of its neighbours, also
-across a corner, is of another kind, and a lane of this level where it or any of its neighbours is such a lane. Of other
-rules this was the best in charts of the particle over b and d and over b and a (`sweeps/chart_levels.py`): without
-the neighbours' neighbours thin windows are lost, and a second ring costs a fifth more lanes for pixels that were right.
+A level has every second value, along each axis, of the one after it. With `refine: boundary` it computes what lies
+near a change of the kind of motion in the level before: a lane of that level is near one where any of its neighbours,
+also across a corner, is of another kind, and a lane of this level where it or any of its neighbours is such a lane.
+Rules tried on the full chart of exponents and periods over b and d at 256 x 256 (`configs/chart_b_d.yaml`), with 4
+levels: this one computes 32 % of the lanes, and 0.09 % of the places are of another kind than in full. With the lanes
+at a change alone, and then again those at a change that is found, until there is none, it is 23 % and 0.4 %; with one
+more ring about the changes 39 % and less than 0.01 %. After this rule another round in the same level finds 0.03 % of
+the places, and is not made.
 
 Solver, steps and what analyses choose are those of the whole sweep: a lane has the same bits at whatever level it is
 computed. Nothing is computed here.

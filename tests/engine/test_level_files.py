@@ -10,6 +10,7 @@ from conftest import lanes_with_kept_programs, same_tree, session_of
 from test_batch import content
 from test_levels import WIDE, said
 
+import jaxnh
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.output import is_there
 from jaxnh.engine.plan import decide
@@ -59,6 +60,8 @@ def whole(tmp_path_factory):
 def test_result_is_that_in_memory(whole):
     ours = load_result(whole)
     same_tree(ours, session_of(EXPERIMENT).tree())
+    share = 100 * float(ours["period"]["computed"].mean())
+    assert f"level 3 of 3, {share:.3g} % of the points computed" in jaxnh.figure(ours).get_supxlabel()
     assert (ours.attrs["level"], ours.attrs["levels"], ours.attrs["refine"]) == (3, 3, "boundary")
     assert not whole.with_name("whole.h5.tiles").exists()
 
