@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -22,7 +22,7 @@ from jaxnh.analyses.growth import BLOCKS
 from jaxnh.analyses.looks import PARTS, look, maps
 from jaxnh.analyses.matching import Found, find
 from jaxnh.analyses.price import Price, Program, map_alone
-from jaxnh.analyses.random_starts import check_box, started
+from jaxnh.analyses.random_starts import Side, check_box, started
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.settling import FAILED, REASONS, Lot, settle, states_at
 from jaxnh.analyses.verdict import KINDS
@@ -30,10 +30,6 @@ from jaxnh.systems.flow import Flow, Output
 
 _USUAL = 2.0  # looks as long as the transient that most lanes take, the transient among them
 _QUANTILE = 1.959963984540054  # of a normal distribution, 95 % two-sided
-
-
-Side = Annotated[tuple[float, float], Field(strict=False)]
-"""The lowest and the highest value of a coordinate."""
 
 
 class BasinsOptions(Options):

@@ -123,11 +123,11 @@ def test_normal_forms(lanes, name):
     assert point.criticality == (1 if coefficient < 0 else -1)
     if kind != "branch_point":
         return
-    sides = [branch for branch in tree.branches if np.abs(branch.points).max() > 1e-3]
-    assert len(sides) == 2  # x = ±√(∓μ)
-    for branch in sides:
-        assert np.abs(branch.points[:, 0, 0] ** 2 - np.abs(branch.value)).max() < 1e-10
-    assert np.sign(sides[0].points[-1, 0, 0]) == -np.sign(sides[1].points[-1, 0, 0])
+    [both] = [branch for branch in tree.branches if np.abs(branch.points).max() > 1e-3]
+    x = both.points[:, 0, 0]  # ±√(∓μ), through the pitchfork from end to end
+    assert np.abs(x**2 - np.abs(both.value)).max() < 1e-10
+    assert x[0] == pytest.approx(-x[-1], abs=1e-10)
+    assert len(tree.branches) == 2
 
 
 def test_hopf(lanes):
