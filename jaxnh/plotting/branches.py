@@ -16,7 +16,7 @@ from jaxnh.plotting.groups import along, declared_axes, needed, shown
 from jaxnh.plotting.labels import axis_label
 from jaxnh.plotting.meanings import meanings
 
-_INK = LinearSegmentedColormap.from_list("ink", ("#ececec", "#9a9a9a"))
+_INK = LinearSegmentedColormap.from_list("ink", ("#d4d4d4", "#808080"))
 _MARKS = {"fold": "s", "period doubling": "o", "neimark sacker": "^", "branch point": "D", "hopf": "v"}
 _PERIODS = 8  # that the legend names, the shortest first
 
