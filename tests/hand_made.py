@@ -126,3 +126,34 @@ def basin_shares(b):
     coordinates = {n: xr.Variable(n, v, {"long_name": w, "units": u}) for n, (v, w, u) in axes.items()}
     attrs = {"panel": "shares", "panel_variables": "fraction", "axes": "b"}
     return xr.Dataset(variables, coordinates, attrs)
+
+
+def cascade_branches():
+    """Periods 1 and 2 of x → b x (1 − x) about the doubling at 3, each stable in part; the second is shorter."""
+    b = np.full((2, 40), np.nan)
+    b[0], b[1, :20] = np.linspace(2.5, 3.6, 40), np.linspace(3.0, 3.6, 20)
+    x = np.full((2, 40, 2), np.nan)
+    x[0, :, 0] = 1 - 1 / b[0]
+    middle, half = 0.5 * (1 + 1 / b[1]), 0.5 * np.sqrt((1 - 3 / b[1]) * (1 + 1 / b[1]))
+    x[1] = middle[:, None] + half[:, None] * [-1.0, 1.0]
+    stable = np.where(np.isfinite(b), np.where([[True], [False]], b < 3, b < 1 + np.sqrt(6)), -1).astype(np.int8)
+    variables = {
+        "b": (("branch", "point"), b, "coupling b", "1"),
+        "x1_points": (("branch", "point", "iterate"), x, WORDS["x1"], "1"),
+        "stable": (("branch", "point"), stable, "1 where the orbit attracts", "1"),
+        "period": (("branch",), np.array([1, 2]), "period", "periods"),
+    }
+    return dataset({}, variables, panel="branches", panel_variables="x1_points", along="b")
+
+
+def cascade_marks():
+    """Its first two doublings, and a fold that is none of it, subcritical."""
+    x = np.array([[2 / 3, np.nan], [0.4399, 0.8499], [0.5, np.nan]])
+    flags = {"flag_values": np.arange(2), "flag_meanings": "fold period_doubling"}
+    variables = {
+        "b": (("bifurcation",), np.array([3.0, 1 + np.sqrt(6), 2.6]), "coupling b", "1"),
+        "x1_points": (("bifurcation", "iterate"), x, WORDS["x1"], "1"),
+        "kind": (("bifurcation",), np.array([1, 1, 0]), "kind of bifurcation", "1", flags),
+        "criticality": (("bifurcation",), np.array([1, 1, -1]), "criticality", "1"),
+    }
+    return dataset({}, variables, panel="marks", panel_variables="x1_points", along="b")

@@ -292,6 +292,7 @@ OTHERS = {
     "PydanticCustomError": dict.fromkeys(
         (
             "analyses/basins.py",
+            "analyses/branches.py",
             "analyses/diagram.py",
             "config/blocks.py",
             "config/experiment.py",

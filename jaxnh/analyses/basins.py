@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated
 
 import jax
 import numpy as np
@@ -24,17 +23,13 @@ from jaxnh.analyses.growth import BLOCKS
 from jaxnh.analyses.looks import look, maps
 from jaxnh.analyses.matching import find, joined
 from jaxnh.analyses.price import Price, Program, map_alone
-from jaxnh.analyses.random_starts import check_box, started
+from jaxnh.analyses.random_starts import Side, check_box, started
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.settling import FAILED, Lot, settle, states_at
 from jaxnh.analyses.tracking import Grid, Tracked, track
 from jaxnh.systems.flow import Output
 
 _USUAL = 2.0  # looks as long as the transient that most lanes take, the transient among them
-
-Side = Annotated[tuple[float, float], Field(strict=False)]
-"""The lowest and the highest value of a coordinate."""
-
 
 class BasinsOptions(Options):
     """Options of `basins`."""

@@ -9,12 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnh.analyses.locating import PERIOD_TILE
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.arclength import Family
 from jaxnh.systems.flow import Flow, Parameters
+
+_TILE = 16  # lanes a tile: a step of a few branches has few points
 
 
 def orbits_of(
@@ -34,7 +35,7 @@ def orbits_of(
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
-        return lanes(derivatives, shared, (u, scene.at(values).p), tile=PERIOD_TILE, static=(name,))
+        return lanes(derivatives, shared, (u, scene.at(values).p), tile=_TILE, static=(name,))
 
     return Family(period, scene.system.wrap, size, *ends)
 
@@ -46,7 +47,7 @@ def equilibria_of(scene: Scene, lanes: LaneRunner, size: Float[np.ndarray, " d"]
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
-        return lanes(field, (scene.flow,), (u, scene.at(values).p), tile=PERIOD_TILE, static=(name,))
+        return lanes(field, (scene.flow,), (u, scene.at(values).p), tile=_TILE, static=(name,))
 
     return Family(period, scene.system.wrap, size, *ends, field=True)
 

@@ -8,6 +8,7 @@ limit of the period. Then comes the next wave.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import NamedTuple
 
 import jax
@@ -16,8 +17,8 @@ from jaxtyping import Complex, Float
 
 from jaxnh.analyses.known_branches import on_branch, same_orbit
 from jaxnh.orbits.arclength import FINE, Family, Orbits, along_parameter, correct
-from jaxnh.orbits.bifurcations import brackets, locate, neutral_pair
-from jaxnh.orbits.branches import COLLAPSED, Branch, Steps, both_ways, follow
+from jaxnh.orbits.bifurcations import Brackets, brackets, locate, neutral_pair
+from jaxnh.orbits.branches import COLLAPSED, Branch, Steps, both_ways
 from jaxnh.orbits.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKER, eigenvalues
 from jaxnh.orbits.normal_forms import cubic
 from jaxnh.orbits.switching import crossing, doubled
@@ -65,8 +66,8 @@ class Tree(NamedTuple):
     lost: int
 
 
-Stage = Callable[[str], None]
-"""Told what is done next."""
+Stage = Callable[[str], AbstractContextManager[object]]
+"""Shows what is done inside, by its label."""
 
 
 def grow(
@@ -74,7 +75,7 @@ def grow(
     waves: Sequence[Sequence[Orbit]],
     limit: int,
     steps: Steps,
-    tell: Stage = lambda label: None,
+    stage: Stage = nullcontext,
 ) -> Tree:
     """All branches that waves of orbits lead to.
 
@@ -83,7 +84,7 @@ def grow(
         waves: orbits to begin with.
         limit: largest period.
         steps: how branches are followed.
-        tell: is told what is done next.
+        stage: shows what is done inside, by its label.
     """
     tree = Tree([], [], 0)
     for wave in waves:
@@ -93,10 +94,10 @@ def grow(
             n = min([*(len(orbit.points) for orbit in open_), *begun])
             mine = [orbit for orbit in open_ if len(orbit.points) == n]
             open_ = [orbit for orbit in open_ if len(orbit.points) != n]
-            new = _followed(families[0], tree, mine, begun.pop(n, []), steps, tell)
+            new = _followed(families[0], tree, mine, begun.pop(n, []), steps, stage)
             if not new:
                 continue
-            tree, more, parents = _with(families, tree, new, limit, tell)
+            tree, more, parents = _with(families, tree, new, limit, stage)
             open_ += parents
             for orbits in more:
                 begun.setdefault(orbits.points.shape[1], []).append(orbits)
@@ -104,15 +105,16 @@ def grow(
 
 
 def _followed(
-    family: Family, tree: Tree, some: Sequence[Orbit], begun: Sequence[Orbits], steps: Steps, tell: Stage
+    family: Family, tree: Tree, some: Sequence[Orbit], begun: Sequence[Orbits], steps: Steps, stage: Stage
 ) -> list[Branch]:
     """The new branches through orbits, and on from orbits at bifurcations, all of one period."""
     new = list[Branch]()
     for orbits in begun:  # first, as they begin where their branches do
         keep = [k for k in range(len(orbits.value)) if _is_new(family, tree.branches, orbits, k)]
         if keep:
-            tell(f"{len(keep)} branches of period {orbits.points.shape[1]} from bifurcations")
-            _add(family, new, orbits.take(np.array(keep)), follow(family, orbits.take(np.array(keep)), steps))
+            here = orbits.take(np.array(keep))
+            with stage(f"{len(keep)} branches of period {here.points.shape[1]} from bifurcations"):
+                _add(family, new, here, both_ways(family, here, steps))  # back through the bifurcation as well
     known = [*tree.branches, *new]
     some = [orbit for orbit in some if not on_branch(family, known, orbit.points, orbit.value)]
     if some:
@@ -121,9 +123,9 @@ def _followed(
         keep = [k for k in range(len(some)) if orbits.converged[k] and _is_new(family, known, orbits, k)]
         keep = [k for i, k in enumerate(keep) if not any(_equal(family, orbits, k, j) for j in keep[:i])]
         if keep:
-            tell(f"{len(keep)} branches of period {points.shape[1]}")
             here = orbits.take(np.array(keep))
-            _add(family, new, here, both_ways(family, here, steps))
+            with stage(f"{len(keep)} branches of period {points.shape[1]}"):
+                _add(family, new, here, both_ways(family, here, steps))
     return new
 
 
@@ -143,73 +145,87 @@ def _add(family: Family, new: list[Branch], begun: Orbits, branches: Sequence[Br
 
 
 def _with(
-    families: Sequence[Family], tree: Tree, new: Sequence[Branch], limit: int, tell: Stage
+    families: Sequence[Family], tree: Tree, new: Sequence[Branch], limit: int, stage: Stage
 ) -> tuple[Tree, list[Orbits], list[Orbit]]:
     """The tree with new branches of one period and their bifurcations; first orbits of the branches that leave there.
 
     And orbits of the shorter period where a branch ends because it was born in a doubling.
     """
-    family, count, n = families[0], len(tree.branches), new[0].period
+    count, n = len(tree.branches), new[0].period
     tree = tree._replace(branches=[*tree.branches, *new])
-    parents = [orbit for branch in new for orbit in _parents(branch)]
-    stretch = brackets(family, new)
+    parents = [orbit for branch in new for orbit in _parents(families[0], branch)]
+    stretch = brackets(families[0], new)
     if stretch is None:
         return tree, [], parents
-    tell(f"{len(stretch.kind)} bifurcations of period {n}")
-    first = locate(family, stretch)
-    found = first.found.copy()
-    pairs = found & np.isin(stretch.kind, (NEIMARK_SACKER, HOPF))
-    neutral = np.zeros(len(found), bool)
-    neutral[pairs] = neutral_pair(family, first._replace(orbits=first.orbits))[pairs]
-    some = np.flatnonzero(found & ~neutral)
-    lost = int(np.sum(~found))
+    with stage(f"{len(stretch.kind)} bifurcations of period {n}"):
+        points, first, vectors, lost = _located(families, stretch, count)
+        tree = tree._replace(lost=tree.lost + lost)
+        kept = list[int]()
+        for k, point in enumerate(points):
+            if not any(_same(families[0], point, other) for other in tree.bifurcations):
+                tree.bifurcations.append(point)
+                kept.append(k)
+        kind = np.array([points[k].kind for k in kept], int)
+        double, cross = (np.array(kept, int)[kind == which] for which in (DOUBLING, BRANCH_POINT))
+        begun = list[Orbits]()
+        if len(double) and 2 * n <= limit:
+            begun.append(doubled(families[0], first.take(double), vectors[double]))
+        if len(cross):
+            sides = [crossing(families[0], first.take(cross), sign) for sign in (1.0, -1.0)]
+            begun.append(jax.tree.map(lambda *leaves: np.concatenate(leaves), *sides))
+    return tree, begun, parents
+
+
+def _located(
+    families: Sequence[Family], stretch: Brackets, count: int
+) -> tuple[list[Bifurcation], Orbits, Float[np.ndarray, "some n d"], int]:
+    """Bifurcations in brackets, of branches that are numbered from `count` on; orbits of the first map there.
+
+    Also the critical vectors of real multipliers, and how many sign changes led to nothing.
+    """
+    first = locate(families[0], stretch)
+    neutral = np.isin(stretch.kind, (NEIMARK_SACKER, HOPF)) & first.found
+    neutral[neutral] = neutral_pair(families[0], first.orbits.take(neutral))
+    some = np.flatnonzero(first.found & ~neutral)
+    lost = int(np.sum(~first.found))
     stretch, first = (jax.tree.map(lambda leaf: leaf[some], part) for part in (stretch, first))
+    if not len(some):
+        return [], first.orbits, np.zeros(first.orbits.points.shape), lost
     second, third = (locate(finer, stretch, first.share, _NARROW) for finer in families[1:])
-    error = np.abs(second.orbits.value - first.orbits.value) + np.abs(third.orbits.value - second.orbits.value)
+    value = second.orbits.value
+    error = np.abs(value - first.orbits.value) + np.abs(third.orbits.value - value)
     error += np.maximum(second.error, third.error)
-    sure = second.found & third.found & np.isfinite(error)
-    lost += int(np.sum(~sure))
-    normal = cubic(families[1], second.orbits, np.where(sure, stretch.kind, FOLD))
-    values = eigenvalues(families[1], second.orbits.take(sure))
-    kept = list[int]()
-    for row, k in enumerate(np.flatnonzero(sure).tolist()):
-        kind = int(stretch.kind[k])
-        coefficient = second.bend[k] if kind == FOLD else normal.coefficient[k]
-        point = Bifurcation(
-            kind,
-            float(second.orbits.value[k]),
-            float(error[k]),
-            count + int(stretch.branch[k]),
-            int(stretch.place[k]),
-            second.orbits.points[k],
-            values[row],
-            float(coefficient),
+    sure = np.flatnonzero(second.found & third.found & np.isfinite(error))
+    orbits, kind = second.orbits.take(sure), stretch.kind[sure]
+    normal, values = cubic(families[1], orbits, kind), eigenvalues(families[1], orbits)
+    coefficient = np.where(kind == FOLD, second.bend[sure], normal.coefficient)
+    found = [
+        Bifurcation(
+            int(kind[k]),
+            float(orbits.value[k]),
+            float(error[at]),
+            count + int(stretch.branch[at]),
+            int(stretch.place[at]),
+            orbits.points[k],
+            values[k],
+            float(coefficient[k]),
             int(normal.criticality[k]),
         )
-        if not any(_same(family, point, other) for other in tree.bifurcations):
-            tree.bifurcations.append(point)
-            kept.append(k)
-    chosen, kind = np.array(kept, int), stretch.kind[kept]
-    begun = list[Orbits]()
-    double, cross = chosen[kind == DOUBLING], chosen[kind == BRANCH_POINT]
-    if len(double) and 2 * n <= limit:
-        begun.append(doubled(family, first.orbits.take(double), np.real(normal.vectors[double])))
-    if len(cross):
-        sides = [crossing(family, first.orbits.take(cross), sign) for sign in (1.0, -1.0)]
-        begun.append(jax.tree.map(lambda *leaves: np.concatenate(leaves), *sides))
-    return tree._replace(lost=tree.lost + lost), begun, parents
+        for k, at in enumerate(sure.tolist())
+    ]
+    return found, first.orbits.take(sure), np.real(normal.vectors), lost + len(some) - len(sure)
 
 
-def _parents(branch: Branch) -> list[Orbit]:
+def _parents(family: Family, branch: Branch) -> list[Orbit]:
     """Orbits of half the period that a branch of doubled ones ends in."""
     n = branch.period
     ends = [k for k, end in zip((0, -1), branch.ends, strict=True) if end == COLLAPSED and n % 2 == 0]
-    return [Orbit(_middle(branch.points[k]), float(branch.value[k])) for k in ends]
+    return [Orbit(_middle(family, branch.points[k]), float(branch.value[k])) for k in ends]
 
 
-def _middle(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "half d"]:
+def _middle(family: Family, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "half d"]:
     half = len(points) // 2
-    return 0.5 * (points[:half] + points[half:])
+    return points[:half] + 0.5 * family.wrap(points[half:] - points[:half])
 
 
 def _same(family: Family, one: Bifurcation, other: Bifurcation) -> bool:

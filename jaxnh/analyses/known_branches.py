@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -25,10 +26,11 @@ def on_branch(family: Family, branches: Sequence[Branch], points: Float[np.ndarr
 
 
 def orbits_at(family: Family, branch: Branch, value: float) -> Iterator[Float[np.ndarray, "n d"]]:
-    """The orbits of a branch at a value of the parameter, nearly."""
-    above = branch.value - value
-    for i in np.flatnonzero((above[:-1] <= 0.0) != (above[1:] <= 0.0)).tolist():
-        yield _between(family, branch, i, value)
+    """The orbits of a branch at a value of the parameter, nearly; where it turns between two points, perhaps two."""
+    above, rate = branch.value - value, branch.way.value
+    passes = (above[:-1] <= 0.0) != (above[1:] <= 0.0)
+    for i in np.flatnonzero(passes | (np.sign(rate[:-1]) != np.sign(rate[1:]))).tolist():
+        yield from _between(family, branch, i, value)
     if above[-1] == 0.0:
         yield branch.points[-1]
 
@@ -38,8 +40,8 @@ def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.nd
     return len(one) == len(other) and _apart(family, one, other) <= near
 
 
-def _between(family: Family, branch: Branch, i: int, value: float) -> Float[np.ndarray, "n d"]:
-    """On the cubic between two points of a branch the orbit at a value that it passes there."""
+def _between(family: Family, branch: Branch, i: int, value: float) -> Iterator[Float[np.ndarray, "n d"]]:
+    """On the cubic between two points of a branch the orbits at a value that it passes there."""
     points, values = branch.points[i : i + 2], branch.value[i : i + 2]
     chord = Way(points[1:] - points[:1], values[1:] - values[:1])
     size = float(length(family, chord)[0])
@@ -50,14 +52,30 @@ def _between(family: Family, branch: Branch, i: int, value: float) -> Float[np.n
         bent = s * s * (3.0 - 2.0 * s)
         return ends[0] + bent * (ends[1] - ends[0]) + s * left * left * slopes[0] - s * s * left * slopes[1]
 
-    low, high, rising = 0.0, 1.0, values[1] > values[0]
+    def rise(s: float) -> float:
+        left = 1.0 - s
+        whole = 6.0 * s * left * (values[1] - values[0])
+        return float(whole + left * (1.0 - 3.0 * s) * rates[0] + s * (3.0 * s - 2.0) * rates[1])
+
+    def above(s: float) -> float:
+        return float(cubic(s, values, rates)) - value
+
+    turn = [_zero(rise, 0.0, 1.0)] if rise(0.0) * rise(1.0) < 0.0 else []
+    for low, high in itertools.pairwise([0.0, *turn, 1.0]):
+        if (above(low) <= 0.0) != (above(high) <= 0.0):
+            yield cubic(_zero(above, low, high), points, ways)
+
+
+def _zero(function: Callable[[float], float], low: float, high: float) -> float:
+    """Where a function changes sign, by halving."""
+    positive = function(high) > 0.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if (cubic(middle, values, rates) < value) == rising:
-            low = middle
-        else:
+        if (function(middle) > 0.0) == positive:
             high = middle
-    return cubic(0.5 * (low + high), points, ways)
+        else:
+            low = middle
+    return 0.5 * (low + high)
 
 
 def _apart(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"]) -> float:

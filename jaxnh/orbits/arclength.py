@@ -79,7 +79,7 @@ class Orbits(NamedTuple):
         crossing: determinant of the equations around the orbit with the direction as one more; it changes sign where
             another curve passes through, and nowhere else, (lanes,).
         residual: largest component of P(u_i) − u_{i+1} in sizes, (lanes,).
-        missed: how far Newton has gone from the guess in its first step, in lengths, (lanes,).
+        missed: how far Newton has gone from the guess, in lengths, (lanes,).
         converged: whether Newton has come to rest, (lanes,).
         other_way: the direction across `way` that solves the linear equations where two curves cross, of length one.
     """
@@ -136,17 +136,19 @@ def correct(
     value: Float[np.ndarray, " lanes"],
     across: Way,
     tolerance: float = ROUGH,
+    near: Float[np.ndarray, " lanes"] | None = None,
 ) -> Orbits:
     """The orbits on curves nearest to guesses in the hyperplanes across ways, and the direction of the curve there.
 
-    Only lanes where each step is at most half of the one before come to rest. Angles go on from those of the guess. The
-    direction of the curve has a positive share of the way.
+    Only lanes where each step is at most half of the one before, or is short, come to rest. Angles go on from those of
+    the guess. The direction of the curve has a positive share of the way.
 
     Args:
         family: the map.
         points, value: guesses.
         across: ways, to which steps of Newton are orthogonal.
         tolerance: length of a step after which an orbit is known.
+        near: lengths of steps that are too short to lead elsewhere, and need not be half of those before.
     """
     lanes, n, d = points.shape
     none = np.full(lanes, np.nan)
@@ -162,7 +164,7 @@ def correct(
         Way(np.full((lanes, n, d), np.nan), none.copy()),
     )
     last, open_ = np.full(lanes, np.inf), np.arange(lanes)
-    for step in range(_NEWTON_STEPS + 1):
+    for _ in range(_NEWTON_STEPS + 1):
         missing, blocks, columns = _equations(family, found.points[open_], found.value[open_])
         found.residual[open_], found.blocks[open_] = np.abs(missing).max(axis=(1, 2)), blocks
         finite = np.isfinite(missing).all(axis=(1, 2)) & np.isfinite(blocks).all(axis=(1, 2, 3))
@@ -179,16 +181,16 @@ def correct(
             leaf[done] = new[at_rest]
         found.crossing[done] = crossing[at_rest]
         size = length(family, moved)
-        if step == 0:
-            found.missed[open_] = size
         with np.errstate(invalid="ignore"):
-            going = ~at_rest & (size <= _CONTRACTION * last[open_]) & np.isfinite(size)
+            contracts = size <= np.maximum(_CONTRACTION * last[open_], 0.0 if near is None else near[open_])
+            going = ~at_rest & contracts & np.isfinite(size)
         open_ = open_[going]
         last[open_] = size[going]
         found.points[open_] += moved.points[going]
         found.value[open_] += moved.value[going]
         if not len(open_):
             break
+    found.missed[:] = length(family, Way(found.points - points, found.value - value))
     return found
 
 

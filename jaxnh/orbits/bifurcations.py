@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from jaxnh.orbits.arclength import FINE, Family, Orbits, Way, correct, inner, length, times
+from jaxnh.orbits.arclength import FINE, Family, Orbits, Way, correct, inner, length, minus, times
 from jaxnh.orbits.branches import COLLAPSED, Branch
 from jaxnh.orbits.kinds import BRANCH_POINT, FOLD, eigenvalues, kinds, tested
 
@@ -26,6 +26,7 @@ _ROUNDS = 4
 _SAFETY = 2.0  # the largest of six misfits, of two degrees of freedom, against the error of a fit
 _BEYOND = 1.5  # nodes' width that a root may lie outside
 _NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
+_ON_CIRCLE = 1e-4  # of a modulus from one, where the product of two multipliers is one to rounding
 _REAL = 1e-6  # imaginary part of a multiplier, of its modulus
 
 
@@ -54,6 +55,7 @@ class Located(NamedTuple):
 
     Attributes:
         share: of the chord, in direction of it, where they are, (some,).
+        value: of the parameter, by the polynomial: where two branches cross no orbit by itself decides it, (some,).
         error: of the value of the parameter, by rounding and interpolation, (some,).
         bend: second derivative of the parameter along the curve, in widths of the range, (some,).
         orbits: there.
@@ -61,6 +63,7 @@ class Located(NamedTuple):
     """
 
     share: Float[np.ndarray, " some"]
+    value: Float[np.ndarray, " some"]
     error: Float[np.ndarray, " some"]
     bend: Float[np.ndarray, " some"]
     orbits: Orbits
@@ -108,9 +111,9 @@ def locate(
     """
     some = len(stretch.kind)
     centre, widths = np.full(some, 0.5) if centre is None else np.array(centre), np.full(some, half)
-    best = Located(
-        centre.copy(), np.full(some, np.inf), np.zeros(some), _at(family, stretch, centre), np.zeros(some, bool)
-    )
+    none = np.full(some, np.nan)
+    begun = _at(family, stretch, centre)
+    best = Located(centre.copy(), none, np.full(some, np.inf), np.zeros(some), begun, np.zeros(some, bool))
     sharp, open_ = np.full(some, np.inf), np.arange(some)
     for _ in range(_ROUNDS):
         part: Brackets = jax.tree.map(lambda leaf, o=open_: leaf[o], stretch)
@@ -118,12 +121,13 @@ def locate(
         nodes = _at(family, jax.tree.map(lambda leaf: np.repeat(leaf, len(_NODES), axis=0), part), shares.ravel())
         good = nodes.converged.reshape(shares.shape).all(axis=1)
         tests = _own_test(family, nodes, np.repeat(part.kind, len(_NODES))).reshape(shares.shape)
-        root, blur, error, bend = _roots(tests, nodes.value.reshape(shares.shape))
+        root, blur, value, error, bend = _roots(tests, nodes.value.reshape(shares.shape))
         blur = blur * widths[open_]
         with np.errstate(invalid="ignore"):
             good &= np.isfinite(root) & (blur < _NOISE * half) & (error < 0.25 * best.error[open_])
         some_good = open_[good]
         best.share[some_good] = centre[some_good] + widths[some_good] * root[good]
+        best.value[some_good] = value[good]
         size = length(family, part.chord)[good] * widths[some_good]
         best.error[some_good], best.bend[some_good] = error[good], bend[good] / family.width / size**2
         best.found[some_good], sharp[some_good] = True, blur[good]
@@ -134,13 +138,16 @@ def locate(
         if not len(open_):
             break
     at_root = _at(family, stretch, best.share)
-    return best._replace(orbits=at_root, found=best.found & at_root.converged)
+    ways = _told_apart(family, stretch, best.share, at_root)
+    orbits = at_root._replace(value=best.value, way=ways[0], other_way=ways[1])
+    return best._replace(orbits=orbits, found=best.found & at_root.converged)
 
 
-def neutral_pair(family: Family, located: Located) -> Bool[np.ndarray, " some"]:
+def neutral_pair(family: Family, orbits: Orbits) -> Bool[np.ndarray, " some"]:
     """Whether two real multipliers of product one, or eigenvalues of sum zero, make the zero: no bifurcation."""
-    values = eigenvalues(family, located.orbits)
-    return ~np.isfinite(critical(family, values))
+    nearest = critical(family, eigenvalues(family, orbits))
+    off = np.abs(np.real(nearest)) if family.field else np.abs(np.abs(nearest) - 1.0)
+    return ~(off < _ON_CIRCLE)
 
 
 def critical(family: Family, values: Complex[np.ndarray, "some d"]) -> Complex[np.ndarray, " some"]:
@@ -168,6 +175,23 @@ def _at(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) ->
     return correct(family, points + more.points, value + more.value, times(1.0 / np.sqrt(size), chord), FINE)
 
 
+def _told_apart(
+    family: Family, stretch: Brackets, share: Float[np.ndarray, " some"], orbits: Orbits
+) -> tuple[Way, Way]:
+    """Directions of the curve itself, and of one that crosses it: linear equations do not know which is which."""
+    s, left, (first, second) = share, 1.0 - share, stretch.ways
+    parts = (6.0 * s * left, stretch.chord), (left * (1.0 - 3.0 * s), first), (s * (3.0 * s - 2.0), second)
+    ways = [times(weight, way) for weight, way in parts]
+    along = Way(np.sum([way.points for way in ways], axis=0), np.sum([way.value for way in ways], axis=0))
+    one, other = orbits.way, orbits.other_way
+    a, b = inner(family, along, one), inner(family, along, other)
+    size = np.hypot(a, b)
+    a, b = np.where(size > 0.0, a / size, 1.0), np.where(size > 0.0, b / size, 0.0)
+    crossing = stretch.kind == BRANCH_POINT
+    a, b = np.where(crossing, a, 1.0), np.where(crossing, b, 0.0)
+    return minus(times(a, one), -b, other), minus(times(a, other), b, one)
+
+
 def _own_test(family: Family, nodes: Orbits, kind: Int[np.ndarray, " nodes"]) -> Float[np.ndarray, " nodes"]:
     """Of each node the test function of its kind, not a number where there is no orbit."""
     column = np.array([kinds(family).index(k) for k in kind.tolist()], int)
@@ -178,10 +202,10 @@ def _own_test(family: Family, nodes: Orbits, kind: Int[np.ndarray, " nodes"]) ->
 
 def _roots(
     tests: Float[np.ndarray, "some nodes"], values: Float[np.ndarray, "some nodes"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Roots of polynomials through test functions, in nodes' widths, with their errors; the errors of values there.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Roots of polynomials through test functions, in nodes' widths, with their errors.
 
-    And the second derivatives of these. Not a number where there is no root near.
+    And values there, their errors, and their second derivatives. Not a number where there is no root near.
     """
     reference = values[:, :1]
     fit, line = _fitted(tests), _fitted(values - reference)
@@ -201,7 +225,8 @@ def _roots(
         bend = _polynomial(_derived(_derived(line)), root[:, None])[:, 0]
         rounding = np.spacing(np.abs(reference[:, 0]))
         error = _SAFETY * off + np.abs(rise) * blur + 0.5 * np.abs(bend) * blur**2 + rounding
-    return root, blur, error, bend
+        value = reference[:, 0] + _polynomial(line, root[:, None])[:, 0]
+    return root, blur, value, error, bend
 
 
 def _fitted(values: Float[np.ndarray, "some nodes"]) -> Float[np.ndarray, "some terms"]:

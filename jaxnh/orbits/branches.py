@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from jaxnh.orbits.arclength import Family, Orbits, Way, along_parameter, correct, inner, length
+from jaxnh.orbits.arclength import Family, Orbits, Way, along_parameter, correct, inner, length, minus, times
 from jaxnh.orbits.kinds import eigenvalues, odd, tested
 
 ENDS = ("start", "range", "collapsed", "closed", "no_convergence", "most_points", "unbounded")
@@ -26,8 +26,10 @@ START, RANGE, COLLAPSED, CLOSED, NO_CONVERGENCE, MOST_POINTS, UNBOUNDED = range(
 
 _BENT = 0.97  # cosine of the angle between directions at the ends of a step, at least
 _MISSED = 0.15  # of a step that Newton goes back, at most
+_NEAR = 0.3  # of a step, that steps of Newton need not contract below
 _WANTED = 0.04  # what steps are chosen for
 _SMALLEST = 1e-7  # step
+_GROWTH = 1.5  # of a step that went well
 _FIRST = 0.1  # of the largest step
 _FARTHEST = 1e3  # sizes of the motion
 _SAME = 1e-6  # sizes: an orbit this near to one of a shorter period is that one
@@ -48,6 +50,9 @@ class Steps(NamedTuple):
 
 STEPS = Steps()
 """As they are where nothing is said."""
+
+
+_Leaves = TypeVar("_Leaves", Orbits, Way)
 
 
 @dataclass(frozen=True)
@@ -111,8 +116,9 @@ def follow(family: Family, begun: Orbits, steps: Steps = STEPS) -> list[Branch]:
     history = [_Points.of(family, np.arange(lanes), begun)]
     count, end = np.ones(lanes, int), np.full(lanes, MOST_POINTS)
     size, now, open_ = np.full(lanes, _FIRST * steps.largest), begun, np.arange(lanes)
+    bend = times(np.zeros(lanes), begun.way)
     while len(open_):
-        taken, step, at_end = _stepped(family, now, np.minimum(size[open_], _room(family, now)))
+        taken, step, at_end = _stepped(family, now, bend, np.minimum(size[open_], _room(family, now)))
         with np.errstate(invalid="ignore"):
             share = np.where(step > 0.0, taken.missed / np.maximum(step, _SMALLEST), 0.0)
             good = taken.converged & (inner(family, taken.way, now.way) >= _BENT) & (share <= _MISSED)
@@ -122,7 +128,7 @@ def follow(family: Family, begun: Orbits, steps: Steps = STEPS) -> list[Branch]:
         kept = good & ~merged & (step > 0.0)
         history.append(_Points.of(family, open_[kept], taken.take(kept)))
         count[open_[kept]] += 1
-        factor = np.where(good, np.clip(_WANTED / np.maximum(share, _SMALLEST), 0.5, 2.0), 0.25)
+        factor = np.where(good, np.clip(_WANTED / np.maximum(share, _SMALLEST), 0.5, _GROWTH), 0.5)
         size[open_] = np.minimum(np.minimum(size[open_], np.maximum(step, _SMALLEST)) * factor, steps.largest)
         far = np.abs(now.points / family.size).max(axis=(1, 2)) > _FARTHEST
         done = np.zeros(len(open_), bool)
@@ -136,7 +142,9 @@ def follow(family: Family, begun: Orbits, steps: Steps = STEPS) -> list[Branch]:
         ):
             end[open_[which]] = reason
             done |= which
-        now, open_ = _chosen(good, taken, now).take(~done), open_[~done]
+        turned = times(1.0 / np.maximum(step, _SMALLEST), minus(taken.way, np.ones(len(open_)), now.way))
+        bend, now = _chosen(good, turned, bend), _chosen(good, taken, now)
+        bend, now, open_ = _taken(bend, ~done), now.take(~done), open_[~done]
     return _gathered(history, end)
 
 
@@ -192,23 +200,28 @@ def _gathered(history: list[_Points], end: Int[np.ndarray, " lanes"]) -> list[Br
 
 
 def _stepped(
-    family: Family, now: Orbits, size: Float[np.ndarray, " lanes"]
+    family: Family, now: Orbits, bend: Way, size: Float[np.ndarray, " lanes"]
 ) -> tuple[Orbits, Float[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
-    """Orbits a step further, the lengths of the steps, and whether they end where the range does."""
+    """Orbits a step further, the lengths of the steps, and whether they end where the range does.
+
+    The guess is of second order, with the direction's change over the step before (`bend`): where the map expands much,
+    Newton needs it.
+    """
     ahead = now.value + size * now.way.value
     at_end = (ahead >= family.high) | (ahead <= family.low)
     edge = np.where(ahead >= family.high, family.high, family.low)
     with np.errstate(divide="ignore", invalid="ignore"):
         step = np.where(at_end, np.maximum((edge - now.value) / now.way.value, 0.0), size)
-    points = now.points + step[:, None, None] * now.way.points
-    value = np.where(at_end, edge, ahead)
+    more = times(0.5 * step**2, bend)
+    points = now.points + step[:, None, None] * now.way.points + more.points
+    value = np.where(at_end, edge, ahead + more.value)
     straight = along_parameter(family, len(value), now.points.shape[1])
     sign = np.where(now.way.value < 0.0, -1.0, 1.0)
     across = Way(
         np.where(at_end[:, None, None], straight.points, now.way.points),
         np.where(at_end, sign * straight.value, now.way.value),
     )
-    return correct(family, points, value, across), step, at_end
+    return correct(family, points, value, across, near=_NEAR * step), step, at_end
 
 
 def _gap(points: np.ndarray) -> np.ndarray:
@@ -255,10 +268,14 @@ def _passes(
     return found
 
 
-def _chosen(which: Bool[np.ndarray, " lanes"], one: Orbits, other: Orbits) -> Orbits:
+def _chosen(which: Bool[np.ndarray, " lanes"], one: _Leaves, other: _Leaves) -> _Leaves:
     """Of each lane the one, or the other."""
 
     def leaf(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
 
     return jax.tree.map(leaf, one, other)
+
+
+def _taken(way: Way, lanes: Bool[np.ndarray, " lanes"]) -> Way:
+    return Way(way.points[lanes], way.value[lanes])

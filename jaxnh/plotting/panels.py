@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 from matplotlib.axes import Axes
 
 from jaxnh.plotting.basins import basins_chart, shares
+from jaxnh.plotting.branches import bifurcations, branches
 from jaxnh.plotting.cascade import cascade
 from jaxnh.plotting.charts import flags_chart, integers_chart, numbers_chart
 from jaxnh.plotting.curves import curves, flags, integers
@@ -42,6 +43,8 @@ PANELS: Mapping[str, Kind] = {
     "integers": Kind(integers, 2.8, "group", integers_chart),
     "basins": Kind(integers, 2.8, "group", basins_chart, "shares"),
     "shares": Kind(shares, 3.4, "group"),
+    "branches": Kind(branches, 5.2, "group"),
+    "marks": Kind(bifurcations, 4.0, "group"),
     "flags": Kind(flags, 1.4, "group", flags_chart),
 }
 """Kinds of panels by name."""

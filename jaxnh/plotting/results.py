@@ -110,6 +110,8 @@ def _over_an_axis(name: str, data: xr.Dataset, kind: Kind, groups: _Groups) -> t
     """A panel of the group, or one for each of a few points of the other axes; over two long axes a chart."""
     if kind is PANELS["shares"] and not axes_of(data):
         return [], []  # the attractors are drawn over their basins
+    if kind is PANELS["marks"] and _of_kind("branches", groups):
+        return [], []  # they are drawn over the branches
     others = other_axes(data)
     count = math.prod(data.sizes[axis] for axis in others)
     if count > _most_points(kind):
@@ -127,6 +129,8 @@ def _over_an_axis(name: str, data: xr.Dataset, kind: Kind, groups: _Groups) -> t
         marks = {}
         if kind is PANELS["density"]:
             marks["cascades"] = [at_place(other, place) for other in _of_kind("cascade", groups)]
+        if kind is PANELS["branches"]:
+            marks = {"marks": _of_kind("marks", groups), "under": _of_kind("density", groups)}
         panels.append(Panel(partial(_drawn, name, kind, at_place(data, place), **marks), kind.height, True))
     return panels, []
 

@@ -102,17 +102,19 @@ def test_a_dataset_says_what_it_is(lanes, name):
         return analysis.run(options, scene, lanes, *needed)
 
     analysis = ANALYSES[name]
-    data = run(analysis, {"strobes": 2, "levels": 1, "periods": 100 if name == "chaos01" else 16, **analysis.brief})
+    data = left = run(
+        analysis, {"strobes": 2, "levels": 1, "periods": 100 if name == "chaos01" else 16, **analysis.brief}
+    )
     groups = {name: data}
     if analysis.whole:
         whole = Sweep((Axis("b", B[:3], "b"),), ((np.arange(3), scene),))
         groups = analysis.whole.run(analysis.options(**analysis.brief), whole, lanes, data)
         assert set(groups) == {name, *analysis.whole.brings}
         data = groups[name]
-    for variable in (v for group in groups.values() for v in group.variables.values()):
+    for group, variable in ((one, v) for one in groups.values() for v in one.variables.values()):
         assert variable.attrs["long_name"]
         assert variable.attrs["units"]
-        assert set(str(variable.attrs.get("ancillary_variables", "")).split()) <= set(data.variables)
+        assert set(str(variable.attrs.get("ancillary_variables", "")).split()) <= set(group.variables)
     assert data.attrs["panel"] in (
         "trajectories",
         "points",
@@ -122,9 +124,10 @@ def test_a_dataset_says_what_it_is(lanes, name):
         "integers",
         "flags",
         "basins",
+        "branches",
     )
     assert set(data.attrs["panel_variables"].split()) <= set(data.variables)
-    assert (LANE in data.dims) == analysis.independent(analysis.options())
+    assert (LANE in left.dims) == analysis.independent(analysis.options())
 
 
 def test_words_without_a_clock(lanes):

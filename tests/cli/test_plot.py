@@ -34,6 +34,7 @@ analyses:
   chaos01: {transient: 30, periods: 100}
   verdict: {}
   basins: {transient: 32, longest: 64}
+  branches: {limit: 1, transient: 30, step: 0.1}
 """
 B = (5.8, 2.5, 4.1, 5.3)
 
@@ -60,7 +61,7 @@ def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     assert set(groups) == set(GROUPS)
     assert {groups[name].attrs["panel"] for name in GROUPS} == set(PANELS)
     drawing = figures.figure(path)
-    assert len(drawing.axes) == 4 + 8
+    assert len(drawing.axes) == 4 + 9
     assert len(drawing.get_supxlabel().splitlines()) == 1  # nothing is left out
     for ax in drawing.axes[:4]:
         track, dots = ax.lines

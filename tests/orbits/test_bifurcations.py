@@ -59,6 +59,22 @@ def test_window_of_period_three():
     assert [branch.period for branch in tree.branches] == [2, 1]
 
 
+def test_branch_between_two_doublings_is_one():
+    """With p = 2 + 1.3 (1 − q²) over q: two doublings of period 1 at p = 3, and the same doubled orbits from both."""
+
+    def bubble(u, q):
+        p = 2 + 1.3 * (1 - q**2)
+        found = LOGISTIC.period(u, p)
+        return found._replace(by_parameter=found.by_parameter * (-2.6 * q)[:, None])
+
+    family = LOGISTIC._replace(period=bubble, low=-1.0, high=1.0)
+    tree = grow([family] * 3, [[Orbit(np.array([[0.5]]), -0.95)]], 2, STEPS)
+    kinds, points = named(tree)
+    assert kinds == [("period_doubling", 1)] * 2
+    assert [point.value for point in points] == pytest.approx([-np.sqrt(3 / 13), np.sqrt(3 / 13)], abs=1e-13)
+    assert [branch.period for branch in tree.branches] == [1, 2]
+
+
 def test_multipliers_far_apart():
     """Moduli from 10^±20 and a complex pair, from eight matrices; the product alone has none of the small ones."""
     rng = np.random.default_rng(8)
@@ -123,11 +139,11 @@ def test_normal_forms(lanes, name):
     assert point.criticality == (1 if coefficient < 0 else -1)
     if kind != "branch_point":
         return
-    sides = [branch for branch in tree.branches if np.abs(branch.points).max() > 1e-3]
-    assert len(sides) == 2  # x = ±√(∓μ)
-    for branch in sides:
-        assert np.abs(branch.points[:, 0, 0] ** 2 - np.abs(branch.value)).max() < 1e-10
-    assert np.sign(sides[0].points[-1, 0, 0]) == -np.sign(sides[1].points[-1, 0, 0])
+    [both] = [branch for branch in tree.branches if np.abs(branch.points).max() > 1e-3]
+    x = both.points[:, 0, 0]  # ±√(∓μ), through the pitchfork from end to end
+    assert np.abs(x**2 - np.abs(both.value)).max() < 1e-10
+    assert x[0] == pytest.approx(-x[-1], abs=1e-10)
+    assert len(tree.branches) == 2
 
 
 def test_hopf(lanes):

@@ -7,6 +7,8 @@ import pytest
 from hand_made import (
     WORDS,
     basin_shares,
+    cascade_branches,
+    cascade_marks,
     dataset,
     doublings,
     exponents,
@@ -23,9 +25,21 @@ from jaxnh.plotting.panels import PANELS
 
 rng = np.random.default_rng(0)
 MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
-trajectories, points, density, cascade, curves, integers, flags, basins, shares = (
+trajectories, points, density, cascade, curves, integers, flags, basins, shares, branches, marks = (
     PANELS[name].draw
-    for name in ("trajectories", "points", "density", "cascade", "curves", "integers", "flags", "basins", "shares")
+    for name in (
+        "trajectories",
+        "points",
+        "density",
+        "cascade",
+        "curves",
+        "integers",
+        "flags",
+        "basins",
+        "shares",
+        "branches",
+        "marks",
+    )
 )
 
 
@@ -50,6 +64,8 @@ DRAWINGS = {
     "flags": lambda ax: flags(verdicts(MANY), ax),
     "basins": lambda ax: basins(periods(MANY), ax),
     "shares": lambda ax: shares(basin_shares(MANY), ax),
+    "branches": lambda ax: branches(cascade_branches(), ax, marks=[cascade_marks()], under=[states(FEW, 50)]),
+    "marks": lambda ax: marks(cascade_marks(), ax),
 }
 
 
@@ -335,3 +351,29 @@ def test_a_missing_variable_is_named(name):
     data = states(FEW, 5).drop_vars("x1").assign_attrs(panel_variables=name)
     with pytest.raises(ResultError, match="no variable x1" if name else "names nothing"):
         density(data)
+
+
+# ---- branches
+
+
+def test_branches_are_solid_where_they_attract():
+    """Each stretch once, to the point where it changes; a point of the orbit a line; what is beyond the end is not drawn."""
+    data = cascade_branches()
+    ax = branches(data)
+    solid, dashed = ([line for line in ax.lines if (line.get_linestyle() == "-") == which] for which in (True, False))
+    assert len(solid) == len(dashed) == 2
+    stable, b = data["stable"].to_numpy(), data["b"].to_numpy()
+    for k, (here, there) in enumerate(zip(solid, dashed, strict=True)):
+        x = here.get_xdata()
+        assert np.nanmin(x) == b[k][stable[k] == 1].min()
+        assert np.nanmax(there.get_xdata()) == np.nanmax(b[k])
+        assert np.nanmin(there.get_xdata()) == pytest.approx(np.nanmax(x), abs=0.04)  # one step of the branch
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["period 1", "period 2"]
+
+
+def test_marks_are_on_branches_and_open_where_subcritical():
+    ax = marks(cascade_marks())
+    fold, doubling = ax.lines
+    assert fold.get_label() == "fold, subcritical"
+    assert fold.get_markerfacecolor() == "white"
+    assert sorted(doubling.get_xdata()) == pytest.approx([3.0, 3.0, 1 + np.sqrt(6), 1 + np.sqrt(6)])
