@@ -48,7 +48,8 @@ def _decides(flow: Flow, name: str) -> bool:
 def started(scene: Scene, starts: int, seed: int, box: Box) -> tuple[Scene, dict[str, Float[np.ndarray, " lanes"]]]:
     """The lanes of a scene with so many starts each, one after the other, and what was drawn, by coordinate.
 
-    A lane has its starts by its place along the first axis, whatever lanes it is computed with.
+    A lane has its starts by its place along the first axis, whatever lanes it is computed with. All values of the other
+    axes have the same starts, so that shares that differ along these differ by no chance of the draw.
     """
     places, width = scene.places, starts * len(box)
     first = int(places.min())

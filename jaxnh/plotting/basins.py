@@ -81,7 +81,7 @@ def basins_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.
     ax.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, fontsize=8)
     framed(data, plane, ax)
     for group in known:
-        _attractors(group, str(plane.x.name), str(plane.y.name), named, ax)
+        _attractors(group, (plane.x, plane.y), named, ax)
     return ax
 
 
@@ -142,23 +142,37 @@ def _words(group: xr.Dataset) -> dict[int, str]:
     return found
 
 
-def _attractors(group: xr.Dataset, x: str, y: str, named: list[_Attractor], ax: Axes) -> None:
+def _attractors(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray], named: list[_Attractor], ax: Axes) -> None:
     """Points of attractors in a plane, large where there are few; nothing where a coordinate is not among them."""
-    if f"{x}_points" not in group or f"{y}_points" not in group:
+    if any(f"{axis.name}_points" not in group for axis in axes):
         return
-    for one, points in zip(named, _points(group, x, y), strict=False):
+    for one, points in zip(named, _points(group, axes), strict=False):
         few = len(points) <= _FEW
         drawn = ax.plot(*points.T, "o", color=one.points, markersize=5.0 if few else 1.2, markeredgewidth=0, zorder=3)
         drawn[0].set_path_effects([patheffects.Stroke(linewidth=1.5, foreground="white"), patheffects.Normal()] * few)
 
 
-def _points(group: xr.Dataset, x: str, y: str) -> Iterator[np.ndarray]:
-    """Different points of every attractor, each (points, 2)."""
-    for plane in zip(group[f"{x}_points"].to_numpy(), group[f"{y}_points"].to_numpy(), strict=True):
+def _points(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray]) -> Iterator[np.ndarray]:
+    """Different points of every attractor, each (points, 2); an angle as often as the axis goes around."""
+    of_axes = [group[f"{axis.name}_points"] for axis in axes]
+    for plane in zip(*(one.to_numpy() for one in of_axes), strict=True):
         points = np.column_stack(plane)
         points = points[np.all(np.isfinite(points), axis=1)]
         unit = _SAME * max(float(np.abs(points).max(initial=0.0)), 1e-300)
-        yield points[np.unique((points / unit).round(), axis=0, return_index=True)[1]]
+        points = points[np.unique((points / unit).round(), axis=0, return_index=True)[1]]
+        for k, (axis, one) in enumerate(zip(axes, of_axes, strict=True)):
+            if str(one.attrs.get("long_name", "")).startswith("angle "):
+                points = _around(points, k, float(axis.min()), float(axis.max()))
+        yield points
+
+
+def _around(points: np.ndarray, k: int, low: float, high: float) -> np.ndarray:
+    """Points whose coordinate k is an angle from -pi to pi, at all its values from low to high."""
+    turns = 2 * np.pi * np.arange(np.floor(low / (2 * np.pi) - 0.5), np.ceil(high / (2 * np.pi) + 0.5) + 1)
+    copies = np.repeat(points[None], len(turns), axis=0)
+    copies[:, :, k] += turns[:, None]
+    inside = (copies[:, :, k] >= low) & (copies[:, :, k] <= high)
+    return copies[inside]
 
 
 def _percent(share: float) -> str:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import run_here, same_tree, session_of
+from conftest import same_tree, session_of
 from measure import scene_of
 from scipy.integrate import solve_ivp
 
@@ -340,36 +340,3 @@ def test_a_coordinate_that_the_constraint_decides():
     }
     with pytest.raises(ConfigError, match="the constraint decides y2; leave it out"):
         Experiment.from_dict(content)
-
-
-# ---- the same bits by every way
-
-
-@pytest.fixture(scope="module")
-def double_well(tmp_path_factory):
-    """Chaos beside periodic orbits: x'' = x − x³ − x'/5 + 0.3 cos t."""
-    folder = tmp_path_factory.mktemp("double_well")
-    sweep = {"x": line(-1.5, 1.5, 9), "v": line(-1.0, 1.0, 8)}
-    options = {"transient": 32, "longest": 256}
-    return oscillator(folder, sweep, options, 0.3, linear=1.0, damping=0.2)
-
-
-def test_tiles_and_memory_agree(double_well, tmp_path):
-    """Tiles of 16 lanes on disk, and all lanes in memory."""
-    whole = session_of(double_well).tree()
-    same_tree(jaxnh.run(double_well, tmp_path / "tiles.h5", tile=16), whole)
-    assert not list(tmp_path.glob("*.tiles"))
-    assert session_of(double_well).run("attractors").identical(whole["attractors"].to_dataset())
-
-
-def test_parts_are_joined(double_well, tmp_path):
-    """Two parts, then what needs all tiles; a part alone has no basins."""
-    config = tmp_path / "job.yaml"
-    config.write_text(double_well.text)
-    for part in ("1/2", "2/2"):
-        done = run_here("job.yaml", "--tile", 16, "--part", part, "--output", "job.h5", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        assert not (tmp_path / "job.h5").exists()
-    done = run_here("job.yaml", "--merge", "--output", "job.h5", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    same_tree(jaxnh.open_result(tmp_path / "job.h5"), session_of(double_well).tree())

@@ -69,6 +69,15 @@ def test_attractors_are_on_their_plane():
     assert two.get_markersize() < one.get_markersize() == three.get_markersize()
 
 
+def test_angles_are_drawn_wherever_the_axis_goes():
+    """An angle of 0.25 is also 0.25 − 2π; on an axis that ends before, it is not drawn."""
+    group = attractors()
+    group["x_points"].attrs["long_name"] = "angle x of points of the attractor"
+    for begin, end, expected in ((-1.0, 1.0, [0.25]), (-7.0, 1.0, [0.25 - 2 * np.pi, 0.25]), (1.0, 5.0, [])):
+        ax = PANELS["basins"].chart(plane().assign_coords(x=np.linspace(begin, end, len(X))), over=[group])
+        np.testing.assert_allclose(np.sort(ax.lines[0].get_xdata()), expected)
+
+
 def test_other_planes_have_no_points():
     """Attractors without these coordinates are named, and not drawn."""
     ax = PANELS["basins"].chart(plane(), over=[attractors().drop_vars("v_points")])

@@ -1,0 +1,154 @@
+"""Basins have the same bits in memory, by tiles, parts and workers, and after a stop; rows of shared values; bad starts."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import ROOT, lanes_with_kept_programs, run_here, same_tree, session_of
+from test_basins import experiment, line, oscillator
+
+import jaxnh
+from jaxnh.analyses.settling import REASONS
+from jaxnh.config.experiment import Experiment
+from jaxnh.exceptions import ConfigError
+
+
+@pytest.fixture(autouse=True)
+def kept_programs(monkeypatch):
+    """Runs within this process find the programs of earlier ones."""
+    for module in ("run", "session"):
+        monkeypatch.setattr(f"jaxnh.engine.{module}.Lanes", lanes_with_kept_programs)
+
+
+@pytest.fixture(scope="module")
+def double_well(tmp_path_factory):
+    """Chaos beside periodic orbits: x'' = x − x³ − x'/5 + 0.3 cos t."""
+    folder = tmp_path_factory.mktemp("double_well")
+    sweep = {"x": line(-1.5, 1.5, 8), "v": line(-1.0, 1.0, 6)}
+    options = {"transient": 32, "longest": 128, "limit": 8}
+    return oscillator(folder, sweep, options, 0.3, linear=1.0, damping=0.2)
+
+
+@pytest.fixture(scope="module")
+def in_memory(double_well):
+    tree = session_of(double_well).tree()
+    kinds = tree["attractors"]["kind"]
+    assert "chaotic" in [str(kinds.attrs["flag_meanings"]).split()[k + 1] for k in kinds.values.ravel()]
+    return tree
+
+
+def test_tiles(double_well, in_memory, tmp_path):
+    """Tiles of 16 lanes on disk, and one group of a session alone."""
+    same_tree(jaxnh.run(double_well, tmp_path / "tiles.h5", tile=16), in_memory)
+    assert not list(tmp_path.glob("*.tiles"))
+
+
+def test_one_group_of_a_session(tmp_path):
+    asked = oscillator(tmp_path, {"x": line(0.5, 1.0, 3), "v": {"values": [0.0]}})
+    whole = session_of(asked).tree()["attractors"].to_dataset()
+    assert session_of(asked).run("attractors").identical(whole)
+
+
+def test_parts_are_joined(double_well, in_memory, tmp_path):
+    """Four parts, then what needs all tiles; parts alone have no basins."""
+    config = tmp_path / "job.yaml"
+    config.write_text(double_well.text)
+    for part in range(1, 5):
+        done = run_here("job.yaml", "--tile", 12, "--part", f"{part}/4", "--output", "job.h5", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert not (tmp_path / "job.h5").exists()
+    done = run_here("job.yaml", "--merge", "--output", "job.h5", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    same_tree(jaxnh.open_result(tmp_path / "job.h5"), in_memory)
+
+
+@pytest.mark.slow
+def test_stopped_in_the_last_piece(double_well, in_memory, tmp_path):
+    """Stopped while attractors are judged, with all tiles done, and once more; what it comes to in the end is the same."""
+    path = tmp_path / "job.h5"
+    for stage in ("lyapunov: transient", "lyapunov: averages"):
+
+        def stop(label, done, total, stage=stage):
+            if label.startswith(stage):
+                raise jaxnh.Stopped("enough for now")
+
+        with pytest.raises(jaxnh.Stopped, match="enough for now with 4 of 5 tiles done"):
+            jaxnh.run(double_well, path, progress=stop, tile=12)
+        assert not path.exists()
+    same_tree(jaxnh.run(double_well, path, tile=12), in_memory)
+    assert not list(tmp_path.glob("*.tiles"))
+
+
+@pytest.mark.slow
+def test_two_workers(double_well, in_memory, tmp_path):
+    """Of a local Dask cluster, each on one core."""
+    (tmp_path / "job.yaml").write_text(double_well.text)
+    code = "import sys, jaxnh\nif __name__ == '__main__':\n"
+    code += "    jaxnh.run(jaxnh.load('job.yaml'), 'job.h5', dask='local:2', tile=16)\n"
+    (tmp_path / "script.py").write_text(code)
+    done = subprocess.run(
+        [sys.executable, "script.py"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    same_tree(jaxnh.open_result(tmp_path / "job.h5"), in_memory)
+
+
+def test_rows_of_a_shared_axis(tmp_path):
+    """Over a frequency, which is the clock: each value as by itself, and an orbit has the same number at both."""
+    rates = "v, 0.5 * jnp.cos(omega * t) - 0.2 * v - x - x**3"
+    plane = {"x": line(-1.0, 1.0, 3), "v": line(-1.0, 1.0, 2)}
+
+    def over(values):
+        sweep = {"omega": {"values": values}, **plane}
+        rest = '"period": 2 * jnp.pi / omega'
+        accuracy = {"solver": "nystrom8", "steps": 32}
+        asked = experiment(tmp_path, ("x", "v"), rates, sweep, {}, rest, "omega=1.5", accuracy=accuracy)
+        return session_of(asked).tree()
+
+    both = over([0.9, 0.95])
+    assert both["basins"]["attractor"].values.tolist() == np.ones((2, 3, 2)).tolist()
+    assert both["attractors"]["period"].values.tolist() == [[1], [1]]
+    assert both["attractors"].sizes["change"] == 0
+    for place, omega in enumerate([0.9, 0.95]):
+        alone = over([omega])["attractors"]
+        for name in ("multiplier", "exponent", "x", "v_points"):
+            assert np.array_equal(both["attractors"][name].values[place], alone[name].values[0])
+
+
+# ---- bad starts
+
+
+def particle(sweep, options):
+    content = {
+        "system": {"constraint": "constant_speed"},
+        "sweep": sweep,
+        "accuracy": {"solver": "blanes_moan6", "steps": 40},
+        "analyses": {"basins": {"transient": 32, "longest": 64, "limit": 1, **options}},
+    }
+    return Experiment.from_dict(content)
+
+
+def test_random_starts_off_the_constraint():
+    """|x2| above the speed, 1: these lanes have failed, with the reason, and the others have not."""
+    box = {"starts": 6, "seed": 1, "box": {"x2": [-2.0, 2.0]}}
+    basins = session_of(particle({"b": {"values": [5.6]}}, box)).tree()["basins"]
+    off = np.abs(basins["x2"].values) > 1.0
+    assert 0 < off.sum() < 6
+    assert np.array_equal(basins["attractor"].values == -1, off)
+    assert {REASONS[k] for k in basins["failure"].values[off]} == {"off_constraint"}
+    assert {REASONS[k] for k in basins["failure"].values[~off]} == {"none"}
+
+
+def test_an_axis_that_the_constraint_decides():
+    with pytest.raises(ConfigError, match="y2 follows from the constraint, and cannot be swept"):
+        particle({"y2": {"values": [0.1, 0.2]}}, {})
