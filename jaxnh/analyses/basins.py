@@ -31,6 +31,7 @@ from jaxnh.systems.flow import Output
 
 _USUAL = 2.0  # looks as long as the transient that most lanes take, the transient among them
 
+
 class BasinsOptions(Options):
     """Options of `basins`."""
 

@@ -88,8 +88,10 @@ def _dataset(system: Flow, axis: Axis, levels: int, found: Cascade) -> xr.Datase
     variables = {
         "level": variable("level", index, "number of the period doubling"),
         "period": variable("level", found.period * 2 ** (index - 1), period_words, unit),
-        name: variable("level", value, f"{axis.long_name} at the doubling", ancillary_variables=f"{name}_error"),
-        f"{name}_error": variable("level", value_error, error_words),
+        name: variable(
+            "level", value, f"{axis.long_name} at the doubling", axis.units, ancillary_variables=f"{name}_error"
+        ),
+        f"{name}_error": variable("level", value_error, error_words, axis.units),
         "delta": variable(
             "level",
             delta,

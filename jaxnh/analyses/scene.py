@@ -30,12 +30,14 @@ class Axis:
         long_name: what it is, in words, its name included.
         kind: "lane", a parameter that lanes side by side may differ in; "start", a coordinate of the start state;
             "shared", a parameter that changes what all lanes of a program share, as the table of kicks.
+        units: of its values.
     """
 
     name: str
     values: Float[np.ndarray, " n"]
     long_name: str
     kind: Literal["lane", "start", "shared"] = "lane"
+    units: str = "1"
 
 
 @dataclass(frozen=True)

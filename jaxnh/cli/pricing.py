@@ -30,10 +30,10 @@ from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ArgumentError, ConfigError, ResultError
 from jaxnh.maps.build import way_of
 from jaxnh.plotting import costs as figures_cost
+from jaxnh.plotting.style import save
 from jaxnh.solvers import IsokineticSplitting
 from jaxnh.storage import hdf5
 
-_DPI = 130
 _LOG_WIDTH = 130  # columns where the output goes to a file
 
 
@@ -189,5 +189,5 @@ def _part(name: str, times: dict[str, float]) -> Iterator[None]:
 
 def _save(path: Path, suffix: str, figure: figures_cost.Figure) -> Path:
     picture = path.with_name(f"{path.stem}{suffix}.png")
-    figure.savefig(picture, dpi=_DPI)
+    save(figure, picture)
     return picture

@@ -250,7 +250,7 @@ class Experiment(Block):
                 kind = "start"
             elif self._block.shares(name, values, flow):
                 kind = "shared"
-            found.append(Axis(name, values, flow.words(name), kind))
+            found.append(Axis(name, values, flow.words(name), kind, flow.units(name)))
         return tuple(found)
 
     @property

@@ -230,8 +230,10 @@ def _dataset(scene: Scene, estimates: list[Estimate], reference: float, place: P
     variables = {
         "method": column(method, "method"),
         "effort": column(effort, "periods of transient, or rounds"),
-        axis.name: column(value, f"{axis.long_name} at the doubling"),
-        "error": column(error, f"distance of {axis.name} from that by interpolation with four times the steps"),
+        axis.name: column(value, f"{axis.long_name} at the doubling", axis.units),
+        "error": column(
+            error, f"distance of {axis.name} from that by interpolation with four times the steps", axis.units
+        ),
         "seconds": column(seconds, "time since the method began, compilation apart", "s"),
         "cpu_seconds": column(cpu_seconds, "time of all processors since the method began", "s"),
     }

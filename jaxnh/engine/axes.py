@@ -142,8 +142,10 @@ def whole_on_axes(data: xr.Dataset, axes: Sequence[Axis]) -> xr.Dataset:
         for name, item in data.variables.items()
     }
     met = [axis for axis in axes if any(axis.name in dims for dims, _, _ in content.values())]
-    return xr.Dataset({a.name: variable(a.name, a.values, a.long_name) for a in met} | content, attrs=data.attrs)
+    return xr.Dataset(
+        {a.name: variable(a.name, a.values, a.long_name, a.units) for a in met} | content, attrs=data.attrs
+    )
 
 
 def _coordinate(axis: Axis, piece: Piece, number: int) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
-    return variable(axis.name, axis.values[piece.begin[number] : piece.end[number]], axis.long_name)
+    return variable(axis.name, axis.values[piece.begin[number] : piece.end[number]], axis.long_name, axis.units)

@@ -105,6 +105,10 @@ class SectionedFlow(Flow):
         """As the flow says."""
         return self.inner.words(name)
 
+    def units(self, name: str) -> str:
+        """As the flow says."""
+        return self.inner.units(name)
+
     @property
     def plane(self) -> tuple[str, str]:
         """The first plane of the flow that does not have the coordinate that the section gives, or has it second."""

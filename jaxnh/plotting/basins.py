@@ -18,23 +18,12 @@ from matplotlib.patches import Patch
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.charts import framed, image_of, plane_of
-from jaxnh.plotting.frame import new_axes, over_axis
+from jaxnh.plotting.frame import legend_above, new_axes, over_axis
 from jaxnh.plotting.groups import along, needed
 from jaxnh.plotting.meanings import FAILED, NONE, meanings
+from jaxnh.plotting.style import TINTS, Colour, darker
 
-_COLOURS = (
-    "#9ec3e6",
-    "#f4c27a",
-    "#a8d5a2",
-    "#e59a9a",
-    "#c9b3dc",
-    "#d3b8a6",
-    "#f0b7d8",
-    "#b7dedd",
-    "#d9d37e",
-    "#8fa3c0",
-)
-_POINTS = ("#12476f", "#9a5b00", "#1f6b2a", "#8c1c1c", "#56307a", "#5e3a23", "#93265f", "#1b6f6d", "#6b6500", "#25334d")
+_COLOURS, _POINTS = TINTS, tuple(darker(tint) for tint in TINTS)
 _REST = "#ededed"  # attractors beyond the last colour
 _FEW = 64  # points of an attractor that get large markers
 _UNDECIDED, _FAILED = 0, -1
@@ -46,7 +35,7 @@ class _Attractor(NamedTuple):
 
     number: int
     colour: str
-    points: str
+    points: Colour
     words: str
 
 
@@ -78,7 +67,7 @@ def basins_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.
     for number, colour, words in ((_UNDECIDED, NONE, "undecided"), (_FAILED, FAILED, "failed or escaped")):
         if shares[number]:
             handles.append(Patch(color=colour, label=f"{words}: {_percent(shares[number])}"))
-    ax.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, fontsize=8)
+    legend_above(ax, handles, 3)
     framed(data, plane, ax)
     for group in known:
         _attractors(group, (plane.x, plane.y), named, ax)
@@ -116,7 +105,7 @@ def shares(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ax.fill_between(x, total, 100.0, color=NONE, linewidth=0, label="undecided, failed or escaped")
     over_axis(data, axis, ax, "share of the start states (%)")
     ax.set_ylim(0.0, 100.0)
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
+    legend_above(ax, ax.get_legend_handles_labels()[0])
     return ax
 
 
@@ -148,8 +137,8 @@ def _attractors(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray], name
         return
     for one, points in zip(named, _points(group, axes), strict=False):
         few = len(points) <= _FEW
-        drawn = ax.plot(*points.T, "o", color=one.points, markersize=5.0 if few else 1.2, markeredgewidth=0, zorder=3)
-        drawn[0].set_path_effects([patheffects.Stroke(linewidth=1.5, foreground="white"), patheffects.Normal()] * few)
+        drawn = ax.plot(*points.T, "o", color=one.points, markersize=3.5 if few else 0.9, markeredgewidth=0, zorder=3)
+        drawn[0].set_path_effects([patheffects.Stroke(linewidth=1.0, foreground="white"), patheffects.Normal()] * few)
 
 
 def _points(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray]) -> Iterator[np.ndarray]:

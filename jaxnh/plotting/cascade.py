@@ -8,15 +8,16 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from jaxnh.exceptions import ResultError
-from jaxnh.plotting.frame import MARK, POINT, new_axes
+from jaxnh.plotting.frame import legend_above, narrow, new_axes
 from jaxnh.plotting.groups import declared_axes, fixed_axes, label_of, needed, other_axes, shown
 from jaxnh.plotting.labels import symbol_of, title_of, with_units
+from jaxnh.plotting.style import MARK, POINT
 
 FEIGENBAUM = 4.669201609102990
 """Universal ratio of successive distances between period doublings (Feigenbaum 1978)."""
 
 _PERIOD, _RATIO, _RATIO_ERROR = "period", "delta", "delta_error"  # the variables of a cascade beside its parameter
-_NARROW = 0.035  # of the width of the axes: marks nearer to each other share a label
+_CLOSE = 0.05  # of the width of the axes: marks nearer to each other share a label
 
 
 def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
@@ -34,21 +35,25 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     where = found[parameter(data)]
     level = np.arange(1, len(where) + 1) if "level" not in found else found["level"].to_numpy()
     delta, error = found[_RATIO].to_numpy(), found[_RATIO_ERROR].to_numpy()
-    ax.axhline(FEIGENBAUM, color=MARK, linewidth=1, linestyle="--", label=f"δ = {FEIGENBAUM:.6f}… (Feigenbaum)")
+    ax.axhline(FEIGENBAUM, color=MARK, linewidth=0.8, linestyle="--", label=f"δ = {FEIGENBAUM:.6f}… (Feigenbaum)")
     ax.errorbar(level, delta, error, fmt="o", color=POINT, capsize=3, label="δ of three successive doublings")
     for x, y in zip(level, delta, strict=True):
         if np.isfinite(y):
-            ax.annotate(f"{y:.4f}", (x, y), (0, -14), textcoords="offset points", ha="center", fontsize=8)
+            ax.annotate(f"{y:.4f}", (x, y), (0, -11), textcoords="offset points", ha="center", fontsize="small")
     doublings = zip(found[_PERIOD].to_numpy(), where.to_numpy(), strict=True)
-    ax.set_xticks(level, [f"{_doubling(n)}\n{value:.8f}" for n, value in doublings], fontsize=8)
+    whole = with_units(f"doubling of the period, and its {symbol_of(parameter(data))}", where)
+    if narrow(ax):
+        ax.set_xticks(level, [_doubling(n) for n, _ in doublings])
+    else:
+        ax.set_xticks(level, [f"{_doubling(n)}\n{value:.8f}" for n, value in doublings])
     ax.set(
-        xlabel=with_units(f"doubling of the period, and its {symbol_of(parameter(data))}", where),
+        xlabel="doubling of the period" if narrow(ax) else whole,
         ylabel=with_units(label_of(data) or "ratio δ", found[_RATIO]),
         xlim=(level.min(initial=1) - 0.5, level.max(initial=1) + 0.5),
     )
-    ax.set_title(title_of(data, fixed_axes(data, parameter(data))), fontsize=10, loc="left")
-    ax.margins(y=0.25)
-    ax.legend(fontsize=8, frameon=False, loc="lower right")
+    ax.set_title(title_of(data, fixed_axes(data, parameter(data))), loc="left")
+    ax.margins(y=0.35)
+    legend_above(ax, ax.get_legend_handles_labels()[0], 2)
     return ax
 
 
@@ -71,7 +76,7 @@ def mark_doublings(data: xr.Dataset, ax: Axes, axis: str) -> None:
     ax.set_ylim(bottom - 0.05 * (top - bottom), top)  # a strip for the labels
     for x in where:
         ax.axvline(x, color=MARK, linewidth=0.8, linestyle=(0, (4, 3)))
-    for x, side, label in _labels(where, period, _NARROW * (high - low)):
+    for x, side, label in _labels(where, period, _CLOSE * (2 if narrow(ax) else 1) * (high - low)):
         ax.annotate(
             label,
             (x, 0.01),
@@ -80,10 +85,11 @@ def mark_doublings(data: xr.Dataset, ax: Axes, axis: str) -> None:
             textcoords="offset points",
             ha="left" if side > 0 else "right",
             color=MARK,
-            fontsize=8,
+            fontsize="small",
         )
-    mark = Line2D([], [], color=MARK, linewidth=0.8, linestyle=(0, (4, 3)), label="doubling of the period")
-    ax.legend(handles=[mark], loc="upper right", fontsize=8, framealpha=0.9)
+    if not narrow(ax):
+        mark = Line2D([], [], color=MARK, linewidth=0.8, linestyle=(0, (4, 3)), label="doubling of the period")
+        ax.legend(handles=[mark], loc="upper right", bbox_to_anchor=(1.0, -0.1))
 
 
 def parameter(data: xr.Dataset) -> str:

@@ -14,14 +14,14 @@ from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize,
 from matplotlib.patches import Patch
 
 from jaxnh.exceptions import ResultError
-from jaxnh.plotting.frame import cell_edges, new_axes
+from jaxnh.plotting.frame import cell_edges, legend_above, new_axes
 from jaxnh.plotting.groups import axes_of, declared_axes, label_of, long_axes, needed, shown
 from jaxnh.plotting.labels import axis_label, symbol_of, title_of, words_of
 from jaxnh.plotting.meanings import FAILED, NONE, meanings
+from jaxnh.plotting.style import MANY
 
 _PERIODS = (1, 2, 3, 4, 5, 6, 7, 8, 12, 16)  # with a colour each; the last stands for all from it on
 _SPREAD = (0.5, 99.5)  # percentiles that the colours end at: a few pixels may lie far beyond
-_COLOURS = [*(colormaps["tab10"](k) for k in (0, 1, 2, 3, 4, 5, 6, 8, 9)), "#0b3d5c"]  # all but grey: that is none
 
 
 class Plane(NamedTuple):
@@ -84,7 +84,7 @@ def integers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[x
     plane = plane_of(data)
     n = np.asarray(plane.values, float)
     place = np.where(n > 0, np.searchsorted(_PERIODS, n, side="right"), 0)
-    colours = ListedColormap([NONE, *_COLOURS])
+    colours = ListedColormap([NONE, *MANY])
     edges = np.arange(len(_PERIODS) + 2) - 0.5
     image = image_of(plane, place, colours, BoundaryNorm(edges, colours.N), ax)
     names = ["none", *_range_names()]
@@ -116,7 +116,7 @@ def flags_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.D
         for value, (words, colour) in meaning.items()
         if np.any(plane.values == value)
     ]
-    ax.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
+    legend_above(ax, handles)
     return _with_doublings(over, plane, framed(data, plane, ax))
 
 
@@ -152,7 +152,7 @@ def framed(data: xr.Dataset, plane: Plane, ax: Axes) -> Axes:
     ax.set(xlabel=axis_label(plane.x), ylabel=axis_label(plane.y), xlim=across[[0, -1]], ylim=up[[0, -1]])
     long = {plane.x.name, plane.y.name}
     fixed = [name for name in declared_axes(data) if name not in long and name in data and data[name].size == 1]
-    ax.set_title(title_of(data, fixed), fontsize=10, loc="left", y=1.0)
+    ax.set_title(title_of(data, fixed), loc="left", y=1.0)
     return ax
 
 

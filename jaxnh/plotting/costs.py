@@ -14,31 +14,33 @@ from matplotlib.ticker import NullFormatter
 from jaxnh.plotting.groups import declared_axes
 from jaxnh.plotting.labels import symbol_of, with_units
 from jaxnh.plotting.reading import load_result
+from jaxnh.plotting.style import BLUE, GREEN, ORANGE, PAGE, PURPLE, SKY, VERMILION, YELLOW, styled
 
-_SIZE = (9.0, 5.6)  # inches
+_SIZE = (PAGE.width, 4.2)  # inches
 _MICRO = 1e6
 _SPLITTINGS = {
-    "strang2": "#f1b04c",
-    "blanes_moan4": "#e07b39",
-    "blanes_moan6": "#b3261e",
-    "processed6": "#e0447c",
-    "kahan_li8": "#7a3b8f",
-    "sofroniou_spaletta10": "#3b6fb5",
+    "strang2": "#DDCC77",
+    "blanes_moan4": ORANGE,
+    "blanes_moan6": VERMILION,
+    "processed6": PURPLE,
+    "kahan_li8": "#882255",
+    "sofroniou_spaletta10": "#332288",
 }
 _WRITTEN_OUT = {
-    "tsit5": "#8fc3a3",
-    "dopri5": "#4f9d73",
-    "dopri8": "#1c6e4a",
-    "tsitouras_papakostas8": "#12908e",
-    "verner9": "#0c4f5c",
+    "tsit5": SKY,
+    "dopri5": "#44AA99",
+    "dopri8": GREEN,
+    "tsitouras_papakostas8": BLUE,
+    "verner9": "#999933",
+    "nystrom8": VERMILION,
 }
 _STOCK = {"diffrax Tsit5": "#9a9a9a", "diffrax Dopri8": "#303030"}
 _COLOURS = {**_SPLITTINGS, **_WRITTEN_OUT, **_STOCK}
-_OTHER = "#6d4c41"
+_OTHER = "#661100"
 _METHODS = {
-    "period detection": ("#b3261e", "o", "detection of the period after $N$ periods"),
-    "multisection": ("#3b6fb5", "s", "multisection on the orbit's multiplier"),
-    "interpolation": ("#1c6e4a", "D", "interpolation of det(M + 1) in {}"),
+    "period detection": (VERMILION, "o", "detection of the period after $N$ periods"),
+    "multisection": (BLUE, "s", "multisection on the orbit's multiplier"),
+    "interpolation": (GREEN, "D", "interpolation of det(M + 1) in {}"),
 }
 _SIXTH_DECIMAL = 5e-7
 
@@ -58,12 +60,12 @@ def work_precision(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.axhline(target, color="black", linewidth=0.9, linestyle=(0, (6, 3)), label=f"target {target:.1g}")
     picked = np.flatnonzero(data["picked"].to_numpy())[0]
     label = f"picked: {method[picked]}, {int(data['steps'][picked])} steps"
-    ax.plot(seconds[1, picked], error[picked], "*", color="#ffd54a", markeredgecolor="black", markersize=17, zorder=5,
+    ax.plot(seconds[1, picked], error[picked], "*", color=YELLOW, markeredgecolor="black", markersize=12, zorder=5,
             linestyle="", label=label)  # fmt: skip
     ax.set(xscale="log", yscale="log")
-    ax.grid(which="major", color="0.9", linewidth=0.6)
-    ax.set(xlabel="time per lane-period $τ$ (µs)", ylabel="error of one period's map $ε$ (dimensionless)")
-    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8)
+    ax.grid(which="major")
+    ax.set(xlabel="time per lane-period $τ$ (µs)", ylabel="error of one period's map $ε$")
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return ax
 
 
@@ -78,20 +80,20 @@ def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     for name, (colour, marker, label) in _METHODS.items():
         chosen = method == name
         shown = np.maximum(error[chosen], smallest)
-        ax.plot(cpu[chosen], shown, color=colour, marker=marker, markersize=5, label=label.format(symbol))
+        ax.plot(cpu[chosen], shown, color=colour, marker=marker, markersize=3.5, label=label.format(symbol))
     for x, y, transient in zip(*(leaf[method == "period detection"] for leaf in (cpu, error, effort)), strict=True):
-        ax.annotate(f"$N$ = {transient:,}", (x, y), (6, 5), textcoords="offset points", fontsize=8)
+        ax.annotate(f"$N$ = {transient:,}", (x, y), (6, 5), textcoords="offset points", fontsize="small")
     ax.axhline(_SIXTH_DECIMAL, color="0.5", linewidth=0.9, linestyle=(0, (6, 3)))
     ax.annotate("half of the sixth decimal", (0.99, _SIXTH_DECIMAL), (0, 3), xycoords=ax.get_yaxis_transform(),
-                textcoords="offset points", ha="right", color="0.4", fontsize=8)  # fmt: skip
+                textcoords="offset points", ha="right", color="0.4", fontsize="small")  # fmt: skip
     n = int(data.attrs["period"])
     ax.set(xscale="log", yscale="log")
-    ax.grid(which="major", color="0.9", linewidth=0.6)
+    ax.grid(which="major")
     distance = with_units(f"error of the doubling point $|{symbol[1:-1]} - {found[1:-1]}|$", data["error"])
     ax.set(xlabel="processor time $t$ (s)", ylabel=distance)
-    ax.set_title(f"period {n} → {2 * n} at {found} = {float(data.attrs['reference']):.12f}", fontsize=10)
+    ax.set_title(f"period {n} → {2 * n} at {found} = {float(data.attrs['reference']):.12f}")
     ax.set_xlim(cpu.min() / 1.3, cpu.max() * 2.5)
-    ax.legend(loc="lower right", frameon=False, fontsize=9)
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return ax
 
 
@@ -101,19 +103,19 @@ def exponent(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     periods = data["averaged"].to_numpy()
     longer, lanes = int(data.attrs["reference_periods"]), int(data.attrs["lanes"])
     shown = (
-        ("error", "#b3261e", "o", f"distance from the mean of {lanes} lanes over {longer:,} periods"),
-        ("error_bar", "#3b6fb5", "s", "error bar that the analysis gives"),
+        ("error", VERMILION, "o", f"distance from the mean of {lanes} lanes over {longer:,} periods"),
+        ("error_bar", BLUE, "s", "error bar that the analysis gives"),
     )
     for name, colour, marker, label in shown:
         low, middle, high = data[name].to_numpy().T
         ax.fill_between(periods, low, high, color=colour, alpha=0.18, linewidth=0)
-        ax.plot(periods, middle, color=colour, marker=marker, markersize=5, label=label)
+        ax.plot(periods, middle, color=colour, marker=marker, markersize=3.5, label=label)
     guide = data["error"].to_numpy()[-1, 1] * np.sqrt(periods[-1] / periods)
     ax.plot(periods, guide, color="black", linewidth=0.9, linestyle=(0, (6, 3)), label="$∝ N^{-1/2}$")
     ax.set(xscale="log", yscale="log")
     ax.set_xticks(periods, [f"{n:,}" for n in periods])
     ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.grid(which="major", color="0.9", linewidth=0.6)
+    ax.grid(which="major")
     cpu = data["cpu_seconds"].to_numpy()
     each = (cpu[-1] - cpu[0]) / (periods[-1] - periods[0])
     above = ax.secondary_xaxis("top", functions=(lambda n: n * each, lambda t: t / each))
@@ -122,7 +124,7 @@ def exponent(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         xlabel=with_units("averaging time $N$", data["averaged"]), ylabel=with_units("error of $λ_1$", data["error"])
     )
     title = f"{_at(data)}$λ_1$ = {float(data.attrs['reference']):.4f}; median of {lanes} lanes, band: 10–90%"
-    ax.legend(loc="lower left", frameon=False, fontsize=9, title_fontsize=9, alignment="left", title=title)
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), alignment="left", title=title)
     return ax
 
 
@@ -143,13 +145,15 @@ def figures(path: Path) -> dict[str, Figure]:
     tree = load_result(path)
     axes = {"axes": tree.attrs["axes"]} if "axes" in tree.attrs else {}
     drawn = {}
-    for name, (suffix, draw) in DRAWINGS.items():
-        if name in tree.children:
-            figure = draw(tree[name].to_dataset().assign_attrs(axes)).get_figure()
-            assert isinstance(figure, Figure)
-            figure.suptitle(tree.attrs["title"], fontsize=11)
-            figure.supxlabel(f"jaxnh {tree.attrs['jaxnh_version']}, {tree.attrs['device']}", fontsize=7, color="gray")
-            drawn[suffix] = figure
+    with styled():
+        for name, (suffix, draw) in DRAWINGS.items():
+            if name in tree.children:
+                figure = draw(tree[name].to_dataset().assign_attrs(axes)).get_figure()
+                assert isinstance(figure, Figure)
+                figure.suptitle(tree.attrs["title"])
+                made_by = f"jaxnh {tree.attrs['jaxnh_version']}, {tree.attrs['device']}"
+                figure.supxlabel(made_by, fontsize="x-small", color="gray")
+                drawn[suffix] = figure
     return drawn
 
 
@@ -171,7 +175,7 @@ def _curve(ax: Axes, name: str, summation: str, seconds: np.ndarray, error: np.n
     marker = "o" if base in _SPLITTINGS else "s" if base in _WRITTEN_OUT else "^"
     colour = _COLOURS.get(base, _OTHER)
     ax.hlines(error, seconds[0], seconds[2], color=colour, linewidth=0.7, alpha=0.6)
-    ax.plot(seconds[1], error, color=colour, marker=marker, markersize=4.5, linewidth=1.4, linestyle=line,
+    ax.plot(seconds[1], error, color=colour, marker=marker, markersize=3, linewidth=1.0, linestyle=line,
             markerfacecolor=colour if plain and base == name else "white",
             label=name if plain else f"{name}, compensated")  # fmt: skip
 

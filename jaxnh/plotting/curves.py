@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -13,17 +13,17 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.patches import Patch
 
 from jaxnh.exceptions import ResultError
-from jaxnh.plotting.frame import CURVES, cell_edges, new_axes, over_axis
+from jaxnh.plotting.frame import cell_edges, legend_above, new_axes, over_axis
 from jaxnh.plotting.groups import along, label_of, shown
 from jaxnh.plotting.labels import axis_label, is_symbol, symbol_of, words_of
 from jaxnh.plotting.meanings import NONE, meanings
+from jaxnh.plotting.style import BLUE, CURVES
 
 _FEW = 48  # curves over fewer points show them
 _LONG = 30  # letters: a longer label of a low panel has its units in a second line
-_NUMBER = "#3b6fb5"
 
 
-class _Curve(NamedTuple):
+class Curve(NamedTuple):
     """One curve (n,) over rising x (n,), its error (n,) or None with its meaning, and its name in the legend."""
 
     x: np.ndarray
@@ -48,7 +48,7 @@ def curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     variables = shown(data)
     for level in str(data.attrs.get("panel_levels", "0")).split():
         ax.axhline(float(level), color="black", linewidth=0.6)
-    drawn = [curve for variable in variables for curve in _curves(data, variable)]
+    drawn = [curve for variable in variables for curve in curves_of(data, variable)]
     bands: dict[str, Artist] = {}
     lines: list[Artist] = []
     for k, curve in enumerate(drawn):
@@ -59,10 +59,10 @@ def curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
             key = colour if len(drawn) == 1 else "gray"
             bands[curve.meaning] = Patch(color=key, alpha=0.4, linewidth=0, label=curve.meaning)
         marker = "o" if len(curve.x) < _FEW else ""
-        lines += ax.plot(curve.x, curve.y, color=colour, linewidth=0.5, marker=marker, markersize=3, label=curve.label)
+        lines += ax.plot(curve.x, curve.y, color=colour, linewidth=0.5, marker=marker, markersize=2, label=curve.label)
     handles = [*(lines if len(lines) > 1 else []), *bands.values()]
     if handles:
-        _legend_above(ax, handles, "right")
+        legend_above(ax, handles)
     coordinate, first = along(data, variables[0])
     return over_axis(data, coordinate, ax, axis_label(first, label_of(data), _common_symbol(first)))
 
@@ -80,9 +80,9 @@ def integers(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     coordinate, variable = _only(data)
     x, n = coordinate.to_numpy(), variable.to_numpy()
     none = 0.5
-    ax.plot(x[n > 0], n[n > 0], ".", color=_NUMBER, markersize=3)
+    ax.plot(x[n > 0], n[n > 0], ".", color=BLUE, markersize=2)
     without = x[n <= 0]
-    ax.plot(without, np.full(without.shape, none), "|", color=NONE, markersize=5)
+    ax.plot(without, np.full(without.shape, none), "|", color=NONE, markersize=3.5)
     ax.set_yscale("log", base=2)
     highest = max(int(n.max(initial=1)), 1)
     ticks = [2**k for k in range(highest.bit_length())]
@@ -116,7 +116,7 @@ def flags(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         for value, (words, colour) in meaning.items()
         if np.any(kind == value)
     ]
-    _legend_above(ax, handles, "center")
+    legend_above(ax, handles, centred=True)
     ax.set_yticks([])
     return over_axis(data, coordinate, ax, label_of(data) or words_of(variable))
 
@@ -130,7 +130,7 @@ def _only(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
     return coordinate, variable
 
 
-def _curves(data: xr.Dataset, variable: xr.DataArray) -> Iterator[_Curve]:
+def curves_of(data: xr.Dataset, variable: xr.DataArray) -> Iterator[Curve]:
     """Curves of a variable over rising values of the axis."""
     coordinate, values = along(data, variable)
     ancillary = str(variable.attrs.get("ancillary_variables", "")).split()
@@ -141,7 +141,7 @@ def _curves(data: xr.Dataset, variable: xr.DataArray) -> Iterator[_Curve]:
     meaning = "" if error is None else str(error.attrs.get("long_name", "error"))
     for k, label in enumerate(_curve_labels(values)):
         band = None if errors is None else errors[:, k]
-        yield _Curve(coordinate.to_numpy()[order], columns[:, k], band, meaning, label)
+        yield Curve(coordinate.to_numpy()[order], columns[:, k], band, meaning, label)
 
 
 def _curve_labels(values: xr.DataArray) -> list[str]:
@@ -164,9 +164,3 @@ def _indices(values: xr.DataArray) -> list[str]:
     """Numbers of the curves of a variable (n, k): the coordinate along k, or without one from 1."""
     dim = values.dims[1]
     return [str(i) for i in (values[dim].to_numpy() if dim in values.coords else range(1, values.shape[1] + 1))]
-
-
-def _legend_above(ax: Axes, handles: list[Artist], side: Literal["right", "center"]) -> None:
-    """A legend in one row above the axes, where it hides nothing."""
-    place, x = ("lower right", 1.0) if side == "right" else ("lower center", 0.5)
-    ax.legend(handles=handles, loc=place, bbox_to_anchor=(x, 1.0), ncols=len(handles), frameon=False, fontsize=9)

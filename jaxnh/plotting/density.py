@@ -14,16 +14,25 @@ from matplotlib.colors import ListedColormap, LogNorm
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.cascade import mark_doublings
-from jaxnh.plotting.frame import POINT, cell_edges, new_axes, over_axis
+from jaxnh.plotting.colouring import Colouring
+from jaxnh.plotting.frame import cell_edges, narrow, new_axes, over_axis
 from jaxnh.plotting.groups import along, label_of, shown
 from jaxnh.plotting.labels import axis_label
+from jaxnh.plotting.style import POINT, Colour
 
 _MARKERS = 20_000  # up to so many points are drawn one by one
+_FEW = 2000  # up to which they are large
 _COLUMNS, _ROWS = 1200, 500  # a little below the pixels that a panel gets
 _INK = ListedColormap(colormaps["magma_r"](np.linspace(0.22, 1.0, 24)))  # few steps: they print well, files stay small
 
 
-def density(data: xr.Dataset, ax: Axes | None = None, *, cascades: Iterable[xr.Dataset] = ()) -> Axes:
+def density(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    cascades: Iterable[xr.Dataset] = (),
+    colours: Colouring | None = None,
+) -> Axes:
     """All values of a variable over one axis, as in a bifurcation diagram; a density unless the points are few.
 
     The colour is the share of a column's points that fall into a cell, on a logarithmic scale: an orbit of period n has
@@ -32,6 +41,7 @@ def density(data: xr.Dataset, ax: Axes | None = None, *, cascades: Iterable[xr.D
     Args:
         data: the variable (axis, ...); other axes have one point.
         cascades: groups of doublings; those along the same axis are marked.
+        colours: of the points, which are then drawn one by one.
 
     Raises:
         ResultError: the variable is missing, or more than one axis has more than one point.
@@ -43,8 +53,10 @@ def density(data: xr.Dataset, ax: Axes | None = None, *, cascades: Iterable[xr.D
     coordinate, drawn = along(data, drawn)
     axis = coordinate.to_numpy()
     values = drawn.to_numpy().reshape(len(axis), -1)
-    if values.size <= _MARKERS:
-        ax.plot(np.repeat(axis, values.shape[1]), values.ravel(), ".", color=POINT, markersize=2, markeredgewidth=0)
+    if colours is not None:
+        _coloured(coordinate, drawn, colours, ax)
+    elif values.size <= _MARKERS:
+        scattered(np.repeat(axis, values.shape[1]), values.ravel(), POINT, ax)
     else:
         across, up, share = column_shares(axis, values)
         norm = LogNorm(share[share > 0].min(initial=0.5), 1.0)
@@ -81,10 +93,33 @@ def column_shares(axis: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
     return across, up, counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
 
 
+def _coloured(coordinate: xr.DataArray, drawn: xr.DataArray, colours: Colouring, ax: Axes) -> None:
+    """Points one by one, each in its colour."""
+    at, by = xr.broadcast(coordinate, colours.values, exclude=set(drawn.dims) - set(colours.values.dims))
+    at, by = (item.broadcast_like(drawn).transpose(*drawn.dims).to_numpy().ravel() for item in (at, by))
+    values = drawn.to_numpy().ravel()
+    for value in np.unique(by[np.isfinite(by)]) if colours.named else ():
+        scattered(at[by == value], values[by == value], colours.colour(value), ax, of=drawn.size)
+    if not colours.named:
+        ax.scatter(at, values, s=0.6, c=colours.scale.to_rgba(by), linewidths=0, rasterized=True)
+    colours.explain(ax)
+
+
+def scattered(x: np.ndarray, y: np.ndarray, colour: Colour, ax: Axes, *, of: int | None = None) -> None:
+    """Points one by one, large where they are few and a pixel each where they are many; an image in vector files.
+
+    Args:
+        of: number of points of all colours, where these are some of them.
+    """
+    count = of or x.size
+    size = 2.6 if count <= _FEW else 1.6
+    ax.plot(x, y, "." if count <= _MARKERS else ",", color=colour, markersize=size, markeredgewidth=0, rasterized=True)
+
+
 def _key_to_colours(image: ColorizingArtist, ax: Axes) -> None:
     """A small colour bar above the axes, which keeps their width."""
     bar = ax.figure.colorbar(image, cax=ax.inset_axes((0.7, 1.03, 0.3, 0.025)), orientation="horizontal")
     bar.ax.xaxis.set_ticks_position("top")
-    bar.ax.tick_params(labelsize=7, pad=1)
-    label = "share of the points of a column"
-    ax.annotate(label, (0.69, 1.04), xycoords="axes fraction", ha="right", va="center", fontsize=8)
+    bar.ax.tick_params(labelsize="small", pad=1, length=2)
+    label = "share of points" if narrow(ax) else "share of the points of a column"
+    ax.annotate(label, (0.69, 1.04), xycoords="axes fraction", ha="right", va="center", fontsize="small")

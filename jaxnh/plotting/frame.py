@@ -1,23 +1,36 @@
-"""The axes that panels are drawn on: new ones, their labels and limits, and the colours that panels share."""
+"""The axes that panels are drawn on: new ones, their labels and limits."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnh.plotting.groups import fixed_axes
 from jaxnh.plotting.labels import axis_label, title_of
-
-WIDTH = 10.0  # inches, of the figure of a whole result
-LINE, POINT, MARK = "#7f9cb8", "#b3261e", "#1c6e4a"
-CURVES = ("#b3261e", "#3b6fb5", "#1c6e4a", "#e0a030", "#7a3b8f", "#6d4c41", "#e0447c", "#303030")
+from jaxnh.plotting.style import NARROW, PAGE
 
 
 def new_axes(ax: Axes | None) -> Axes:
     """The axes given, or those of a new figure."""
-    return Figure(figsize=(0.7 * WIDTH, 4.5), layout="constrained").subplots() if ax is None else ax
+    return Figure(figsize=(PAGE.width, 3.2), layout="constrained").subplots() if ax is None else ax
+
+
+def narrow(ax: Axes) -> bool:
+    """Whether axes are in a figure as wide as a column."""
+    figure = ax.get_figure(root=True)
+    return figure is not None and figure.get_figwidth() < NARROW
+
+
+def legend_above(ax: Axes, handles: Sequence[Artist], most: int = 4, *, centred: bool = False) -> None:
+    """A legend above the axes, where it hides nothing, of so many columns at most, in a narrow figure half of them."""
+    columns = max(1, most // 2) if narrow(ax) else most
+    place, x = ("lower center", 0.5) if centred else ("lower right", 1.0)
+    ax.legend(handles=list(handles), loc=place, bbox_to_anchor=(x, 1.0), ncols=min(len(handles), columns))
 
 
 def over_axis(data: xr.Dataset, coordinate: xr.DataArray, ax: Axes, ylabel: str) -> Axes:
@@ -28,7 +41,7 @@ def over_axis(data: xr.Dataset, coordinate: xr.DataArray, ax: Axes, ylabel: str)
     edges = cell_edges(np.unique(coordinate.to_numpy()))
     ax.set(xlabel=axis_label(coordinate), ylabel=ylabel, xlim=(edges[0], edges[-1]))
     # y: else it would stand above the colour bar of a density.
-    ax.set_title(title_of(data, fixed_axes(data, str(coordinate.name))), fontsize=10, loc="left", y=1.0)
+    ax.set_title(title_of(data, fixed_axes(data, str(coordinate.name))), loc="left", y=1.0)
     return ax
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import xarray as xr
 
+_UNSAID = "unknown"  # units that a user has not said, as results have it
 _SYMBOLS = {"exponents": "λ"}  # of names that are not written as they are
 _LOWER = "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi"
 _UPPER = "Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega"
@@ -31,7 +32,7 @@ def axis_label(variable: xr.DataArray, words: str = "", symbol: str = "") -> str
         words: in place of the variable's own, and of the symbol that its name makes.
         symbol: in place of that symbol; left out where the words have one, between dollars.
     """
-    name = str(variable.name)
+    name = str(variable.name).removesuffix("_state")
     own, named = _words(variable)
     if not words and not symbol and (named or is_symbol(name)):
         symbol = symbol_of(name)
@@ -45,9 +46,10 @@ def is_symbol(name: str) -> bool:
 
 
 def with_units(label: str, variable: xr.DataArray) -> str:
-    """A label with the units of a variable, where it has any."""
+    """A label with the units of a variable, where it has any and they are known."""
     units = str(variable.attrs.get("units", ""))
-    return f"{label} ({'dimensionless' if units == '1' else units})" if units else label
+    said = {"": "", _UNSAID: "", "1": " (dimensionless)"}
+    return label + said.get(units, f" ({units})")
 
 
 def title_of(data: xr.Dataset, axes: Iterable[str]) -> str:
@@ -65,7 +67,7 @@ def words_of(variable: xr.DataArray) -> str:
 
 def _words(variable: xr.DataArray) -> tuple[str, bool]:
     """The long name up to the equation it may end with and without the variable's own name; whether that was there."""
-    name, words = str(variable.name), str(variable.attrs.get("long_name", "")).split(" = ")[0]
+    name, words = str(variable.name).removesuffix("_state"), str(variable.attrs.get("long_name", "")).split(" = ")[0]
     *before, last = words.split(" ")
     return (" ".join(before), True) if last in (name, "") else (words, False)
 

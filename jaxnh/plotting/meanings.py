@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.exceptions import ResultError
+from jaxnh.plotting.style import BLUE, GREEN, MANY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 FAILED = "#000000"
 """Where a lane has failed."""
@@ -14,13 +15,13 @@ NONE = "#b8b8b8"
 """Where there is nothing to say."""
 
 _MEANINGS = {
-    "periodic": "#3b6fb5",
-    "quasiperiodic": "#e0a030",
-    "chaotic": "#b3261e",
+    "periodic": BLUE,
+    "quasiperiodic": ORANGE,
+    "chaotic": VERMILION,
     "undecided": NONE,
     "failed": FAILED,
 }
-_OTHER_MEANINGS = ("#7a3b8f", "#1c6e4a", "#6d4c41", "#e0447c", "#4f9d73", "#f1b04c")
+_OTHER_MEANINGS = (PURPLE, GREEN, SKY, YELLOW, *MANY)
 
 
 def meanings(variable: xr.DataArray) -> dict[int, tuple[str, str]]:

@@ -21,7 +21,7 @@ class Kind(NamedTuple):
 
     Attributes:
         draw: `draw(data, ax=None, ...)`, returns the axes.
-        height: in inches.
+        height: in inches, on a whole page.
         each: what gets a panel: a lane; a point of the axes beside the first, if these are few; or the whole group.
         chart: `chart(data, ax=None, over=())` draws it over two axes, a pixel a lane; None: it cannot be.
         over: the kind of groups that are drawn over its chart.
@@ -35,16 +35,16 @@ class Kind(NamedTuple):
 
 
 PANELS: Mapping[str, Kind] = {
-    "trajectories": Kind(trajectories, 3.4, "lane"),
-    "points": Kind(points, 3.4, "lane"),
-    "density": Kind(density, 4.6, "point"),
-    "cascade": Kind(cascade, 2.8, "group"),
-    "curves": Kind(curves, 4.0, "point", numbers_chart),
-    "integers": Kind(integers, 2.8, "group", integers_chart),
-    "basins": Kind(integers, 2.8, "group", basins_chart, "shares"),
-    "shares": Kind(shares, 3.4, "group"),
-    "branches": Kind(branches, 5.2, "group"),
-    "marks": Kind(bifurcations, 4.0, "group"),
-    "flags": Kind(flags, 1.4, "group", flags_chart),
+    "trajectories": Kind(trajectories, 2.9, "lane"),
+    "points": Kind(points, 2.9, "lane"),
+    "density": Kind(density, 3.2, "point"),
+    "cascade": Kind(cascade, 2.1, "group"),
+    "curves": Kind(curves, 2.7, "point", numbers_chart),
+    "integers": Kind(integers, 2.0, "group", integers_chart),
+    "basins": Kind(integers, 2.0, "group", basins_chart, "shares"),
+    "shares": Kind(shares, 2.4, "group"),
+    "branches": Kind(branches, 3.6, "group"),
+    "marks": Kind(bifurcations, 2.8, "group"),
+    "flags": Kind(flags, 1.1, "group", flags_chart),
 }
 """Kinds of panels by name."""

@@ -9,9 +9,11 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from jaxnh.exceptions import ResultError
-from jaxnh.plotting.frame import LINE, POINT, new_axes
-from jaxnh.plotting.groups import axes_of, lane_count, lane_of, shown
+from jaxnh.plotting.colouring import Colouring
+from jaxnh.plotting.frame import new_axes
+from jaxnh.plotting.groups import axes_of, kind_of, lane_count, lane_of, shown
 from jaxnh.plotting.labels import axis_label, title_of
+from jaxnh.plotting.style import LINE, POINT, Colour
 
 _DISTINCT = 256  # up to so many different points get large markers
 _LETTERS = "abcdefghijklmnopqrstuvwxyz"
@@ -30,7 +32,7 @@ def trajectories(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0, ove
     """
     ax = new_axes(ax)
     x, y = _coordinates(lane_of(data, lane))
-    ax.plot(x.to_numpy().ravel(), y.to_numpy().ravel(), color=LINE, linewidth=0.5, zorder=1)
+    ax.plot(x.to_numpy().ravel(), y.to_numpy().ravel(), color=LINE, linewidth=0.4, zorder=1)
     for group in over:
         _points(lane_of(group, lane), ax)
     return _plane(data, lane, ax)
@@ -51,6 +53,44 @@ def points(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes:
     return _plane(data, lane, ax)
 
 
+def together(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    colours: Colouring,
+    lanes: Iterable[int],
+    over: Iterable[xr.Dataset] = (),
+) -> Axes:
+    """Trajectories or points of several lanes in one plane, each lane in its colour.
+
+    Args:
+        data: variables (axes, points).
+        colours: of the lanes.
+        lanes: their numbers in C order of the axes.
+        over: groups of points of the same lanes, to be drawn over trajectories.
+
+    Raises:
+        ResultError: the group does not name two variables that it has.
+    """
+    ax = new_axes(ax)
+    axes = axes_of(data)
+    for lane in lanes:
+        place = dict(zip(axes, np.unravel_index(lane, [data.sizes[name] for name in axes]), strict=True))
+        own = colours.values.isel({name: int(i) for name, i in place.items() if name in colours.values.dims})
+        colour = colours.colour(float(own.to_numpy().ravel()[0]))
+        if kind_of(data) == "trajectories":
+            x, y = _coordinates(lane_of(data, lane))
+            ax.plot(x.to_numpy().ravel(), y.to_numpy().ravel(), color=colour, linewidth=0.4, zorder=1)
+        else:
+            _points(lane_of(data, lane), ax, colour)
+        for group in over:
+            _points(lane_of(group, lane), ax, colour)
+    x, y = _coordinates(data)
+    ax.set(xlabel=axis_label(x), ylabel=axis_label(y))
+    colours.explain(ax)
+    return ax
+
+
 def _coordinates(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
     variables = shown(data)
     if len(variables) != 2:
@@ -58,16 +98,16 @@ def _coordinates(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
     return variables[0], variables[1]
 
 
-def _points(data: xr.Dataset, ax: Axes) -> None:
+def _points(data: xr.Dataset, ax: Axes, colour: Colour = POINT) -> None:
     """Points of one lane, large where few differ."""
     plane = np.column_stack([variable.to_numpy().ravel() for variable in _coordinates(data)])
     few = len(np.unique(plane.round(4), axis=0)) <= _DISTINCT
-    ax.plot(*plane.T, "o", color=POINT, markersize=5.0 if few else 1.4, markeredgewidth=0, zorder=2)
+    ax.plot(*plane.T, "o", color=colour, markersize=3.5 if few else 1.0, markeredgewidth=0, zorder=2)
 
 
 def _plane(data: xr.Dataset, lane: int, ax: Axes) -> Axes:
     x, y = _coordinates(data)
     ax.set(xlabel=axis_label(x), ylabel=axis_label(y))
     letter = f"({_LETTERS[lane]}) " if lane_count(data) <= len(_LETTERS) else ""
-    ax.set_title(letter + title_of(lane_of(data, lane), axes_of(data)), fontsize=10)
+    ax.set_title(letter + title_of(lane_of(data, lane), axes_of(data)))
     return ax

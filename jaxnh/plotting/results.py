@@ -11,13 +11,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxnh.exceptions import ResultError
+from jaxnh.exceptions import ArgumentError, ResultError
+from jaxnh.plotting.colouring import colouring
 from jaxnh.plotting.groups import (
     at_place,
     axes_of,
@@ -27,48 +29,150 @@ from jaxnh.plotting.groups import (
     other_axes,
     places_of,
     same_plane,
+    showing,
+    shown,
 )
 from jaxnh.plotting.layout import Panel, laid_out
+from jaxnh.plotting.overlay import KINDS, overlaid
 from jaxnh.plotting.panels import PANELS, Kind
+from jaxnh.plotting.planes import together
 from jaxnh.plotting.reading import load_result
+from jaxnh.plotting.style import PAGE, Size, styled
 
 _MOST_LANES = 12  # that get a panel each
+_MOST_TOGETHER = 240  # that one panel shows in colours
 _MOST_POINTS = 6  # of the axes beside the first, that get a panel each
-_CHART_HEIGHT = 6.0  # inches
+_CHART_HEIGHT = 4.2  # inches, on a whole page
 
 _Groups = Mapping[str, xr.Dataset]
 
 
-def figure(result: xr.DataTree | xr.Dataset | Path | str) -> Figure:
+class Choice(NamedTuple):
+    """What a user has chosen of how results are drawn.
+
+    Attributes:
+        coordinates: names that panels are of in place of their own: of one those over an axis, of two planes.
+        colour: "start", an axis, or a variable of lanes such as "attractor" or "kind"; "": as each panel has it.
+        size: of the figure.
+        names: what the legend calls several results.
+    """
+
+    coordinates: Sequence[Sequence[str]] = ()
+    colour: str = ""
+    size: Size = PAGE
+    names: Sequence[str] = ()
+
+
+def figure(
+    *results: xr.DataTree | xr.Dataset | Path | str,
+    coordinates: Sequence[Sequence[str]] = (),
+    colour: str = "",
+    size: Size = PAGE,
+    names: Sequence[str] = (),
+) -> Figure:
     """Every group of a result that says how it is drawn, in their order; what is left out is said below.
 
     Args:
-        result: a result or one group of it, a dataset of one group, or the path of a result file.
+        results: a result or one group of it, a dataset of one group, or the path of a result file; of several, those
+            panels that can have many in them show all of them.
+        coordinates: what panels are of in place of their own: ("x_dot",) those over an axis, ("x", "y") planes.
+        colour: "start", an axis, or a variable of lanes as "attractor" or "kind": what decides colours in diagrams,
+            portraits and maps, which then show all lanes in one.
+        size: width and height in inches.
+        names: what the legend calls several results; by default the names of their files.
 
     Raises:
         ResultError: a file is damaged or none of ours, a group lacks what it names, or there is nothing to draw.
+        ArgumentError: no group has the coordinates, or what is to decide the colour.
     """
-    source = str(result) if isinstance(result, Path | str) else "the result"
-    tree = load_result(Path(result)) if isinstance(result, Path | str) else result
-    groups = _groups(tree)
+    if not results:
+        raise ResultError("there is no result to draw")
+    choice = Choice(tuple(map(tuple, coordinates)), colour, size, names)
+    source = str(results[0]) if isinstance(results[0], Path | str) else "the result"
+    tree, *others = (load_result(Path(one)) if isinstance(one, Path | str) else one for one in results)
+    with styled():
+        try:
+            groups = {name: _chosen(data, choice) for name, data in _groups(tree).items()}
+            _check_chosen(groups, choice)
+            more = _named(results, choice, [_groups(one) for one in others])
+            panels, lines = _of_groups(groups, choice, more)
+            if panels:
+                attrs = {str(key): value for key, value in tree.attrs.items()}
+                return laid_out(
+                    panels,
+                    str(attrs.get("title", "")),
+                    [*_provenance(attrs), *_of_level(attrs, groups), *lines],
+                    choice.size,
+                )
+        except ResultError as error:
+            raise ResultError(f"{source}: {error}") from error
+    raise ResultError("; ".join((f"{source} has nothing that can be drawn", *lines)))
+
+
+def _named(
+    results: Sequence[xr.DataTree | xr.Dataset | Path | str], choice: Choice, others: Sequence[_Groups]
+) -> dict[str, _Groups]:
+    """Groups of the other results by the name that the legend has, that of the first result with none.
+
+    Raises:
+        ResultError: not every result has a name, or two have the same.
+    """
+    if not others:
+        return {}
+    names = list(choice.names) or [
+        Path(one).stem if isinstance(one, Path | str) else f"result {k}" for k, one in enumerate(results, start=1)
+    ]
+    if len(set(names)) < len(results) or len(names) > len(results):
+        raise ResultError(f"{len(results)} results need as many names that differ, and these are {', '.join(names)}")
+    return dict(zip(names, ({}, *others), strict=True))
+
+
+def _chosen(data: xr.Dataset, choice: Choice) -> xr.Dataset:
+    """A group as a panel of the coordinates that were chosen, where it has them."""
+    wanted = {"density": 1, "trajectories": 2, "points": 2}.get(kind_of(data), 0)
+    for names in choice.coordinates:
+        if len(names) == wanted and all(name in data.data_vars or f"{name}_state" in data for name in names):
+            return showing(data, names)
+    return data
+
+
+def _check_chosen(groups: _Groups, choice: Choice) -> None:
+    """See that every choice is of some group.
+
+    Raises:
+        ArgumentError: no group has such coordinates.
+    """
+    drawn = [[str(v.name).removesuffix("_state") for v in shown(data)] for data in groups.values() if kind_of(data)]
+    for names in choice.coordinates:
+        if list(names) not in drawn:
+            of_states = [data for data in groups.values() if kind_of(data) in ("density", "trajectories", "points")]
+            there = dict.fromkeys(str(name) for data in of_states for name in data.data_vars)
+            what = "no portrait or map" if len(names) == 2 else "no diagram"
+            raise ArgumentError(
+                "coordinates", f"{what} of {', '.join(names)} can be drawn; there are {', '.join(there)}"
+            )
+
+
+def _of_groups(groups: _Groups, choice: Choice, more: Mapping[str, _Groups]) -> tuple[list[Panel], list[str]]:
+    """Panels of all groups, and lines that say what is not drawn."""
     panels: list[Panel] = []
     lines: list[str] = []
-    try:
-        for name, data in groups.items():
-            with _of_group(name):
-                found, said = _panels(name, data, groups)
-            panels += found
-            lines += [line for line in said if line not in lines]
-        if silent := [name for name, data in groups.items() if not kind_of(data)]:
-            lines.append(f"not drawn, since no attribute panel says how: {', '.join(silent)}")
-        if panels:
-            attrs = {str(key): value for key, value in tree.attrs.items()}
-            return laid_out(
-                panels, str(attrs.get("title", "")), [*_provenance(attrs), *_of_level(attrs, groups), *lines]
-            )
-    except ResultError as error:
-        raise ResultError(f"{source}: {error}") from error
-    raise ResultError("; ".join((f"{source} has nothing that can be drawn", *lines)))
+    for name, data in groups.items():
+        with _of_group(name):
+            together = {label: data if k == 0 else found.get(name) for k, (label, found) in enumerate(more.items())}
+            if more and kind_of(data) in KINDS and not other_axes(data):
+                there = {label: _chosen(one, choice) for label, one in together.items() if one is not None}
+                draw = partial(_overlaid, name, kind_of(data), there)
+                panels.append(Panel(draw, PANELS[kind_of(data)].height, True))
+                continue
+            found, said = _panels(name, data, groups, choice)
+        panels += found
+        lines += [line for line in said if line not in lines]
+        if more and found:
+            lines.append(f"{name} is of {next(iter(more))} alone")
+    if silent := [name for name, data in groups.items() if not kind_of(data)]:
+        lines.append(f"not drawn, since no attribute panel says how: {', '.join(silent)}")
+    return panels, lines
 
 
 def _groups(result: xr.DataTree | xr.Dataset) -> _Groups:
@@ -82,31 +186,41 @@ def _groups(result: xr.DataTree | xr.Dataset) -> _Groups:
     return {name: data.assign_attrs(axes | data.attrs) for name, data in groups.items()}
 
 
-def _panels(name: str, data: xr.Dataset, groups: _Groups) -> tuple[list[Panel], list[str]]:
+def _panels(name: str, data: xr.Dataset, groups: _Groups, choice: Choice) -> tuple[list[Panel], list[str]]:
     """Panels of a group, and lines that say what is not drawn."""
     kind = PANELS.get(kind_of(data))
     if kind is None:
         stated = kind_of(data)
         return [], [f"{name} is not drawn: its panel, {stated}, is of no kind known here"] if stated else []
-    return _of_lanes(name, data, kind, groups) if kind.each == "lane" else _over_an_axis(name, data, kind, groups)
+    of = _of_lanes if kind.each == "lane" else _over_an_axis
+    return of(name, data, kind, groups, choice)
 
 
-def _of_lanes(name: str, data: xr.Dataset, kind: Kind, groups: _Groups) -> tuple[list[Panel], list[str]]:
-    """A panel a lane, or of some picked evenly; none of points that are drawn over trajectories."""
+def _of_lanes(
+    name: str, data: xr.Dataset, kind: Kind, groups: _Groups, choice: Choice
+) -> tuple[list[Panel], list[str]]:
+    """A panel a lane, or of some picked evenly; with colours one of all. None of points drawn over trajectories."""
     if kind is PANELS["points"] and any(same_plane(data, other) for other in _of_kind("trajectories", groups)):
         return [], []
     over = {}
     if kind is PANELS["trajectories"]:
         over["over"] = [other for other in _of_kind("points", groups) if same_plane(other, data)]
     count, axes = lane_count(data), axes_of(data)
-    lanes = np.unique(np.linspace(0, count - 1, min(count, _MOST_LANES)).round().astype(int)).tolist()
-    panels = [Panel(partial(_drawn, name, kind, data, lane=lane, **over), kind.height, False) for lane in lanes]
+    most = _MOST_TOGETHER if choice.colour else _MOST_LANES
+    lanes = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    if choice.colour:
+        colours = colouring(choice.colour, data, groups.values())
+        panels = [Panel(partial(_together, name, data, colours=colours, lanes=lanes, **over), _CHART_HEIGHT, True)]
+    else:
+        panels = [Panel(partial(_drawn, name, kind, data, lane=lane, **over), kind.height, False) for lane in lanes]
     points = "values" if len(axes) == 1 else "points"
     left_out = f"{len(lanes)} of the {count:,} {points} of {' and '.join(axes)} are drawn"
     return panels, [left_out] if count > len(lanes) else []
 
 
-def _over_an_axis(name: str, data: xr.Dataset, kind: Kind, groups: _Groups) -> tuple[list[Panel], list[str]]:
+def _over_an_axis(
+    name: str, data: xr.Dataset, kind: Kind, groups: _Groups, choice: Choice
+) -> tuple[list[Panel], list[str]]:
     """A panel of the group, or one for each of a few points of the other axes; over two long axes a chart."""
     if kind is PANELS["shares"] and not axes_of(data):
         return [], []  # the attractors are drawn over their basins
@@ -126,12 +240,14 @@ def _over_an_axis(name: str, data: xr.Dataset, kind: Kind, groups: _Groups) -> t
         return [], [f"{name} is not drawn: it has {points}, of which {most}"]
     panels = []
     for place in places_of(data, others):
-        marks = {}
+        marks, here = {}, at_place(data, place)
         if kind is PANELS["density"]:
             marks["cascades"] = [at_place(other, place) for other in _of_kind("cascade", groups)]
+            if choice.colour:
+                marks["colours"] = colouring(choice.colour, here, [at_place(g, place) for g in groups.values()])
         if kind is PANELS["branches"]:
             marks = {"marks": _of_kind("marks", groups), "under": _of_kind("density", groups)}
-        panels.append(Panel(partial(_drawn, name, kind, at_place(data, place), **marks), kind.height, True))
+        panels.append(Panel(partial(_drawn, name, kind, here, **marks), kind.height, True))
     return panels, []
 
 
@@ -155,6 +271,16 @@ def _of_kind(kind: str, groups: _Groups) -> list[xr.Dataset]:
 def _drawn(name: str, kind: Kind, data: xr.Dataset, ax: Axes, **options: object) -> Axes:
     with _of_group(name):
         return kind.draw(data, ax, **options)
+
+
+def _together(name: str, data: xr.Dataset, ax: Axes, **options: Any) -> Axes:
+    with _of_group(name):
+        return together(data, ax, **options)
+
+
+def _overlaid(name: str, kind: str, results: Mapping[str, xr.Dataset], ax: Axes) -> Axes:
+    with _of_group(name):
+        return overlaid(kind, results, ax)
 
 
 def _charted(name: str, chart: Callable[..., Axes], data: xr.Dataset, over: Sequence[xr.Dataset], ax: Axes) -> Axes:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxnh import __version__
 from jaxnh.storage.hdf5 import Attributes
 from jaxnh.storage.tiles import Spent
 
@@ -53,7 +54,7 @@ class UserFile(NamedTuple):
 
 def versions() -> dict[str, str]:
     """Versions of the package, under the name jaxnh, and of the libraries that the numbers rest on."""
-    return {name: version(name) for name in ("jaxnh", *_LIBRARIES)}
+    return {"jaxnh": __version__, **{name: version(name) for name in _LIBRARIES}}
 
 
 def root_attributes(

@@ -9,11 +9,12 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxnh.systems.flow import Flow, Parameters, Vector, unit_of_time
+from jaxnh.systems.flow import UNSAID, Flow, Parameters, Vector, unit_of_time
 
 Definition = Mapping[str, Any]
 """What a system says of itself: its equations of motion, `coordinates`, with a clock its `period`, without one if
-wanted a `time_unit` that lengths of time are counted in, and where it has some, which of its names are `angles`."""
+wanted a `time_unit` that lengths of time are counted in, and where it has some, which of its names are `angles`; what
+parameters and coordinates are called in words, `labels`, and their `units`, by name."""
 
 
 class Defined(Flow):
@@ -44,6 +45,16 @@ class Defined(Flow):
     def own(self) -> tuple[str, ...]:
         """Names of the parameters that lanes may have of their own."""
         return tuple(self.values) if self.of_lanes is None else self.of_lanes
+
+    def units(self, name: str) -> str:
+        """As the definition says; angles are in radians."""
+        return self.said("units", name) or (
+            "rad" if name in self.names and self.angles[self.names.index(name)] else UNSAID
+        )
+
+    def said(self, what: str, name: str) -> str:
+        """The label or the units of a name, of the definition's `labels` or `units`; "" where it says nothing."""
+        return self.define(**self.values).get(what, {}).get(name, "")
 
     @property
     def period(self) -> float:

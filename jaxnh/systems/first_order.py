@@ -39,6 +39,8 @@ class FirstOrder(Defined):
 
     def words(self, name: str) -> str:
         """What a parameter or coordinate is called."""
+        if label := self.said("labels", name):
+            return f"{label} {name}"
         if name not in self.names:
             return f"parameter {name}"
         return f"{'angle' if self.angles[self.names.index(name)] else 'coordinate'} {name}"
@@ -117,7 +119,7 @@ class FirstOrder(Defined):
     def outputs(self, y: Point, t: np.ndarray) -> dict[str, Output]:
         """The coordinates by name."""
         return {
-            name: Output(turned(x) if angle else x, self.words(name))
+            name: Output(turned(x) if angle else x, self.words(name), {"units": self.units(name)})
             for name, x, angle in zip(self.names, y.y, self.angles, strict=True)
         }
 

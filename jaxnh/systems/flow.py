@@ -40,6 +40,10 @@ FAULTS = ("none", "singular", "off_constraint", "not_finite")
 """Why a lane has failed, by number; 0 where it has not."""
 
 
+UNSAID = "unknown"
+"""Units of what has units, or none, that the user has not said."""
+
+
 class Output(NamedTuple):
     """A named coordinate of states as results have it: numbers, words for it, and attributes."""
 
@@ -69,6 +73,10 @@ class Flow(eqx.Module):
     @abc.abstractmethod
     def words(self, name: str) -> str:
         """What a parameter or coordinate is called in results, its name included: "coupling b"."""
+
+    def units(self, name: str) -> str:
+        """Units of a parameter or coordinate: "1" where it has none, `UNSAID` where nobody has said which."""
+        return "1"
 
     @property
     @abc.abstractmethod

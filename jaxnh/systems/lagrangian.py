@@ -86,6 +86,8 @@ class Lagrangian(Defined):
     def words(self, name: str) -> str:
         """What a parameter or coordinate is called."""
         base = name.removesuffix("_dot")
+        if label := self.said("labels", name):
+            return f"{label} {name}"
         if name in self.names:
             return f"angle {name}" if self.angles[self.names.index(name)] else f"coordinate {name}"
         return f"velocity {name}" if base != name and base in self.names else f"parameter {name}"
@@ -305,8 +307,9 @@ class Lagrangian(Defined):
         """Coordinates and velocities of states by name: x, x_dot, y, y_dot, …"""
         found: dict[str, Output] = {}
         for name, q, v, is_angle in zip(self.names, y.q, y.v, self.angles, strict=True):
-            found[name] = Output(turned(q), f"angle {name}") if is_angle else Output(q, f"coordinate {name}")
-            found[f"{name}_dot"] = Output(v, f"velocity {name}_dot = d{name}/dt")
+            rate = f"{name}_dot"
+            found[name] = Output(turned(q) if is_angle else q, self.words(name), {"units": self.units(name)})
+            found[rate] = Output(v, f"{self.words(rate)} = d{name}/dt", {"units": self.units(rate)})
         return found
 
     def reports(self, y: Motion) -> dict[str, Output]:

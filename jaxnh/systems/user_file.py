@@ -11,8 +11,9 @@
         return dict(T=T, Q=Q, f=f, coordinates=("x", "y"), period=2 * jnp.pi)
 
 `y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. One number or one name
-stands for the tuple of it. What depends on t has a `period`; what does not may have a `time_unit`. Whatever is wrong
-with the file is said in one line with its place.
+stands for the tuple of it. What depends on t has a `period`; what does not may have a `time_unit`. Results and pictures
+take words and units of parameters and coordinates from labels={"x": "displacement"} and units={"x": "m"}. Whatever is
+wrong with the file is said in one line with its place.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.tracing import Known, Program
 from jaxnh.systems.user_code import explained
 
-_ALWAYS = ("coordinates", "period", "time_unit", "angles")
+_ALWAYS = ("coordinates", "period", "time_unit", "angles", "labels", "units")
 _FIRST_ORDER = ("rhs", *_ALWAYS)
 _MECHANICS = ("T", "Q", "f", "ignorable", *_ALWAYS)
 _CLOCKS = ("period", "time_unit")
@@ -51,6 +52,7 @@ _RETURNED = {
     "Q": "a number a coordinate",
     "f": "a number a constraint",
 }
+_AS_IN = {"labels": "displacement", "units": "m"}
 _BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "failure")  # in results, beside the coordinates
 
 DIMENSIONS = ("lane", "strobe", "time", "start", "exponent", "level")
@@ -203,6 +205,15 @@ class UserFile:
         for name in every:
             if name in inspect.signature(self._define).parameters:
                 raise self._fault(line, f"{name} names a parameter and a coordinate or velocity; rename one of them")
+        for kind in ("labels", "units"):
+            said = definition.get(kind, {})
+            if not isinstance(said, Mapping) or not all(isinstance(word, str) for word in said.values()):
+                raise self._fault(
+                    line, f'{kind} must be words by name, as in {kind}={{"{every[0]}": "{_AS_IN[kind]}"}}'
+                )
+            for name in said:
+                if name not in (*every, *inspect.signature(self._define).parameters):
+                    raise self._fault(line, f"{kind} names {name!r}, which is no parameter, coordinate or velocity")
         for kind in ("angles", "ignorable"):
             for name in definition.get(kind, ()):
                 if name not in names:

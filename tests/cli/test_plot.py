@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -113,6 +114,17 @@ def test_the_picture_lies_beside_the_file(everything, command, tmp_path):
     assert command(file, "--output", tmp_path / "copy.svg")[0] == 0
 
 
+def test_vector_pictures_of_a_column_have_text(command, tmp_path):
+    """A PDF of a journal's column, 86 mm; in SVG letters are text, not outlines."""
+    pdf, svg = tmp_path / "a.pdf", tmp_path / "a.svg"
+    file = write(tmp_path / "a.h5", tree({"diagram": states(B, 16)}))
+    assert command(file, "--size", "86x60", "--output", pdf)[0] == 0
+    box = re.search(rb"/MediaBox \[ 0 0 ([0-9.]+) ([0-9.]+) \]", pdf.read_bytes())
+    assert [float(side) for side in box.groups()] == pytest.approx([86 * 72 / 25.4, 60 * 72 / 25.4], abs=0.01)
+    assert command(file, "--size", "column", "--output", svg)[0] == 0
+    assert ">A little of everything</text>" in svg.read_text()
+
+
 def not_hdf5(path):
     path.write_text("title: not a result\n")
 
@@ -162,7 +174,16 @@ def test_a_bad_file_is_said_in_one_line(everything, command, tmp_path, spoil):
     ("arguments", "words"),
     [
         ([], "FILE"),
-        (["{file}", "--colour", "red"], "--colour"),
+        (["{file}", "--colour", "red"], "--colour: nothing is called red to colour by; there are start, b"),
+        (["{file}", "--color", "red"], "--color"),
+        (["{file}", "--coordinates", "x1,y1,x2"], "--coordinates: it is one name or two, as x,y, not x1,y1,x2"),
+        (["{file}", "--coordinates", "x3"], "--coordinates: no diagram of x3 can be drawn; there are x1, x2, y1, y2"),
+        (["{file}", "--coordinates", "x1,z"], "--coordinates: no portrait or map of x1, z can be drawn"),
+        (["{file}", "--size", "big"], "--size: it is column, page, or millimetres as 120 or 120x80, not big"),
+        (["{file}", "--size", "-3"], "--size: it is column"),
+        (["{file}", "--size", "40x20"], "--size: the panels do not fit into it"),
+        (["{file}", "--label", "up", "--label", "down"], "--label: 1 files need as many labels, and there are 2"),
+        (["{file}", "{file}"], "2 results need as many names that differ"),
         (["{file}", "--output", "picture.doc"], "must end in one of .png, .pdf, .svg"),
         (["{file}", "--output", "/proc/none/picture.png"], "--output: cannot write in"),
         (["{folder}"], "is a folder"),

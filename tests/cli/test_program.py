@@ -1,0 +1,59 @@
+"""The program `jaxnh`: its commands are those of `python -m jaxnh.COMMAND`; what a release says of itself agrees."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+
+import pytest
+from conftest import ROOT
+from ruamel.yaml import YAML
+
+import jaxnh
+from jaxnh.__main__ import COMMANDS, main
+
+
+@pytest.fixture
+def program(monkeypatch, capsys):
+    """Exit code, standard output and standard error of the program, run in this process."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["jaxnh", *map(str, arguments)])
+        code = main()
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_it_names_its_commands(program):
+    code, out, err = program()
+    assert (code, err) == (0, "")
+    assert all(f"  {name} " in out for name in COMMANDS)
+    assert program("--help")[1] == out
+    assert program("--version") == (0, f"jaxnh {jaxnh.__version__}\n", "")
+    assert program("sweeep") == (
+        2,
+        "",
+        "command line: COMMAND: must be one of sweep, plot, cost, inspect, not sweeep\n",
+    )
+
+
+def test_it_runs_them(program, tmp_path):
+    """With their arguments, their words and their exit codes."""
+    assert "jaxnh plot " in program("plot", "--help")[1]
+    assert program("sweep", tmp_path / "a.yaml") == (2, "", f"{tmp_path}/a.yaml: there is no such file\n")
+    code, out, _ = program("inspect", ROOT / "results" / "table1.h5")
+    assert code == 0
+    assert "doubling" in out
+
+
+def test_a_release_says_the_same_everywhere():
+    """The version is that of the package alone; the citation has it, and the scripts lead to functions that are there."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert "version" in project["project"]["dynamic"]
+    assert project["tool"]["hatch"]["version"]["path"] == "jaxnh/__init__.py"
+    assert project["project"]["scripts"] == {"jaxnh": f"{main.__module__}:{main.__name__}"}
+    citation = YAML(typ="safe").load((ROOT / "CITATION.cff").read_text())
+    assert (citation["title"], citation["version"]) == ("jaxnh", jaxnh.__version__)
+    assert (citation["license"], project["project"]["license"]) == ("MIT", "MIT")
+    assert (ROOT / "jaxnh" / "py.typed").is_file()
