@@ -11,7 +11,7 @@ import pytest
 import taylor
 import xarray as xr
 from conftest import ROOT
-from measure import scene_of
+from measure import scene_of, some_slow
 
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.growth import gram_schmidt
@@ -32,7 +32,7 @@ CASES = {
 }
 
 
-@pytest.fixture(scope="module", params=CASES)
+@pytest.fixture(scope="module", params=some_slow({name: name for name in CASES}, "disturbed"))
 def case(request, lanes):
     """A system at the paper's four values: scene, twin, periods, and the groups `period` and `lyapunov`."""
     system, twin, periods = CASES[request.param]

@@ -22,6 +22,7 @@ import numpy as np
 import psutil
 import pytest
 from conftest import ROOT, run_here
+from measure import some_slow
 
 from jaxnh.engine import dask_workers, xla_options
 from jaxnh.engine import plan as work
@@ -169,7 +170,7 @@ def test_four_parts_at_once(job, whole):
     finish(job, whole, "--merge")
 
 
-@pytest.mark.parametrize("tile", [None, 1000])
+@pytest.mark.parametrize("tile", [None, pytest.param(1000, marks=pytest.mark.slow)])
 def test_parts_of_a_small_sweep(tmp_path, tile):
     """Forty lanes, fewer than a tile of their own would have: each of two parts computes half of them."""
     small = Job(tmp_path, CONFIG.replace("count: 3000", "count: 40"), tile)
@@ -378,6 +379,18 @@ def test_stopped_by_a_signal(job, whole):
     assert finish(job, whole, "--quiet") == ([], [])
 
 
+def test_what_is_being_worked_on_is_refused(job):
+    """Whoever has the lock, as a whole run or as a part; what a part does not have of it is free to another part."""
+    for held, refused in ((None, ((), ("--part", "1/2"))), ((1, 2), ((), ("--part", "1/2")))):
+        with tiles.hold(job.tiles, held):
+            for arguments in refused:
+                code, out, err = job.run_here(*arguments)
+                assert (code, out) == (2, [])
+                assert len(err) == 1
+                assert err[0].startswith("command line: --output: another run is working on job.h5")
+
+
+@pytest.mark.slow
 def test_second_run_is_refused(job, whole):
     """On the same output, as a whole or as a part; nor is half of it joined. The lock of a dead one does not hinder."""
     head = "import jaxnh.engine.plan as w, time; c, k = w.compute, iter(range(99))\n"
@@ -437,7 +450,7 @@ def test_damaged_tiles_are_computed_again(job, whole):
 
 def test_tiles_of_another_config_are_not_replaced(job, whole):
     """A job begun with other values stays, and one line says what to do; --fresh drops it."""
-    assert job.run_here("sweep.b.stop=5.44", "--part", "1/12")[0] == 0
+    assert job.run_here("sweep.b.count=257", "--part", "1/2")[0] == 0
     before = {path: path.read_bytes() for path in job.done()}
     code, _, err = job.run_here()
     assert code == 2
@@ -510,7 +523,7 @@ def forbid(folder, forbidden):
     return bool(shutil.which("chattr")) and not subprocess.run(command, capture_output=True, check=False).returncode
 
 
-@pytest.mark.parametrize("how", ["removed", "a file", "read-only"])
+@pytest.mark.parametrize("how", some_slow({how: how for how in ("removed", "a file", "read-only")}, "removed"))
 def test_folder_taken_away(job, whole, how):
     """While the run is on: a sentence, no traceback; with the folder back, the same command has its result."""
     if how == "read-only" and not forbid(job.tiles.parent, True):
@@ -557,6 +570,7 @@ def test_clock_set_back(job, whole):
     assert content(job.output) == whole
 
 
+@pytest.mark.slow
 def test_killed_between_result_and_tiles(job, whole):
     """A result with its tiles still beside it is a result: it is said to be there, and the tiles go."""
     head = "import jaxnh.storage.tiles as t, os; t.clear = lambda folder: os._exit(9)"

@@ -65,10 +65,10 @@ def calls_of(batch, *arguments):
 @pytest.mark.parametrize(
     ("text", "tile", "number", "at"),
     [
-        pytest.param(CARRIED, None, signal.SIGTERM, 3, id="carried, SIGTERM"),
+        pytest.param(CARRIED, None, signal.SIGTERM, 3, id="carried, SIGTERM", marks=pytest.mark.slow),
         pytest.param(CARRIED, None, signal.SIGINT, 1, id="carried, SIGINT"),
         pytest.param(DOUBLING, None, signal.SIGTERM, 4, id="doubling", marks=pytest.mark.slow),
-        pytest.param(CONFIG, 32, signal.SIGKILL, 2, id="a batch of small tiles, killed"),
+        pytest.param(CONFIG, 32, signal.SIGKILL, 2, id="a batch of small tiles, killed", marks=pytest.mark.slow),
     ],
 )
 def test_stopped_within_a_piece(tmp_path, text, tile, number, at):
@@ -116,7 +116,7 @@ def same(one, other):
     [
         ("constant", "blanes_moan6", 40, False),
         ("disturbed", "processed6", 40, True),
-        ("constant", "dopri8", 160, False),
+        pytest.param("constant", "dopri8", 160, False, marks=pytest.mark.slow),
     ],
 )
 def test_many_calls_give_the_bits_of_one(system, solver, steps, compensated):
@@ -194,7 +194,10 @@ for steps in (40, 80):
 """
 
 
-@pytest.mark.parametrize(("config", "solver"), [("table1.yaml", "processed6"), ("governor.yaml", "dopri8")])
+@pytest.mark.parametrize(
+    ("config", "solver"),
+    [pytest.param("table1.yaml", "processed6", marks=pytest.mark.slow), ("governor.yaml", "dopri8")],
+)
 def test_call_is_known_in_another_process(config, solver):
     """With a user's own functions in it, whatever their addresses and the order of hashes are; other steps are another
     call."""

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import ROOT
-from measure import SYSTEMS
+from measure import SYSTEMS, some_slow
 
 from jaxnh.engine import kept_programs
 from jaxnh.engine.lanes import Lanes
@@ -63,6 +63,7 @@ def bits(process):
     return out
 
 
+@pytest.mark.slow  # in one process: test_some_of_the_devices
 def test_bits_of_fresh_and_kept_programs(tmp_path):
     """Two processes that compile at the same time, one that finds the program, and one that keeps none: equal bits.
 
@@ -85,7 +86,9 @@ def folder(tmp_path, monkeypatch):
     jax.config.update("jax_compilation_cache_dir", before)
 
 
-@pytest.mark.parametrize("fault", ["cut", "bit", "empty", "of another program"])
+@pytest.mark.parametrize(
+    "fault", some_slow({fault: fault for fault in ("cut", "bit", "empty", "of another program")}, "bit")
+)
 def test_a_file_that_is_no_program_is_written_anew(folder, fault):
     shared = strobe(), np.int32(3)
     expected = Lanes()(iterate, shared, LANES)

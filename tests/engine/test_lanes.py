@@ -23,7 +23,7 @@ MANY = 1000
 STATE = (np.full(MANY, 0.1), np.full(MANY, 0.1)), (np.full(MANY, 0.1), np.full(MANY, math.sqrt(0.99)))
 CHAOTIC = {"b": np.linspace(5.2, 5.45, MANY)}  # below the accumulation of doublings of table 1
 PERIODS = 200
-COUNTS = [1, 7, TILE, TILE + 44, 2 * TILE + 1, MANY]
+COUNTS = [1, TILE + 44, 2 * TILE + 1, *(pytest.param(n, marks=pytest.mark.slow) for n in (7, TILE, MANY))]
 
 
 def strobe():
@@ -67,7 +67,7 @@ def test_same_bits_for_any_number_of_lanes_and_devices(runners, chaos, count, de
         same(few, lane(part, chaos))
 
 
-@pytest.mark.parametrize("count", [1, 300])
+@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.slow), 300])
 def test_same_bits_of_derivatives(runners, count):
     """Of another program with more outputs, and tiles of another size."""
     u = np.random.default_rng(4).uniform(-1, 1, (MANY, 3))

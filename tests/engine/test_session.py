@@ -6,7 +6,8 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
-from conftest import ROOT, session_of
+from conftest import session_of
+from test_two_axes import OSCILLATOR, content
 
 import jaxnh
 from jaxnh.analyses.poincare import PoincareOptions
@@ -106,7 +107,7 @@ def test_new_axes(session, whole, axes, sizes):
 def test_analysis_that_needs_others():
     """They run with it, and it alone is given back; those the experiment asks for have its options."""
     analyses = {
-        "lyapunov": {"transient": 8, "periods": 16},
+        "lyapunov": {"transient": 8, "periods": 16, "exponents": 1},
         "period": {"limit": 4, "transient": 16},
         "chaos01": {"transient": 4, "periods": 100},
         "verdict": {},
@@ -142,9 +143,9 @@ def test_calibration_is_kept_within_its_ends():
 def test_a_plan_in_time_does_not_serve_returns():
     """A spectrum of a flow without a clock needs no section; a diagram has one, whose steps serve both."""
     system = {"constraint": "constant_speed", "a": 0.5, "c": 1.0, "without": ["forcing"]}
-    content = {"system": system, "sweep": {"b": {"values": [0.2, 0.3]}}, "accuracy": {"target": 1e-4}}
+    content = {"system": system, "sweep": {"b": {"values": [0.2, 0.3]}}, "accuracy": UNFORCED["accuracy"]}
     said = []
-    options = {"transient": 1, "periods": 16}
+    options = {"transient": 1, "periods": 16, "exponents": 1}
     session = Session(
         Experiment.from_dict({**content, "analyses": {"lyapunov": options}}), progress=lambda *told: said.append(told)
     )
@@ -163,19 +164,23 @@ def test_one_device(whole):
     identical(session.run("poincare"), whole)
 
 
-def test_sections_and_own_systems(tmp_path):
-    """Without a clock lanes are seen on the section; a user's system has its parameters and coordinates as axes."""
+def test_sections():
+    """Without a clock lanes are seen on the section."""
     session = session_of(Experiment.from_dict(UNFORCED))
     alone = session.run("diagram")
     found = session.run("diagram", x2=[0.1, 0.3])
     assert dict(found.sizes) == {"b": 3, "x2": 2, "strobe": 2}
     assert found.attrs["section"] == alone.attrs["section"]
     np.testing.assert_array_equal(found["x1"].isel(x2=0), alone["x1"])
-    governor = jaxnh.load(
-        ROOT / "configs" / "governor.yaml",
-        ["sweep.drive.count=3", "accuracy={solver: tsit5, steps: 60}", "analyses={poincare: {transient: 4}}"],
-    )
-    session = session_of(governor)
+
+
+def test_own_systems(tmp_path):
+    """A user's system has its parameters and coordinates as axes; its programs are those of test_two_axes."""
+    (tmp_path / "own.py").write_text(OSCILLATOR)
+    system = {"file": str(tmp_path / "own.py"), "damping": 0.2}
+    sweep = {"drive": {"values": [0.3, 0.35, 0.4]}}
+    own = content(sweep, system=system, accuracy={"solver": "tsit5", "steps": 60}, initial={"x": 0.5})
+    session = session_of(Experiment.from_dict(own))
     alone = session.run("poincare", {"transient": 4, "strobes": 2})
     found = session.run("poincare", {"transient": 4, "strobes": 2}, damping=[0.2, 0.3], x=[0.5])
     assert found["x_state"].dims == ("drive", "damping", "x", "strobe")

@@ -368,7 +368,11 @@ print(json.dumps([os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said]))
 """
 
 
-@pytest.fixture(scope="module", params=[(0, ""), (2_000, "a result of old"), (60_000, "")], ids=str)
+# Each is a process; a limit of zero and one amid the data are no other to the writer than one amid the attributes.
+LIMITS = [(2_000, "a result of old"), *(pytest.param(one, marks=pytest.mark.slow) for one in ((0, ""), (60_000, "")))]
+
+
+@pytest.fixture(scope="module", params=LIMITS, ids=str)
 def full_disk(request, tmp_path_factory):
     """Writing where files cannot grow past a limit, below the 110 kB needed: status, words, and files as expected."""
     limit, before = request.param

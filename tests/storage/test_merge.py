@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from measure import some_slow
 from test_pieces import job
 from test_tiles import SPENT
 
@@ -74,7 +75,12 @@ def written(first, end, width, seed=3):
     )
 
 
-@pytest.mark.parametrize(("tile", "width"), [(1024, 40), (1000, 40), (128, 3), (4096, 3), (20_000, 40)])
+WIDTHS = {
+    f"{tile}-{width}": (tile, width) for tile, width in [(1024, 40), (1000, 40), (128, 3), (4096, 3), (20_000, 40)]
+}
+
+
+@pytest.mark.parametrize(("tile", "width"), some_slow(WIDTHS, "1000-40", "4096-3"))
 def test_merged_file_is_the_file_written_at_once(tmp_path, tile, width):
     """Blocks that go over as they are and blocks that do not, whatever the tile: data, order and attributes."""
     plan = job(line(10_000), tile, DIAGRAM)
@@ -233,8 +239,11 @@ AXES = {
 }
 
 
+CUTS = {f"{axes}-{tile}": (axes, tile) for axes, tile in itertools.product(AXES, (3, 100))}
+
+
 @pytest.mark.parametrize("collected", [True, False], ids=["collected", "slab by slab"])
-@pytest.mark.parametrize(("axes", "tile"), list(itertools.product(AXES, (3, 100))))
+@pytest.mark.parametrize(("axes", "tile"), some_slow(CUTS, "shared first-3", "shared between-3", "three-100"))
 def test_merged_is_assembled_is_written_at_once(tmp_path, monkeypatch, axes, tile, collected):
     if not collected:
         monkeypatch.setattr(merge, "_COLLECTED", 0)
@@ -270,7 +279,7 @@ def test_merged_is_assembled_is_written_at_once(tmp_path, monkeypatch, axes, til
             }
 
 
-@settings(deadline=None, max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(st.tuples(st.integers(1, 4), st.booleans()), min_size=1, max_size=3),
     st.integers(1, 20),
