@@ -8,7 +8,7 @@ from unittest import mock
 import pytest
 from conftest import lanes_with_kept_programs, same_tree, session_of
 from test_batch import content
-from test_levels import WIDE, said
+from test_levels import PERIOD, WIDE, said
 
 import jaxnh
 from jaxnh.config.experiment import Experiment
@@ -22,7 +22,6 @@ from jaxnh.plotting.reading import load_result
 from jaxnh.storage import tiles
 from jaxnh.storage.hdf5 import read_attrs, read_group, verify
 
-PERIOD = {"period": {"transient": 16, "limit": 4}}
 EXPERIMENT = Experiment.from_dict(said(WIDE, {"count": 3, "refine": "boundary"}, PERIOD))
 
 

@@ -31,10 +31,13 @@ def tree_of(*what):
     return session_of(Experiment.from_dict(said(*what))).tree()
 
 
-@pytest.mark.parametrize("sweep", [LANE_AXES, ROWS], ids=["lanes", "rows"])
-def test_all_levels_are_the_plain_run(sweep):
+PERIOD = {"period": ANALYSES["period"]}
+
+
+@pytest.mark.parametrize(("sweep", "analyses"), [(LANE_AXES, ANALYSES), (ROWS, PERIOD)], ids=["lanes", "rows"])
+def test_all_levels_are_the_plain_run(sweep, analyses):
     """Every bit of it, whatever the level at which a lane was computed; `computed` says that all were."""
-    plain, levels = tree_of(sweep), tree_of(sweep, {"count": 3})
+    plain, levels = tree_of(sweep, None, analyses), tree_of(sweep, {"count": 3}, analyses)
     assert set(plain.children) == set(levels.children)
     for name, group in plain.children.items():
         ours = levels[name].to_dataset()
