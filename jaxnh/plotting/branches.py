@@ -11,10 +11,11 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.density import column_shares
-from jaxnh.plotting.frame import CURVES, new_axes
+from jaxnh.plotting.frame import new_axes
 from jaxnh.plotting.groups import along, declared_axes, needed, shown
 from jaxnh.plotting.labels import axis_label
 from jaxnh.plotting.meanings import meanings
+from jaxnh.plotting.style import CURVES
 
 _INK = LinearSegmentedColormap.from_list("ink", ("#d4d4d4", "#808080"))
 _MARKS = {"fold": "s", "period doubling": "o", "neimark sacker": "^", "branch point": "D", "hopf": "v"}
