@@ -358,7 +358,8 @@ class Calibration:
         return worst
 
     def _maps(self, solver: Solver, steps: int, *, compensated: bool = False) -> Callable[[Flow], Strobe]:
-        self._tried = max(self._tried, solver.total_kicks(steps))
+        if isinstance(solver, Solver):  # and none of diffrax, as costs has them beside ours
+            self._tried = max(self._tried, solver.total_kicks(steps))
         return lambda flow: make_strobe(flow, solver, steps, compensated=compensated)
 
     def _by_flow(
