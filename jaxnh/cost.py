@@ -34,7 +34,9 @@ def cost(
 ) -> None:
     """Body of the command; the words above are what --help shows."""
     began = time.perf_counter()
-    from jaxnh.cli.arguments import experiment_of
+    from jaxnh.cli.arguments import check_text, experiment_of
+
+    check_text(config, overrides)
     from jaxnh.cli.pricing import price
 
     price(experiment_of(config, overrides), output, repeats, began, effects=of_effects)

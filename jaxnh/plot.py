@@ -18,7 +18,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @app.command(help="Draw every analysis of a result file; of several files, as of a sweep up and one down, together.")
 def plot(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Result files of jaxnh.sweep")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="Result files of jaxnh.sweep")],
     output: Annotated[
         Path | None, typer.Option(help="Picture, .png, .pdf or .svg; by default that of the first FILE with .png")
     ] = None,

@@ -53,9 +53,11 @@ def sweep(
     share = _part(part)
     if merge_only and (part or dask):
         raise ArgumentError("merge", "it goes without --part and --dask")
+    from jaxnh.cli.arguments import called, check_text, experiment_of
+
+    check_text(config, overrides)
     from rich.console import Console
 
-    from jaxnh.cli.arguments import called, experiment_of
     from jaxnh.cli.report import report
     from jaxnh.cli.terminal import progress
     from jaxnh.engine import dask_workers

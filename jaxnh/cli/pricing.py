@@ -28,10 +28,8 @@ from jaxnh.engine.plan import calibrate, job_of, plan_of, scene_of, spent, work_
 from jaxnh.engine.run import attributes
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ArgumentError, ConfigError, ResultError
-from jaxnh.maps.build import way_of
 from jaxnh.plotting import costs as figures_cost
 from jaxnh.plotting.style import save
-from jaxnh.solvers import IsokineticSplitting
 from jaxnh.storage import hdf5
 
 _LOG_WIDTH = 130  # columns where the output goes to a file
@@ -56,20 +54,15 @@ def price(experiment: Experiment, output: Path | None, repeats: int, began: floa
         ArgumentError: the file cannot be written, or is something else.
         AccuracyError: nothing meets the accuracy asked for.
     """
-    if not effects and not _has_splittings(experiment):
+    if not effects and experiment.autonomous:
         raise ConfigError(
-            f"{experiment.label}: system: solvers are priced on the strobe map at a prescribed speed, and this scene "
-            "has none; --effects prices what it has"
+            f"{experiment.label}: system: solvers are priced on a strobe map, and this scene has no clock; "
+            "--effects prices what it has"
         )
     path = output or Path("results") / f"{Path(experiment.label).stem}_{'effects' if effects else 'cost'}.h5"
     _check_replaceable(path)
     check_output(path)
     (price_effects if effects else price_accuracy)(experiment, path, repeats, began)
-
-
-def _has_splittings(experiment: Experiment) -> bool:
-    """Whether the scene has a strobe map by splittings, with which others are compared."""
-    return not experiment.autonomous and isinstance(way_of(experiment.flow()).reference, IsokineticSplitting)
 
 
 def _check_replaceable(path: Path) -> None:

@@ -24,9 +24,10 @@ from jaxnh.analyses.base import Entry, variable
 from jaxnh.analyses.scene import Scene
 from jaxnh.engine.calibration import Calibration
 from jaxnh.engine.lanes import Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS, IsokineticSplitting
+from jaxnh.systems.flow import Flow
 
 _COARSEST = 1e-3  # largest error that makes a row
 _DECADES = 1.5  # of error between the rows of a splitting; their program is one for all
@@ -120,7 +121,8 @@ class Bench:
     """Lanes to time: one full round of tiles on every device, on the attractors of the sweep."""
 
     def __init__(self, scene: Scene, lanes: Lanes) -> None:
-        self._system, self._lanes = scene.system, lanes
+        self.system, self._lanes = scene.system, lanes
+        self.split = isinstance(way_of(scene.system).reference, IsokineticSplitting)
         self.count = lanes.tile * len(lanes.devices)
         begun = scene.take(np.linspace(0, scene.count - 1, self.count).round().astype(int)).lanes
         state = lanes(iterate, (scene.strobe(), np.int32(_SETTLED)), begun, periods=_SETTLED)
@@ -128,7 +130,7 @@ class Bench:
 
     def seconds(self, setting: Setting, periods: int = 1) -> float:
         """Wall time of one call a lane-period; a first call compiles, or `Calibration.error` has."""
-        strobe = make_strobe(self._system, setting.solver, setting.steps, compensated=setting.compensated)
+        strobe = make_strobe(self.system, setting.solver, setting.steps, compensated=setting.compensated)
         began = time.perf_counter()
         self._lanes(iterate, (strobe, np.int32(periods)), self._at, periods=periods)
         return (time.perf_counter() - began) / (self.count * periods)
@@ -181,20 +183,25 @@ def price(scene: Scene, calibration: Calibration, target: float, work: float, la
 
 def _rows(calibration: Calibration, bench: Bench) -> list[Row]:
     """Settings from coarse to as fine as pays, method by method; those beyond hope are left out."""
+    rows: dict[str, list[Row]] = {}
+    if not bench.split:
+        for ladder in _explicit(bench.system):
+            limit = _limit(rows)
+            found = _measure(ladder, calibration, bench, limit, _FEW_ROWS)
+            rows |= {found[0].setting.method: found} if found else {}
+        return list(chain.from_iterable(rows.values()))
     high = [s for s in SPLITTINGS.values() if s.convergence_order >= 6]
     low = [s for s in SPLITTINGS.values() if s.convergence_order < 6]
-    rows: dict[str, list[Row]] = {}
     for solver in high:
         rows[solver.name] = _measure(_splitting(solver), calibration, bench)
     for solver in high:
         if rows[solver.name]:  # up to where plain sums meet their rounding, compensation does nothing
             ladder = _splitting(solver, rows[solver.name][-1].setting.steps, compensated=True)
             rows[f"{solver.name} compensated"] = _measure(ladder, calibration, bench)
-    useful = _front(list(chain.from_iterable(rows.values())))
-    limit = _HOPELESS * max((row.pilot for row in useful if row.error > _USEFUL), default=math.inf)
+    limit = _limit(rows)
     for solver in low:
         rows[solver.name] = _measure(_splitting(solver), calibration, bench, limit)
-    for ladder in _runge_kutta():
+    for ladder in _explicit(bench.system):
         found = _measure(ladder, calibration, bench, limit, _FEW_ROWS)
         rows |= {found[0].setting.method: found} if found else {}
     order = {name: i for i, name in enumerate(chain.from_iterable((s, f"{s} compensated") for s in SPLITTINGS))}
@@ -208,11 +215,17 @@ def _splitting(solver: IsokineticSplitting, first: int = 0, *, compensated: bool
         steps = math.ceil(steps * 10 ** (_DECADES / solver.convergence_order))
 
 
-def _runge_kutta() -> Iterator[Iterator[Setting]]:
-    """Written out, as diffrax has them, and those with steps by a controller."""
+def _limit(rows: dict[str, list[Row]]) -> float:
+    """Time per lane-period beyond which a setting is hopeless beside those that are measured."""
+    useful = _front(list(chain.from_iterable(rows.values())))
+    return _HOPELESS * max((row.pilot for row in useful if row.error > _USEFUL), default=math.inf)
+
+
+def _explicit(flow: Flow) -> Iterator[Iterator[Setting]]:
+    """Methods of explicit steps: the flow's own first, those written out, those of diffrax, also with a controller."""
 
     def constant(name: str, solver: Any, order: int, stages: int) -> Iterator[Setting]:
-        steps = _FIRST_STEPS[order]
+        steps = _FIRST_STEPS[8 if order >= 8 else 5]
         while True:
             yield Setting(name, solver, steps, float(steps * stages))
             steps = math.ceil(steps * 10 ** (_FEW_DECADES / order))
@@ -223,7 +236,8 @@ def _runge_kutta() -> Iterator[Iterator[Setting]]:
             yield Setting(name, AdaptivePeriod(solver, tolerance), 1, math.nan, tolerance=tolerance)
             tolerance *= 10**-_FEW_DECADES
 
-    for solver in RUNGE_KUTTA.values():
+    own = [solver for solver in way_of(flow).solvers(flow.flow) if not isinstance(solver, IsokineticSplitting)]
+    for solver in {solver.name: solver for solver in (*own, *RUNGE_KUTTA.values())}.values():
         yield constant(solver.name, solver, solver.convergence_order, solver.stages)
     for stock, order in ((diffrax.Tsit5(), 5), (diffrax.Dopri8(), 8)):
         name = f"diffrax {type(stock).__name__}"

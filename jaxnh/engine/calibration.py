@@ -361,7 +361,8 @@ class Calibration:
 
     def _maps(self, solver: Solver, steps: int, *, compensated: bool = False) -> Callable[[int], Strobe]:
         """The maps of all flows, by their numbers."""
-        self._tried = max(self._tried, solver.total_kicks(steps))
+        if isinstance(solver, Solver):  # and none of diffrax, as costs has them beside ours
+            self._tried = max(self._tried, solver.total_kicks(steps))
 
         @functools.lru_cache(_MAPS_KEPT)
         def of(row: int) -> Strobe:

@@ -58,6 +58,20 @@ def test_faults_of_arguments_load_nothing_heavy(tmp_path):
         assert not modules & HEAVY
 
 
+def test_faults_of_the_text_of_a_config_start_no_jax(tmp_path):
+    """Not there, not YAML, an override without a place, a user's file that is not there or is not Python."""
+    (tmp_path / "bad.yaml").write_text("sweep: {b: [1, 2}\n")
+    (tmp_path / "good.yaml").write_text("system: {file: own.py}\nsweep: {r: {values: [1]}}\nanalyses: {portrait: {}}\n")
+    for arguments in (["absent.yaml"], ["bad.yaml"], ["good.yaml", "sweep.r.values.7=1"], ["good.yaml"]):
+        code, modules, _ = loaded_by("sweep", tmp_path / arguments[0], *arguments[1:])
+        assert code == 2
+        assert not modules & (HEAVY - {"ruamel"})
+    (tmp_path / "own.py").write_text("def system(r=1.0:\n")
+    code, modules, _ = loaded_by("cost", tmp_path / "good.yaml")
+    assert code == 2
+    assert not modules & (HEAVY - {"ruamel"})
+
+
 def test_a_look_at_a_result_needs_h5py_alone():
     code, modules, out = loaded_by("inspect", ROOT / "results" / "table1.h5")
     assert code == 0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from conftest import run_here
 
+from jaxnh.cli import arguments
 from jaxnh.engine import calibration
 
 CONFIG = """\
@@ -73,3 +74,15 @@ def test_a_calibration_that_takes_long_says_how_far_it_is(tmp_path, monkeypatch)
     assert run.returncode == 2
     assert any(" kicks a period, references differ by " in line for line in said)
     assert "more steps lessen it so slowly as where the equations jump or have corners" in last
+
+
+def test_a_file_that_takes_long_to_read_says_where_it_is(tmp_path, monkeypatch):
+    """Every five seconds, here fractions of one, the line of the user's file that is being run."""
+    monkeypatch.setattr(arguments, "_SILENT_SECONDS", 0.2)
+    (tmp_path / "own.py").write_text("import time\n\ntime.sleep(0.7)\n\ndef system(rate=1.0): return 1\n")
+    (tmp_path / "own.yaml").write_text(CONFIG)
+    run = run_here("own.yaml", cwd=tmp_path)
+    *said, last = run.stderr.splitlines()
+    assert run.returncode == 2
+    assert "reading own.yaml for 0 s, now at own.py:3" in said
+    assert last == "own.py:5: system must return dict(rhs=..., coordinates=...), or dict(T=..., Q=..., ...)"

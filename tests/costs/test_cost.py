@@ -12,9 +12,11 @@ import xarray as xr
 from conftest import ROOT, run_here
 from measure import scene_of
 
+from jaxnh.config.experiment import load
 from jaxnh.costs import exponent
+from jaxnh.costs import solvers as costs_of_solvers
 from jaxnh.engine.lanes import Lanes
-from jaxnh.solvers import SOLVERS, SPLITTINGS
+from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, SPLITTINGS
 from jaxnh.systems.particle import constant_speed
 
 TABLE1 = ROOT / "configs" / "table1.yaml"
@@ -60,6 +62,19 @@ def rows(solvers, name, summation="plain"):
     return solvers.isel(
         setting=np.flatnonzero((solvers["method"] == name).to_numpy() & (solvers["summation"] == summation).to_numpy())
     )
+
+
+def test_solvers_of_a_users_system():
+    """Its own method first, then all that go with any flow, each under its name once."""
+    flow = load(ROOT / "configs" / "flows" / "duffing_single_well.yaml").flow()
+    names = [next(ladder).method for ladder in costs_of_solvers._explicit(flow)]
+    assert names[0] == "nystrom8"
+    assert len(set(names)) == len(names)
+    assert {*RUNGE_KUTTA, "diffrax Tsit5", "diffrax Dopri8 adaptive"} < set(names)
+    assert not set(names) & set(SPLITTINGS)
+    run = run_here(ROOT / "configs" / "flows" / "lorenz.yaml", command="cost")
+    assert run.returncode == 2
+    assert "solvers are priced on a strobe map, and this scene has no clock; --effects prices what it has" in run.stderr
 
 
 @pytest.mark.slow

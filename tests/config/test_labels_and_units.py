@@ -1,0 +1,58 @@
+"""Words and units of a user's file in results and pictures; what it does not say is not called dimensionless."""
+
+from __future__ import annotations
+
+import pytest
+
+import jaxnh
+from jaxnh.exceptions import ConfigError
+
+FILE = """import jax.numpy as jnp
+def system(drive=0.5, k=1.0):
+    T = lambda q, v, t: 0.5 * v[0] ** 2
+    Q = lambda q, v, t: -k * jnp.sin(q[0]) + drive * jnp.cos(t)
+    return dict(T=T, Q=(lambda q, v, t: Q(q, v, t)), coordinates="theta", angles="theta", period=2 * jnp.pi,
+                labels={"drive": "torque", "theta": "angle of the arm"}, units={"drive": "N m", "theta_dot": "rad/s"})
+"""
+CONFIG = {
+    "system": {"file": "own.py"},
+    "sweep": {"drive": {"values": [0.1, 0.2]}, "k": {"values": [1.0]}},
+    "accuracy": {"solver": "dopri8", "steps": 40},
+    "analyses": {"poincare": {"transient": 0, "strobes": 2}},
+}
+
+
+def test_labels_and_units(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(FILE)
+    tree = jaxnh.run(jaxnh.Experiment.from_dict(CONFIG))
+    found = {
+        name: (v.attrs["long_name"], v.attrs["units"]) for name, v in tree["poincare"].to_dataset().variables.items()
+    }
+    assert found["drive"] == ("torque drive", "N m")
+    assert found["theta"] == ("angle of the arm theta", "rad")
+    assert found["theta_dot"] == ("velocity theta_dot = dtheta/dt", "rad/s")
+    assert found["k"] == ("parameter k", "unknown")
+    ax = jaxnh.figure(tree).axes[0]
+    assert ax.get_xlabel() == r"angle of the arm $\theta$ (rad)"
+    assert ax.get_ylabel() == r"velocity $\dot{\theta}$ (rad/s)"
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (
+            ('{"drive": "torque"', '{"drove": "torque"'),
+            "own.py:2: labels names 'drove', which is no parameter, coordinate or",
+        ),
+        (('units={"drive": "N m"', 'units={"drive": 1'), "own.py:2: units must be words by name, as in units={"),
+        (('{"drive": "N m", "theta_dot": "rad/s"}', '"m"'), "own.py:2: units must be words by name, as in units={"),
+    ],
+)
+def test_faults(tmp_path, monkeypatch, edit, message):
+    assert edit[0] in FILE
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(FILE.replace(*edit))
+    with pytest.raises(ConfigError) as caught:
+        jaxnh.Experiment.from_dict(CONFIG)
+    assert str(caught.value).startswith(message)
