@@ -5,7 +5,8 @@
 - chaotic: the largest exponent, that along the flow aside, is positive as `verdict` asks for.
 - limit_cycle: without a clock that exponent is negative, and the motion has gone to and fro.
 - quasiperiodic: that exponent is zero within its error, and the look was long enough for the motion to leave what it
-  nearly repeats: a slow passage, as beyond a fold, would have left.
+  nearly repeats: a slow passage, as beyond a fold, would have left. In a plane without a clock there is none: what
+  looks so is a cycle whose exponent is not resolved, or the ghost of one, and nothing is said of it.
 
 Every one of them has to stay: of a lane that had settled, the means over a look sixteen times as long are those that it
 had; what is chaotic has not begun to repeat itself thousands of periods later.
@@ -236,6 +237,8 @@ def _by_exponents(
         kind[here] = np.where(cycle, LIMIT_CYCLE, NONE)
         largest[here] = np.where(cycle, every[here, -1], largest[here])
     else:
+        if scene.system.dimension == 2 and angles(scene.system).sum() < 2:  # Poincaré and Bendixson: nothing but cycles
+            kind[:] = NONE
         kind[largest + error < 0.0] = LIMIT_CYCLE
         kind[(kind != CHAOTIC) & ~_comes_back(scene, seen, looked)] = NONE
     return kind, largest

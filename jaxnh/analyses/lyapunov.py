@@ -317,7 +317,7 @@ def kaplan_yorke(exponents: Float[np.ndarray, "lanes k"]) -> Float[np.ndarray, "
     lanes, k = exponents.shape
     whole = np.sum(total >= 0.0, axis=1)
     before = np.where(whole > 0, total[np.arange(lanes), np.maximum(whole, 1) - 1], 0.0)
-    following = np.abs(exponents[np.arange(lanes), np.minimum(whole, k - 1)])
+    following = np.where(whole < k, np.abs(exponents[np.arange(lanes), np.minimum(whole, k - 1)]), 1.0)
     return np.where(whole == k, float(k), whole + before / following)
 
 

@@ -52,13 +52,15 @@ def rest_points(
         step = -np.einsum("lij,lj->li", inverse, np.where(finite[:, None], rates, 0.0))
         at = at + step
         rates, change = _fields(scene, lanes, at)
-    found = np.all(np.abs(step) <= _rounding(scene, size), axis=1)
+    finite = np.all(np.isfinite(change), axis=(1, 2)) & np.all(np.isfinite(rates), axis=1)  # else no step was taken
+    found = finite & np.all(np.abs(step) <= _rounding(scene, size), axis=1)
     real = np.sort(np.linalg.eigvals(np.where(found[:, None, None], change, 0.0)).real, axis=1)[:, ::-1]
     hidden = scene.flow.dimension - scene.flow.exponents  # zeros, of what constraints keep
     if hidden:
         order = np.argsort(np.abs(real), axis=1)[:, hidden:]
         real = np.sort(np.take_along_axis(real, order, axis=1), axis=1)[:, ::-1]
-    least = _ROUNDING * np.linalg.norm(change, axis=(1, 2))
+    with np.errstate(invalid="ignore"):
+        least = _ROUNDING * np.linalg.norm(change, axis=(1, 2))
     return Zeros(found, found & (real[:, 0] < -least), at, np.where(found, real[:, 0], np.nan))
 
 

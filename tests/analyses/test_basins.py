@@ -188,6 +188,24 @@ def test_a_bottleneck_is_no_attractor(tmp_path):
     assert np.all(tree["basins"]["attractor"].values == 0)
 
 
+@pytest.mark.parametrize("mu", [-1e-6, -1e-9, 0.04])
+def test_the_ghost_of_a_cycle_is_no_attractor(tmp_path, mu):
+    """r' = r (μ − (r − 1)²), φ' = 1: below μ = 0 lanes from above linger at r = 1 for π/√−μ or longer, then go to rest.
+
+    There the field has no derivative, and nothing is known of rest. Above, the cycle is at 1 + √μ, with an exponent of
+    −2√μ (1 + √μ).
+    """
+    growth = "(mu - (jnp.sqrt(x**2 + y**2) - 1.0)**2)"
+    more = {"system": {"file": str(tmp_path / "flow.py"), "mu": mu}, **STEPS}
+    sweep, rates = {"x": {"values": [1.2, 2.0]}, "y": {"values": [0.0]}}, f"x * {growth} - y, y * {growth} + x"
+    tree = session_of(experiment(tmp_path, ("x", "y"), rates, sweep, {"longest": 256}, "", "mu=0.0", **more)).tree()
+    assert np.all(tree["basins"]["attractor"].values == (1 if mu > 0 else 0))
+    assert kinds(tree["attractors"]) == ["limit_cycle"] * (mu > 0)
+    if mu > 0:
+        root = np.sqrt(mu)
+        np.testing.assert_allclose(tree["attractors"]["exponent"].values, -2 * root * (1 + root), rtol=1e-2)
+
+
 def test_a_bottleneck_beside_an_attractor(tmp_path):
     """x'' + 2 x' = x − x³ + c, with c beyond the fold at 2/(3√3) by 10⁻⁶, and a drive so weak that it only keeps time.
 
