@@ -51,10 +51,7 @@ def plot(
     from jaxnh.plotting.style import save, size_of
     from jaxnh.storage.atomic import check_writable
 
-    try:
-        extent = size_of(size)
-    except ValueError:
-        raise ArgumentError("size", f"it is column, page, or millimetres as 120 or 120x80, not {size}") from None
+    extent = size_of(size)
     try:
         drawing = figure(*files, coordinates=chosen, colour=colour, size=extent, names=label or ())
     except ResultError as error:

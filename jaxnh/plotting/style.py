@@ -36,6 +36,7 @@ TINTS = ("#77AADD", "#EE8866", "#EEDD88", "#FFAABB", "#99DDFF", "#44BB99", "#BBC
 
 _DARKER = 0.45
 _MM = 25.4  # an inch
+_LONGEST = 100.0  # inches
 
 
 class Size(NamedTuple):
@@ -56,15 +57,18 @@ def size_of(text: str) -> Size:
     """A size by its name, "column" or "page", or in millimetres, "120" or "120x80".
 
     Raises:
-        ValueError: it is none.
+        ArgumentError: it is none.
     """
     named = {"column": COLUMN, "page": PAGE}
     if text in named:
         return named[text]
     width, cross, height = text.partition("x")
-    found = Size(float(width) / _MM, float(height) / _MM if cross else None)
-    if not all(0 < length < 100 for length in found if length is not None):
-        raise ValueError(text)
+    try:
+        found = Size(float(width) / _MM, float(height) / _MM if cross else None)
+    except ValueError:
+        found = Size(0.0)
+    if not all(0 < length < _LONGEST for length in found if length is not None):
+        raise ArgumentError("size", f"it is column, page, or millimetres as 120 or 120x80, not {text}")
     return found
 
 
