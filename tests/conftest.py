@@ -143,8 +143,8 @@ def no_scheduler_left() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def lanes() -> Lanes:
-    """One runner for all tests, so that equal programs are traced and compiled once."""
-    return lanes_with_kept_programs()
+    """One runner for all tests, so that equal programs are traced and compiled once; few lanes are padded to 64."""
+    return lanes_with_kept_programs(None, None, 32)
 
 
 @pytest.fixture(scope="session")

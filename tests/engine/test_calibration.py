@@ -8,7 +8,8 @@ import jax
 import numpy as np
 import pytest
 import taylor
-from measure import SYSTEMS, UNIT, apart, calibrated, twin
+from conftest import lanes_with_kept_programs
+from measure import SYSTEMS, UNIT, apart, calibrated, some_slow, twin
 
 from jaxnh.analyses.scene import spread
 from jaxnh.exceptions import AccuracyError
@@ -18,6 +19,14 @@ from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.particle import chart, disturbed_speed
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """Tiles as commands have them: here are a thousand lanes."""
+    return lanes_with_kept_programs()
+
+
 RANGES = {
     "constant, all b": ("constant", 0.1, 6.0),
     "constant, table 1": ("constant", 5.6, 5.45),
@@ -39,7 +48,7 @@ def other_lanes(lanes, system, first, last):
     return b, np.concatenate(points)
 
 
-@pytest.mark.parametrize(("name", "first", "last"), RANGES.values(), ids=RANGES)
+@pytest.mark.parametrize(("name", "first", "last"), some_slow(RANGES, "disturbed, all b"))
 def test_estimate_is_honest(lanes, name, first, last):
     """On lanes on the way and on the attractors the true error is below the estimate, which is below the target; and with
     every digit asked for there are more kicks.

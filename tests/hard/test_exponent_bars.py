@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -36,9 +37,20 @@ def lanes():
     return Lanes(tile=32)
 
 
+@functools.cache
+def plan_at(system, target, lanes):
+    """The solver that meets a target over the paper's range."""
+    return calibration_of(system, lanes).cheapest(target)
+
+
+@functools.cache
+def calibration_of(system, lanes):
+    return calibrated(system, START, np.linspace(0.1, 6.0, 64), lanes)
+
+
 def scene_at(system, values, target, lanes):
     """Lanes from the paper's start, by the solver that meets a target over the paper's range."""
-    plan = calibrated(system, START, np.linspace(0.1, 6.0, 64), lanes).cheapest(target)
+    plan = plan_at(system, target, lanes)
     return scene_of(system, START, values, plan.solver, plan.steps, plan.compensated, error=plan.error_estimate)
 
 

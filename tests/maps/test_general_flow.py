@@ -51,7 +51,7 @@ def test_derivatives_of_runge_kutta(lanes):
 
 @pytest.mark.parametrize("rolled", [True, False], ids=["rolled", "written out"])
 @pytest.mark.parametrize("flow", some_slow(dict(zip(FLOWS, FLOWS, strict=True)), "free"))
-@pytest.mark.parametrize("name", ["dopri8", "tsit5"])
+@pytest.mark.parametrize("name", [pytest.param("dopri8", marks=pytest.mark.slow), "tsit5"])
 def test_steps_are_diffeqsolve_with_projected_steps(name, flow, rolled):
     """The loop of steps is the written-out solver, projected, under `diffrax.diffeqsolve`, to rounding.
 
@@ -72,17 +72,16 @@ def test_steps_are_diffeqsolve_with_projected_steps(name, flow, rolled):
         assert abs(float(one) - float(other)) < 1e-12 * max(1.0, abs(float(other)))
 
 
-def test_rolled_steps_are_those_written_out():
+@pytest.mark.parametrize("solver", some_slow(RUNGE_KUTTA, "tsit5"))
+def test_rolled_steps_are_those_written_out(solver):
     """Of one step the sums over stages are taken in another order, and no more."""
     system, start = FLOWS["constrained"]
     start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
-    for solver in RUNGE_KUTTA.values():
-        rolled, written_out = (
-            moved(general_strobe(system, solver, np.array([0.0, 0.1]), rolled=rolled), start, p)
-            for rolled in (True, False)
-        )
-        for one, other in zip(jax.tree.leaves(rolled), jax.tree.leaves(written_out), strict=True):
-            assert abs(float(one) - float(other)) < 2 * 15 * 40 * UNIT
+    rolled, written_out = (
+        moved(general_strobe(system, solver, np.array([0.0, 0.1]), rolled=rolled), start, p) for rolled in (True, False)
+    )
+    for one, other in zip(jax.tree.leaves(rolled), jax.tree.leaves(written_out), strict=True):
+        assert abs(float(one) - float(other)) < 2 * 15 * 40 * UNIT
 
 
 def test_solver_of_diffrax_itself():

@@ -34,7 +34,9 @@ from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, uncha
 
 
 @systems
-@pytest.mark.parametrize("name", ["strang2", "blanes_moan6"])  # the table is made alike for all; compiling more is slow
+@pytest.mark.parametrize(
+    "name", ["strang2", pytest.param("blanes_moan6", marks=pytest.mark.slow)]
+)  # the table is made alike for all; compiling more is slow
 def test_kicks_are_diffeqsolve_on_the_same_grid(lanes, system, name):
     """The loop over the table of kicks is `IsokineticSplitting.step` under `diffeqsolve`, to rounding."""
     solver, steps = SPLITTINGS[name], 200
@@ -137,7 +139,8 @@ def test_derivatives_of_kicks(lanes, system):
         assert np.all(ours < ROUNDOFF * size(*right))
 
 
-@pytest.mark.parametrize("system", some_slow(CALM, "disturbed"))
+@pytest.mark.slow
+@pytest.mark.parametrize("system", CALM.values(), ids=CALM)
 def test_derivatives_in_the_stiffness(lanes, system):
     """∂P/∂a in closed form is that of jacfwd, and that of the reference by differences.
 

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from measure import some_slow
 
 from jaxnh.analyses.scene import spread
-from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import cut_strobe, make_strobe
 from jaxnh.maps.iterate import derivatives, iterate, section_map
@@ -46,12 +46,6 @@ def by_t_and_q(drive=0.3, damping=0.2, other=0.5):
 VALUES = {"drive": 0.3, "damping": 0.2, "other": 0.5}
 DRIVES = np.array([0.2, 0.3, 0.45])
 START = (0.5, -1.0, 0.1, 0.7)
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 def flow_of(rhs, period=PERIOD, **parameters):
@@ -183,20 +177,23 @@ def test_damped_motion_without_force_is_exact(lanes):
     assert abs(end.y[0][0] - (0.4 + 1.1 * (1.0 - left) / 0.3)) < 1e-13
 
 
-def test_tangents_are_derivatives_of_the_map(lanes):
+@pytest.mark.parametrize(
+    ("make", "system"), some_slow({"field": (first_order, oscillators), "T and Q": (lagrangian, by_t_and_q)}, "T and Q")
+)
+def test_tangents_are_derivatives_of_the_map(lanes, make, system):
     """By the linearisation of the force, of state and drive, against jacfwd; the volume is their determinant."""
-    for flow in (first_order(oscillators, VALUES, ("drive",)), lagrangian(by_t_and_q, VALUES, ("drive",))):
-        strobe = make_strobe(flow, nystrom8, 40)
-        assert isinstance(strobe, NystromStrobe)
-        u, p = np.tile(START, (3, 1)), {"drive": DRIVES}
-        found = lanes(derivatives, (strobe, np.int32(1)), (u, p), static=("drive",))
-        by_state, by_p = lanes(jacobians, (strobe,), (u, p))
-        assert np.abs(found.monodromy - by_state).max() < 1e-12
-        assert np.abs(found.by_parameter - by_p["drive"]).max() < 1e-12
-        start = jax.tree.map(np.asarray, jax.vmap(flow.unchart)(jnp.asarray(u)))
-        volume = lanes(volume_of, (strobe,), (start, p))
-        assert np.abs(np.log(volume) + 0.7 * PERIOD).max() < 1e-13
-        assert np.abs(np.linalg.det(found.monodromy) / volume - 1.0).max() < 1e-8  # as the map has it, of order eight
+    flow = make(system, VALUES, ("drive",))
+    strobe = make_strobe(flow, nystrom8, 40)
+    assert isinstance(strobe, NystromStrobe)
+    u, p = np.tile(START, (3, 1)), {"drive": DRIVES}
+    found = lanes(derivatives, (strobe, np.int32(1)), (u, p), static=("drive",))
+    by_state, by_p = lanes(jacobians, (strobe,), (u, p))
+    assert np.abs(found.monodromy - by_state).max() < 1e-12
+    assert np.abs(found.by_parameter - by_p["drive"]).max() < 1e-12
+    start = jax.tree.map(np.asarray, jax.vmap(flow.unchart)(jnp.asarray(u)))
+    volume = lanes(volume_of, (strobe,), (start, p))
+    assert np.abs(np.log(volume) + 0.7 * PERIOD).max() < 1e-13
+    assert np.abs(np.linalg.det(found.monodromy) / volume - 1.0).max() < 1e-8  # as the map has it, of order eight
 
 
 def jacobians(strobe, u, p):
@@ -220,6 +217,7 @@ def in_turn(strobes, state, p):
     return jax.lax.scan(lambda z, strobe: (strobe(z, p), None), state, strobes)[0]
 
 
+@pytest.mark.slow
 def test_crossings_of_a_flow_that_keeps_its_energy(lanes):
     """Hénon and Heiles on y = 0 upward: returns, and tangents with the time of each, are those of another method."""
 

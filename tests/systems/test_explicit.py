@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses.scene import spread
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.solvers import tsit5
@@ -17,12 +16,6 @@ from jaxnh.systems.jourdain import accelerations
 from jaxnh.systems.lagrangian import Motion, Reduced, lagrangian
 
 PERIOD = 2 * np.pi
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
 
 
 def governor(drive=0.8, damping=0.2):
@@ -116,7 +109,7 @@ def test_accelerations_are_those_of_the_bordered_system(name):
             assert abs(float(acceleration - whole[j])) < 1e-13 * (1.0 + abs(float(whole[j])))
 
 
-@BOTH
+@LARGE_SLOW
 def test_motions_keep_the_constraints_and_are_those_of_projected_steps(lanes, name):
     """The other way is the package's own too, by steps of the whole state each projected: `Projected` in diffrax."""
     system, start = SYSTEMS[name][0], on_constraints(name)

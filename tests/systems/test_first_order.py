@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses.scene import spread
-from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import cut_strobe, make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.section import SectionedFlow
@@ -49,12 +48,6 @@ LORENZ = {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}
 PENDULUM = {"drive": 0.9, "damping": 0.3}
 
 
-@pytest.fixture(scope="module")
-def lanes():
-    """One runner, so that equal programs are compiled once."""
-    return Lanes()
-
-
 def by_heyoka(rho, state, time):
     """Lorenz's states (lanes, 3) a time later, by Taylor series in double precision."""
     x, y, z = hy.make_vars("x", "y", "z")
@@ -89,6 +82,7 @@ def volume_of(strobe, state, p):
     return strobe.push(state, p, ()).volume
 
 
+@pytest.mark.slow
 def test_pendulum_is_the_one_by_t_and_q(lanes):
     """The same equations of motion by other ways: states and slopes in state and drive, to rounding."""
     drive = np.array([0.9, 1.1])
