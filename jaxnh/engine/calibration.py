@@ -412,9 +412,9 @@ def _fastest(flow: Flow, y: State, p: Parameters) -> float:
 
 
 def _order_of(fall: Sequence[tuple[int, float]]) -> float:
-    """With which power of the kicks distances fall in the last refinements above rounding; infinite: unknown."""
-    seen = [(kicks, gap) for kicks, gap in fall if _ROUNDING < gap < math.inf][-_ORDER_OF_LAST:]
-    if len(seen) < _ORDER_OF_LAST:
+    """With which power of the kicks distances fall in the last refinements; infinite: unknown, or down to rounding."""
+    seen = [(kicks, gap) for kicks, gap in fall if gap < math.inf][-_ORDER_OF_LAST:]
+    if len(seen) < _ORDER_OF_LAST or min(gap for _, gap in seen) < _ROUGH:
         return math.inf
     kicks, gaps = np.log(np.array(seen)).T
     return float(-np.polyfit(kicks, gaps, 1)[0])
