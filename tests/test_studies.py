@@ -191,6 +191,7 @@ def test_agreement_with_published_values():
 # ---- the search for compositions
 
 
+@pytest.mark.slow
 def test_free_algebra():
     """exp and log undo each other; a symmetric composition has no even terms; processed6 leaves none of degree 3 or 5."""
     solver = SPLITTINGS["processed6"]

@@ -162,7 +162,7 @@ def test_terminal_says_what_the_file_says(table):
 # ---- other systems
 
 
-@pytest.mark.parametrize(("config", "overrides", "par"), some_slow(OTHERS, "d", "omega, from period 2"))
+@pytest.mark.parametrize(("config", "overrides", "par"), some_slow(OTHERS, "omega, from period 2"))
 def test_other_systems(result, request, config, overrides, par):
     """Other parameters, periods of the forcing, first periods and directions of the sweep: as the reference has them."""
     name = request.node.callspec.id.replace(",", "").replace(" ", "_")
@@ -230,6 +230,7 @@ def test_no_doubling_at_all(result):
     assert "nan" not in out
 
 
+@pytest.mark.slow
 def test_one_doubling_of_an_orbit_of_period_two(result):
     """The doubling 2 → 4 at b = 1.7 (`test_other_systems` finds it when asked for two), asked for alone."""
     overrides = ("accuracy.target=1e-9", "system.omega=2", "sweep.b={start: 1.5, stop: 1.9, count: 64}")

@@ -45,6 +45,7 @@ def test_a_parameter_of_the_lanes_is_one_of_the_flow(lanes, twins):
     np.testing.assert_array_equal(*found)
 
 
+@pytest.mark.slow
 def test_a_cascade_at_a_point_of_the_other_axis(lanes):
     """The doubling along b at a = 0.5 is that of the flow with this a: all that goes along the line keeps it."""
     inside = scene_of(constant_speed(), START, B, *STEPS)
@@ -130,6 +131,7 @@ def test_a_dataset_says_what_it_is(lanes, name):
     assert (LANE in left.dims) == analysis.independent(analysis.options())
 
 
+@pytest.mark.slow
 def test_words_without_a_clock(lanes):
     """Lengths are in units of time, and the dimension is that of the flow; with a clock, in periods and on the section."""
     still = SectionedFlow(constant_speed(without=("forcing",)), "y1", 1, 0.0, "up").flow

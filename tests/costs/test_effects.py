@@ -146,7 +146,8 @@ def test_one_exponent_is_one_tangent(lanes, spectrum):
     assert lyapunov.tangents(lyapunov.LyapunovOptions(exponents=3), scene) == 2
 
 
-@pytest.mark.parametrize("exponents", [1, pytest.param(4, marks=pytest.mark.slow)])  # of four it compiles long
+@pytest.mark.slow
+@pytest.mark.parametrize("exponents", [1, 4])
 def test_motion_that_comes_to_rest(lanes, exponents):
     """A free particle with damping and no forcing ends at rest: no exponent is zero, that along the flow neither.
 

@@ -194,10 +194,8 @@ for steps in (40, 80):
 """
 
 
-@pytest.mark.parametrize(
-    ("config", "solver"),
-    [pytest.param("table1.yaml", "processed6", marks=pytest.mark.slow), ("governor.yaml", "dopri8")],
-)
+@pytest.mark.slow  # in make test a process is stopped and this one goes on
+@pytest.mark.parametrize(("config", "solver"), [("table1.yaml", "processed6"), ("governor.yaml", "dopri8")])
 def test_call_is_known_in_another_process(config, solver):
     """With a user's own functions in it, whatever their addresses and the order of hashes are; other steps are another
     call."""

@@ -51,7 +51,7 @@ def runners():
     return {1: Lanes(devices=jax.devices("cpu")[:1]), 2: lanes_with_kept_programs()}
 
 
-@pytest.mark.parametrize("name", some_slow({name: name for name in OPTIONS}, "diagram", "poincare"))
+@pytest.mark.parametrize("name", some_slow({name: name for name in OPTIONS}, "diagram"))
 def test_pieces_are_rows_of_the_whole(runners, name):
     """Odd pieces on one device against all lanes at once on two: every variable over b, and every other one.
 

@@ -86,10 +86,10 @@ def test_fixed_value_is_no_dimension(session, whole):
 @pytest.mark.parametrize(
     ("axes", "sizes"),
     [
-        ({"d": [0.05, 0.1]}, {"b": 5, "d": 2}),
+        pytest.param({"d": [0.05, 0.1]}, {"b": 5, "d": 2}, marks=pytest.mark.slow),
         ({"x1": [0.1, 0.3]}, {"b": 5, "x1": 2}),
         ({"a": [0.5, 0.6]}, {"b": 5, "a": 2}),
-        ({"c": [0.9, 1.0], "x1": 0.1}, {"b": 5, "c": 2}),
+        pytest.param({"c": [0.9, 1.0], "x1": 0.1}, {"b": 5, "c": 2}, marks=pytest.mark.slow),
     ],
 )
 def test_new_axes(session, whole, axes, sizes):
@@ -158,6 +158,7 @@ def test_a_plan_in_time_does_not_serve_returns():
         assert sum(label.startswith("accuracy") and not done for label, done, _ in said) == calibrations
 
 
+@pytest.mark.slow  # test_plan has pieces on one device beside two
 def test_one_device(whole):
     """The lanes do not know on how many devices they are."""
     session = Session(Experiment.from_dict(CONTENT), devices=jax.devices()[:1])

@@ -161,6 +161,7 @@ KNOWN = {  # b, periods, target: λ1 of an endless run, and how well it is known
 }
 
 
+@pytest.mark.slow
 @pytest.mark.case("Error bars of exponents")
 def test_beside_folds_and_doublings(battery, lanes):
     """Lanes whose bars were once the distance of two smooth averages: a doubling, a coarse integrator, a laminar phase."""

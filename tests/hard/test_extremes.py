@@ -117,6 +117,7 @@ def test_fast_forcing(battery, lanes):
 
 
 @pytest.mark.case("Fast and slow forcing")
+@pytest.mark.slow
 def test_slow_forcing(battery, lanes):
     """A period of 628 at ω = 0.01: held to what rounding leaves of the flow; where that is the motion itself, refused,
     and two Taylor integrations in double and long double disagree there as well.

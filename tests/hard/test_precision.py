@@ -44,6 +44,7 @@ def enlargement(lanes, system, calibration):
     return float(np.linalg.norm(monodromy.astype(float), ord=2))
 
 
+@pytest.mark.slow
 def test_error_and_gain(battery, lanes):
     """The estimate is of float32's own rounding; beside it float64 with the same steps, and the time of both.
 

@@ -42,6 +42,7 @@ def test_runge_kutta_converges_to_the_reference(lanes):
     check_convergence(lanes, CALM["disturbed"], SOLVERS["tsit5"])
 
 
+@pytest.mark.slow
 def test_derivatives_of_runge_kutta(lanes):
     """The error of 200 steps of order five is measured by doubling them."""
     system = CALM["constant"]

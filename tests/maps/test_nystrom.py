@@ -178,7 +178,7 @@ def test_damped_motion_without_force_is_exact(lanes):
 
 
 @pytest.mark.parametrize(
-    ("make", "system"), some_slow({"field": (first_order, oscillators), "T and Q": (lagrangian, by_t_and_q)}, "T and Q")
+    ("make", "system"), some_slow({"field": (first_order, oscillators), "T and Q": (lagrangian, by_t_and_q)}, "field")
 )
 def test_tangents_are_derivatives_of_the_map(lanes, make, system):
     """By the linearisation of the force, of state and drive, against jacfwd; the volume is their determinant."""

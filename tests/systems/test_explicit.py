@@ -163,7 +163,8 @@ def jacobians(strobe, u, p):
     return jax.jacfwd(lambda u, p: section_map(strobe, 1, u, p), argnums=(0, 1))(u, p)
 
 
-@LARGE_SLOW
+@pytest.mark.slow
+@BOTH
 def test_volume_is_that_of_the_whole_flow(lanes, name):
     """The divergence that steps integrate is that of rhs, integrated by itself along the same motion."""
     system, start = SYSTEMS[name][0], on_constraints(name)
