@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.daughter import FEIGENBAUM, daughters, window
-from jaxnh.analyses.locating import locate
+from jaxnh.analyses.locating import Located, locate
 from jaxnh.analyses.period import apart, first_points, survey
 from jaxnh.analyses.runs import Line, Start, seen, starts
 from jaxnh.analyses.scene import LaneRunner, Scene
@@ -38,17 +38,22 @@ class Cascade(NamedTuple):
 
     Attributes:
         period: n.
-        points: the doublings.
-        errors: of the values of the first axis there.
+        found: the doublings.
+        size: of the motion in each section coordinate, (d,).
         end: where there are fewer than were looked for, how it ended; what was searched stands in a second line.
         outside: whether a doubling lies beyond the lanes' values of the first axis.
     """
 
     period: int
-    points: tuple[DoublingPoint, ...]
-    errors: tuple[float, ...]
+    found: tuple[Located, ...]
+    size: Float[np.ndarray, " d"]
     end: str
     outside: bool = False
+
+    @property
+    def points(self) -> tuple[DoublingPoint, ...]:
+        """The doublings."""
+        return tuple(located.point for located in self.found)
 
 
 def follow(scene: Scene, lanes: LaneRunner, levels: int, *, search: bool = False) -> Cascade:
@@ -86,7 +91,8 @@ def _outside(steps: _Steps, line: Line) -> Line:
 def _best(steps: _Steps, line: Line, levels: int) -> Cascade:
     """The first cascade along a line that has so many doublings, or else the one that has most."""
     name, ends = steps.scene.line.name, 0
-    best = Cascade(1, (), (), f"no doubling was located between {name} = {line.value[0]:.9g} and {line.value[-1]:.9g}")
+    none = f"no doubling was located between {name} = {line.value[0]:.9g} and {line.value[-1]:.9g}"
+    best = Cascade(1, (), steps.size, none)
     for start in starts(line):
         ends += len(start.runs) == 1
         if ends > _ENDS:
@@ -107,20 +113,20 @@ def _along(steps: _Steps, start: Start, levels: int) -> Cascade:
     steps.tried[start.period, start.value, start.line.sign] = len(found)
     end = ""
     if len(found) < levels:
-        n, last = start.period << len(found), found[-1].point.value if found else start.value
+        n, last = start.period << len(found), found[-1].located.point.value if found else start.value
         where = f"{steps.scene.line.name} = {last:.9g} and {start.line.value[-1]:.9g}"
         end = f"{n} → {2 * n} was not located between {where}"
-    return Cascade(start.period, tuple(level.point for level in found), tuple(level.error for level in found), end)
+    return Cascade(start.period, tuple(level.located for level in found), steps.size, end)
 
 
 def _next(steps: _Steps, start: Start, found: list[_Level]) -> _Level | None:
     """The next doubling beyond those found from a start."""
     n, sign = start.period << len(found), start.line.sign
     for bracket in _brackets(steps, start, found, n):
-        after = found[-1].point.value if found else -sign * np.inf
+        after = found[-1].located.point.value if found else -sign * np.inf
         located = steps.locate(bracket, n) if sign * (bracket.value[0] - after) > 0 else None
-        if located is not None and sign * (located[0].value - after) > 0:
-            return _Level(*located, float(abs(bracket.value[1] - bracket.value[0])))
+        if located is not None and sign * (located.point.value - after) > 0:
+            return _Level(located, float(abs(bracket.value[1] - bracket.value[0])))
     return None
 
 
@@ -133,8 +139,12 @@ def _brackets(steps: _Steps, start: Start, found: list[_Level], n: int) -> Itera
     yield from start.brackets(n)
     if not found:
         return
-    born, end = found[-1].point, float(start.line.value[-1]) - found[-1].point.value
-    expected = (born.value - found[-2].point.value) / FEIGENBAUM if len(found) > 1 else start.line.sign * found[0].width
+    born, end = found[-1].located.point, float(start.line.value[-1]) - found[-1].located.point.value
+    expected = (
+        (born.value - found[-2].located.point.value) / FEIGENBAUM
+        if len(found) > 1
+        else start.line.sign * found[0].width
+    )
     near: Line | None = None
     for number in (*range(_FURTHER), *range(-1, -_CLOSER, -1)):
         if near is not None and (near.period[-1] != n if number > 0 else near.period[0] == n):
@@ -148,10 +158,9 @@ def _brackets(steps: _Steps, start: Start, found: list[_Level], n: int) -> Itera
 
 
 class _Level(NamedTuple):
-    """A doubling, the error of its value, and how wide the bracket was that it was located in."""
+    """A doubling, and how wide the bracket was that it was located in."""
 
-    point: DoublingPoint
-    error: float
+    located: Located
     width: float
 
 
@@ -163,6 +172,7 @@ class _Steps:
     Attributes:
         scene: lanes along the first axis; its own values of it play no part here.
         limit: largest period that surveys look for.
+        size: of the motion in each section coordinate, (d,).
         tried: doublings found from the end of a run, by its period, value and direction.
     """
 
@@ -170,8 +180,8 @@ class _Steps:
         self.scene, self.limit = scene, limit
         self.tried: dict[tuple[int, float, float], int] = {}
         self._lanes = lanes
-        self._size = np.ones(scene.system.dimension)
-        self._located: dict[tuple[int, float, float], tuple[DoublingPoint, float] | None] = {}
+        self.size = np.ones(scene.system.dimension)
+        self._located: dict[tuple[int, float, float], Located | None] = {}
         self._daughters: dict[tuple[int, float, float, float], Line] = {}
 
     def survey(self, values: Float[np.ndarray, " lanes"], label: str) -> Line:
@@ -180,16 +190,16 @@ class _Steps:
         start = first_points(row, self._lanes)
         found = survey(row, self._lanes, start, self.limit, label, TRANSIENT, only_doublings=True)
         if not found.failed.all():
-            self._size = np.median(found.size[~found.failed], axis=0)
+            self.size = np.median(found.size[~found.failed], axis=0)
         return Line(values, found.period, found.u)
 
-    def locate(self, bracket: Line, n: int) -> tuple[DoublingPoint, float] | None:
-        """The doubling of the period-n orbit between two lanes, and the error of its value."""
+    def locate(self, bracket: Line, n: int) -> Located | None:
+        """The doubling of the period-n orbit between two lanes."""
         near, far = bracket.value.tolist()
         if (key := (n, near, far)) not in self._located:
             with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
                 located = locate(self.scene, self._lanes, bracket.u[0], near, far, n)
-            if located is not None and abs(located[0].value - near) > 2 * abs(far - near):
+            if located is not None and abs(located.point.value - near) > 2 * abs(far - near):
                 located = None  # Newton has gone to another doubling
             self._located[key] = located
         return self._located[key]
@@ -199,10 +209,10 @@ class _Steps:
         key = len(born.orbit), born.value, float(distances[0]), float(distances[-1])
         if key not in self._daughters:
             points = np.concatenate([line.u, first_points(self.scene, self._lanes)])
-            largest = float(np.nanmax(apart(self.scene.system, points, born.orbit[0], self._size)))
+            largest = float(np.nanmax(apart(self.scene.system, points, born.orbit[0], self.size)))
             label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {self.scene.line.name} = {born.value:.9g}"
             with self._lanes.stage(label, 0):
-                self._daughters[key] = daughters(self.scene, self._lanes, born, largest, self._size, distances)
+                self._daughters[key] = daughters(self.scene, self._lanes, born, largest, self.size, distances)
         return self._daughters[key]
 
     def searched(self, line: Line) -> str:

@@ -1,4 +1,4 @@
-"""Period doublings of the cascade reached from the start state (`cascade` finds them), and the Feigenbaum number."""
+"""Period doublings of the cascade reached from the start state (`cascade` finds them), and the Feigenbaum numbers."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from pydantic import Field
 from jaxnh.analyses.along import value_by_value
 from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, Table, variable
 from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow
+from jaxnh.analyses.cascade_limits import doublings_limit, widths_limit
 from jaxnh.analyses.locating import PERIOD_TILE
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.systems.flow import Flow
 
-_NUMBERS = ("delta_limit", "delta_limit_error", "levels_found")  # a cascade; attributes of the only one of a file
+_LIMITS = ("delta_limit", "alpha", "limit")  # each with its error
+_NUMBERS = (*_LIMITS, *(f"{name}_error" for name in _LIMITS), "levels_found")  # a cascade; attributes of the only one
 _BETWEEN = np.array([1.0, math.pi]) / (1.0 + math.pi)  # shares of two values: no ratio of whole numbers
 _OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
 _MOST_SHOWN = 16  # cascades in a table of many
-_FALL = 0.25  # of corrections to δ, a level
-_ONE_STEP = 3.0  # the error of a limit from two δ, in their distance
+_ROUNDING = 1e-14  # of points of an orbit, in sizes of the motion
+_DIGITS = 4  # of a limit in words, at least
 
 
 class DoublingOptions(Options):
@@ -48,8 +50,8 @@ def independent(options: DoublingOptions) -> bool:
 def check(options: DoublingOptions, setting: Setting) -> None:
     """See that the first axis is a parameter, and one that there is something of between two values of it."""
     first = setting.axes[0]
-    if first.name in _OWN_NAMES:
-        raise OptionError(f"{first.name} is what doubling calls a number of its own; rename the parameter")
+    if taken := [axis.name for axis in setting.axes if axis.name in _OWN_NAMES]:
+        raise OptionError(f"{taken[0]} is what doubling calls a number of its own; rename the parameter")
     if first.kind == "start":
         what = f"{first.name} is a coordinate of the start state"
         message = f"doubling follows orbits along the first axis of the sweep, and {what}"
@@ -74,13 +76,17 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
 
 def _dataset(system: Flow, axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
     """Points as the variables of the contract, NaN where a level was not found."""
-    name, points = axis.name, found.points
-    value = np.full(levels, np.nan)
-    value[: len(points)] = [point.value for point in points]
-    value_error = np.full(levels, np.nan)
-    value_error[: len(points)] = found.errors
-    delta, delta_error = _deltas(value, value_error)
-    limit, limit_error = _delta_limit(delta[np.isfinite(delta)], delta_error[np.isfinite(delta)])
+    name, count = axis.name, len(found.found)
+    refined, rounding, value_error = np.full((3, levels), np.nan), np.full(levels, np.nan), np.full(levels, np.nan)
+    refined[:, :count] = np.reshape([[point.value for point in level.refined] for level in found.found], (count, 3)).T
+    rounding[:count] = [level.point.error for level in found.found]
+    value_error[:count] = [level.error for level in found.found]
+    value = refined[1]
+    delta, delta_error = _deltas(value, rounding)
+    delta_error += np.abs(np.diff([_deltas(each, rounding)[0] for each in refined], axis=0)).sum(axis=0)
+    limit = doublings_limit(value[:count], rounding[:count])
+    widths, width_errors = _widths(system, found)
+    alpha = widths_limit(widths, width_errors)
     index = np.arange(1, levels + 1)
     period_words = "period n of the orbit that doubles to 2n"
     error_words = f"largest error of {name}, from step refinement and the Newton residual"
@@ -98,10 +104,18 @@ def _dataset(system: Flow, axis: Axis, levels: int, found: Cascade) -> xr.Datase
             "ratio δ of successive distances between doublings, equation (14)",
             ancillary_variables="delta_error",
         ),
-        "delta_error": variable("level", delta_error, f"error of δ that the errors of {name} cause"),
-        "delta_limit": variable((), limit, "limit of δ", ancillary_variables="delta_limit_error"),
-        "delta_limit_error": variable((), limit_error, "error of the limit of δ"),
-        "levels_found": variable((), len(points), "number of doublings found"),
+        "delta_error": variable("level", delta_error, f"error of δ, from step refinement and the rounding of {name}"),
+        "delta_limit": variable((), limit.ratio, "limit of δ", ancillary_variables="delta_limit_error"),
+        "delta_limit_error": variable((), limit.ratio_error, "error of the limit of δ"),
+        "alpha": variable(
+            (), alpha.ratio, "limit α of the ratio of widths of successive orbits", ancillary_variables="alpha_error"
+        ),
+        "alpha_error": variable((), alpha.ratio_error, "error of α"),
+        "limit": variable(
+            (), limit.value, f"{axis.long_name} where the cascade ends", ancillary_variables="limit_error"
+        ),
+        "limit_error": variable((), limit.error + value_error[max(count - 1, 0)], f"error of {name} there"),
+        "levels_found": variable((), count, "number of doublings found"),
     }
     attrs = {
         "along": name,
@@ -138,19 +152,21 @@ def _deltas(
     return delta, error
 
 
-def _delta_limit(delta: Float[np.ndarray, " found"], error: Float[np.ndarray, " found"]) -> tuple[float, float]:
-    """The last δ, and how far the limit may be from it; NaN with fewer than two.
+def _widths(system: Flow, found: Cascade) -> tuple[Float[np.ndarray, " even"], Float[np.ndarray, " even"]]:
+    """Widths of the orbits of even period, and their errors, by step refinement and by the rounding of the parameter.
 
-    Corrections to δ fall by δ a level, and by 8 with alternating signs, so that a step may be small because they cancel
-    in it. What follows after a step is at most that step where corrections fall by half or faster, and a quarter of it
-    with every level after: the largest of these is the error, with that of the δ themselves. An extrapolation with one
-    ratio makes too much of a small last step. Two δ show one step, which may be small by chance: it counts three times.
+    The width is the largest distance of a point from that half a period later, in sizes of the motion: near the
+    extremum of the map that the motion contracts to, where it falls by α a level, elsewhere faster.
     """
-    if len(delta) < 2:
-        return math.nan, math.nan
-    steps = np.abs(np.diff(delta))
-    left = (steps * _FALL ** np.arange(len(steps))[::-1]).max()
-    return float(delta[-1]), float((_ONE_STEP if len(delta) == 2 else 1.0) * left + error.max())
+    even = [level for level in found.found if len(level.point.orbit) % 2 == 0]
+
+    def width(orbit: Float[np.ndarray, "n d"]) -> float:
+        apart = system.wrap(orbit - np.roll(orbit, len(orbit) // 2, axis=0))
+        return float(np.linalg.norm(apart / found.size, axis=1).max())
+
+    widths = np.array([[width(point.orbit) for point in level.refined] for level in even]).reshape(-1, 3)
+    errors = np.abs(np.diff(widths, axis=1)).sum(axis=1) + _ROUNDING
+    return widths[:, 1], errors
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
@@ -207,9 +223,17 @@ def _cascades(data: xr.Dataset, others: tuple[str, ...]) -> Table:
 
 
 def _limit_words(data: xr.Dataset) -> str:
-    """The limit of δ and its error; nothing where there is none."""
-    limit, error = float(data["delta_limit"]), float(data["delta_limit_error"])
-    return f"δ → {limit:.4f} ± {error:.1g}" if math.isfinite(limit) else ""
+    """δ, α and the end of the cascade with their errors, of those that there are."""
+    symbols = ("δ", "α", str(data.attrs["along"]))
+    there = [pair for pair in zip(symbols, _LIMITS, strict=True) if pair[1] in data]  # files of before have δ alone
+    limits = [(symbol, float(data[name]), float(data[f"{name}_error"])) for symbol, name in there]
+    return ", ".join(f"{symbol} → {_known(*limit)}" for symbol, *limit in limits if np.isfinite(limit).all())
+
+
+def _known(value: float, error: float) -> str:
+    """A number with as many digits as its error has a say in."""
+    digits = max(_DIGITS, math.ceil(-math.log10(error))) if error > 0.0 else _DIGITS
+    return f"{value:.{digits}f} ± {error:.1g}"
 
 
 def _cell(text: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -18,14 +20,33 @@ PERIOD_TILE = 32
 _REFINEMENTS = (1, 2, 4)
 
 
+class Located(NamedTuple):
+    """A doubling of a scene, by maps with the steps that the accuracy asks for and with twice and four times as many.
+
+    Attributes:
+        refined: the doubling of each of these maps.
+    """
+
+    refined: tuple[DoublingPoint, DoublingPoint, DoublingPoint]
+
+    @property
+    def point(self) -> DoublingPoint:
+        """It with twice the steps."""
+        return self.refined[1]
+
+    @property
+    def error(self) -> float:
+        """Of its value: what refinements, interpolation and rounding moved it by."""
+        first, second, third = (point.value for point in self.refined)
+        return abs(second - first) + abs(third - second) + self.point.error
+
+
 def locate(
     scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, " d"], start: float, stop: float, n: int
-) -> tuple[DoublingPoint, float] | None:
+) -> Located | None:
     """The doubling between two values of the first axis of the period-n orbit that is stable at the first, through u.
 
-    Returns:
-        It with twice the steps, and the error of its value: what refinements, interpolation and rounding moved it by.
-        None where the orbit does not double before `stop`.
+    None where the orbit does not double before `stop`.
     """
     wrap = scene.system.wrap
     coarse, fine, finest = (period_map(scene, lanes, strobe) for strobe in refined(scene))
@@ -35,7 +56,7 @@ def locate(
     third = second and moved_doubling(finest, second, wrap)
     if first is None or second is None or third is None:
         return None
-    return second, abs(second.value - first.value) + abs(third.value - second.value) + second.error
+    return Located((first, second, third))
 
 
 def refined(scene: Scene) -> tuple[Strobe, ...]:

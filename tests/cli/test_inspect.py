@@ -57,7 +57,8 @@ def test_screen(made):
     assert f"exponents b 50 × exponent 2 1/time {exponents.min():.5g} … {exponents.max():.5g}" in text
     assert "x1 b 50 × start 2 × strobe" in text
     assert "diagram: start random, phase 0, trajectories 100, not_finite 0" in text
-    assert "doubling: along b, delta_limit nan, delta_limit_error nan, levels_found 1" in text
+    limits = ", ".join(f"{name} nan, {name}_error nan" for name in ("delta_limit", "alpha", "limit"))
+    assert f"doubling: along b, {limits}, levels_found 1" in text
 
 
 def test_it_needs_no_jax(made):

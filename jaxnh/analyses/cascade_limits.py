@@ -1,0 +1,182 @@
+"""Limits of sequences of a cascade, with intervals that cover them: δ and b∞ of doublings, α of widths of orbits.
+
+Renormalisation (Feigenbaum, J. Stat. Phys. 21 (1979) 669) makes both geometric, up to corrections that are so too,
+
+    b_k = b∞ + A δ⁻ᵏ (1 + Σ B_j ρ_jᵏ),      w_k = A α⁻ᵏ (1 + Σ B_j ρ_jᵏ).
+
+Some ρ follow from the ratio itself: a system is a smooth function of its parameter, which gives ρ = 1/δ, and widths are
+measured in some smooth coordinate, which gives −1/α and its powers. Others belong to directions in which the operator
+contracts, as −0.1237 for quadratic maxima (Christiansen, Cvitanović, Rugh, J. Phys. A 23 (1990) L713); here nothing is
+known of them but that they are small. So these are any numbers up to a bound, and all amplitudes are random, of a size
+that the sequence itself tells: a Gaussian process. No value of δ or α is put in. Host code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+_SIZES = np.geomspace(0.003, 10.0, 9)  # of amplitudes B; each as likely as the others
+_LEAST_RATIO = 1.05
+_NODES = 61  # of a grid of ratios
+_NEGLIGIBLE = 14.0  # below the largest logarithm of the density
+_FINE = 3  # the grid is fine enough where a third of it is not negligible
+_TAIL = 0.005  # of the probability, beyond either end of an interval: sequences are not quite as the model has them
+_WIDE = 2.6  # standard deviations, which are as rare
+_NUGGET = 1e-14  # of variances: keeps correlations of nearly one positive definite in rounding
+_SEEN = 10.0  # errors: a step must be so large to count
+
+
+class Limit(NamedTuple):
+    """What a sequence tends to; NaN where it is too short to tell.
+
+    Attributes:
+        ratio, ratio_error: of successive distances, or widths, in the limit.
+        value, error: of the sequence itself.
+    """
+
+    ratio: float
+    ratio_error: float
+    value: float
+    error: float
+
+
+class _Kind(NamedTuple):
+    """What is known of a sequence beforehand.
+
+    Attributes:
+        tied: ratios of corrections that follow from r = 1/δ or 1/α, (ratios,) each.
+        bounds: of the other ratios, each as likely as the others, (bounds,).
+        reach: of the logarithm of the ratio, about that of the last levels.
+        constant: whether the limit is unknown; else it is zero.
+    """
+
+    tied: Callable[[np.ndarray], tuple[np.ndarray, ...]]
+    bounds: Float[np.ndarray, " bounds"]
+    reach: float
+    constant: bool
+
+
+# A cascade may begin where it is nearly of another kind, as at a flatter extremum: corrections then fall slowly.
+_DOUBLINGS = _Kind(lambda r: (r,), np.array([0.1, 0.2, 0.4, 0.8]), 0.6, constant=True)
+_WIDTHS = _Kind(lambda r: (-r, r * r), np.array([0.1, 0.2, 0.4]), 0.25, constant=False)
+
+
+class _Posterior(NamedTuple):
+    """Over a grid of ratios, and of sizes and bounds of corrections: (ratios, models).
+
+    Attributes:
+        density: logarithm, up to a constant.
+        value, variance: of the limit of the sequence.
+    """
+
+    density: Float[np.ndarray, "ratios models"]
+    value: Float[np.ndarray, "ratios models"]
+    variance: Float[np.ndarray, "ratios models"]
+
+
+_UNKNOWN = Limit(np.nan, np.nan, np.nan, np.nan)
+
+
+def doublings_limit(values: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"]) -> Limit:
+    """δ and b∞ of successive doublings, of four or more.
+
+    Args:
+        values: of the parameter.
+        errors: of them, that differ from level to level: rounding. What all share, or what is a smooth function of the
+            parameter, as the error of a map, changes b∞ but not δ, which all maps have.
+    """
+    steps = np.abs(np.diff(values))
+    seen = steps > _SEEN * (errors[1:] + errors[:-1])
+    levels = len(values) if seen.all() else int(np.argmin(seen)) + 1
+    if levels < 4:
+        return _UNKNOWN
+    from_last = (values - values[levels - 1])[:levels]
+    found = _limit(from_last, errors[:levels], steps[levels - 3] / steps[levels - 2], _DOUBLINGS)
+    return found._replace(value=float(values[levels - 1] + found.value))
+
+
+def widths_limit(widths: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"]) -> Limit:
+    """α of widths of orbits at successive doublings, of three or more; their limit is zero."""
+    if len(widths) < 3:
+        return _UNKNOWN
+    return _limit(widths, errors, widths[-2] / widths[-1], _WIDTHS)
+
+
+def _limit(
+    sequence: Float[np.ndarray, " levels"],
+    errors: Float[np.ndarray, " levels"],
+    last: float,
+    kind: _Kind,
+) -> Limit:
+    """The interval of the ratio about that of the last levels, and the limit: on ever closer grids."""
+    middle = np.log(max(last, _LEAST_RATIO))
+    low, high = max(middle - kind.reach, np.log(_LEAST_RATIO)), middle + kind.reach
+    while True:  # a grid that is not fine enough has its third kept at most
+        logs = np.linspace(low, high, _NODES)
+        found = _posterior(sequence, errors, np.exp(-logs), kind)
+        of_ratio = np.logaddexp.reduce(found.density, axis=1)
+        kept = np.flatnonzero(of_ratio > of_ratio.max() - _NEGLIGIBLE)
+        first, final = max(kept[0] - 1, 0), min(kept[-1] + 1, _NODES - 1)
+        if final - first > _NODES / _FINE:
+            break
+        low, high = logs[first], logs[final]
+    weight = np.exp(found.density - found.density.max())
+    weight /= weight.sum()
+    share, ratios = weight.sum(axis=1), np.exp(logs)
+    ratio = float(share @ ratios)
+    ends = np.interp([_TAIL, 1.0 - _TAIL], np.cumsum(share) - 0.5 * share, ratios)
+    value = float((weight * found.value).sum())
+    variance = float((weight * (found.variance + (found.value - value) ** 2)).sum())
+    return Limit(ratio, float(np.abs(ends - ratio).max()), value, _WIDE * float(np.sqrt(variance)))
+
+
+def _posterior(
+    sequence: Float[np.ndarray, " levels"],
+    errors: Float[np.ndarray, " levels"],
+    r: Float[np.ndarray, " ratios"],
+    kind: _Kind,
+) -> _Posterior:
+    """How likely ratios r = 1/δ or 1/α are, limit and A integrated out (Rasmussen, Williams 2006, 2.7)."""
+    levels = len(sequence)
+    k = np.arange(levels)
+    power = r[:, None] ** k
+    if kind.constant:
+        scale = abs(sequence[-1] - sequence[-2]) / (power[:, -2] - power[:, -1])
+    else:
+        scale = abs(sequence[-1]) / power[:, -1]
+    main = scale[:, None] * power
+    covariance = _covariance(main, errors, k, kind.tied(r), kind.bounds)
+    spread = np.sqrt(np.einsum("...ii->...i", covariance))
+    correlation = covariance / (spread[..., :, None] * spread[..., None, :])
+    root = np.linalg.cholesky(correlation + _NUGGET * np.eye(levels))
+    unit = abs(sequence[-1] - sequence[-2])
+    known = [main, *([np.full_like(main, unit)] if kind.constant else []), np.broadcast_to(sequence, main.shape)]
+    columns = np.stack(known, -1)[:, None] / spread[..., None]
+    upper = np.linalg.qr(np.linalg.solve(root, columns))[1]
+    p = len(known) - 1
+    diagonal = np.abs(np.einsum("...ii->...i", upper))
+    halves = np.log(spread).sum(-1) + np.log(np.einsum("...ii->...i", root)).sum(-1)
+    density = -0.5 * upper[..., p, p] ** 2 - halves - np.log(diagonal[..., :p]).sum(-1)
+    if not kind.constant:
+        return _Posterior(density, np.zeros_like(density), np.zeros_like(density))
+    return _Posterior(density, unit * upper[..., 1, 2] / upper[..., 1, 1], (unit / diagonal[..., 1]) ** 2)
+
+
+def _covariance(
+    main: Float[np.ndarray, "ratios levels"],
+    errors: Float[np.ndarray, " levels"],
+    k: np.ndarray,
+    tied: tuple[np.ndarray, ...],
+    bounds: Float[np.ndarray, " bounds"],
+) -> Float[np.ndarray, "ratios models levels levels"]:
+    """Of corrections and errors: E ρᵏ⁺ˡ over |ρ| below each bound, and the ratios that are tied, times each size."""
+    sums = k[:, None] + k
+    others = [np.where(sums % 2 == 0, bound**sums / (sums + 1.0), 0.0) for bound in bounds]
+    own = np.sum([ratio[:, None, None] ** sums for ratio in tied], axis=0)
+    relative = _SIZES[:, None, None, None] ** 2 * (own[:, None, None] + np.stack(others))
+    size = main[:, :, None] * main[:, None, :]
+    return size[:, None] * relative.reshape(len(main), -1, *size.shape[1:]) + np.diag(errors**2)
