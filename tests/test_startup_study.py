@@ -31,6 +31,7 @@ def test_table_has_medians_and_shares():
     assert "Measured at commit" in text
 
 
+@pytest.mark.slow
 def test_a_run_is_split(tmp_path, monkeypatch):
     """Two runs of a small scene, of which the second finds its programs: parts are there and are no more than all."""
     monkeypatch.setattr(startup, "SMALL", startup.SMALL.replace("count: 64", "count: 4"))

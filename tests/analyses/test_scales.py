@@ -18,7 +18,7 @@ from jaxnh.systems.lagrangian import Motion, lagrangian
 K = 2.0**10
 # Lengths, times and the parameter are so many times what they were; powers of two, so that chaos is the same as well.
 UNITS = [(1.0, 1.0, 1.0), (K, 1.0, 1.0), (1 / K, 1.0, K), (1.0, K, 1 / K), (1 / K, 2.0**-7, 1.0)]
-LANES = Lanes()
+LANES = Lanes(tile=32)
 
 
 def duffing(drive=0.3, length=1.0, time=1.0, unit=1.0):

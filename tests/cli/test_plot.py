@@ -22,17 +22,17 @@ from jaxnh.plotting.panels import PANELS
 
 CONFIG = """\
 title: A little of everything
-system: {constraint: constant_speed}
+system: {constraint: disturbed_speed, d: 0.1}
 sweep: {b: {values: [5.8, 2.5, 4.1, 5.3]}}
-accuracy: {solver: blanes_moan6, steps: 60}
+accuracy: {solver: blanes_moan6, steps: 40}
 analyses:
   portrait: {transient: 30, periods: 4, samples: 16}
   poincare: {transient: 30, strobes: 8}
   diagram: {transient: 30, strobes: 16}
   doubling: {levels: 1}
-  lyapunov: {transient: 16, periods: 32, exponents: 1}
-  period: {transient: 30, limit: 2}
-  chaos01: {transient: 30, periods: 100}
+  lyapunov: {transient: 8, periods: 16, exponents: 1}
+  period: {transient: 16, limit: 4}
+  chaos01: {transient: 4, periods: 100}
   verdict: {}
   basins: {transient: 32, longest: 64}
   branches: {limit: 1, transient: 30, step: 0.1}

@@ -135,6 +135,7 @@ def test_output_that_cannot_be_written(sweep, config, output):
     assert refused(sweep, config.parent, config.name, "--output", output).startswith("command line: --output: ")
 
 
+@pytest.mark.slow
 def test_target_out_of_reach(sweep, config):
     """A sweep so sensitive that no arithmetic of sixteen digits has the accuracy: which key, and what can be had."""
     overrides = ("accuracy.target=1e-13", "system.omega=0.125", "sweep.b={start: 5.9, stop: 6, count: 2}")

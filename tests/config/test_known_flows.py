@@ -141,7 +141,9 @@ def ends(name, periods):
     return flow.section_point(state), flow.section_point(end), flow.period * periods, values
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == "rolling_disk" else ()) for name in NAMES]
+)
 def test_flow_against_equations_written_out(name):
     """Two periods or units of time: of the size of the motion, tolerances of 1e-13 times what chaos makes of them."""
     start, end, duration, values = ends(name, 2)

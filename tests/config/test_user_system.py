@@ -81,11 +81,11 @@ def scene_of(experiment, values, steps):
 def test_map_is_diffeqsolve_with_projected_steps(tmp_path):
     """The loop of steps is the written-out solver, projected, under `diffrax.diffeqsolve`, to rounding."""
     own = scene(tmp_path, [2.0], 100)
-    strobe = own.strobe()
+    strobe = make_strobe(own.system, SOLVERS["tsit5"], 100)
     assert isinstance(strobe, GeneralStrobe)
     start = jax.tree.map(lambda component: jnp.float64(component[0]), own.start)
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(own.system.rhs), Projected(SOLVERS["dopri8"], own.system), 0.0, own.system.period,
+        diffrax.ODETerm(own.system.rhs), Projected(SOLVERS["tsit5"], own.system), 0.0, own.system.period,
         own.system.period / 100, start, args={"b": 2.0}, max_steps=128,
     )  # fmt: skip
     moved = Lanes()(section_map, (strobe, np.int32(1)), (own.system.section_point(own.start), own.p))[0]

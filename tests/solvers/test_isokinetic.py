@@ -18,7 +18,7 @@ from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS, isokinetic_terms, kick
 from jaxnh.systems.particle import unchart
 
-systems = pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
+systems = pytest.mark.parametrize("system", some_slow(SYSTEMS, "other"))  # which has all effects
 splittings = pytest.mark.parametrize("solver", SPLITTINGS.values(), ids=SPLITTINGS)
 
 
@@ -82,7 +82,7 @@ def test_coefficients_sum_to_one(solver):
     assert len(solver.drifts) == solver.stages + 1
 
 
-@splittings
+@pytest.mark.parametrize("solver", some_slow(SPLITTINGS, "strang2", "blanes_moan4", "blanes_moan6", "processed6"))
 @pytest.mark.parametrize("system", some_slow(CALM, "disturbed"))
 def test_order_measured(system, solver):
     """Under plain diffrax, or of a processed method, whose processor diffrax does not know, that of the strobe map.

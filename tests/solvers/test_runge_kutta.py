@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 import taylor
-from measure import CALM, STATES, SYSTEMS, UNIT, B, apart, order_of, twin
+from measure import CALM, STATES, SYSTEMS, UNIT, B, apart, order_of, some_slow, twin
 
 from jaxnh.solvers import RUNGE_KUTTA
 from jaxnh.systems.particle import chart, unchart
@@ -17,7 +17,7 @@ OWN = {name: getattr(diffrax, name.capitalize()) for name in RUNGE_KUTTA if hasa
 
 
 @methods
-@pytest.mark.parametrize("system", CALM.values(), ids=CALM)
+@pytest.mark.parametrize("system", some_slow(CALM, "disturbed"))
 def test_order_under_diffrax(system, solver):
     """A wrong coefficient costs one order at least, so half an order less is its sign.
 
