@@ -18,7 +18,7 @@ from jaxnh.storage import hdf5 as store
 
 CONFIG = """\
 title: To be looked at
-system: {constraint: constant_speed}
+system: {constraint: disturbed_speed, d: 0.1}
 sweep: {b: {start: 5.2, stop: 5.45, count: 50}}
 accuracy: {solver: blanes_moan6, steps: 40}
 analyses:

@@ -54,6 +54,7 @@ def everything(tmp_path_factory):
 
 
 @pytest.mark.slow  # each alone in test_scene, and made by hand below
+@pytest.mark.slow  # each alone in test_scene, and made by hand below
 def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     """A run of all of them: each group names a kind of panel, and is drawn."""
     config = tmp_path / "everything.yaml"

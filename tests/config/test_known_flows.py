@@ -195,6 +195,7 @@ def test_modes_of_the_double_pendulum():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_disk_without_its_spring_rolls_in_a_circle():
     """Its centre is one radius of the circle to the left of the motion; the constraint is kept."""
     flow, state, _, _ = flow_and_lanes("rolling_disk")

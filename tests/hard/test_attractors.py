@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import taylor
 from battery import worst
+from conftest import lanes_with_kept_programs
 from matplotlib.figure import Figure
 from measure import calibrated, scene_of, twin
 from scenes import show_sum_rule
@@ -28,6 +29,12 @@ from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart, wrap
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """Tiles as commands have them: here are thousands of lanes, and bits are those of `Lanes()` on one device."""
+    return lanes_with_kept_programs()
 
 
 def scene_at(values, steps=128, solver="blanes_moan6", system=None, start=START):
