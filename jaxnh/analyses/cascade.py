@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.daughter import FEIGENBAUM, daughters, window
-from jaxnh.analyses.locating import Located, locate
+from jaxnh.analyses.daughter import FEIGENBAUM, daughters, long_daughter, window
+from jaxnh.analyses.locating import Located, locate, period_map, refined
 from jaxnh.analyses.period import apart, first_points, survey
 from jaxnh.analyses.runs import Line, Start, seen, starts
 from jaxnh.analyses.scene import LaneRunner, Scene
@@ -30,6 +30,9 @@ _SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: 
 _OUTSIDE = 64  # lanes of a survey on either side of the sweep
 _ENDS = 16  # runs tried that no run of twice the period follows
 _FURTHER, _CLOSER = 4, 3  # windows of distances beyond a doubling, each 32 times as far or as near as the one before
+_LONGEST_SEEN = 64  # period that a survey looks for, whatever the cascade comes to
+_LONG = 32  # periods above are followed by multiple shooting alone, from one level to the next
+_BEYOND, _UP_TO = 0.4, 1.5  # shares of the distance expected to the next doubling
 _SHOWN = 6  # tries in words
 
 
@@ -65,7 +68,7 @@ def follow(scene: Scene, lanes: LaneRunner, levels: int, *, search: bool = False
         levels: doublings looked for.
         search: whether to look as far as the lanes reach beyond either end as well, where they have fewer.
     """
-    steps = _Steps(scene, lanes, max(_SMALLEST_LIMIT, 2**levels))
+    steps = _Steps(scene, lanes, survey_limit(levels))
     inside = line = steps.survey(np.unique(scene.line.values), "doubling")
     if scene.line.values[-1] < scene.line.values[0]:
         inside = line = line.take(slice(None, None, -1))
@@ -79,6 +82,11 @@ def follow(scene: Scene, lanes: LaneRunner, levels: int, *, search: bool = False
     outside = any(not low <= point.value <= high for point in found.points)
     end = f"{found.end}\n{steps.searched(line)}" if found.end else ""
     return found._replace(end=end, outside=outside)
+
+
+def survey_limit(levels: int) -> int:
+    """The longest period that a survey looks for where so many doublings are asked for."""
+    return min(max(_SMALLEST_LIMIT, 2**levels), _LONGEST_SEEN)
 
 
 def _outside(steps: _Steps, line: Line) -> Line:
@@ -122,6 +130,12 @@ def _along(steps: _Steps, start: Start, levels: int) -> Cascade:
 def _next(steps: _Steps, start: Start, found: list[_Level]) -> _Level | None:
     """The next doubling beyond those found from a start."""
     n, sign = start.period << len(found), start.line.sign
+    if n > _LONG and len(found) > 1:
+        points = [level.located.point for level in found]
+        gap = (points[-1].value - points[-2].value) / FEIGENBAUM
+        located = steps.long(points[-1], gap) if sign * (start.line.value[-1] - points[-1].value - gap) > 0 else None
+        if located is not None or n > 4 * _LONG:
+            return located and _Level(located, abs(gap))
     for bracket in _brackets(steps, start, found, n):
         after = found[-1].located.point.value if found else -sign * np.inf
         located = steps.locate(bracket, n) if sign * (bracket.value[0] - after) > 0 else None
@@ -198,7 +212,7 @@ class _Steps:
         near, far = bracket.value.tolist()
         if (key := (n, near, far)) not in self._located:
             with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
-                located = locate(self.scene, self._lanes, bracket.u[0], near, far, n)
+                located = locate(self.scene, self._lanes, bracket.u[:1], near, far, n)
             if located is not None and abs(located.point.value - near) > 2 * abs(far - near):
                 located = None  # Newton has gone to another doubling
             self._located[key] = located
@@ -214,6 +228,21 @@ class _Steps:
             with self._lanes.stage(label, 0):
                 self._daughters[key] = daughters(self.scene, self._lanes, born, largest, self.size, distances)
         return self._daughters[key]
+
+    def long(self, born: DoublingPoint, gap: float) -> Located | None:
+        """The doubling of the long orbit that is born at one, about so far beyond it."""
+        n = 2 * len(born.orbit)
+        stop = born.value + _UP_TO * gap
+        if (key := (n, born.value, stop)) not in self._located:
+            near = _BEYOND * gap
+            with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
+                period = period_map(self.scene, self._lanes, refined(self.scene)[0])
+                points = long_daughter(period, born, near, gap, self.size, self.scene.system.wrap)
+                found = points is not None
+                located = locate(self.scene, self._lanes, points, born.value + near, stop, n) if found else None
+            beyond = located is not None and (located.point.value - born.value) / gap > _BEYOND
+            self._located[key] = located if beyond else None
+        return self._located[key]
 
     def searched(self, line: Line) -> str:
         """In words, what a survey has seen, and from where cascades were looked for."""

@@ -4,6 +4,9 @@ Near a doubling the daughter orbit is the old one ± an amplitude along the eige
 like the root of the distance. Distances before tell how far the next doubling is (Feigenbaum, J. Stat. Phys. 19 (1978)
 25). So Newton starts at a few distances from a few amplitudes, both geometric. Along the eigenvector it solves the
 equation of a pitchfork, y³ = y in units of the amplitude, and converges to 1 from any start above 0.58.
+
+Of long orbits the derivative of a whole period is lost to rounding, and the map wanders off before it is over. By then
+the cascade has been seen to follow the law, so that a few amplitudes at one distance are enough, by multiple shooting.
 """
 
 from __future__ import annotations
@@ -14,7 +17,8 @@ from jaxtyping import Float
 from jaxnh.analyses.period import CONVERGED, apart, largest_multiplier, least_period, orbits
 from jaxnh.analyses.runs import Line
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
-from jaxnh.orbits.doubling_points import DoublingPoint
+from jaxnh.orbits.doubling_points import DoublingPoint, doubling_function
+from jaxnh.orbits.shooting import Orbits, Period, Wrap, close_orbits
 
 FEIGENBAUM = 4.669201609102990
 """Ratio of successive distances between doublings, far down a cascade; here it only says where to look."""
@@ -22,6 +26,7 @@ FEIGENBAUM = 4.669201609102990
 _NEAR, _FAR = 1 / 16, 2.0  # distances beyond a doubling to look at first, in units of that expected to the next one
 
 _DISTANCES, _AMPLITUDES = 8, 8  # in a window; their product is one tile of orbits
+_AROUND = np.array([0.4, 0.63, 1.0, 1.6])  # amplitudes of a long orbit, of that expected
 _RATIO = 2.5  # of amplitudes: that of successive ones in a cascade (2.5029…), and less than Newton's three or four
 
 
@@ -67,6 +72,36 @@ def daughters(
     ok = ok.reshape(len(distances), _AMPLITUDES)
     first = np.arange(len(distances)) * _AMPLITUDES + np.argmax(ok, axis=1)
     return Line(value[first], np.where(ok.any(axis=1), 2 * n, 0), orbit.u[first])
+
+
+def long_daughter(
+    period: Period, born: DoublingPoint, distance: float, gap: float, size: Float[np.ndarray, " d"], wrap: Wrap
+) -> Float[np.ndarray, "2n d"] | None:
+    """The stable orbit of twice the period at a distance beyond a doubling of even period; None where none was found.
+
+    Args:
+        period: P and ∂P/∂u over lanes.
+        born: the doubling.
+        distance: from it along the first axis, with sign.
+        gap: distance to the next doubling that is expected.
+        size: of the motion in each section coordinate.
+        wrap: of differences of section coordinates.
+    """
+    before = np.linalg.norm(_halves(born.orbit, wrap) / size, axis=-1).max()
+    vector = born.vector / np.linalg.norm(born.vector / size, axis=1).max()
+    expected = 0.5 * before / _RATIO * np.sqrt(distance / gap)
+    moved = expected * _AROUND[:, None, None] * vector
+    starts = np.concatenate([born.orbit + moved, born.orbit - moved], axis=1)
+    orbits = close_orbits(period, starts, np.full(len(starts), born.value + distance), wrap)
+    apart = np.linalg.norm(_halves(orbits.points, wrap) / size, axis=-1).max(axis=-1)
+    found = orbits.converged & (apart > expected * _AROUND[0]) & (apart < before)
+    found[found] &= doubling_function(Orbits(*(leaf[found] for leaf in orbits))) > 0.0
+    return orbits.points[np.argmax(found)] if found.any() else None
+
+
+def _halves(points: Float[np.ndarray, "... n d"], wrap: Wrap) -> Float[np.ndarray, "... n d"]:
+    """Differences of points of an orbit from those half its period later."""
+    return wrap(points - np.roll(points, points.shape[-2] // 2, axis=-2))
 
 
 def window(expected: float, number: int, end: float) -> Float[np.ndarray, " distances"]:

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from jaxnh.analyses.along import value_by_value
 from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, Table, variable
-from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow
+from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade_limits import doublings_limit, widths_limit
 from jaxnh.analyses.locating import PERIOD_TILE
 from jaxnh.analyses.price import Price, newton_price
@@ -39,7 +39,7 @@ class DoublingOptions(Options):
 
 def periods(options: DoublingOptions, lanes: int) -> float:
     """Lane-periods of a run, Newton's iterations at their price: the survey, and as much again for the orbits."""
-    return 2.0 * lanes * (TRANSIENT + 2 * 2**options.levels)
+    return 2.0 * lanes * (TRANSIENT + 2 * survey_limit(options.levels))
 
 
 def independent(options: DoublingOptions) -> bool:

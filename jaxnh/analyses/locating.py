@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,15 +43,19 @@ class Located(NamedTuple):
 
 
 def locate(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, " d"], start: float, stop: float, n: int
+    scene: Scene, lanes: LaneRunner, points: Float[np.ndarray, "some d"], start: float, stop: float, n: int
 ) -> Located | None:
-    """The doubling between two values of the first axis of the period-n orbit that is stable at the first, through u.
+    """The doubling between two values of the first axis of the period-n orbit that is stable at the first.
 
-    None where the orbit does not double before `stop`.
+    Args:
+        points: of the orbit at the first value, in order: one or more of them.
+
+    Returns:
+        None where the orbit does not double before `stop`.
     """
     wrap = scene.system.wrap
     coarse, fine, finest = (period_map(scene, lanes, strobe) for strobe in refined(scene))
-    branch = follow_branch(coarse, walk(scene, lanes, u, start, n), start, stop, wrap)
+    branch = follow_branch(coarse, walk(scene, lanes, points, start, n), start, stop, wrap)
     first = branch and doubling_point(coarse, branch, wrap)
     second = first and moved_doubling(fine, first, wrap)
     third = second and moved_doubling(finest, second, wrap)
@@ -60,8 +65,13 @@ def locate(
 
 
 def refined(scene: Scene) -> tuple[Strobe, ...]:
-    """The map with 1, 2 and 4 times the steps, all of one shape, so that they run through one program."""
-    strobes = [scene.strobe(refinement) for refinement in _REFINEMENTS]
+    """The map with 1, 2 and 4 times the steps, all of one shape, so that they run through one program.
+
+    Sums are compensated where they can be, whatever the accuracy needs: doublings deep in a cascade are as near to each
+    other as plain sums scatter them.
+    """
+    exact = replace(scene, compensated=True)
+    strobes = [exact.strobe(refinement) for refinement in _REFINEMENTS]
     return tuple(strobe.with_room_of(strobes[-1]) for strobe in strobes)
 
 
@@ -74,9 +84,11 @@ def period_map(scene: Scene, lanes: LaneRunner, strobe: Strobe) -> Period:
     return period
 
 
-def walk(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, " d"], value: float, n: int) -> Float[np.ndarray, "n d"]:
-    """The n points of an orbit from one of them: all that there are go on by as many periods as they are."""
-    strobe, points = scene.strobe(), u[None]
+def walk(
+    scene: Scene, lanes: LaneRunner, points: Float[np.ndarray, "some d"], value: float, n: int
+) -> Float[np.ndarray, "n d"]:
+    """The n points of an orbit from its first ones: all that there are go on by as many periods as they are."""
+    strobe = scene.strobe()
     while len(points) < n:
         here = points[: n - len(points)]
         p = scene.at(np.full(len(here), value)).p

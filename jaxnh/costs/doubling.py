@@ -170,7 +170,7 @@ def by_interpolation(scene: Scene, lanes: LaneRunner, place: Place) -> tuple[lis
         return look
 
     coarse, fine, finest = refined(scene)
-    points = walk(scene, lanes, _settled(scene, lanes, place), place.bracket[0], place.n)
+    points = walk(scene, lanes, _settled(scene, lanes, place)[None], place.bracket[0], place.n)
     wrap = scene.system.wrap
     branch = follow_branch(period_map(scene, lanes, coarse), points, *place.bracket, wrap)
     point = branch and doubling_point(watched(coarse), branch, wrap)

@@ -37,6 +37,8 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     delta, error = found[_RATIO].to_numpy(), found[_RATIO_ERROR].to_numpy()
     ax.axhline(FEIGENBAUM, color=MARK, linewidth=0.8, linestyle="--", label=f"δ = {FEIGENBAUM:.6f}… (Feigenbaum)")
     ax.errorbar(level, delta, error, fmt="o", color=POINT, capsize=3, label="δ of three successive doublings")
+    if limits := _limits(found):
+        ax.plot([], [], " ", label=limits)
     for x, y in zip(level, delta, strict=True):
         if np.isfinite(y):
             ax.annotate(f"{y:.4f}", (x, y), (0, -11), textcoords="offset points", ha="center", fontsize="small")
@@ -112,6 +114,18 @@ def _found(data: xr.Dataset) -> xr.Dataset:
     *single, level = data[parameter(data)].dims
     one = data.isel(dict.fromkeys(single, 0))
     return one.isel({level: np.flatnonzero(np.isfinite(one[parameter(data)].to_numpy()))})
+
+
+def _limits(found: xr.Dataset) -> str:
+    """The limit of δ, and α, each with its error, of those that there are: attributes of a group, or variables."""
+    numbers = {**found.attrs, **{str(name): found[name] for name in found.data_vars}}
+    words = []
+    for symbol, name in (("limit of δ", "delta_limit"), ("α", "alpha")):
+        value, error = (float(numbers.get(key, np.nan)) for key in (name, f"{name}_error"))
+        if np.isfinite([value, error]).all():
+            digits = int(np.clip(np.ceil(-np.log10(error)), 2, 12)) if error > 0.0 else 12
+            words.append(f"{symbol} = {value:.{digits}f} ± {error:.0e}")
+    return ", ".join(words)
 
 
 def _labels(where: np.ndarray, period: np.ndarray, narrow: float) -> list[tuple[float, int, str]]:

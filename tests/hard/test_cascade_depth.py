@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from measure import scene_of, turned
 
 from jaxnh.analyses import chaos01, lyapunov, period, verdict
+from jaxnh.analyses.cascade import follow
 from jaxnh.maps.iterate import derivatives
 from jaxnh.orbits.doubling_points import doubling_point, follow_branch
 from jaxnh.orbits.shooting import close_orbits, log_volume, multiplier_logs
@@ -34,26 +35,6 @@ def first(lanes, one_period):
     """The doubling 1 → 2."""
     start = period.survey(SCENE, lanes, constant_speed().section_point(START)[None], 2, "hard", 300)
     return doubling_point(one_period, follow_branch(one_period, start.u, 5.54, 5.515))
-
-
-def climb(one_period, first, levels):
-    """Doublings of n = 1, 2, 4, … each from the one before: its orbit splits along its vector, and Newton follows."""
-    points = [first]
-    gap, size = -0.0241, 0.1
-    for _ in range(1, levels):
-        last, n = points[-1], len(points[-1].orbit)
-        b = np.array([last.value + 0.5 * gap])
-        for guess in size / 2.5 ** np.arange(8):  # the branches are √(b − b_k) apart, with an unknown factor
-            moved = 0.5 * guess * last.vector / np.abs(last.vector).max()
-            found = close_orbits(one_period, np.concatenate([last.orbit + moved, last.orbit - moved])[None], b)
-            apart = np.abs(wrap(found.points[0, :n] - found.points[0, n:])).max()
-            if found.converged[0] and 0.1 * guess < apart < 10 * guess:  # neither n's own orbit nor another's
-                break
-        branch = follow_branch(one_period, found.points[0], b[0], last.value + 1.5 * gap)
-        points.append(doubling_point(one_period, branch))
-        gap = (points[-1].value - last.value) / (4.6 if len(points) < 4 else FEIGENBAUM)
-        size = apart / 2.5  # Feigenbaum's α
-    return points
 
 
 # ---- on the edge of a doubling
@@ -124,11 +105,11 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
 
 
 @pytest.mark.case("Deep in the cascade")
-def test_deep_in_the_cascade(battery, lanes, one_period, first):
+def test_deep_in_the_cascade(battery, lanes, one_period):
     """Doubling points up to 1024 → 2048, and stable orbits between them closed and with all their multipliers."""
     deepest = 11 if battery.full else 7
-    points = climb(one_period, first, deepest)
-    assert all(point.error < 1e-12 for point in points)
+    points = follow(SCENE.at(np.linspace(5.5275, 5.4525, 48)), lanes, deepest).points
+    assert all(point.error < 1e-12 for point in points)  # rounding
     assert [len(point.orbit) for point in points] == [2**k for k in range(deepest)]
     b = np.array([point.value for point in points])
     par = taylor.Parameters()

@@ -181,6 +181,15 @@ def test_a_cascade_names_its_doublings():
     assert ax.get_xlabel() == r"doubling of the period, and its $\mathrm{drive}$ (dimensionless)"
 
 
+def test_a_cascade_says_its_limits():
+    """As attributes, as a file of one axis has them, with as many digits as their errors leave; none where none is."""
+    limits = {"delta_limit": 4.66921234, "delta_limit_error": 3.2e-5, "alpha": np.nan, "alpha_error": np.nan}
+    words = [text.get_text() for text in cascade(doublings().assign_attrs(limits)).get_legend().get_texts()]
+    assert "limit of δ = 4.66921 ± 3e-05" in words
+    words = [text.get_text() for text in cascade(doublings()).get_legend().get_texts()]
+    assert not [line for line in words if "limit" in line]
+
+
 def test_a_cascade_without_a_doubling_is_drawn():
     cascade(doublings((np.nan, np.nan))).figure.draw_without_rendering()
     cascade(doublings((5.52,))).figure.draw_without_rendering()
