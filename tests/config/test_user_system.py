@@ -573,6 +573,7 @@ def fits(content, schema, root):
         "minProperties": lambda least: len(content) >= least,
         "maxProperties": lambda most: len(content) <= most,
         "required": lambda names: set(names) <= set(content),
+        "prefixItems": lambda each: all(fits(i, one, root) for i, one in zip(content, each, strict=False)),
         "items": lambda each: all(fits(item, each, root) for item in content),
         "oneOf": lambda several: sum(fits(content, one, root) for one in several) == 1,
         "anyOf": lambda several: any(fits(content, one, root) for one in several),
