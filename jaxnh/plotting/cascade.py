@@ -124,7 +124,7 @@ def _limits(found: xr.Dataset) -> str:
         value, error = (float(numbers.get(key, np.nan)) for key in (name, f"{name}_error"))
         if np.isfinite([value, error]).all():
             digits = int(np.clip(np.ceil(-np.log10(error)), 2, 12)) if error > 0.0 else 12
-            words.append(f"{symbol} = {value:.{digits}f} ± {error:.0e}")
+            words.append(f"{symbol} = {value:.{digits}f} ± {error:.1g}")
     return ", ".join(words)
 
 
