@@ -35,7 +35,7 @@ from jaxnh.analyses.branch_seeds import random_wave, settled_waves
 from jaxnh.analyses.families import orbits_of
 from jaxnh.analyses.family_tree import Bifurcation, Tree, grow
 from jaxnh.analyses.locating import PERIOD_TILE, refined
-from jaxnh.analyses.period import first_points, survey
+from jaxnh.analyses.period import survey_from_start
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.random_starts import Side, check_box
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
@@ -115,7 +115,7 @@ def check(options: BranchesOptions, setting: Setting) -> None:
 
 def run(options: BranchesOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """The orbit that every lane has settled on: a point of it, its period, and the size of the motion."""
-    found = survey(scene, lanes, first_points(scene, lanes), options.limit, "branches", options.transient)
+    found = survey_from_start(scene, lanes, options.limit, "branches", options.transient)
     size = np.where(found.failed[:, None], np.nan, found.size)
     return xr.Dataset(
         {

@@ -3,7 +3,8 @@
 Where a lane has settled on a stable periodic orbit, exponents are those of the orbit's multipliers, and where it has
 come to rest without a clock, those of the equilibrium's eigenvalues. Elsewhere they are averages of the growth of
 tangents: smooth ones where the motion is regular and they converge faster, else plain ones with the scatter of block
-means. `exponents_from` says which. Lanes on an orbit are known after a sixteenth of their averages, and end there.
+means. `exponents_from` says which. Most lanes on an orbit are known early, and leave out the rest of their transient;
+all that are end after a sixteenth of their averages.
 
 Without a clock the flow carries its own direction along, whose exponent is zero unless the motion comes to rest: the
 tangents are those across it, one fewer, and no section is needed.
@@ -24,7 +25,7 @@ from pydantic import Field
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, variable
 from jaxnh.analyses.exponent_errors import nearly_neutral, of_blocks, of_windows, smooth_parts, unseen_bursts
 from jaxnh.analyses.growth import BLOCKS, Growth, advance, average, begin, one_by_one, parts_of, quadrature
-from jaxnh.analyses.orbit_exponents import OrbitExponents, no_orbits, on_orbits
+from jaxnh.analyses.orbit_exponents import OrbitExponents, joined, no_orbits, of_orbits, on_orbits, settled_early
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.rest import rest
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
@@ -68,7 +69,7 @@ class Averages(NamedTuple):
             of volume, and of volume by quadrature, (lanes, blocks, sums).
         smooth: smooth averages over the whole, its first and its second half, without the last sum, (lanes, 3, sums).
         blocks: number of blocks that were run, (lanes,).
-        settled: exponents of the lanes that were found on orbits after the first block, which needed no others.
+        settled: exponents of the lanes that were found on orbits by the end of the first block, which needed no others.
     """
 
     growth: Growth
@@ -118,11 +119,19 @@ def averages(
     aligning = options.transient // _ALIGNING
     settling = options.transient - aligning
     block = options.periods // BLOCKS
-    _, p = scene.lanes
-    with lanes.stage(f"lyapunov: transient of {count} lanes", count * options.transient):
-        state = lanes(iterate, (scene.strobe(), np.int32(settling)), scene.lanes, periods=settling)
+    state, p = scene.lanes
+    early = settled_early(scene, lanes, options.transient) if not to_the_end and _have_orbits(scene) else None
+    state, before = (early.state, early.periods) if early else (jax.tree.map(np.array, state), 0)
+    others = np.setdiff1d(np.arange(count), early.settled) if early else np.arange(count)
+    with lanes.stage(f"lyapunov: transient of {len(others)} lanes", len(others) * (options.transient - before)):
+        left = max(settling - before, 0)
+        if len(others):
+            shared = scene.strobe(), np.int32(left)
+            _put(state, others, lanes(iterate, shared, picked((state, p), others), periods=left))
         growth = lanes(begin, (scene.system,), (state,), static=(k,))
-        growth = average(lanes, strobes, growth, p, aligning)[0]
+        if len(others):
+            some, some_p = picked((growth, p), others)
+            _put(growth, others, average(lanes, strobes, some, some_p, aligning)[0])
     rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
     smooth = np.zeros((count, 3, lead + k + 1))
     done = np.zeros(count, int)
@@ -133,13 +142,15 @@ def averages(
             part, part_p = picked((growth, p), running)
             part, rates[running, i] = average(lanes, strobes, part, part_p, block, i / BLOCKS, nodes)
             smooth[running] += smooth_parts(part, block, i)
-            for whole, moved in zip(jax.tree.leaves(growth), jax.tree.leaves(part), strict=True):
-                whole[running] = moved
+            _put(growth, running, part)
             done[running] += 1
             if i == 0 and not to_the_end and _have_orbits(scene):
+                if early:
+                    found = picked(early.survey, early.settled)
+                    settled = of_orbits(scene, lanes, growth, early.settled, found, parts)
                 # A chaotic lane whose tangent shrinks in this block is looked at as well, and goes on.
-                candidates = running[~(rates[running, 0, lead] > 0.0)]
-                settled = on_orbits(scene, lanes, growth, candidates, parts, options.periods)
+                candidates = others[~(rates[others, 0, lead] > 0.0)]
+                settled = joined(settled, on_orbits(scene, lanes, growth, candidates, parts, options.periods))
                 running = np.setdiff1d(running, settled.lanes)
             if options.error and i + 1 >= BLOCKS // 4:
                 plain = of_blocks(rates[running, : i + 1, lead : lead + k])
@@ -148,6 +159,12 @@ def averages(
             if not len(running):
                 break
     return Averages(growth, rates, smooth, done, settled)
+
+
+def _put(whole: Any, lanes: Int[np.ndarray, " some"], part: Any) -> None:
+    """Write what some lanes have come to over what is known of all."""
+    for leaf, moved in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
+        leaf[lanes] = moved
 
 
 class Spectrum(NamedTuple):

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.growth import Growth, parts_of, turn
-from jaxnh.analyses.period import ORBIT_TILE, orbits, survey
+from jaxnh.analyses.period import ORBIT_TILE, Survey, early_look, first_look, orbits, survey
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.systems.flow import Flow, State
 
@@ -42,6 +42,39 @@ def no_orbits(k: int) -> OrbitExponents:
     return OrbitExponents(np.zeros(0, int), *np.empty((2, 0, k)))
 
 
+class Early(NamedTuple):
+    """Lanes that were looked at early in their transient.
+
+    Attributes:
+        survey: their orbits, where they are on one.
+        state: of the flow, where they are then.
+        periods: that are over.
+    """
+
+    survey: Survey
+    state: State
+    periods: int
+
+    @property
+    def settled(self) -> Int[np.ndarray, " some"]:
+        """Numbers of the lanes that are on orbits."""
+        return np.flatnonzero(self.survey.period > 0)
+
+
+def settled_early(scene: Scene, lanes: LaneRunner, transient: int) -> Early | None:
+    """Lanes that are on stable orbits long before their transient is over, as most are; None where it is too short."""
+    early = early_look(transient)
+    if early is None:
+        return None
+    found, ends = first_look(scene, lanes, "lyapunov", early)
+    return Early(found, lanes(_state_at, (scene.system,), (ends,)), early.periods)
+
+
+def joined(one: OrbitExponents, other: OrbitExponents) -> OrbitExponents:
+    """Those of both."""
+    return OrbitExponents(*(np.concatenate(leaves) for leaves in zip(one, other, strict=True)))
+
+
 def on_orbits(
     scene: Scene, lanes: LaneRunner, growth: Growth, candidates: Int[np.ndarray, " some"], parts: int, longest: int
 ) -> OrbitExponents:
@@ -53,23 +86,37 @@ def on_orbits(
         parts: orthonormalisations a period.
         longest: period that is looked for, at most.
     """
-    k = len(growth.tangents)
     if not len(candidates):
-        return no_orbits(k)
-    scene, growth = scene.take(candidates), picked(growth, candidates)
-    found = survey(scene, lanes, scene.system.section_point(growth.state), min(longest, _LONGEST), "lyapunov", 0)
+        return no_orbits(len(growth.tangents))
+    some, u = scene.take(candidates), scene.system.section_point(picked(growth.state, candidates))
+    found = survey(some, lanes, u, min(longest, _LONGEST), "lyapunov", 0)
     settled = np.flatnonzero(found.period > 0)
+    return of_orbits(scene, lanes, growth, candidates[settled], picked(found, settled), parts)
+
+
+def of_orbits(
+    scene: Scene, lanes: LaneRunner, growth: Growth, settled: Int[np.ndarray, " some"], found: Survey, parts: int
+) -> OrbitExponents:
+    """Exponents of stable periodic orbits that some lanes are on.
+
+    Args:
+        growth: of all lanes, near the orbits of these.
+        settled: numbers of these lanes.
+        found: their orbits.
+        parts: orthonormalisations a period.
+    """
     if not len(settled):
-        return no_orbits(k)
-    settled = settled[np.argsort(found.period[settled], kind="stable")]  # tiles of lanes that take equally long
-    scene, growth, found = scene.take(settled), picked(growth, settled), picked(found, settled)
-    n, p = found.period, dict(scene.p)
+        return no_orbits(len(growth.tangents))
+    order = np.argsort(found.period, kind="stable")  # tiles of lanes that take equally long
+    settled, found = settled[order], picked(found, order)
+    scene, growth, n = scene.take(settled), picked(growth, settled), found.period
+    p = dict(scene.p)
     finer = orbits(lanes, scene.strobe(2), found.u, p, n, found.size)
     logs, rounding = _logs(scene, lanes, growth, n, found.u, found.monodromy, parts, 1)
     fine, _ = _logs(scene, lanes, growth, n, finer.u, finer.monodromy, parts, 2)
     error = 2.0 * np.abs(logs - fine) + rounding
     kept = np.all(np.isfinite(logs) & np.isfinite(error), axis=1)
-    return OrbitExponents(candidates[settled[kept]], logs[kept], error[kept])
+    return OrbitExponents(settled[kept], logs[kept], error[kept])
 
 
 def _logs(

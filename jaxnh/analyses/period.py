@@ -8,6 +8,7 @@ coexisting partner orbit is taken for another period.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -35,7 +36,8 @@ ORBIT_TILE = 64
 # Few lanes have long orbits, and a tile takes as long for one lane as for all of it: sixteen take half the time that 64
 # do, no longer than eight, and where there are many lanes a lane takes twice as long as in tiles of 64.
 _SHORT, _LONG_TILE = 8, 16
-_EARLY = 8  # the share of the transient after which lanes are looked at first
+# Lanes are looked at first after this share of the transient, for orbits no longer than this.
+_EARLY, _EARLY_LIMIT = 8, 16
 
 
 class PeriodOptions(Options):
@@ -79,7 +81,7 @@ def numbers(options: PeriodOptions) -> int:
 
 def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Least period of every lane with its residual and largest multiplier."""
-    found = survey(scene, lanes, first_points(scene, lanes), options.limit, "period", options.transient)
+    found = survey_from_start(scene, lanes, options.limit, "period", options.transient)
     found = beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
     unit = counted_in(scene.system)
     variables = {
@@ -111,6 +113,14 @@ def _first_crossing(strobe: Strobe, state: State, p: Parameters) -> Float[Array,
     return strobe.system.chart(strobe(state, p))
 
 
+def survey_from_start(scene: Scene, lanes: LaneRunner, limit: int, label: str, transient: int) -> Survey:
+    """Attractor and period, up to a limit, of every lane of a scene from its start state."""
+    early, *late = _looks(transient, limit)
+    if not late:
+        return survey(scene, lanes, first_points(scene, lanes), limit, label, transient)
+    return _continued(scene, lanes, first_look(scene, lanes, label, early), late, label)
+
+
 def survey(
     scene: Scene,
     lanes: LaneRunner,
@@ -127,28 +137,82 @@ def survey(
     least n after which the points roughly recur; with `only_doublings`, for a cascade, 2, 4, 8, … times that alone are
     tried.
     """
-    found = _nothing_found(u)
-    open_, begin = np.arange(scene.count), u
-    for wait, tries in _looks(transient, limit):
-        part, ends = _look(scene.take(open_), lanes, begin, limit, label, wait, tries, least, only_doublings)
-        for whole, some in zip(found, part, strict=True):
-            whole[open_] = some
-        left = np.flatnonzero((part.period == 0) & ~part.failed)
-        if not len(left):
-            break
-        open_, begin = open_[left], ends[left]
-    return found
+    first, *late = _looks(transient, limit)
+    seen = _look(scene, lanes, u, first, label, least, only_doublings)
+    return _continued(scene, lanes, seen, late, label, least, only_doublings)
 
 
-def _looks(transient: int, limit: int) -> list[tuple[int, float]]:
-    """Periods before each look at 2 limit points, and how many periods of a lane are tried in it.
+class Timing(NamedTuple):
+    """When lanes are looked at, and how closely.
+
+    Attributes:
+        wait: periods before.
+        limit: of the period; there are twice as many points.
+        tries: how many periods of a lane are tried at most.
+    """
+
+    wait: int
+    limit: int
+    tries: float = math.inf
+
+    @property
+    def periods(self) -> int:
+        """That it takes."""
+        return self.wait + 2 * self.limit
+
+
+class Seen(NamedTuple):
+    """What was seen of lanes at one time, and their last points, (lanes, d)."""
+
+    survey: Survey
+    ends: Float[np.ndarray, "lanes d"]
+
+
+def _looks(transient: int, limit: int) -> list[Timing]:
+    """When lanes are looked at: the last time after the whole transient.
 
     All lanes are looked at early, since most are on their orbits long before the transient is over: only the least
     period that they recur after is tried, so that the others lose little. Those are looked at again after all of it.
     """
-    early = transient // _EARLY
-    left = transient - early - 2 * limit
-    return [(early, 1), (left, math.inf)] if early and left > 0 else [(transient, math.inf)]
+    if (early := early_look(transient, limit)) is None:
+        return [Timing(transient, limit)]
+    return [early, Timing(transient - early.periods, limit)]
+
+
+def early_look(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:
+    """The look before a transient is over; None where it is too short for one."""
+    early = Timing(transient // _EARLY, min(limit, _EARLY_LIMIT), 1)
+    return early if early.wait and early.periods < transient else None
+
+
+def first_look(scene: Scene, lanes: LaneRunner, label: str, early: Timing) -> Seen:
+    """What is seen of all lanes from their start states; the same for whichever analyses of a scene ask for it."""
+    if early not in scene.seen:
+        scene.seen[early] = _look(scene, lanes, first_points(scene, lanes), early, label)
+    return scene.seen[early]
+
+
+def _continued(
+    scene: Scene,
+    lanes: LaneRunner,
+    seen: Seen,
+    late: Sequence[Timing],
+    label: str,
+    least: int = 1,
+    only_doublings: bool = False,
+) -> Survey:
+    """Those lanes whose orbits have not been seen are looked at again."""
+    found = jax.tree.map(np.copy, seen.survey)
+    open_, ends = np.arange(scene.count), seen.ends
+    for timing in late:
+        left = np.flatnonzero((found.period[open_] == 0) & ~found.failed[open_])
+        if not len(left):
+            break
+        open_ = open_[left]
+        part, ends = _look(scene.take(open_), lanes, ends[left], timing, label, least, only_doublings)
+        for whole, some in zip(found, part, strict=True):
+            whole[open_] = some
+    return found
 
 
 def _nothing_found(u: Float[np.ndarray, "lanes d"]) -> Survey:
@@ -163,16 +227,14 @@ def _look(
     scene: Scene,
     lanes: LaneRunner,
     u: Float[np.ndarray, "lanes d"],
-    limit: int,
+    timing: Timing,
     label: str,
-    wait: int,
-    tries: float,
-    least: int,
-    only_doublings: bool,
-) -> tuple[Survey, Float[np.ndarray, "lanes d"]]:
-    """What is seen of lanes some periods on, in 2 limit points of each, and the last of these points."""
+    least: int = 1,
+    only_doublings: bool = False,
+) -> Seen:
+    """What is seen of lanes some periods on, in 2 limit points of each."""
     strobe, count, p = scene.strobe(), scene.count, dict(scene.p)
-    cost = wait + 2 * limit
+    (wait, limit, tries), cost = timing, timing.periods
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
         shared, static = (strobe, np.int32(wait)), (2 * limit,)
         if scene.system.dimensionless:
@@ -209,7 +271,7 @@ def _look(
         residual[here], monodromy[here] = exact.residual, exact.monodromy
     on_orbit = period > 0
     multiplier[on_orbit] = largest_multiplier(monodromy[on_orbit])
-    return Survey(period, found, residual, multiplier, monodromy, failed, size), points[:, -1]
+    return Seen(Survey(period, found, residual, multiplier, monodromy, failed, size), points[:, -1])
 
 
 def _recurrences(

@@ -85,6 +85,11 @@ class Scene:
         """Place of each lane along the first axis."""
         return np.arange(self.count) if self.place is None else self.place
 
+    @functools.cached_property
+    def seen(self) -> dict[Any, Any]:
+        """What one analysis has found out about these very lanes that another needs as well."""
+        return {}
+
     @property
     def flow(self) -> Flow:
         """The system in continuous time."""

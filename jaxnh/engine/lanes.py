@@ -10,14 +10,15 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import jax
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxnh.engine import kept_programs
 from jaxnh.engine.progress import Progress, Silent
@@ -35,6 +36,9 @@ _LONGEST = 1 << 15
 They take a tenth of a second of the fast maps and some seconds of slow ones, and a call a millisecond of its own. It is
 no measured rate that decides, so that a later run makes the same calls.
 """
+
+_PLACED = 256  # arrays on the devices, at most
+_COMPILING = threading.Lock()  # one program at a time: JAX's cache is switched off for it
 
 
 class Lanes:
@@ -57,8 +61,32 @@ class Lanes:
         self.fastest = math.inf
         self._progress = progress or Silent()
         self._programs: dict[Any, Any] = {}
+        self._placed: dict[int, tuple[Any, Any]] = {}  # by the address of what is on the devices
         self._kept: Calls | None = None
         self._calls = 0
+
+    def apart(self) -> list[Lanes]:
+        """A runner for each device, to be used side by side; each has accounts of its own.
+
+        CPU devices are the cores, on which the programs of one device run side by side as well if threads call them:
+        none has to be compiled twice.
+        """
+        cores = self.devices[0].platform == "cpu"
+        programs: dict[Any, Any] = {}
+        runners = []
+        for device in self.devices:
+            runner = Lanes(self._progress, self.devices[:1] if cores else [device], self.tile)
+            runner._programs = programs if cores else {}
+            runners.append(runner)
+        return runners
+
+    def add(self, others: Sequence[Lanes]) -> None:
+        """Add what others have run and compiled side by side to the accounts: of their seconds the mean."""
+        for other in others:
+            self.lane_periods += other.lane_periods
+            self.compile_seconds += other.compile_seconds / len(others)
+            self.run_seconds += other.run_seconds / len(others)
+            self.fastest = min(self.fastest, other.fastest)
 
     @contextmanager
     def keeping(self, kept: Calls) -> Iterator[None]:
@@ -136,7 +164,7 @@ class Lanes:
             part = jax.tree.map(lambda leaf, first=first: _padded(leaf[first : first + chunk], chunk), lanes)
             program = self._program(function, static, shared, part)
             began = time.perf_counter()
-            result = jax.tree.map(np.asarray, program(jax.tree.leaves(shared), jax.tree.leaves(part)))
+            result = jax.tree.map(np.asarray, program(self._on_devices(shared), jax.tree.leaves(part)))
             seconds = time.perf_counter() - began
             self.run_seconds += seconds
             if turns := periods * chunk * turns_of(shared):
@@ -157,6 +185,19 @@ class Lanes:
             state = self(iterate, (strobe, np.int32(some)), (state, p), periods=some, tile=tile)
             left -= some
         return state
+
+    def _on_devices(self, shared: tuple[Any, ...]) -> list[Any]:
+        """What all lanes see alike, its arrays on all devices: tables of a map go there once, and not in every call."""
+        leaves = jax.tree.leaves(shared)
+        for k, leaf in enumerate(leaves):
+            if isinstance(leaf, np.ndarray | float):
+                if id(leaf) not in self._placed:
+                    if len(self._placed) >= _PLACED:
+                        self._placed.clear()
+                    everywhere = NamedSharding(Mesh(np.array(self.devices), ("lanes",)), PartitionSpec())
+                    self._placed[id(leaf)] = leaf, jax.device_put(leaf, everywhere)
+                leaves[k] = self._placed[id(leaf)][1]
+        return leaves
 
     def _account(self, lane_periods: float) -> None:
         self.lane_periods += lane_periods
@@ -202,9 +243,11 @@ class Lanes:
         shapes = jax.tree.map(lambda leaf: (np.shape(leaf), np.result_type(leaf)), (shared, lanes))
         key = (function, static, tuple(jax.tree.leaves(shapes)), jax.tree.structure((shared, lanes)))
         if key not in self._programs:
-            began = time.perf_counter()
-            self._programs[key] = self._compiled(function, static, (shared, lanes))
-            self.compile_seconds += time.perf_counter() - began
+            with _COMPILING:
+                began = time.perf_counter()
+                if key not in self._programs:  # by now, as another runner may have needed it
+                    self._programs[key] = self._compiled(function, static, (shared, lanes))
+                self.compile_seconds += time.perf_counter() - began
         return self._programs[key]
 
     def _compiled(self, function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, Any]) -> Any:

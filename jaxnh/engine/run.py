@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Lock
 from typing import Any, NamedTuple
 
 from jaxnh.config.experiment import Experiment
@@ -134,6 +136,7 @@ class _Run:
         self._workers = ExitStack()
         self._client: Any = None
         self._lanes: Lanes | None = None
+        self._one_at_a_time = Lock()  # of batches side by side
         self._earlier = 0.0  # seconds that earlier runs have spent on what is there
 
     def run(self) -> Outcome:
@@ -290,9 +293,9 @@ class _Run:
         cut = [batch for batch in found if batch[0].names == job.independent]
         if len(cut) > 1:
             found = [batch for batch in found if batch[0].names != job.independent]
-            self._over(
-                job, [piece for batch in cut for piece in batch], cost, lambda: self._in_turn(job, cut, lanes, cost)
-            )
+            pieces, ways = [piece for batch in cut for piece in batch], (self._in_turn, self._side_by_side)
+            way = ways[len(lanes.devices) > 1]
+            self._over(job, pieces, cost, lambda: way(job, cut, lanes, cost))
         self._in_turn(job, found, lanes, {})
         self._in_turn(job, [[piece] for piece in last], lanes, {})  # what they are made of has been written
 
@@ -316,6 +319,29 @@ class _Run:
             self._progress.shown = self._shown
             self._shown.finish()
 
+    def _side_by_side(self, job: Job, found: Sequence[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
+        """Compute batches, on each device one at a time: while one is between two calls, the others compute."""
+        runners, idle = lanes.apart(), SimpleQueue[Lanes]()
+        for runner in runners:
+            idle.put(runner)
+
+        def one(batch: Sequence[Piece]) -> None:
+            runner = idle.get()
+            try:
+                self._in_turn(job, [batch], runner, cost)
+            finally:
+                idle.put(runner)
+
+        with ThreadPoolExecutor(len(runners)) as workers:
+            begun = [workers.submit(one, batch) for batch in found]
+            try:
+                for end in as_completed(begun):
+                    end.result()
+            finally:
+                for batch in begun:
+                    batch.cancel()
+        lanes.add(runners)
+
     def _in_turn(self, job: Job, found: Sequence[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
         """Compute batches one after the other; each is written while the next is computed."""
         written: list[Future[list[Receipt]]] = []
@@ -332,7 +358,8 @@ class _Run:
                     self._check()
                     calls = Calls(self._folder, job, batch)
                     if calls.seconds:
-                        self._earlier += calls.seconds
+                        with self._one_at_a_time:
+                            self._earlier += calls.seconds
                         numbers = ", ".join(str(piece.number) for piece in batch)
                         self._progress.note(f"tiles {numbers}: going on after {calls.seconds:.0f} s of work")
                     with lanes.keeping(calls):
@@ -362,8 +389,9 @@ class _Run:
         dask_workers.run(self._client, self._folder, job, stages, self._check, lambda one: self._done(one, cost))
 
     def _done(self, receipt: Receipt, cost: dict[int, float]) -> None:
-        self._receipts[receipt.number] = receipt
-        self._shown.advance(cost.get(receipt.number, 0.0))
+        with self._one_at_a_time:
+            self._receipts[receipt.number] = receipt
+            self._shown.advance(cost.get(receipt.number, 0.0))
 
     def _spent(self) -> Spent:
         """What all runs have spent on what is there."""

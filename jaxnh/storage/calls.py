@@ -58,6 +58,7 @@ class Calls:
         self._of = {"job": job.id, "pieces": [piece.number for piece in pieces]}
         self._parts: dict[int, dict[int, Part]] = {}
         self._new: list[Part] = []
+        self._size = 0  # of these, in bytes
         self._handle: int | None = None
         self._closed = False
         self._since = time.monotonic()
@@ -81,8 +82,8 @@ class Calls:
     def add(self, part: Part) -> None:
         """One more part; written with others after some seconds of work."""
         self._new.append(part)
-        size = sum(leaf.nbytes for part in self._new for leaf in part.leaves)
-        if time.monotonic() - self._since > max(_OFTEN, size / _BYTES):
+        self._size += sum(leaf.nbytes for leaf in part.leaves)
+        if time.monotonic() - self._since > max(_OFTEN, self._size / _BYTES):
             self.flush()
 
     def flush(self) -> None:
@@ -99,7 +100,7 @@ class Calls:
         except OSError:  # where a tile cannot be written either, that is said
             self.close(remove=True)
             self._closed = True
-        self._new, self._since = [], time.monotonic()
+        self._new, self._size, self._since = [], 0, time.monotonic()
 
     def _opened(self) -> int | None:
         """The file, at the end of what is sound in it; None where another process is at the same pieces, and keeps its.
