@@ -41,6 +41,7 @@ def of_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
     Neighbouring blocks may be correlated. Batches of two and four blocks are so less, and their fewer means have a
     wider Student's t: the largest of the errors is taken, and never less than how far the sum strays from its line.
     """
+    rates = np.where(np.isfinite(rates), rates, np.nan)  # of a lane that fails there are infinite ones
     blocks = rates.shape[1]
     mean = rates.mean(axis=1)
     error = np.zeros_like(mean)

@@ -25,7 +25,7 @@ from jaxnh.config.blocks import Accuracy, Analyses, Block, Levels, Published, Se
 from jaxnh.config.layout import layout, user_layout
 from jaxnh.config.messages import close_match, first_fault, listed
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, PrescribedSpeed, Sweep
-from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
+from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem, admitted
 from jaxnh.config.yaml_source import Source, from_dict, from_text, read
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.section import Crossing
@@ -218,6 +218,7 @@ class Experiment(Block):
         coordinates: Mapping[str, Float[np.ndarray, " count"]],
         count: int,
         shared: Mapping[str, float] | None = None,
+        own: Mapping[str, Float[np.ndarray, " count"]] | None = None,
     ) -> State:
         """Start states of lanes, components (count,); of a flow on a section, on their way there.
 
@@ -225,11 +226,17 @@ class Experiment(Block):
             coordinates: coordinates of the start by name, in place of those that `initial` says.
             count: number of lanes.
             shared: values of shared axes, as of `flow`.
+            own: parameters that lanes have of their own.
         """
         flow = self._in_time(shared or {})
         given = {**self._block.start(self.initial), **coordinates}
         state = flow.start({name: np.full(count, value, dtype=np.float64) for name, value in given.items()})
+        state = self._admitted(flow, state, own or {})
         return Crossing(state, np.zeros(count), np.zeros(count)) if self.sectioned else state
+
+    def _admitted(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
+        """Start states, those that the constraints do not admit failed or moved: here their coordinates see to it."""
+        return start
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -373,6 +380,9 @@ class UserExperiment(Experiment):
             raise rule(message, "section", f"analyses.{seen[0]}", "analyses")
         return self
 
+    def _admitted(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
+        return admitted(flow, start, own, project=self.initial.project)
+
     def _default_section(self) -> SectionBlock:
         return UserSection.model_validate({"coordinate": self.user_file.coordinates[0]}, context=self.user_file)
 
@@ -383,7 +393,8 @@ class UserExperiment(Experiment):
 
     def _content(self) -> dict[str, Any]:
         system = {**self.system.parameters, "file": self.user_file.sha256}
-        return {**super()._content(), "system": system, "initial": dict(self.initial.coordinates())}
+        initial = {**self.initial.coordinates(), **({"project": True} if self.initial.project else {})}
+        return {**super()._content(), "system": system, "initial": initial}
 
     def _parameters(self) -> dict[str, Any]:
         return {"file": self.system.file, **self.system.parameters, **self.initial.coordinates()}

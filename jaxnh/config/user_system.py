@@ -20,8 +20,8 @@ from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, Sectio
 from jaxnh.config.messages import listed, unknown
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.systems.first_order import FirstOrder
-from jaxnh.systems.flow import Flow
-from jaxnh.systems.lagrangian import Lagrangian
+from jaxnh.systems.flow import FAULTS, Flow, Parameters
+from jaxnh.systems.lagrangian import Lagrangian, Motion
 from jaxnh.systems.user_file import DIMENSIONS, UserFile
 
 _LARGEST_RESIDUAL = 1e-6  # of f at the start, in units of |A q̇| + 1: what the digits of a config leave
@@ -58,6 +58,10 @@ class UserInitial(InitialBlock, UserBlock):
     __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
         str, Annotated[float, Field(description="A coordinate NAME, or a velocity NAME_dot")]
     ] = Field(init=False)
+
+    project: bool = Field(
+        default=False, description="Move starts that are off the constraints to the nearest velocities on them"
+    )
 
     @property
     def known(self) -> tuple[str, ...]:
@@ -186,6 +190,8 @@ class UserSystem(SystemBlock, UserBlock):
             if name in DIMENSIONS:
                 message = f"results have a dimension called {name}; give the parameter another name to sweep it"
                 raise rule(message, f"sweep.{name}")
+        if "project" in initial.known:
+            raise rule("initial has a key project of its own; give the coordinate another name", "system.file")
         _check_constraints(self, initial, sweep)
 
 
@@ -193,32 +199,62 @@ class UserSystem(SystemBlock, UserBlock):
 
 
 def _check_constraints(system: UserSystem, initial: UserInitial, sweep: SweepBlock) -> None:
-    """See that the constraints hold at the start: at every point of the sweep, or if it is large at some of them."""
+    """See that the constraints hold at the start: at every point of the sweep, or if it is large at some of them.
+
+    Where the start is swept it is enough that they hold somewhere: lanes that begin elsewhere fail (`admitted`).
+    """
     axes = _product({name: grid.grid() for name, grid in sweep.grids.items()})
     lanes = len(next(iter(axes.values())))
     parameters = {name: values for name, values in axes.items() if name in system.known}
     flow = system.flow({name: float(values[0]) for name, values in parameters.items()})
     if isinstance(flow, FirstOrder) or not flow.constraints:
+        if initial.project:
+            raise rule("the system has no constraints; leave it out", "initial.project")
         return
     coordinates = {name: np.full(lanes, value) for name, value in initial.coordinates().items()}
     start = flow.start(coordinates | {name: values for name, values in axes.items() if name in coordinates})
-    found = jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)), out_axes=1)(start, parameters)
-    residuals = np.asarray(found)
-    limit = _LARGEST_RESIDUAL * (1.0 + np.abs(np.stack([np.asarray(v) for v in start.v])).max(axis=0))
-    sizes = np.where(np.isfinite(residuals), np.abs(residuals), np.inf)
-    if np.all(sizes <= limit):
+    residuals, off = _off_constraint(flow, start, parameters)
+    swept = [f"sweep.{name}" for name in axes if name in coordinates]
+    if not np.any(off) or initial.project or (swept and not np.all(off)):
         return
+    sizes = np.where(np.isfinite(residuals), np.abs(residuals), np.inf)
     number, lane = np.unravel_index(np.argmax(sizes), sizes.shape)
     state, p = jax.tree.map(lambda leaf: jnp.asarray(leaf[lane]), (start, parameters))
-    near = flow.approach(flow.chart(state), p)
+    near = flow.nearest(state, p)
     keys = [f"{coordinate}_dot" for coordinate in flow.names]
     where = listed([f"{name} = {values[lane]:g}" for name, values in axes.items()])
     message = f"f[{number}] is {residuals[number, lane]:.3g} at the start with {where}, and must be 0"
     if np.all(np.isfinite(np.array(near.v))):
         nearest = ", ".join(f"{key}: {float(v):.10g}" for key, v in zip(keys, near.v, strict=True))
         message += f"; the nearest velocities that make it so are {nearest}"
-    swept = (f"sweep.{name}" for name in axes if name in coordinates)
     raise rule(message, *(f"initial.{key}" for key in (*keys, *flow.names)), *swept, "initial", "system")
+
+
+def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals of f at start states, (constraints, lanes), and which lanes are off f = 0, (lanes,)."""
+    residuals = np.asarray(jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)), out_axes=1)(start, dict(p)))
+    limit = _LARGEST_RESIDUAL * (1.0 + np.abs(np.stack([np.asarray(v) for v in start.v])).max(axis=0))
+    return residuals, ~np.all(np.abs(residuals) <= limit, axis=0)
+
+
+def admitted(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> Motion:
+    """Start states of a mechanical system (lanes,), those off its constraints failed: or moved onto them, if asked."""
+    if not isinstance(flow, Lagrangian) or not flow.constraints:
+        return start
+    _, off = _off_constraint(flow, start, p)
+    if not np.any(off):
+        return start
+    some = jax.tree.map(lambda leaf: leaf[off], (start, dict(p)))
+    if project:
+        moved = jax.vmap(flow.nearest)(*some)
+    else:
+        drift, reason = some[0].watch
+        nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), some[0])
+        moved = nowhere._replace(watch=(drift, np.full_like(reason, FAULTS.index("off_constraint"))))
+    found = jax.tree.map(np.array, start)
+    for leaf, part in zip(jax.tree.leaves(found), jax.tree.leaves(moved), strict=True):
+        leaf[off] = part
+    return found
 
 
 def _product(axes: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.ndarray, " lanes"]]:

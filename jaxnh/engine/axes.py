@@ -40,7 +40,7 @@ def points(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np
     where = {axis.name: axis.values[place] for axis, place in zip(axes, places, strict=True)}
     shared = {axis.name: float(where[axis.name][0]) for axis in axes if axis.kind == "shared"}
     own, begun = ({a.name: where[a.name] for a in axes if a.kind == kind} for kind in ("lane", "start"))
-    return Points(experiment.flow(shared), experiment.start(begun, len(places[0]), shared), own, where)
+    return Points(experiment.flow(shared), experiment.start(begun, len(places[0]), shared, own), own, where)
 
 
 def places_of(piece: Piece) -> tuple[Int[np.ndarray, " lanes"], ...]:

@@ -293,15 +293,19 @@ class Lagrangian(Defined):
         )
 
     def approach(self, u: Number, p: Parameters) -> Motion:
-        """The state near section coordinates u that is on the constraints at t = 0, by many projections."""
-        zero = jnp.zeros_like(u[0])
+        """The state near section coordinates u that is on the constraints at t = 0."""
+        return self.nearest(self.unchart(u), p)
+
+    def nearest(self, y: Motion, p: Parameters) -> Motion:
+        """The state near one that is on the constraints at t = 0: of other velocities, by many projections."""
+        zero = jnp.zeros_like(y.q[0])
 
         def again(_: Number, state: Motion) -> Motion:
             q, v, (drift, _) = state
             moved = self.project(zero, Motion(q, v, (drift, zero)), p, trust=False)
             return Motion(q, moved.v, (drift, zero))
 
-        return self.project(zero, lax.fori_loop(0, _APPROACHES, again, self.unchart(u)), p)
+        return self.project(zero, lax.fori_loop(0, _APPROACHES, again, y), p)
 
     def outputs(self, y: Motion, t: np.ndarray) -> dict[str, Output]:
         """Coordinates and velocities of states by name: x, x_dot, y, y_dot, …"""

@@ -17,11 +17,13 @@ import taylor
 from conftest import ROOT
 from measure import SYSTEMS
 
+import jaxnh
 from jaxnh.analyses import ANALYSES, doubling, lyapunov
 from jaxnh.analyses.scene import Axis, Scene
 from jaxnh.config.experiment import load
 from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
+from jaxnh.engine.axes import points
 from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import ConfigError, UserFileError
 from jaxnh.maps.build import make_strobe
@@ -30,6 +32,7 @@ from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.plotting import results as figures
 from jaxnh.solvers import SOLVERS, SPLITTINGS, Projected
 from jaxnh.storage import hdf5 as store
+from jaxnh.systems import flow as flows
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.user_file import UserFile
 
@@ -365,13 +368,13 @@ def test_axes_of_a_users_system(tmp_path):
     assert experiment.user_file.path == tmp_path / "sleigh.py"
 
 
-def test_start_off_the_constraint_at_one_point_of_the_product(tmp_path):
-    """It holds at each end of both axes alone, and is looked for at their corners, however many points there are."""
+def test_a_plane_of_starts_that_are_all_off_the_constraint(tmp_path):
+    """The worst is named, which is looked for at the corners too, however many points there are."""
     (tmp_path / "sleigh.py").write_text((ROOT / "configs" / "sleigh.py").read_text())
     path = tmp_path / "sleigh.yaml"
     path.write_text(
         "system: {file: sleigh.py}\ninitial: {theta_dot: 0.1}\n"
-        "sweep:\n  theta: {start: 0.0, stop: 0.5, count: 3001}\n  x_dot: {start: 0.0, stop: 2.0, count: 3000}\n"
+        "sweep:\n  theta: {start: 0.1, stop: 0.5, count: 3001}\n  x_dot: {start: 0.5, stop: 2.0, count: 3000}\n"
         "analyses: {lyapunov: {}}\n"
     )
     with pytest.raises(ConfigError) as caught:
@@ -381,6 +384,50 @@ def test_start_off_the_constraint_at_one_point_of_the_product(tmp_path):
         ":2: initial.theta_dot: f[0] is -0.959 at the start with theta = 0.5 and x_dot = 2, and must be 0; "
         "the nearest velocities that make it so are x_dot: 1.540302306, y_dot: 0.8414709848"
     )
+
+
+def sleigh(folder, initial):
+    """A plane of starts of the sleigh, half of them with a velocity across its blade."""
+    (folder / "sleigh.py").write_text((ROOT / "configs" / "sleigh.py").read_text())
+    path = folder / "sleigh.yaml"
+    path.write_text(
+        f"system: {{file: sleigh.py}}\ninitial: {initial}\n"
+        "sweep:\n  theta: {values: [0.0, 0.5]}\n  x_dot: {values: [0.5, 1.0]}\n"
+        "accuracy: {target: 1.0e-6}\nanalyses:\n  lyapunov: {transient: 16, periods: 16, exponents: 1}\n"
+    )
+    return load(path)
+
+
+def test_starts_off_the_constraint_fail_and_no_others(tmp_path):
+    experiment = sleigh(tmp_path, "{theta_dot: 0.1}")
+    axes = experiment.axes
+    start = points(experiment, axes, np.unravel_index(np.arange(4), (2, 2))).start
+    off = [False, False, True, True]  # θ = 0.5, where the blade does not point along x
+    assert list(np.isnan(start.v[0])) == list(np.isnan(start.q[0])) == off
+    assert [flows.FAULTS[int(reason)] for reason in start.watch[1]] == [
+        "none",
+        "none",
+        "off_constraint",
+        "off_constraint",
+    ]
+
+
+@pytest.mark.slow  # a minute of compiling
+def test_lanes_that_start_off_the_constraint_fail_and_the_others_go_on(tmp_path):
+    found = jaxnh.run(sleigh(tmp_path, "{theta_dot: 0.1}"))["lyapunov"]["exponents"].to_numpy()[..., 0]
+    assert list(np.isnan(found.ravel())) == [False, False, True, True]
+
+
+def test_starts_off_the_constraint_are_moved_where_that_is_asked_for(tmp_path):
+    """Onto the blade's line: the nearest by the mass matrix, in which the blade's velocity and turning are coupled."""
+    experiment = sleigh(tmp_path, "{theta_dot: 0.1, project: true}")
+    start = points(experiment, experiment.axes, np.unravel_index(np.arange(4), (2, 2))).start
+    (x, y, turning), theta = start.v, start.q[2]
+    assert np.max(np.abs(y * np.cos(theta) - x * np.sin(theta))) < 1e-12
+    assert list(x[:2]) == [0.5, 1.0]
+    assert list(turning[:2]) == [0.1, 0.1]
+    assert np.all(start.watch[1] == 0.0)
+    assert experiment.sha256 != sleigh(tmp_path, "{theta_dot: 0.1}").sha256
 
 
 def test_constraint_that_is_no_number_at_the_start(tmp_path):
