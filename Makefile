@@ -9,7 +9,7 @@ RANGES := range_constant range_disturbed
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor basins flows paper effects startup claims test slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor basins flows paper effects startup claims release-check test slow hard clean
 
 install: $(INSTALLED)
 
@@ -51,6 +51,12 @@ startup: $(INSTALLED)
 # What every quantitative claim rests on, checked; writes results/claims.md. Times nothing, computes nothing anew.
 claims: $(INSTALLED)
 	$(RUN)/python -m sweeps.claims
+
+# Wheel and sdist, installed and used where the repository is not; also with the newest versions and the newest Python of
+# this machine, or one named by NEWEST=PYTHON.
+NEWEST ?= $(lastword $(wildcard $(foreach minor,11 12 13 14 15,$(HOME)/.pyenv/versions/3.$(minor).*/bin/python /usr/bin/python3.$(minor) /usr/local/bin/python3.$(minor))))
+release-check: $(INSTALLED)
+	$(RUN)/python -m sweeps.release_check --newest '$(NEWEST)'
 
 # Style, types, layers and all tests but those marked slow.
 test: $(INSTALLED)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from jaxnh.systems.lagrangian import Lagrangian, lagrangian
     from jaxnh.systems.particle import IsokineticParticle, constant_speed, disturbed_speed
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 _HOMES = {
     "Experiment": "config.experiment",
