@@ -12,6 +12,7 @@ result needs no JAX.
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -98,3 +99,6 @@ __all__ = [
     "open_result",
     "run",
 ]
+
+if "IPython" in sys.modules:
+    import_module("jaxnh.plotting.notebook").register()
