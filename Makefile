@@ -9,7 +9,7 @@ RANGES := range_constant range_disturbed
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor basins flows paper effects startup claims test slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor basins flows paper effects startup claims docs release-check test slow hard clean
 
 install: $(INSTALLED)
 
@@ -52,6 +52,21 @@ startup: $(INSTALLED)
 claims: $(INSTALLED)
 	$(RUN)/python -m sweeps.claims
 
+# The documentation, in docs/_build/html: its notebooks are run, and a warning or a broken link in it is an error.
+DOCS_INSTALLED := $(VENV)/.docs_installed
+docs: $(DOCS_INSTALLED)
+	$(RUN)/python -m sphinx --builder html --fail-on-warning --keep-going --nitpicky docs docs/_build/html
+
+$(DOCS_INSTALLED): $(INSTALLED)
+	$(RUN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	touch $@
+
+# Wheel and sdist, installed and used where the repository is not; also with the newest versions and the newest Python of
+# this machine, or one named by NEWEST=PYTHON.
+NEWEST ?= $(lastword $(wildcard $(foreach minor,11 12 13 14 15,$(HOME)/.pyenv/versions/3.$(minor).*/bin/python /usr/bin/python3.$(minor) /usr/local/bin/python3.$(minor))))
+release-check: $(INSTALLED)
+	$(RUN)/python -m sweeps.release_check --newest '$(NEWEST)'
+
 # Style, types, layers and all tests but those marked slow.
 test: $(INSTALLED)
 	$(RUN)/ruff check .
@@ -69,4 +84,4 @@ hard: $(INSTALLED)
 	$(RUN)/pytest --numprocesses 2 --dist worksteal -m "" --hard --page results/hard.md $(if $(CASE),--case '$(CASE)') tests/hard
 
 clean:
-	rm -rf $(VENV) .pytest_cache .ruff_cache
+	rm -rf $(VENV) docs/_build .pytest_cache .ruff_cache

@@ -12,6 +12,7 @@ result needs no JAX.
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from jaxnh.systems.lagrangian import Lagrangian, lagrangian
     from jaxnh.systems.particle import IsokineticParticle, constant_speed, disturbed_speed
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 _HOMES = {
     "Experiment": "config.experiment",
@@ -98,3 +99,6 @@ __all__ = [
     "open_result",
     "run",
 ]
+
+if "IPython" in sys.modules:
+    import_module("jaxnh.plotting.notebook").register()

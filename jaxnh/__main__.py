@@ -5,6 +5,7 @@ Imports as `jaxnh.sweep`.
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib import import_module
 
@@ -18,10 +19,16 @@ COMMANDS = {
 }
 """The commands, each a module of the package, and what they do."""
 
+_COMPLETION = ("--install-completion", "--show-completion")  # of the shell that this runs in
+
 
 def main() -> int:
     """Run the command that is named; returns its exit code."""
     name = sys.argv[1] if len(sys.argv) > 1 else "--help"
+    if "_JAXNH_COMPLETE" in os.environ or name in _COMPLETION:
+        from jaxnh.cli.completion import complete
+
+        return complete(list(COMMANDS))
     if name in COMMANDS:
         sys.argv = [f"jaxnh {name}", *sys.argv[2:]]
         return import_module(f"jaxnh.{name}").main()
@@ -31,6 +38,7 @@ def main() -> int:
         print("Usage: jaxnh COMMAND [ARGUMENTS]\n")
         print("\n".join(f"  {command:8} {words}" for command, words in COMMANDS.items()))
         print("\njaxnh COMMAND --help says more; python -m jaxnh.COMMAND is the same.")
+        print("jaxnh --install-completion lets the shell complete commands, options, and keys of a config.")
     else:
         print(f"command line: COMMAND: must be one of {', '.join(COMMANDS)}, not {name}", file=sys.stderr)
         return 2

@@ -13,6 +13,7 @@ from typing import Annotated
 
 import typer
 
+from jaxnh.cli import completion
 from jaxnh.cli.exit_codes import run_app
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -22,7 +23,10 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def cost(
     config: Annotated[Path | None, typer.Argument(help="YAML file of the experiment", show_default=False)] = None,
     overrides: Annotated[
-        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Values to use in place of the file's")
+        list[str] | None,
+        typer.Argument(
+            metavar="[KEY=VALUE]...", help="Values to use in place of the file's", autocompletion=completion.overrides
+        ),
     ] = None,
     output: Annotated[
         Path | None, typer.Option(help="Result file; by default results/NAME_cost.h5, with figures beside it")

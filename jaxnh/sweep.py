@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from jaxnh.cli import completion
 from jaxnh.cli.exit_codes import Stop, run_app
 from jaxnh.exceptions import ArgumentError, BusyError
 
@@ -24,7 +25,10 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def sweep(
     config: Annotated[Path | None, typer.Argument(help="YAML file of the experiment", show_default=False)] = None,
     overrides: Annotated[
-        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Values to use in place of the file's")
+        list[str] | None,
+        typer.Argument(
+            metavar="[KEY=VALUE]...", help="Values to use in place of the file's", autocompletion=completion.overrides
+        ),
     ] = None,
     output: Annotated[Path | None, typer.Option(help="Result file; by default results/NAME.h5")] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Replace a result that exists")] = False,

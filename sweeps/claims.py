@@ -1,4 +1,4 @@
-"""Every quantitative claim of the README and its like, beside the figure that it rests on: checked, and one page.
+"""Every quantitative claim of README and documentation, beside the figure that it rests on: checked, and one page.
 
     make claims
 
@@ -62,7 +62,7 @@ def page(findings: Sequence[Finding], root: Path = ROOT) -> str:
     lines = [
         "# Claims",
         "",
-        "Written by `make claims`: every quantitative claim of the README and its like, the command that makes its",
+        "Written by `make claims`: every quantitative claim of README and documentation, the command that makes its",
         "figure again, the commit that the figure is of, and what it is read from. A number in bold is checked.",
         "",
         "| claim | in | command | commit | rests on | |",
@@ -70,10 +70,16 @@ def page(findings: Sequence[Finding], root: Path = ROOT) -> str:
     ]
     for claim, _, state in findings:
         quote = " ".join(claim.quote.replace("[", "**").replace("]", "**").split())
-        rests = f"[{claim.source}](../{claim.source}): {claim.place}"
+        rests = f"{_link(claim.source)}: {claim.place}"
         cells = (quote, claim.where, f"`{claim.command}`", _commit(claim.source, root), rests, state)
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n\n" + _ages(root)
+
+
+def _link(source: str) -> str:
+    """A page of results as a link from beside it, also where docs/results shows both; another file by its name."""
+    path = Path(source)
+    return f"[{source}]({path.name})" if path.parent.name == "results" and path.suffix == ".md" else f"`{source}`"
 
 
 def _commit(source: str, root: Path) -> str:

@@ -163,7 +163,7 @@ _HEAD = """\
 
 Written by `make hard`: the cases that break programs of this kind, each with the number that says stable, the
 limit that it has to keep, and the command that measures it alone. `make test` runs them at smaller sizes, some
-with fewer scenes (README). A scene that is refused, with the reason that the user gets, shows no number and is
+with fewer scenes (docs/accuracy.md). A scene that is refused, with the reason that the user gets, shows no number and is
 no pass. References: Taylor integration in long double (`tests/taylor.py`), exact identities, and second methods.
 `make hard CASE="{case}"` measures one case anew and keeps the others: each says which code it is of.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 
@@ -14,6 +15,7 @@ from rich.text import Text
 from jaxnh.analyses.base import Table
 
 _LOG_SECONDS = 60.0
+_KERNEL = "JPY_PARENT_PID"  # of the environment of a notebook's kernel
 
 
 class _Rate(ProgressColumn):
@@ -102,10 +104,13 @@ class Log(Quiet):
 
 
 def progress(console: Console, *, quiet: bool = False) -> Quiet:
-    """A bar where the console is a terminal, else plain lines; or warnings alone."""
+    """A bar where the console is a terminal, else plain lines; or warnings alone.
+
+    In a cell of a notebook, which cannot take lines back but says that it is a terminal, plain lines.
+    """
     if quiet:
         return Quiet()
-    return Bar(console) if console.is_terminal else Log()
+    return Bar(console) if console.is_terminal and _KERNEL not in os.environ else Log()
 
 
 def show(table: Table) -> Renderable:

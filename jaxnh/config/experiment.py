@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -321,6 +322,10 @@ class Experiment(Block):
     def text(self) -> str:
         """The YAML as run: a file's text, with the overrides applied and the comments kept."""
         return self._origin.text if self._origin else ""
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: its title and the YAML."""
+        return f"<b>{escape(self.title or self.label)}</b><pre>{escape(self.text)}</pre>"
 
     @property
     def user_file(self) -> UserFile | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,17 @@ class Session:
         self.experiment = experiment
         self._lanes = Lanes(as_progress(progress), list(devices) if devices else None)
         self._plans: list[tuple[tuple[Axis, ...], bool, Plan]] = []
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: its experiment, and what calibration has chosen so far; nothing is computed."""
+        experiment = self.experiment
+        axes = ", ".join(f"{axis.name} ({len(axis.values):,})" for axis in experiment.axes)
+        lines = [f"<b>{escape(experiment.title or experiment.label)}</b>", f"a session over {escape(axes)}"]
+        for _, _, plan in self._plans:
+            lines.append(
+                f"{plan.solver.name}, {plan.steps} steps a period, error of one period {plan.error_estimate:.1g}"
+            )
+        return "<br>".join(lines if self._plans else [*lines, "not calibrated yet"])
 
     @property
     def plan(self) -> Plan:

@@ -69,6 +69,7 @@ def figure(
     colour: str = "",
     size: Size = PAGE,
     names: Sequence[str] = (),
+    ax: Axes | None = None,
 ) -> Figure:
     """Every group of a result that says how it is drawn, in their order; what is left out is said below.
 
@@ -80,9 +81,14 @@ def figure(
             portraits and maps, which then show all lanes in one.
         size: width and height in inches.
         names: what the legend calls several results; by default the names of their files.
+        ax: axes of a figure of your own to draw on, where there is one panel; `size` is then the figure's.
+
+    Returns:
+        A new figure, or the one that has `ax`.
 
     Raises:
-        ResultError: a file is damaged or none of ours, a group lacks what it names, or there is nothing to draw.
+        ResultError: a file is damaged or none of ours, a group lacks what it names, or there is nothing to draw; with
+            `ax` also where there are several panels.
         ArgumentError: no group has the coordinates, or what is to decide the colour.
     """
     if not results:
@@ -96,6 +102,8 @@ def figure(
             _check_chosen(groups, choice)
             more = _named(results, choice, [_groups(one) for one in others])
             panels, lines = _of_groups(groups, choice, more)
+            if panels and ax is not None:
+                return _drawn_on(ax, panels)
             if panels:
                 attrs = {str(key): value for key, value in tree.attrs.items()}
                 return laid_out(
@@ -107,6 +115,20 @@ def figure(
         except ResultError as error:
             raise ResultError(f"{source}: {error}") from error
     raise ResultError("; ".join((f"{source} has nothing that can be drawn", *lines)))
+
+
+def _drawn_on(ax: Axes, panels: Sequence[Panel]) -> Figure:
+    """The one panel on axes that are there; returns their figure.
+
+    Raises:
+        ResultError: there are several.
+    """
+    if len(panels) > 1:
+        raise ResultError(f"there are {len(panels)} panels, and axes have place for one; draw one group, or one lane")
+    panels[0].draw(ax)
+    drawing = ax.get_figure(root=True)
+    assert drawing is not None
+    return drawing
 
 
 def _named(
@@ -179,9 +201,10 @@ def _groups(result: xr.DataTree | xr.Dataset) -> _Groups:
     """Datasets of the groups by name, each with the axes of the sweep among its attributes."""
     if isinstance(result, xr.Dataset):
         return {"the dataset": result}
+    axes = {"axes": result.root.attrs["axes"]} if "axes" in result.root.attrs else {}
     if not result.children:
-        return {result.name or "the dataset": result.to_dataset()} if result.has_data else {}
-    axes = {"axes": result.attrs["axes"]} if "axes" in result.attrs else {}
+        data = result.to_dataset()
+        return {result.name or "the dataset": data.assign_attrs(axes | data.attrs)} if result.has_data else {}
     groups = {name: node.to_dataset() for name, node in result.children.items()}
     return {name: data.assign_attrs(axes | data.attrs) for name, data in groups.items()}
 

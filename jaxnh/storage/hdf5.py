@@ -209,7 +209,7 @@ def open_result(path: str | Path) -> xr.DataTree:
     Close it, or use it in a `with`; `load()` reads all of it.
 
     Raises:
-        ResultError: the file is not HDF5, is damaged, or is not a result of jaxnh.
+        ResultError: the file is not there, is not HDF5, is damaged, or is not a result of jaxnh.
     """
     import xarray as xr
 
@@ -242,8 +242,10 @@ def read_attrs(path: Path, group: str = "/") -> Attributes:
     """Root attributes of a result file, or those of a group.
 
     Raises:
-        ResultError: the file is not HDF5, is damaged, is none of ours, or has no such group.
+        ResultError: the file is not there, is not HDF5, is damaged, is none of ours, or has no such group.
     """
+    if not path.is_file():
+        raise ResultError(f"{path} is {'a folder' if path.is_dir() else 'not there'}")
     try:
         with h5py.File(path, "r") as file:
             attrs = dict(file.attrs)

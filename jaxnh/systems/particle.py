@@ -72,7 +72,7 @@ class IsokineticParticle(Flow):
 
     Attributes (all real, no units: the paper's equations are dimensionless):
         a: linear stiffness of x1 and cubic stiffness of y1 (and damping, which the constraint absorbs).
-        c: mean squared speed, c > |d|.
+        c: mean squared speed, above the size of d.
         d: amplitude of the disturbance of the squared speed.
         omega: angular frequency of the forcing g(t) = 1 + sin ωt, ω > 0.
         b: coupling; None where it is left out or every lane has its own.

@@ -47,6 +47,31 @@ def test_it_runs_them(program, tmp_path):
     assert "doubling" in out
 
 
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("jaxnh sw", ["sweep"]),
+        ("jaxnh sweep --fr", ["--fresh"]),
+        ("jaxnh cost a.yaml analyses.chaos", ["transient=", "periods="]),
+        ("jaxnh sweep a.yaml analyses.chaos01.p", ["periods="]),
+        ("jaxnh sweep a.yaml system.constraint=f", ["free"]),
+        ("jaxnh sweep a.yaml nothing.", []),
+    ],
+)
+def test_the_shell_completes(monkeypatch, capsys, words, offered):
+    """Commands, their options, and the keys of a config with their values; JAX is not asked."""
+    monkeypatch.setenv("_JAXNH_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+    monkeypatch.setattr(sys, "argv", ["jaxnh"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 0
+    said = capsys.readouterr().out.split()
+    assert all(any(line.endswith(word) for line in said) for word in offered)
+    assert bool(said) == bool(offered)
+
+
 def test_a_release_says_the_same_everywhere():
     """The version is that of the package alone; the citation has it, and the scripts lead to functions that are there."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())

@@ -173,10 +173,13 @@ def test_log_of_a_stage_of_no_known_length(monkeypatch, capsys):
     ]
 
 
-def test_lines_where_there_is_no_terminal():
+def test_lines_where_there_is_no_terminal(monkeypatch):
     """A bar on a terminal; in a file plain lines, without control characters."""
+    monkeypatch.delenv("JPY_PARENT_PID", raising=False)
     assert isinstance(terminal.progress(Console(file=io.StringIO(), force_terminal=False)), terminal.Log)
     assert isinstance(terminal.progress(Console(file=io.StringIO(), force_terminal=True)), terminal.Bar)
+    monkeypatch.setenv("JPY_PARENT_PID", "1")  # in a cell of a notebook, which cannot take lines back
+    assert isinstance(terminal.progress(Console(file=io.StringIO(), force_terminal=True)), terminal.Log)
 
 
 def test_bar_goes_away():

@@ -180,10 +180,11 @@ def test_files_that_are_no_results(tmp_path):
         for look in (read_attrs, open_result):
             with pytest.raises(ResultError, match=said):
                 look(path)
-    with pytest.raises(ResultError, match="not a readable"):
-        read_attrs(tmp_path / "absent.h5")
-    with pytest.raises(ResultError, match="not a readable"):
-        open_result(tmp_path / "absent.h5")
+    for look in (read_attrs, open_result):
+        with pytest.raises(ResultError, match=r"absent\.h5 is not there"):
+            look(tmp_path / "absent.h5")
+        with pytest.raises(ResultError, match="is a folder"):
+            look(tmp_path)
     with pytest.raises(ResultError, match="no group lyapunov"):
         read_attrs(ours, "lyapunov")
     with pytest.raises(ResultError, match="no readable group lyapunov"):

@@ -1,0 +1,53 @@
+"""Completion by the shell: of commands, their options, and keys of a config. No JAX."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import typer
+
+_SCHEMA = Path(__file__).parents[1] / "config" / "schema.json"
+_USERS_OWN = ("UserInitial", "UserSweep", "UserSystem")  # their keys are the names of a user's file
+
+
+def complete(commands: list[str]) -> int:
+    """Answer the shell, or write its script: all commands as one program, which only completion needs.
+
+    Args:
+        commands: modules of the package, each with an `app` of one command.
+    """
+    program = typer.Typer(pretty_exceptions_enable=False)
+    for name in commands:
+        [command] = import_module(f"jaxnh.{name}").app.registered_commands
+        program.command(name)(command.callback)
+    program(prog_name="jaxnh")
+    return 0
+
+
+def overrides(incomplete: str) -> list[str]:
+    """What `KEY=VALUE` can begin with: dotted keys of a config, as its schema has them, or values of a key."""
+    schema = json.loads(_SCHEMA.read_text(encoding="utf-8"))
+    found = dict.fromkeys(_keys(schema, schema, ""))
+    return [text for text in found if text.startswith(incomplete)]
+
+
+def _keys(node: dict[str, Any], schema: dict[str, Any], path: str) -> Iterator[str]:
+    """Dotted keys below a node; one with few values is given with each of them."""
+    name = str(node.get("$ref", "")).rpartition("/")[2]
+    if name:
+        if name not in _USERS_OWN:
+            yield from _keys(schema["$defs"][name], schema, path)
+        return
+    for one in (*node.get("oneOf", ()), *node.get("anyOf", ())):
+        yield from _keys(one, schema, path)
+    for key, value in node.get("properties", {}).items():
+        yield from _keys(value, schema, f"{path}.{key}" if path else key)
+    if node.get("type") == "null":
+        yield f"{path}=null"
+    elif path and not node.keys() & {"properties", "oneOf", "anyOf"}:
+        values = node.get("enum") or [node.get("const", "")]
+        yield from (f"{path}={value}" for value in values)
