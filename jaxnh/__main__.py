@@ -15,6 +15,7 @@ COMMANDS = {
     "sweep": "run the analyses of a config and keep their results in one HDF5 file",
     "plot": "draw every analysis of a result file, or of several together",
     "cost": "show what accuracy costs in time, before a config is run",
+    "explore": "zoom into a bifurcation diagram in the browser, computed as one looks",
     "inspect": "show what a result file is, how it was made, and what is in it",
 }
 """The commands, each a module of the package, and what they do."""

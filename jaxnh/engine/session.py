@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
@@ -74,7 +75,8 @@ class Session:
         configure()
         early_imports.start()
         self.experiment = experiment
-        self._lanes = Lanes(as_progress(progress), list(devices) if devices else None)
+        self._progress = as_progress(progress)
+        self._lanes = Lanes(self._progress, list(devices) if devices else None)
         self._plans: list[tuple[tuple[Axis, ...], bool, Plan]] = []
 
     def _repr_html_(self) -> str:
@@ -87,6 +89,11 @@ class Session:
                 f"{plan.solver.name}, {plan.steps} steps a period, error of one period {plan.error_estimate:.1g}"
             )
         return "<br>".join(lines if self._plans else [*lines, "not calibrated yet"])
+
+    @property
+    def devices(self) -> int:
+        """Number of devices that lanes go to."""
+        return len(self._lanes.devices)
 
     @property
     def plan(self) -> Plan:
@@ -116,10 +123,36 @@ class Session:
         if analysis not in GROUPS:
             raise InputError(f"there is no analysis {analysis}; known are {', '.join(ANALYSES)}")
         asked_for = GROUPS[analysis]
-        asked = self.experiment.variant({**dict.fromkeys(asked_for.needs), asked_for.name: options}, axes)
-        _, groups = self._computed(asked)
-        fixed = [name for name, values in axes.items() if np.ndim(values) == 0 and name in groups[analysis].dims]
-        return groups[analysis].squeeze(fixed) if fixed else groups[analysis]
+        return self.groups({**dict.fromkeys(asked_for.needs), asked_for.name: options}, **axes)[analysis]
+
+    def groups(
+        self, analyses: Mapping[str, Mapping[str, Any] | Options | None], **axes: ArrayLike
+    ) -> dict[str, xr.Dataset]:
+        """Several analyses of the same lanes: what one needs of another is computed once.
+
+        Args:
+            analyses: name to options, as of `run`; None: those of the experiment.
+            **axes: as of `run`.
+
+        Returns:
+            The datasets of all groups, those that analyses need among them.
+
+        Raises:
+            InputError: as of `run`.
+            AccuracyError: as of `run`.
+        """
+        _, groups = self._computed(self.experiment.variant(analyses, axes))
+        fixed = [name for name, values in axes.items() if np.ndim(values) == 0]
+        return {name: data.squeeze([d for d in fixed if d in data.dims]) for name, data in groups.items()}
+
+    def of_few(self, tile: int) -> Session:
+        """This session for few lanes, with its accuracy and tiles of so many: a lane then waits for no others.
+
+        The last digits of chaos are other ones than in a run.
+        """
+        few = copy.copy(self)
+        few._lanes = Lanes(self._progress, self._lanes.devices[:1], tile)
+        return few
 
     def tree(self) -> xr.DataTree:
         """All analyses that the experiment asks for, with the root attributes of a result file."""

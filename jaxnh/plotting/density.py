@@ -23,7 +23,9 @@ from jaxnh.plotting.style import POINT, Colour
 _MARKERS = 20_000  # up to so many points are drawn one by one
 _FEW = 2000  # up to which they are large
 _COLUMNS, _ROWS = 1200, 500  # a little below the pixels that a panel gets
-_INK = ListedColormap(colormaps["magma_r"](np.linspace(0.22, 1.0, 24)))  # few steps: they print well, files stay small
+
+INK = ListedColormap(colormaps["magma_r"](np.linspace(0.22, 1.0, 24)))
+"""Colours of shares, from few points to many; few steps print well, and files stay small."""
 
 
 def density(
@@ -60,7 +62,7 @@ def density(
     else:
         across, up, share = column_shares(axis, values)
         norm = LogNorm(share[share > 0].min(initial=0.5), 1.0)
-        image = ax.pcolorfast(across, up, np.ma.masked_equal(share.T, 0.0), cmap=_INK, norm=norm)
+        image = ax.pcolorfast(across, up, np.ma.masked_equal(share.T, 0.0), cmap=INK, norm=norm)
         _key_to_colours(image, ax)
     over_axis(data, coordinate, ax, axis_label(drawn, label_of(data)))
     for cascade in cascades:
@@ -68,12 +70,16 @@ def density(
     return ax
 
 
-def column_shares(axis: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def column_shares(
+    axis: np.ndarray, values: np.ndarray, window: tuple[float, float] | None = None, rows: int = _ROWS
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Histogram over an axis and a variable, each column for the same number of neighbouring points of the axis.
 
     Args:
         axis: (lanes,), in any order.
         values: (lanes, points); what is not finite is left out.
+        window: range of the values that is drawn, a share being one of all points; None: all of them.
+        rows: cells of a column.
 
     Returns:
         Edges (columns + 1,) and (rows + 1,), and the share (columns, rows) of a column's points in each cell.
@@ -83,14 +89,18 @@ def column_shares(axis: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
     edges = cell_edges(distinct)
     across = np.append(edges[:-1:each], edges[-1])
     finite = np.isfinite(values)
-    low, high = (values[finite].min(), values[finite].max()) if finite.any() else (0.0, 1.0)
-    margin = 0.02 * (high - low) or 0.5
-    up = np.linspace(low - margin, high + margin, _ROWS + 1)
+    if window is None:
+        low, high = (values[finite].min(), values[finite].max()) if finite.any() else (0.0, 1.0)
+        margin = 0.02 * (high - low) or 0.5
+        window = low - margin, high + margin
+    up = np.linspace(*window, rows + 1)
     row = np.searchsorted(up, values[finite], side="right") - 1
     column = np.broadcast_to((place // each)[:, None], values.shape)[finite]
     columns = len(across) - 1
-    counts = np.bincount(column * _ROWS + row, minlength=columns * _ROWS).reshape(columns, _ROWS)
-    return across, up, counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    whole = np.bincount(column, minlength=columns)
+    inside = (row >= 0) & (row < rows)
+    counts = np.bincount(column[inside] * rows + row[inside], minlength=columns * rows).reshape(columns, rows)
+    return across, up, counts / np.maximum(whole[:, None], 1)
 
 
 def _coloured(coordinate: xr.DataArray, drawn: xr.DataArray, colours: Colouring, ax: Axes) -> None:

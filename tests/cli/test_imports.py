@@ -21,8 +21,10 @@ HEAVY = {
     "matplotlib",
     "h5py",
     "ruamel",
+    "panel",
+    "bokeh",
 }  # typer itself looks for pydantic
-COMMANDS = ("sweep", "plot", "cost", "inspect")
+COMMANDS = ("sweep", "plot", "cost", "explore", "inspect")
 
 
 def loaded_by(name, *arguments):

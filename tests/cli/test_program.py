@@ -34,7 +34,7 @@ def test_it_names_its_commands(program):
     assert program("sweeep") == (
         2,
         "",
-        "command line: COMMAND: must be one of sweep, plot, cost, inspect, not sweeep\n",
+        "command line: COMMAND: must be one of sweep, plot, cost, explore, inspect, not sweeep\n",
     )
 
 

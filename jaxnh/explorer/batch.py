@@ -1,0 +1,76 @@
+"""A view as the config of a batch job, and the configs that a view is computed by. Text alone, nothing is computed."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+from jaxnh.config.experiment import Experiment
+from jaxnh.config.yaml_source import from_dict, from_text
+from jaxnh.explorer.view import View
+from jaxnh.systems.user_file import UserFile
+
+Content = Mapping[str, Any]
+"""A config in plain dicts."""
+
+
+def content_of(experiment: Experiment) -> dict[str, Any]:
+    """What the config of an experiment says."""
+    return dict(from_text(experiment.text).data)
+
+
+def experiment_of(content: Content, user_file: UserFile | None) -> Experiment:
+    """The experiment of a config in plain dicts."""
+    text = from_dict(content).text
+    return Experiment.from_text(text, user_file.text if user_file else None)
+
+
+def swept(content: Content, grids: Mapping[str, Any], analyses: Mapping[str, Any]) -> dict[str, Any]:
+    """A config with other axes and analyses, and without what belongs to a run of the old ones.
+
+    Args:
+        grids: name to start, stop and count, or values.
+    """
+    found = copy.deepcopy({key: value for key, value in content.items() if key not in ("compare", "levels", "title")})
+    for block in ("system", "initial"):
+        if block in found:
+            found[block] = {key: value for key, value in (found[block] or {}).items() if key not in grids}
+    return {**found, "sweep": dict(grids), "analyses": dict(analyses)}
+
+
+def evenly(low: float, high: float, count: int) -> dict[str, Any]:
+    """The block of an axis of evenly spaced values."""
+    return {"start": low, "stop": high, "count": count}
+
+
+def fixed_at(content: Content, values: Mapping[str, float], coordinates: tuple[str, ...]) -> dict[str, Any]:
+    """A config with other values of parameters, or of coordinates of the start state."""
+    found = copy.deepcopy(dict(content))
+    for name, value in values.items():
+        block = "initial" if name in coordinates else "system"
+        found[block] = {**(found.get(block) or {}), name: value}
+    return found
+
+
+def batch_text(
+    content: Content, view: View, coordinates: tuple[str, ...], solver: tuple[str, int] | None, title: str
+) -> str:
+    """The YAML of a batch job that computes a view again.
+
+    Args:
+        content: the config that the view is of.
+        coordinates: of the start state.
+        solver: and its steps a period that the view was computed with; None leaves them to the target.
+        title: what it is, in words.
+    """
+    options = {"transient": view.transient, "strobes": view.strobes}
+    base = swept(content, {view.axis: evenly(view.low, view.high, view.columns)}, {"diagram": options})
+    base = fixed_at(base, view.fixed, coordinates)
+    accuracy = dict(base.get("accuracy") or {})
+    if view.target is not None:
+        accuracy["target"] = view.target
+    if solver is not None:
+        accuracy.pop("target", None)
+        accuracy |= {"solver": solver[0], "steps": solver[1]}
+    return from_dict({"title": title, **base, **({"accuracy": accuracy} if accuracy else {})}).text

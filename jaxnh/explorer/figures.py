@@ -1,0 +1,126 @@
+"""Bokeh figures of the page: a diagram as an image, and the portrait of a lane."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from bokeh.models import (
+    BasicTicker,
+    BoxZoomTool,
+    ColumnDataSource,
+    CustomJSTickFormatter,
+    Image,
+    LinearColorMapper,
+    Range1d,
+    Span,
+)
+from bokeh.plotting import figure
+
+from jaxnh.explorer.raster import PALETTE, ROWS
+from jaxnh.explorer.source import LaneReport, Picture
+from jaxnh.explorer.view import View
+from jaxnh.plotting.style import LINE, MARK, POINT
+
+_MOST_POINTS = 1 << 14
+
+# Ticks are told apart down to the last bit of a double, whatever the range.
+_TICKS = """
+const step = ticks.length > 1 ? Math.abs(ticks[1] - ticks[0]) : Math.abs(tick) || 1
+const digits = Math.max(0, Math.min(17, Math.ceil(-Math.log10(step) - 1e-9)))
+return Math.abs(tick) >= 1e6 ? tick.toExponential(6) : tick.toFixed(digits)
+"""
+
+
+class Diagram:
+    """The picture of a view.
+
+    Attributes:
+        figure: of Bokeh.
+    """
+
+    def __init__(self, view: View, x_label: str, y_label: str) -> None:
+        self._cells = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
+        self.figure = figure(
+            x_range=Range1d(start=view.low, end=view.high),
+            y_range=Range1d(start=0.0, end=1.0),
+            tools="pan,wheel_zoom,tap",
+            active_scroll="wheel_zoom",
+            sizing_mode="stretch_width",
+            min_width=1100,
+            frame_height=ROWS,
+            output_backend="canvas",
+            x_axis_label=x_label,
+            y_axis_label=y_label,
+            toolbar_location="right",
+            name="diagram",
+        )
+        box = BoxZoomTool()
+        self.figure.add_tools(box)
+        self.figure.toolbar.active_drag = box
+        self.figure.toolbar.logo = None
+        mapper = LinearColorMapper(palette=list(PALETTE), low=-0.5, high=len(PALETTE) - 0.5)
+        glyph = Image(image="image", x="x", y="y", dw="dw", dh="dh", color_mapper=mapper)
+        self.figure.add_glyph(self._cells, glyph)
+        self.figure.grid.grid_line_alpha = 0.0
+        self._chosen = Span(dimension="height", line_color=MARK, line_dash="dashed", visible=False)
+        self.figure.add_layout(self._chosen)
+        for axis in (self.figure.xaxis, self.figure.yaxis):
+            axis.formatter = CustomJSTickFormatter(code=_TICKS)
+            axis.ticker = BasicTicker(desired_num_ticks=6)
+
+    def show(self, view: View, picture: Picture) -> None:
+        """Draw a picture over the range of its view."""
+        cells, (left, right), (low, high) = picture.raster.cells, picture.raster.across, picture.raster.up
+        self.figure.x_range.update(start=view.low, end=view.high)
+        bottom, top = view.window or (low, high)
+        self.figure.y_range.update(start=bottom, end=top)
+        self._cells.data = {"image": [cells], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
+
+    def name(self, y_label: str) -> None:
+        """Say what is drawn upward."""
+        self.figure.yaxis.axis_label = y_label
+
+    def mark(self, value: float | None) -> None:
+        """Mark a value of the axis, or none."""
+        self._chosen.update(visible=value is not None, location=value)
+
+
+class Portrait:
+    """Trajectory and strobe points of one lane.
+
+    Attributes:
+        figure: of Bokeh.
+    """
+
+    def __init__(self) -> None:
+        self._path = ColumnDataSource({"x": [], "y": []})
+        self._points = ColumnDataSource({"x": [], "y": []})
+        self.figure = figure(
+            tools="pan,wheel_zoom,box_zoom,reset", sizing_mode="stretch_width", height=340, name="portrait"
+        )
+        self.figure.toolbar.logo = None
+        self.figure.line("x", "y", source=self._path, color=LINE, line_width=1, legend_label="trajectory")
+        self.figure.scatter("x", "y", source=self._points, color=POINT, size=3, legend_label="strobe points")
+        self.figure.legend.visible = False
+
+    def show(self, report: LaneReport) -> None:
+        """Draw what a report has."""
+        for name, source in (("portrait", self._path), ("poincare", self._points)):
+            data = report.groups.get(name)
+            across, up = _plane(data) if data is not None else (np.zeros(0), np.zeros(0))
+            source.data = {"x": across, "y": up}
+            if data is not None:
+                self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = (
+                    str(data[name].attrs.get("long_name", name)) for name in _names(data)
+                )
+        self.figure.legend.visible = True
+
+
+def _names(data: xr.Dataset) -> tuple[str, str]:
+    across, up = str(data.attrs["panel_variables"]).split()
+    return across, up
+
+
+def _plane(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    across, up = (data[name].to_numpy().ravel()[:_MOST_POINTS] for name in _names(data))
+    return across, up

@@ -1,0 +1,305 @@
+"""The page of one tab: what it shows, what its controls do. What is shown is computed or read elsewhere (`source`)."""
+
+from __future__ import annotations
+
+import html
+import io
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import panel as pn
+from bokeh.document import Document
+from bokeh.events import RangesUpdate, Tap
+from bokeh.models import CustomJS
+
+from jaxnh.exceptions import JaxnhError
+from jaxnh.explorer.figures import Diagram, Portrait
+from jaxnh.explorer.report import report_html
+from jaxnh.explorer.source import LaneReport, Picture, Source
+from jaxnh.explorer.view import History, View, as_query, from_query
+from jaxnh.explorer.worker import Request, Worker
+from jaxnh.plotting.results import figure as drawn
+from jaxnh.plotting.style import styled
+
+_STROBES = (64, 128, 256, 512, 1024, 2048)
+_TRANSIENTS = (64, 256, 512, 1024, 4096, 16384)
+_TARGETS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+_SILENT = 0.4  # share of a pass between two words of progress
+_CSS = """
+:host { --mono: ui-monospace, monospace; }
+.status { font-size: 14px; color: #333; min-height: 20px; }
+.error { color: #a4000f; font-weight: 600; }
+.notes { font-size: 12px; color: #666; }
+table.lane { border-collapse: collapse; font-size: 14px; }
+table.lane td { padding: 3px 14px 3px 0; vertical-align: top; }
+table.lane td:first-child { color: #666; white-space: nowrap; }
+"""
+_LOST = """
+const page = document.createElement("div")
+page.textContent = "The server has stopped: what is on this page stays, and nothing new is computed. " +
+  "Start jaxnh explore again and reload."
+page.id = "lost"
+page.style.cssText = "position:fixed;top:0;left:0;right:0;padding:10px;background:#a4000f;color:white;z-index:9999;" +
+  "font-family:sans-serif;text-align:center"
+if (!document.getElementById("lost")) document.body.appendChild(page)
+"""
+
+
+class Page:
+    """One tab."""
+
+    def __init__(self, source: Source, worker: Worker, document: Document, query: Mapping[str, str]) -> None:
+        """Nothing is asked for yet.
+
+        Args:
+            query: words of the address, that may name a view.
+        """
+        self._source, self._worker, self._document = source, worker, document
+        self._wrong = ""
+        try:
+            first = from_query(source.first, query)
+        except JaxnhError as error:
+            first, self._wrong = source.first, str(error)
+        if first.axis != source.first.axis or first.variable not in source.variables:
+            first = source.first
+        self._history = History([first])
+        self._picture: Picture | None = None
+        self._value: float | None = None
+        self._setting = False  # whether controls are being set to a view, and not moved by hand
+        self._diagram = Diagram(first, source.axis_words, source.variables[first.variable])
+        self._portrait = Portrait()
+        self._diagram.figure.on_event(RangesUpdate, self._ranged)
+        self._diagram.figure.on_event(Tap, self._tapped)
+        self._make_controls(first)
+        document.js_on_event("connection_lost", CustomJS(code=_LOST))
+
+    # ---- layout
+
+    def _make_controls(self, view: View) -> None:
+        source = self._source
+        self._back = pn.widgets.Button(name="◀ Back", width=90, on_click=lambda _: self._move(-1))
+        self._forward = pn.widgets.Button(name="Forward ▶", width=90, on_click=lambda _: self._move(1))
+        self._whole = pn.widgets.Button(name="Whole range", width=110, on_click=lambda _: self._go_whole())
+        self._status = pn.pane.HTML("", stylesheets=[_CSS], sizing_mode="stretch_width")
+        self._notes = pn.pane.HTML("", stylesheets=[_CSS], sizing_mode="stretch_width")
+        self._lane = pn.pane.HTML(
+            "Click into the diagram: portrait, strobe points, period, spectrum and verdict of the value there.",
+            stylesheets=[_CSS],
+            sizing_mode="stretch_width",
+        )
+        self._low = pn.widgets.TextInput(name=f"{view.axis} from", width=190)
+        self._high = pn.widgets.TextInput(name="to", width=190)
+        self._variable = pn.widgets.Select(
+            name="coordinate", options={words: name for name, words in source.variables.items()}, width=190
+        )
+        self._transient = pn.widgets.Select(name="transient (periods)", width=190)
+        self._strobes = pn.widgets.Select(name="strobes a value", width=190)
+        self._target = pn.widgets.Select(name="error of one period", width=190)
+        self._sliders = {
+            p.name: pn.widgets.EditableFloatSlider(
+                name=p.words, value=p.value, start=p.low, end=p.high, step=(p.high - p.low) / 200, width=210
+            )
+            for p in source.parameters
+        }
+        self._yaml = pn.widgets.FileDownload(
+            callback=self._save_yaml, filename="view.yaml", label="Save as YAML", width=190, button_type="primary"
+        )
+        self._png = pn.widgets.FileDownload(
+            callback=self._save_picture, filename="view.png", label="Save picture", width=190, button_type="primary"
+        )
+        self._set_controls(view)
+        for control in (self._low, self._high, self._variable, self._transient, self._strobes, self._target):
+            control.param.watch(self._controlled, "value")
+        for slider in self._sliders.values():
+            slider.param.watch(self._controlled, "value_throttled")
+
+    def layout(self) -> pn.viewable.Viewable:
+        """The whole page."""
+        depth = [self._transient, self._strobes, self._target] if self._source.computes else []
+        saves = [self._yaml, self._png] if self._source.computes else [self._png]
+        side = pn.Column(self._variable, self._low, self._high, *self._sliders.values(), *depth, *saves, width=230)
+        main = pn.Column(
+            pn.pane.HTML(f"<h2 style='margin:4px 0'>{html.escape(self._source.title)}</h2>"),
+            pn.Row(self._back, self._forward, self._whole, self._status),
+            pn.pane.Bokeh(self._diagram.figure, sizing_mode="stretch_width"),
+            self._notes,
+            pn.Row(
+                pn.pane.Bokeh(self._portrait.figure, sizing_mode="stretch_width"),
+                self._lane,
+                sizing_mode="stretch_width",
+            ),
+            sizing_mode="stretch_width",
+        )
+        return pn.Row(side, main, sizing_mode="stretch_width")
+
+    def _set_controls(self, view: View) -> None:
+        """Have all controls say what a view says."""
+        self._setting = True
+        self._low.value, self._high.value = repr(view.low), repr(view.high)
+        self._variable.value = view.variable
+        for control, known, value in (
+            (self._transient, _TRANSIENTS, view.transient),
+            (self._strobes, _STROBES, view.strobes),
+        ):
+            control.options = sorted({*known, value})
+            control.value = value
+        self._target.options = {"as the config says": 0.0, **{f"{t:g}": t for t in _TARGETS}}
+        self._target.value = view.target or 0.0
+        for p in self._source.parameters:
+            value = view.fixed.get(p.name, p.value)
+            slider = self._sliders[p.name]
+            slider.start, slider.end = min(p.low, value), max(p.high, value)
+            slider.value = value
+        self._back.disabled = self._history.place == 0
+        self._forward.disabled = self._history.place == len(self._history.views) - 1
+        self._setting = False
+
+    # ---- what one does
+
+    def begin(self) -> None:
+        """Ask for the first view."""
+        self._look()
+        if self._wrong:
+            self._say(self._wrong, error=True)
+
+    def end(self) -> None:
+        """The tab is closed."""
+        for what in ("picture", "lane"):
+            self._worker.drop((id(self), what))
+
+    def _ranged(self, event: Any) -> None:
+        now = self._history.now
+        window: tuple[float, float] | None = (event.y0, event.y1)
+        shown = self._picture.raster.up if self._picture else None
+        if (
+            shown is not None
+            and now.window is None
+            and max(abs(a - b) for a, b in zip(window, shown, strict=True)) < 1e-12 * (shown[1] - shown[0])
+        ):
+            window = None
+        self._try(lambda: now.zoomed(event.x0, event.x1, window))
+
+    def _tapped(self, event: Any) -> None:
+        if event.x is None:
+            return
+        view = self._history.now
+        self._value = view.nearest(event.x)
+        self._diagram.mark(self._value)
+        self._lane.object = f"{html.escape(view.axis)} = {self._value!r}: computing…"
+        self._ask("lane", self._source.lane(view, self._value), self._show_lane)
+
+    def _controlled(self, _: Any) -> None:
+        if self._setting:
+            return
+
+        def changed() -> View:
+            now = self._history.now
+            moved = {
+                p.name: float(self._sliders[p.name].value)
+                for p in self._source.parameters
+                if self._sliders[p.name].value != p.value
+            }
+            low, high = float(self._low.value), float(self._high.value)
+            other = self._variable.value != now.variable or moved != dict(now.fixed)
+            view = replace(
+                now,
+                variable=self._variable.value,
+                window=None if other else now.window,
+                transient=self._transient.value,
+                strobes=self._strobes.value,
+                target=self._target.value or None,
+                fixed=moved,
+            )
+            return view if (low, high) == (now.low, now.high) else view.zoomed(low, high, None)
+
+        self._try(changed)
+
+    def _try(self, change: Callable[[], View]) -> None:
+        """Look at another view, or say why there is none."""
+        try:
+            view = change()
+        except (JaxnhError, ValueError) as error:
+            self._say(str(error), error=True)
+            return
+        if self._history.go(view):
+            self._look()
+
+    def _move(self, steps: int) -> None:
+        self._history.move(steps)
+        self._look()
+
+    def _go_whole(self) -> None:
+        first = self._source.first
+        self._try(lambda: replace(self._history.now, low=first.low, high=first.high, window=None))
+
+    def _look(self) -> None:
+        view = self._history.now
+        self._set_controls(view)
+        self._picture = None
+        self._diagram.name(self._source.variables[view.variable])
+        self._say("computing…")
+        if pn.state.location is not None:
+            pn.state.location.search = "?" + "&".join(f"{key}={value}" for key, value in as_query(view).items())
+        self._ask("picture", self._source.passes(view), lambda picture: self._show(view, picture))
+
+    def _ask(self, what: str, passes: Any, answer: Callable[[Any], None]) -> None:
+        """Have passes computed, and answers shown in the page's own thread."""
+        said = [-1.0, ""]
+
+        def told(label: str, share: float) -> None:
+            if label != said[1] or share - float(said[0]) > _SILENT:
+                said[:] = [share, label]
+                self._later(lambda: self._say(f"{label}{f' · {share:.0%}' if share else ''}"))
+
+        request = Request(
+            passes,
+            answer=lambda found: self._later(lambda: None if request.stale else answer(found)),
+            failed=lambda error: self._later(lambda: self._say(_sentence(error), error=True)),
+            told=told if what == "lane" else lambda label, share: told(label, share) if "accuracy" in label else None,
+        )
+        self._worker.ask((id(self), what), request)
+
+    def _later(self, action: Callable[[], None]) -> None:
+        self._document.add_next_tick_callback(action)
+
+    # ---- what is shown
+
+    def _show(self, view: View, picture: Picture) -> None:
+        self._picture = picture
+        self._diagram.show(view, picture)
+        self._say(picture.words)
+        self._notes.object = "".join(f"<div class='notes'>{html.escape(note)}</div>" for note in picture.notes)
+
+    def _show_lane(self, report: LaneReport) -> None:
+        self._portrait.show(report)
+        self._lane.object = report_html(report)
+        if report.whole and self._picture is not None:
+            self._say(self._picture.words)
+
+    def _say(self, text: str, *, error: bool = False) -> None:
+        self._status.object = f"<div class='status{' error' if error else ''}'>{html.escape(text)}</div>"
+
+    # ---- what is saved
+
+    def _save_yaml(self) -> io.StringIO:
+        return io.StringIO(self._source.batch_text(self._history.now))
+
+    def _save_picture(self) -> io.BytesIO:
+        return picture_file(self._picture)
+
+
+def picture_file(picture: Picture | None) -> io.BytesIO:
+    """A picture as a PNG in the style of all pictures; empty while it is coarse."""
+    stream = io.BytesIO()
+    if picture is not None and picture.data is not None:
+        with styled():
+            drawn(picture.data).savefig(stream, format="png")
+        stream.seek(0)
+    return stream
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, JaxnhError):
+        return str(error)
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"

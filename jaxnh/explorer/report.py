@@ -1,0 +1,64 @@
+"""What is known of a lane, in words."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+
+from jaxnh.explorer.source import LaneReport
+from jaxnh.plotting.meanings import meanings
+
+
+def report_html(report: LaneReport) -> str:
+    """A table of a report."""
+    rows = [f"<tr><td>{html.escape(name)}</td><td>{value!r}</td></tr>" for name, value in report.where.items()]
+    rows += [f"<tr><td>{html.escape(words)}</td><td>{html.escape(text)}</td></tr>" for words, text in lines(report)]
+    more = "" if report.whole else "<div class='notes'>spectrum and verdict are being computed…</div>"
+    return f"<table class='lane'>{''.join(rows)}</table>{more}"
+
+
+def lines(report: LaneReport) -> Iterator[tuple[str, str]]:
+    """What is known, and what it is called."""
+    groups = report.groups
+    if "verdict" in groups:
+        yield "verdict", _flag(groups["verdict"]["kind"])
+    if "period" in groups:
+        yield from _period(groups["period"])
+    if "lyapunov" in groups:
+        yield from _spectrum(groups["lyapunov"])
+    if "chaos01" in groups:
+        yield "0–1 test K", f"{float(groups['chaos01']['k']):.3f}"
+
+
+def _flag(variable: xr.DataArray) -> str:
+    return meanings(variable)[int(variable)][0]
+
+
+def _period(data: xr.Dataset) -> Iterator[tuple[str, str]]:
+    if int(data["failed"]):
+        yield "least period", "failed: the state is not finite"
+        return
+    n = int(data["period"])
+    yield "least period", f"{n}" if n else f"none up to {data.attrs.get('limit', '?')}"
+    if n:
+        yield "largest multiplier", f"{float(data['multiplier']):.6g}"
+
+
+def _spectrum(data: xr.Dataset) -> Iterator[tuple[str, str]]:
+    exponents = np.atleast_1d(data["exponents"].to_numpy())
+    errors = np.atleast_1d(data["exponents_error"].to_numpy())
+    for k, (value, error) in enumerate(zip(exponents, errors, strict=True), start=1):
+        yield f"exponent {k} (95 %)", with_error(float(value), float(error))
+    if "kaplan_yorke" in data:
+        yield "Kaplan–Yorke dimension", f"{float(data['kaplan_yorke']):.4g}"
+
+
+def with_error(value: float, error: float) -> str:
+    """A number with its error, to the digits that this has: two."""
+    if not np.isfinite(value) or not np.isfinite(error) or error <= 0.0:
+        return f"{value:.6g}"
+    digits = max(0, min(15, 1 - int(np.floor(np.log10(error)))))
+    return f"{value:.{digits}f} ± {error:.{digits}f}"

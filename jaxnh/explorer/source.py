@@ -1,0 +1,89 @@
+"""What a page shows: pictures of views and reports of lanes, whether they are computed or read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple, Protocol
+
+import xarray as xr
+
+from jaxnh.explorer.raster import Raster
+from jaxnh.explorer.view import View
+
+
+class Picture(NamedTuple):
+    """A view as far as it is known.
+
+    Attributes:
+        raster: its cells.
+        data: what it is drawn from, over the axis; None while it is coarse.
+        words: what it is made of.
+        notes: what one has to know to read it.
+    """
+
+    raster: Raster
+    data: xr.Dataset | None
+    words: str
+    notes: tuple[str, ...] = ()
+
+
+class LaneReport(NamedTuple):
+    """What is known of one lane so far.
+
+    Attributes:
+        where: values of the axis and of other parameters, by name.
+        groups: datasets of analyses, by name.
+        whole: whether nothing more follows.
+    """
+
+    where: Mapping[str, float]
+    groups: Mapping[str, xr.Dataset]
+    whole: bool
+
+
+class Parameter(NamedTuple):
+    """A parameter that can be moved: what the config says, and the ends of its slider."""
+
+    name: str
+    words: str
+    value: float
+    low: float
+    high: float
+
+
+class Source(Protocol):
+    """Where pictures and reports come from.
+
+    Attributes:
+        title: what is shown, in words.
+        first: the view that is shown first.
+        variables: coordinates of states that can be drawn, to what they are called.
+        axis_words: what the axis is called.
+        parameters: those that can be moved.
+        computes: whether depth, accuracy and parameters can be chosen.
+    """
+
+    @property
+    def title(self) -> str: ...
+    @property
+    def first(self) -> View: ...
+    @property
+    def variables(self) -> Mapping[str, str]: ...
+    @property
+    def axis_words(self) -> str: ...
+    @property
+    def parameters(self) -> tuple[Parameter, ...]: ...
+    @property
+    def computes(self) -> bool: ...
+
+    def passes(self, view: View) -> Iterator[Picture]:
+        """Pictures of a view, each better than the one before."""
+        ...
+
+    def lane(self, view: View, value: float) -> Iterator[LaneReport]:
+        """What is known of the lane at a value of the axis, more with each report."""
+        ...
+
+    def batch_text(self, view: View) -> str:
+        """The YAML of a batch job that computes a view again; "" where that is not known."""
+        ...

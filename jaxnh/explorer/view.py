@@ -1,0 +1,146 @@
+"""What is looked at: the range of an axis, what is drawn over it, and where one has been. Nothing is computed here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.exceptions import InputError
+
+COLUMNS = 1000
+"""Values of the axis in a picture."""
+
+_WORDS = ("low", "high", "bottom", "top")
+
+
+@dataclass(frozen=True)
+class View:
+    """A bifurcation diagram as one looks at it.
+
+    Attributes:
+        axis: parameter, or coordinate of the start state, across.
+        low, high: its range, both ends are lanes.
+        variable: coordinate of the states, upward.
+        window: range of the variable; None: all values there are.
+        transient: periods before the first strobe.
+        strobes: strobes a value.
+        fixed: values of other parameters in place of those of the config.
+        target: error of one period that is allowed; None: what the config says.
+        columns: values of the axis.
+    """
+
+    axis: str
+    low: float
+    high: float
+    variable: str
+    window: tuple[float, float] | None = None
+    transient: int = 512
+    strobes: int = 128
+    fixed: Mapping[str, float] = field(default_factory=dict[str, float])
+    target: float | None = None
+    columns: int = COLUMNS
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
+            raise InputError(f"a range of {self.axis} goes from a number up to a larger one")
+        if self.window is not None and not (np.isfinite(self.window).all() and self.window[0] < self.window[1]):
+            raise InputError(f"a range of {self.variable} goes from a number up to a larger one")
+
+    def values(self) -> Float[np.ndarray, " columns"]:
+        """Values of the axis, as a config of `start`, `stop` and `count` has them."""
+        return np.linspace(self.low, self.high, self.columns)
+
+    def zoomed(self, low: float, high: float, window: tuple[float, float] | None) -> View:
+        """The view of another range; where doubles do not tell its columns apart, of the narrowest around it."""
+        low, high = min(low, high), max(low, high)
+        narrowest = self.columns * float(np.spacing(max(abs(low), abs(high))))
+        if high - low < narrowest:
+            middle = 0.5 * (low + high)
+            low, high = middle - 0.5 * narrowest, middle + 0.5 * narrowest
+        if window is not None:
+            bottom, top = min(window), max(window)
+            least = 1e3 * float(np.spacing(max(abs(bottom), abs(top))))
+            window = (bottom, max(top, bottom + least))
+        return replace(self, low=low, high=high, window=window)
+
+    @property
+    def deepest(self) -> bool:
+        """Whether a narrower range has fewer doubles than columns."""
+        return self.high - self.low < 2 * self.columns * float(np.spacing(max(abs(self.low), abs(self.high))))
+
+    def nearest(self, value: float) -> float:
+        """The value of the axis whose column a place lies in."""
+        values = self.values()
+        return float(values[np.argmin(np.abs(values - value))])
+
+
+@dataclass
+class History:
+    """Views that were looked at, in order; a new one drops those that one had gone back from.
+
+    Attributes:
+        views: all of them.
+        place: number of the one that is looked at.
+    """
+
+    views: list[View]
+    place: int = 0
+
+    @property
+    def now(self) -> View:
+        """The view that is looked at."""
+        return self.views[self.place]
+
+    def go(self, view: View) -> bool:
+        """Look at a view; returns whether it is another one."""
+        if view == self.now:
+            return False
+        self.views[self.place + 1 :] = [view]
+        self.place += 1
+        return True
+
+    def move(self, steps: int) -> View:
+        """Go back (-1) or forward (1), as far as there are views."""
+        self.place = min(max(self.place + steps, 0), len(self.views) - 1)
+        return self.now
+
+
+# ---- as text of an address
+
+
+def as_query(view: View) -> dict[str, str]:
+    """A view as words of a page's address; floats to the last bit."""
+    found = {"axis": view.axis, "low": repr(view.low), "high": repr(view.high), "variable": view.variable}
+    if view.window is not None:
+        found |= {"bottom": repr(view.window[0]), "top": repr(view.window[1])}
+    found |= {"transient": str(view.transient), "strobes": str(view.strobes)}
+    if view.target is not None:
+        found["target"] = repr(view.target)
+    return found | {f"p.{name}": repr(value) for name, value in sorted(view.fixed.items())}
+
+
+def from_query(start: View, query: Mapping[str, str]) -> View:
+    """The view that an address names, with what it leaves out as at the start.
+
+    Raises:
+        InputError: it names none.
+    """
+    try:
+        numbers = {word: float(query[word]) for word in _WORDS if word in query}
+        window = (numbers["bottom"], numbers["top"]) if {"bottom", "top"} <= set(numbers) else None
+        return replace(
+            start,
+            low=numbers.get("low", start.low),
+            high=numbers.get("high", start.high),
+            variable=query.get("variable", start.variable),
+            window=window,
+            transient=max(1, int(query.get("transient", start.transient))),
+            strobes=min(max(1, int(query.get("strobes", start.strobes))), 1 << 14),
+            target=float(query["target"]) if "target" in query else start.target,
+            fixed={word[2:]: float(value) for word, value in query.items() if word.startswith("p.")},
+        )
+    except ValueError:
+        raise InputError("the address of this page names no view; the first one is shown") from None

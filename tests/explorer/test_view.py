@@ -1,0 +1,55 @@
+"""Views: ranges down to neighbouring doubles, where one has been, and views as words of an address."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jaxnh.exceptions import InputError
+from jaxnh.explorer.view import History, View, as_query, from_query
+
+FIRST = View("b", 0.1, 6.0, "x1")
+
+
+def test_a_range_is_of_a_config_s_values():
+    assert np.array_equal(FIRST.values(), np.linspace(0.1, 6.0, 1000))
+    assert FIRST.nearest(FIRST.values()[17] + 1e-3) == FIRST.values()[17]
+
+
+def test_a_zoom_ends_where_columns_are_neighbouring_doubles():
+    view = FIRST.zoomed(5.4, np.nextafter(5.4, 6.0), None)
+    assert len(np.unique(view.values())) == view.columns
+    assert view.deepest
+    assert not FIRST.zoomed(5.4, 5.4 + 1e-9, None).deepest
+    assert FIRST.zoomed(6.0, 5.0, (2.0, 1.0)) == FIRST.zoomed(5.0, 6.0, (1.0, 2.0))
+
+
+def test_a_range_needs_numbers_that_rise():
+    for low, high in ((1.0, 1.0), (2.0, 1.0), (np.nan, 1.0), (0.0, np.inf)):
+        with pytest.raises(InputError, match="goes from a number up to a larger one"):
+            View("b", low, high, "x1")
+
+
+def test_back_and_forward():
+    history = History([FIRST])
+    one, other = FIRST.zoomed(1.0, 2.0, None), FIRST.zoomed(1.2, 1.4, (0.0, 1.0))
+    assert history.go(one)
+    assert not history.go(one)
+    history.go(other)
+    assert [history.move(-1), history.move(-1), history.move(-1)] == [one, FIRST, FIRST]
+    assert history.move(1) == one
+    assert history.go(FIRST.zoomed(3.0, 4.0, None))  # what one had gone back from is no longer there
+    assert history.move(1).low == 3.0
+
+
+def test_an_address_names_a_view_to_the_last_bit():
+    third = 1.0 / 3.0
+    view = View("b", third, 2 * third, "y1", (-third, third), 64, 256, {"a": 0.1 + 0.2}, 1e-8)
+    assert from_query(FIRST, as_query(view)) == view
+    assert from_query(FIRST, {}) == FIRST
+
+
+@pytest.mark.parametrize("query", [{"low": "x"}, {"low": "7"}, {"strobes": "1.5"}, {"bottom": "nan", "top": "1"}])
+def test_an_address_that_names_none_is_refused(query):
+    with pytest.raises(InputError):
+        from_query(FIRST, query)
