@@ -350,7 +350,7 @@ def test_every_exception_is_one_of_the_package():
     assert met == {(name, path) for name, places in OTHERS.items() for path in places}
 
 
-COMMANDS = {Path(name) for name in ("__main__.py", "sweep.py", "plot.py", "cost.py", "inspect.py")}
+COMMANDS = {Path(name) for name in ("__main__.py", "sweep.py", "plot.py", "cost.py", "inspect.py", "explore.py")}
 
 
 def test_only_commands_speak_and_listen():
