@@ -137,6 +137,7 @@ def test_four_parts(tmp_path, whole):
     assert numbers(path) == numbers(whole)
 
 
+@pytest.mark.slow
 def test_two_workers(tmp_path, whole):
     path = tmp_path / "a.h5"
     run(path, dask="local:2")
