@@ -6,6 +6,8 @@ import os
 import sys
 from pathlib import Path
 
+import myst_nb.core.render
+
 import jaxnh
 
 # Commands in notebooks are those of this environment, and find the package of this repository.
@@ -46,3 +48,23 @@ default_role = "literal"
 nitpicky = True
 # Types of other packages have no page here, and of our own those of `jaxnh` itself and its exceptions.
 nitpick_ignore_regex = [("py:.*", r"(?!jaxnh\.).*"), ("py:.*", r"jaxnh\.(?!exceptions\.)\w+\..*")]
+
+
+def _joined(outputs: list[dict]) -> list[dict]:
+    """Pieces of what a cell has printed as one text, as they came; myst-nb's own function ends each with a line.
+
+    A cell of a shell's commands hands on what they print a hundred characters at a time.
+    """
+    found: list[dict] = []
+    streams: dict[str, dict] = {}
+    for output in outputs:
+        if output["output_type"] == "stream" and output["name"] in streams:
+            streams[output["name"]]["text"] += output["text"]
+            continue
+        if output["output_type"] == "stream":
+            streams[output["name"]] = output
+        found.append(output)
+    return found
+
+
+myst_nb.core.render.coalesce_streams = _joined

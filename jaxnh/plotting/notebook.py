@@ -23,6 +23,7 @@ _WIDTH = 4.6  # inches
 _DOTS = 90  # an inch
 _LARGEST = 1 << 26  # bytes of a result that is still drawn unasked
 _MOST_ROWS = 12
+_CELL = "style='text-align:left;padding-right:1em'"
 _XARRAYS = (("xarray.core.dataset", "Dataset"), ("xarray.core.datatree", "DataTree"))
 
 
@@ -65,7 +66,7 @@ def html(result: xr.DataTree | xr.Dataset) -> str:
         lines.append(f"{escape(str(solver))}, {steps} steps a period, error of one period {error:.1g}")
     rows = [row for name, data in groups.items() for row in _rows(name, data)]
     more = f"<br>… and {len(rows) - _MOST_ROWS} more" if len(rows) > _MOST_ROWS else ""
-    heads = "".join(f"<th>{head}</th>" for head in ("", "values", "largest error", "units"))
+    heads = "".join(f"<th {_CELL}>{head}</th>" for head in ("", "values", "largest error", "units"))
     table = f"<table><tr>{heads}</tr>{''.join(rows[:_MOST_ROWS])}</table>{more}" if rows else ""
     words = "<br>".join(lines)
     return f"<div>{words}{table}{_picture(result)}<details><summary>all of it</summary>{plain}</details></div>"
@@ -95,7 +96,7 @@ def _rows(group: str, data: xr.Dataset) -> list[str]:
         words = escape(str(variable.attrs.get("long_name", name)))
         cells = [f"{escape(group)}: {words}" if group else words, _range(variable)]
         cells += ["" if error is None else _largest(error), escape(str(variable.attrs.get("units", "")))]
-        rows.append("<tr>" + "".join(f"<td style='text-align:left'>{cell}</td>" for cell in cells) + "</tr>")
+        rows.append("<tr>" + "".join(f"<td {_CELL}>{cell}</td>" for cell in cells) + "</tr>")
     return rows
 
 
