@@ -109,6 +109,11 @@ class Lanes:
         return machine(self.devices[0])
 
     @property
+    def programs(self) -> int:
+        """Number of compiled programs so far."""
+        return len(self._programs)
+
+    @property
     def earlier_seconds(self) -> float:
         """Seconds that a stopped run has spent on what is found of the calls being made."""
         return self._kept.seconds if self._kept else 0.0

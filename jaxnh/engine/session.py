@@ -96,6 +96,11 @@ class Session:
         return len(self._lanes.devices)
 
     @property
+    def programs(self) -> int:
+        """Number of programs that it has."""
+        return self._lanes.programs
+
+    @property
     def plan(self) -> Plan:
         """Solver, steps, summation and error of one period for the experiment's own sweep.
 

@@ -101,7 +101,9 @@ class Portrait:
         self.figure.toolbar.logo = None
         self.figure.line("x", "y", source=self._path, color=LINE, line_width=1, legend_label="trajectory")
         self.figure.scatter("x", "y", source=self._points, color=POINT, size=3, legend_label="strobe points")
-        self.figure.legend.visible = False
+        [legend] = self.figure.legend
+        legend.update(orientation="horizontal", border_line_alpha=0.0, padding=0)
+        self.figure.add_layout(legend, "above")  # off the data
 
     def show(self, report: LaneReport) -> None:
         """Draw what a report has."""
@@ -113,7 +115,6 @@ class Portrait:
                 self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = (
                     str(data[name].attrs.get("long_name", name)) for name in _names(data)
                 )
-        self.figure.legend.visible = True
 
 
 def _names(data: xr.Dataset) -> tuple[str, str]:

@@ -107,6 +107,16 @@ class Live:
         self._calibrated: list[_Calibrated] = []
         self._seconds: dict[int, float] = {}  # a lane-period, by session
 
+    @property
+    def compiled(self) -> int:
+        """Programs that its sessions have, whatever they were loaded from."""
+        return sum(known.session.programs for known in self._calibrated)
+
+    @property
+    def error_estimate(self) -> float:
+        """Error of one period of the session that was made last; NaN before the first."""
+        return self._calibrated[0].session.plan.error_estimate if self._calibrated else np.nan
+
     # ---- what a page asks for
 
     def passes(self, view: View) -> Iterator[Picture]:

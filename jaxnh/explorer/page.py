@@ -88,6 +88,7 @@ class Page:
             stylesheets=[_CSS],
             sizing_mode="stretch_width",
         )
+        self._portrait_pane = pn.pane.Bokeh(self._portrait.figure, sizing_mode="stretch_width", visible=False)
         self._low = pn.widgets.TextInput(name=f"{view.axis} from", width=190)
         self._high = pn.widgets.TextInput(name="to", width=190)
         self._variable = pn.widgets.Select(
@@ -125,7 +126,7 @@ class Page:
             pn.pane.Bokeh(self._diagram.figure, sizing_mode="stretch_width"),
             self._notes,
             pn.Row(
-                pn.pane.Bokeh(self._portrait.figure, sizing_mode="stretch_width"),
+                self._portrait_pane,
                 self._lane,
                 sizing_mode="stretch_width",
             ),
@@ -273,6 +274,7 @@ class Page:
 
     def _show_lane(self, report: LaneReport) -> None:
         self._portrait.show(report)
+        self._portrait_pane.visible = "portrait" in report.groups or "poincare" in report.groups
         self._lane.object = report_html(report)
         if report.whole and self._picture is not None:
             self._say(self._picture.words)

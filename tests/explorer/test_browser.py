@@ -1,0 +1,266 @@
+"""The page in a real Chromium: open, zoom, click, save, reload, two tabs, a server that stops; results; tokens."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+from conftest import ROOT
+
+import jaxnh
+
+pytest.importorskip("panel", reason="the extra explore is missing")
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is missing")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
+
+COLUMNS = 128
+PATIENCE = 45_000  # milliseconds
+CONFIG = """
+title: The page's own test
+system: {constraint: constant_speed, a: 0.5, c: 1.0, omega: 1.0}
+sweep: {b: {start: 4.0, stop: 6.0, count: 64}}
+accuracy: {solver: blanes_moan6, steps: 60}
+analyses:
+  diagram: {transient: 48, strobes: 64}
+  portrait: {transient: 16, periods: 2, samples: 16}
+  poincare: {transient: 16, strobes: 16}
+  period: {transient: 64, limit: 4}
+  lyapunov: {transient: 32, periods: 64}
+  chaos01: {transient: 32, periods: 128}
+  verdict: {longer: 0}
+"""
+SHOTS = os.environ.get("JAXNH_SCREENSHOTS")  # a folder to keep pictures of the page in, for people to look at
+
+
+def started(*arguments):
+    """A server, and the address that it prints."""
+    command = [sys.executable, "-m", "jaxnh.explore", *map(str, arguments), "--port", "0"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    line = process.stdout.readline()
+    assert line.startswith("explore: http://"), line
+    return process, line.split()[1]
+
+
+def ended(process):
+    process.send_signal(signal.SIGTERM)
+    try:
+        return process.wait(20)
+    finally:
+        process.kill()
+        process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    path = tmp_path_factory.mktemp("explore") / "page.yaml"
+    path.write_text(CONFIG)
+    return path
+
+
+@pytest.fixture(scope="module")
+def address(config):
+    process, found = started(config, "--columns", COLUMNS)
+    yield found
+    assert ended(process) == 0
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        made = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield made
+        made.close()
+
+
+@pytest.fixture
+def tab(browser):
+    """Opens tabs; none of them may ask for anything from elsewhere, or have an error."""
+    context = browser.new_context(viewport={"width": 1440, "height": 1050}, accept_downloads=True)
+    context.set_default_timeout(PATIENCE)
+    wrong = []
+
+    def opened(address):
+        page = context.new_page()
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("request", lambda r: None if local(r.url) else wrong.append(r.url))
+        page.goto(address)
+        return page
+
+    yield opened
+    context.close()
+    assert not wrong
+
+
+def local(url):
+    return urlsplit(url).hostname in ("127.0.0.1", None) or url.startswith(("data:", "blob:"))
+
+
+def whole(page):
+    """Wait until the picture is refined."""
+    page.get_by_text(f"{COLUMNS} values, 64 strobes after 48 periods").wait_for()
+
+
+def view(page):
+    query = parse_qs(urlsplit(page.url).query)
+    return float(query["low"][0]), float(query["high"][0])
+
+
+def shot(page, name):
+    if SHOTS:
+        page.screenshot(path=f"{SHOTS}/{name}.png")
+
+
+def zoom(page, left=0.4, right=0.6):
+    """Drag a box over a part of the diagram."""
+    box = page.locator(".bk-Figure").first.bounding_box()
+    top = box["y"] + 0.1 * box["height"]
+    page.mouse.move(box["x"] + left * box["width"], top)
+    page.mouse.down()
+    page.mouse.move(box["x"] + right * box["width"], top + 0.6 * box["height"], steps=4)
+    before = page.url
+    page.mouse.up()
+    page.wait_for_function("before => location.href != before", arg=before)
+    whole(page)
+
+
+def test_open_zoom_go_back_and_reload(tab, address):
+    page = tab(address)
+    whole(page)
+    shot(page, "opened")
+    assert view(page) == (4.0, 6.0)
+    zoom(page)
+    low, high = view(page)
+    assert 4.0 < low < high < 6.0
+    assert high - low == pytest.approx(0.4, abs=0.1)  # the axes take a tenth of the figure
+    shot(page, "zoomed")
+    page.reload()
+    whole(page)
+    assert view(page) == (low, high)
+    page.get_by_role("button", name="Whole range").click()
+    page.wait_for_function("() => location.search.includes('low=4.0&high=6.0')")
+    page.get_by_role("button", name="Back").click()
+    page.wait_for_function("() => !location.search.includes('low=4.0&high=6.0')")
+    assert view(page) == (low, high)
+    page.get_by_role("button", name="Forward").click()
+    page.wait_for_function("() => location.search.includes('low=4.0&high=6.0')")
+
+
+def test_a_click_tells_all_of_a_lane(tab, address):
+    page = tab(address)
+    whole(page)
+    box = page.locator(".bk-Figure").first.bounding_box()
+    page.mouse.click(box["x"] + 0.93 * box["width"], box["y"] + 0.5 * box["height"])  # b near 5.9: period 1
+    page.get_by_text("least period").wait_for()
+    page.get_by_text("exponent 3 (95 %)").wait_for()
+    page.get_by_text("Kaplan–Yorke dimension").wait_for()
+    assert page.locator("table.lane").inner_text().splitlines()[0].startswith("b\t5.")
+    shot(page, "clicked")
+
+
+def test_what_is_saved_computes_the_view_again(tab, address, tmp_path):
+    page = tab(address)
+    whole(page)
+    zoom(page)
+    low, high = view(page)
+    with page.expect_download() as download:
+        page.get_by_text("Save as YAML").click()
+    saved = tmp_path / "view.yaml"
+    download.value.save_as(saved)
+    experiment = jaxnh.load(saved)
+    [axis] = experiment.axes
+    assert (axis.name, axis.values[0], axis.values[-1], len(axis.values)) == ("b", low, high, COLUMNS)
+    assert (experiment.accuracy.solver, experiment.accuracy.steps) == ("blanes_moan6", 60)
+    with page.expect_download() as download:
+        page.get_by_text("Save picture").click()
+    download.value.save_as(tmp_path / "view.png")
+    assert (tmp_path / "view.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_two_tabs_have_views_of_their_own(tab, address):
+    one, other = tab(address), tab(address)
+    whole(other)
+    one.bring_to_front()  # a tab behind another draws nothing
+    whole(one)
+    zoom(one)
+    assert view(one) != view(other) == (4.0, 6.0)
+
+
+def test_an_error_is_said_on_the_page(tab, address):
+    page = tab(address + "?low=7&high=5")
+    page.get_by_text("a range of b goes from a number up to a larger one").wait_for()
+    page = tab(address + "?low=4&high=6&p.nothing=1")
+    page.get_by_text("there is no parameter nothing").wait_for()
+    shot(page, "error")
+
+
+def test_a_result_opens_without_computing_and_a_stopped_server_is_said(tab, config, tmp_path):
+    result = tmp_path / "page.h5"
+    jaxnh.run(jaxnh.load(config, ["sweep.b.count=16", "analyses={diagram: {strobes: 64}, period: {limit: 2}}"]), result)
+    process, address = started(result)
+    try:
+        page = tab(address)
+        page.get_by_text("16 values", exact=True).wait_for()
+        box = page.locator(".bk-Figure").first.bounding_box()
+        page.mouse.click(box["x"] + 0.93 * box["width"], box["y"] + 0.5 * box["height"])
+        page.get_by_text("least period").wait_for()
+        shot(page, "result")
+        assert b"jaxlib" not in maps_of(process)
+    finally:
+        assert ended(process) == 0
+    page.get_by_text("The server has stopped").wait_for()
+    shot(page, "stopped")
+
+
+def maps_of(process):
+    """Files that a process has mapped, as the libraries that it has loaded."""
+    with open(f"/proc/{process.pid}/maps", "rb") as file:
+        return file.read()
+
+
+def test_other_addresses_need_the_token(config, tmp_path):
+    """Of the page and of the connection that carries all of it, which a page of another site could ask for."""
+    result = tmp_path / "page.h5"
+    jaxnh.run(jaxnh.load(config, ["sweep.b.count=4", "analyses={diagram: {strobes: 64}}"]), result)
+    process, address = started(result, "--address", "127.0.0.2")
+    try:
+        bare, token = address.split("?")
+        assert token.startswith("token=")
+        for refused in (bare, bare + "?token=wrong"):
+            with pytest.raises(urllib.error.HTTPError) as error:
+                urllib.request.urlopen(refused)
+            assert error.value.code == 403
+        assert urllib.request.urlopen(address).status == 200
+        assert connected(bare, token) == 101
+        assert connected(bare, "token=wrong") in (401, 403)
+    finally:
+        ended(process)
+
+
+def connected(address, query):
+    """Status of the answer to a connection that is asked for with a session that one has made up oneself."""
+    from bokeh.util.token import generate_jwt_token, generate_session_id
+
+    made = generate_jwt_token(generate_session_id(signed=False), signed=False)
+    headers = {
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+        "Sec-WebSocket-Protocol": f"bokeh, {made}",
+        "Origin": address.rstrip("/"),
+    }
+    connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=20)
+    connection.request("GET", f"/ws?{query}", headers=headers)
+    status = connection.getresponse().status
+    connection.close()
+    return status
