@@ -9,7 +9,7 @@ RANGES := range_constant range_disturbed
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor basins flows paper effects startup claims docs release-check test slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor basins branches flows paper effects startup claims docs release-check test slow hard clean
 
 install: $(INSTALLED)
 
@@ -22,7 +22,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 $(TABLES): $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
 
-$(FIGURES) $(RANGES) unforced governor basins: $(INSTALLED)
+$(FIGURES) $(RANGES) unforced governor basins branches: $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
 	$(RUN)/python -m jaxnh.plot results/$@.h5
 

@@ -140,7 +140,9 @@ def whole(options: BranchesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Da
         some = np.unique(np.linspace(0, len(order) - 1, min(options.values, len(order))).round().astype(int))
         here = scene.take(np.argsort(scene.line.values, kind="stable")[some])
         with lanes.stage(f"branches: {options.starts} random starts at {len(some)} values of {axis.name}", 0):
-            wave = random_wave(here, lanes, options.starts, options.seed, options.box, options.limit, unit)
+            wave = random_wave(
+                here, lanes, options.starts, options.seed, options.box, options.limit, unit, options.transient
+            )
         by_value = {orbit.value: list[Any]() for orbit in wave}
         for orbit in wave:
             by_value[orbit.value].append(orbit)

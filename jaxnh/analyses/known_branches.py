@@ -31,8 +31,9 @@ def orbits_at(family: Family, branch: Branch, value: float) -> Iterator[Float[np
     passes = (above[:-1] <= 0.0) != (above[1:] <= 0.0)
     for i in np.flatnonzero(passes | (np.sign(rate[:-1]) != np.sign(rate[1:]))).tolist():
         yield from _between(family, branch, i, value)
-    if above[-1] == 0.0:
-        yield branch.points[-1]
+    for end in (0, -1):  # where it begins or ends at the value and lies below it
+        if above[end] == 0.0:
+            yield branch.points[end]
 
 
 def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"], near: float) -> bool:

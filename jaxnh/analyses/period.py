@@ -238,7 +238,7 @@ def _look(
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
         shared, static = (strobe, np.int32(wait)), (2 * limit,)
         if scene.system.dimensionless:
-            points, size = lanes(_strobe_points, shared, (u, p), periods=cost, static=static), np.ones_like(u)
+            points, size = lanes(strobe_points, shared, (u, p), periods=cost, static=static), np.ones_like(u)
         else:
             radian = 0.0 if scene.system.autonomous else scene.system.period / (2 * np.pi)
             points, size = lanes(_sized_points, (*shared, radian), (u, p), periods=cost, static=static)
@@ -398,7 +398,7 @@ def largest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.nd
     return np.where(finite, moduli.max(axis=1), np.inf)
 
 
-def _strobe_points(
+def strobe_points(
     strobe: Strobe, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, count: int
 ) -> Float[Array, "points d"]:
     """Section points after a transient, of one lane."""

@@ -28,6 +28,8 @@ _BEYOND = 1.5  # nodes' width that a root may lie outside
 _NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
 _ON_CIRCLE = 1e-4  # of a modulus from one, where the product of two multipliers is one to rounding
 _REAL = 1e-6  # imaginary part of a multiplier, of its modulus
+_BESIDE = np.array([-2.0, -1.0, 1.0, 2.0]) / 64  # of a chord, places beside a branch point
+_BETWEEN = np.array([-1.0, 4.0, 4.0, -1.0]) / 6  # weights of the cubic through them in their middle
 
 
 class Brackets(NamedTuple):
@@ -137,7 +139,7 @@ def locate(
         open_ = some_good
         if not len(open_):
             break
-    at_root = _at(family, stretch, best.share)
+    at_root = _at_roots(family, stretch, best.share)
     ways = _told_apart(family, stretch, best.share, at_root)
     orbits = at_root._replace(value=best.value, way=ways[0], other_way=ways[1])
     return best._replace(orbits=orbits, found=best.found & at_root.converged)
@@ -173,6 +175,26 @@ def _at(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) ->
     gone = inner(family, Way(points - begun.points, value - begun.value), chord) / size
     more = times(share - gone, chord)
     return correct(family, points + more.points, value + more.value, times(1.0 / np.sqrt(size), chord), FINE)
+
+
+def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> Orbits:
+    """The orbits at roots; where another branch crosses, from those beside: there Newton's equations are singular."""
+    found = _at(family, stretch, share)
+    cross = np.flatnonzero(stretch.kind == BRANCH_POINT)
+    if not len(cross):
+        return found
+    part: Brackets = jax.tree.map(lambda leaf: leaf[cross], stretch)
+    four: Brackets = jax.tree.map(lambda leaf: np.repeat(leaf, len(_BESIDE), axis=0), part)
+    beside = _at(family, four, (share[cross, None] + _BESIDE).ravel())
+    points = beside.points.reshape(len(cross), len(_BESIDE), *beside.points.shape[1:])
+    middle = np.sum(points * _BETWEEN[:, None, None], axis=1)
+    value = np.sum(beside.value.reshape(len(cross), -1) * _BETWEEN, axis=1)
+    along = times(1.0 / length(family, part.chord), part.chord)
+    here = correct(family, middle, value, along, np.inf)
+    here = here._replace(converged=here.converged & beside.converged.reshape(len(cross), -1).all(axis=1))
+    for leaf, new in zip(jax.tree.leaves(found), jax.tree.leaves(here), strict=True):
+        leaf[cross] = new
+    return found
 
 
 def _told_apart(

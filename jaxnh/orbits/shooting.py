@@ -22,6 +22,9 @@ _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-9  # step, in sizes of the orbit, after which the points are known to rounding
 _CONTRACTION = 0.5  # of successive steps; Newton that contracts less is on its way to somewhere else
 _MOST_TURNS = 200
+_FAR_STEPS = 40
+_LARGEST_STEP = 0.25  # sizes of the motion
+_NEAR = 1e-3  # step, likewise, after which `close_orbits` goes on
 
 
 class Period(Protocol):
@@ -101,6 +104,51 @@ def close_orbits(
             break
         found.points[open_] += moved[contracts]
     return found
+
+
+def orbits_from_afar(
+    period: Period,
+    points: Float[np.ndarray, "nodes n d"],
+    values: Float[np.ndarray, " nodes"],
+    size: Float[np.ndarray, " d"],
+    wrap: Wrap,
+) -> Orbits:
+    """`close_orbits` from points that may be far from any orbit: short steps of Newton first, wherever they lead.
+
+    Args:
+        period, points, values, wrap: as there.
+        size: of the motion in each section coordinate, in which steps are short.
+    """
+    (nodes, n, d), points = points.shape, np.array(points)
+    there = np.broadcast_to(-np.eye(d), (n, d, d))
+    open_, near = np.arange(nodes), np.zeros(nodes, bool)
+    for _ in range(_FAR_STEPS):
+        here = points[open_]
+        at = period(here.reshape(-1, d), np.repeat(values[open_], n))
+        missing = wrap(np.roll(here, -1, 1) - np.asarray(at.image).reshape(here.shape))
+        blocks = np.asarray(at.monodromy).reshape(*here.shape, d)
+        finite = np.isfinite(missing).all(axis=(1, 2)) & np.isfinite(blocks).all(axis=(1, 2, 3))
+        open_, missing, blocks = open_[finite], missing[finite], blocks[finite]
+        if not len(open_):
+            break
+        try:
+            step = cyclic.solve(cyclic.eliminate(blocks, np.tile(there, (len(open_), 1, 1, 1))), missing)
+        except np.linalg.LinAlgError:  # a multiplier of exactly one
+            break
+        length = np.abs(step / size).max(axis=(1, 2))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            points[open_] += np.minimum(1.0, _LARGEST_STEP / length)[:, None, None] * step
+        near[open_] = length < _NEAR
+        open_ = open_[~near[open_] & np.isfinite(length)]
+        if not len(open_):
+            break
+    whole = Orbits(points, np.full((nodes, n, d, d), np.nan), np.full(nodes, np.nan), np.zeros(nodes, np.bool_))
+    if not near.any():
+        return whole
+    found = close_orbits(period, points[near], values[near], wrap)
+    for leaf, new in zip(whole, found, strict=True):
+        leaf[near] = new
+    return whole
 
 
 def log_volume(strobe: Strobe, u: Float[Array, " d"], p: Parameters) -> Array:

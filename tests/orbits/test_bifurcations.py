@@ -55,6 +55,9 @@ def test_window_of_period_three():
     assert kinds == [("fold", 3), ("period_doubling", 3)]
     assert abs(points[0].value - (1 + np.sqrt(8))) < 1e-13
     assert points[0].coefficient > 0  # the branch lies above
+    ends = [Orbit(tree.branches[0].points[end], 3.9) for end in (0, -1)]  # where it leaves the range, on both sides
+    again = grow([LOGISTIC] * 3, [[Orbit(np.array(logistic_orbit(3, 3.835)), 3.835)], ends], 3, STEPS)
+    assert len(again.branches) == 1
     tree = grow([LOGISTIC] * 3, [[Orbit(np.array(logistic_orbit(2, 3.3)), 3.3)]], 2, STEPS)
     assert [branch.period for branch in tree.branches] == [2, 1]
 

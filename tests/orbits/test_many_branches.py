@@ -1,0 +1,78 @@
+"""Many branches of the particle in one run: none is lost or changed by the others. And where they are begun: a search."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+from measure import scene_of
+
+from jaxnh.analyses.branch_seeds import random_wave
+from jaxnh.analyses.families import orbits_of
+from jaxnh.orbits.arclength import FINE, along_parameter, correct
+from jaxnh.orbits.branches import Steps, both_ways
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.systems.particle import constant_speed
+
+START = ((0.1, 0.1), (0.1, float(np.sqrt(0.99))))
+ENDS = (4.0, 6.0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Values of b over the range; of what many branches do to each other a rough map says as much as an exact one."""
+    return scene_of(constant_speed(), START, np.linspace(*ENDS, 9), SPLITTINGS["blanes_moan6"], 60)
+
+
+def searched(scene, lanes, values, starts, limit):
+    """Orbits of all periods up to a limit at some of the values, none twice."""
+    some = scene.take(np.array(values))
+    return random_wave(some, lanes, starts, 1, {"x1": (-4, 4), "y1": (-4, 4)}, limit, np.ones(3), 64)
+
+
+def agree(scene, lanes, orbits, steps, alone):
+    """See that the branches through orbits are, bit for bit, what they are where each is followed by itself."""
+    family = orbits_of(scene, lanes, scene.strobe(), np.ones(3), ENDS)
+    for n in sorted({len(orbit.points) for orbit in orbits}):
+        mine = [orbit for orbit in orbits if len(orbit.points) == n]
+        points, value = np.stack([orbit.points for orbit in mine]), np.array([orbit.value for orbit in mine])
+        begun = correct(family, points, value, along_parameter(family, len(mine), n), FINE)
+        begun = begun.take(begun.converged)
+        together = both_ways(family, begun, steps)
+        assert len(together) == len(begun.value)
+        for k in range(0, len(together), alone):
+            [single] = both_ways(family, begun.take(slice(k, k + 1)), steps)
+            assert single.ends == together[k].ends
+            whole = (together[k].points, together[k].value, together[k].way, together[k].tests, together[k].multipliers)
+            one = (single.points, single.value, single.way, single.tests, single.multipliers)
+            assert all(map(np.array_equal, jax.tree.leaves(whole), jax.tree.leaves(one)))
+
+
+def test_search_finds_what_attracts_and_what_does_not(scene, lanes):
+    """At b = 6 both twins that attract, (x1, y1) → −(x1, y1); at b = 5 orbits, all of which repel."""
+    found = searched(scene, lanes, [4, 8], 8, 3)
+    twins = [orbit.points[0] for orbit in found if orbit.value == 6.0 and len(orbit.points) == 1]
+    assert any(np.abs(one[:2] + other[:2]).max() < 1e-6 for one in twins for other in twins)
+    names = [(orbit.value, len(orbit.points), *np.round(orbit.points[0], 4)) for orbit in found]
+    assert len(set(names)) == len(names)
+    strobe = scene.strobe()
+    for orbit in found:
+        image = orbits_of(scene, lanes, strobe, np.ones(3), ENDS).period(
+            orbit.points, np.full(len(orbit.points), orbit.value)
+        )
+        gap = scene.system.wrap(np.asarray(image.image) - np.roll(orbit.points, -1, 0))
+        assert np.abs(gap).max() < 1e-8  # Newton's last step, below 1e-9 of its size, times the expansion of a period
+
+
+def test_branches_do_not_feel_each_other(scene, lanes):
+    """As many as are found at two values, for the first of their points."""
+    orbits = searched(scene, lanes, [6, 8], 4, 2)
+    assert len(orbits) >= 4
+    agree(scene, lanes, orbits, Steps(most=10), 1)
+
+
+@pytest.mark.slow
+def test_many_branches_of_periods_up_to_eight(scene, lanes):
+    """All that a search at nine values finds, to their ends; every sixteenth of a period by itself as well."""
+    orbits = searched(scene, lanes, range(9), 32, 8)
+    agree(scene, lanes, orbits, Steps(most=400), 16)
