@@ -1,0 +1,105 @@
+"""Bifurcations that `branches` finds against heyoka's Taylor integrator with a Newton of its own: parameter and kind."""
+
+from __future__ import annotations
+
+import heyoka as hy
+import numpy as np
+import pytest
+import taylor
+from conftest import ROOT, session_of
+from heyoka_newton import bifurcation, strobe_map
+from measure import twin
+
+import jaxnh
+from jaxnh.orbits.kinds import KINDS
+from jaxnh.systems.particle import constant_speed
+
+
+def found_in(config, sweep, options, *more):
+    """Bifurcations of a config, as (kind, period, parameter, error, coordinates of the first point)."""
+    settings = [f"sweep={{{sweep}}}", f"analyses={{branches: {options}}}", "accuracy.target=1e-10", *more]
+    data = session_of(jaxnh.load(ROOT / config, settings)).tree()["bifurcations"]
+    name = data.attrs["along"]
+    columns = (data[k].values.tolist() for k in ("kind", "period", name, f"{name}_error"))
+    return [
+        (KINDS[kind], n, value, error, k) for k, (kind, n, value, error) in enumerate(zip(*columns, strict=True))
+    ], data
+
+
+def cosine(x):
+    return hy.cos(x) if isinstance(x, hy.expression) else np.cos(x)
+
+
+def duffing(x, v, gamma, t):
+    """configs/flows/duffing.py with two wells and a friction of 0.2, as the config has it."""
+    return v, gamma * cosine(t) - taylor.REAL(0.2) * v + x - x * x * x
+
+
+def van_der_pol(x, v, force, t):
+    """configs/flows/van_der_pol.py at mu = 0.5 and omega = 1.3."""
+    return v, (1 - x * x) * v / 2 - x + force * cosine(taylor.REAL(1.3) * t)
+
+
+@pytest.mark.slow
+def test_folds_of_duffings_oscillator_in_both_wells():
+    """The orbits that the two wells are born with, of one fold each, end at one value of the drive."""
+    found, data = found_in(
+        "configs/flows/duffing_double_well.yaml",
+        "gamma: {start: 0.2, stop: 0.3, count: 9}",
+        "{limit: 1, transient: 256, starts: 8, values: 2, seed: 1, box: {x: [-1.5, 1.5], v: [-0.5, 0.5]}}",
+    )
+    folds = [point for point in found if point[:2] == ("fold", 1)]
+    assert len(folds) == len({float(np.sign(data["x"][k])) for *_, k in folds}) == 2
+    for _, _, value, error, k in folds:
+        u = [float(data[name][k]) for name in ("x", "v")]
+        exact, multipliers = bifurcation(strobe_map(duffing, 2, taylor.TWO_PI), "fold", value, u)
+        assert abs(value - exact) < min(1e-8, error + 1e-12)  # of differences in the reference
+        assert np.abs(multipliers - 1).min() < 1e-6
+
+
+@pytest.mark.slow
+def test_torus_is_born_in_van_der_pols_oscillator():
+    """Below a force the oscillation is not entrained: a Neimark–Sacker bifurcation, and nothing else."""
+    file = ROOT / "configs/flows/van_der_pol.py"
+    found, data = found_in(
+        "configs/flows/van_der_pol.yaml",
+        "force: {start: 0.8, stop: 1.6, count: 5}",
+        "{limit: 1, transient: 128}",
+        f"system={{file: {file}, mu: 0.5, omega: 1.3}}",
+    )
+    [(kind, n, value, error, _)] = found
+    assert (kind, n) == ("neimark_sacker", 1)
+    u = [float(data[name][0]) for name in ("x", "v")]
+    period = taylor.TWO_PI / taylor.REAL(1.3)
+    exact, multipliers = bifurcation(strobe_map(van_der_pol, 2, period), kind, value, u)
+    assert abs(value - exact) < min(1e-8, error + 1e-12)
+    assert np.abs(np.abs(multipliers) - 1).max() < 1e-9
+    assert np.abs(multipliers.imag).min() > 0.5
+
+
+@pytest.mark.slow
+def test_pitchfork_of_the_particle():
+    """An orbit of period 4 that is its own mirror image after two periods, (x1, y1, n) → −(x1, y1, n), loses that.
+
+    The map of two periods and the mirror has it as a fixed point, and there a multiplier −1: a doubling.
+    """
+    found, data = found_in("configs/branches.yaml", "b: {start: 4.15, stop: 4.25, count: 4}", "{limit: 4}")
+    [(_, n, value, error, k)] = [point for point in found if point[0] == "branch_point"]
+    assert n == 4
+    assert int(data["criticality"][k]) == 1
+    x1, y1, x2, y2 = (float(data[name][k]) for name in ("x1", "y1", "x2", "y2"))
+    par, mirror = twin(constant_speed()), np.diag([-1, -1, 1]).astype(taylor.REAL)
+
+    def mirrored(b, u):
+        whole = np.eye(3, dtype=taylor.REAL)
+        for _ in range(2):
+            [u], [matrix], _ = taylor.strobe_jacobian(par, b, u)
+            whole = matrix @ whole
+        return mirror @ u + np.array([0, 0, taylor.TWO_PI / 2]), mirror @ whole
+
+    def wrap(gap):
+        return gap - np.array([0, 0, taylor.turns(gap[2])])
+
+    exact, multipliers = bifurcation(mirrored, "period_doubling", value, [x1, y1, np.arctan2(y2, x2)], wrap)
+    assert abs(value - exact) < min(1e-8, error + 1e-12)
+    assert np.abs(multipliers + 1).min() < 1e-9
