@@ -150,8 +150,9 @@ def _changes(changes: Sequence[Change], axes: Sequence[Axis], sizes: tuple[int, 
     }
     for axis, place in zip(axes, np.unravel_index(ends, sizes), strict=True):
         values = axis.values[place]
-        found[f"change_{axis.name}"] = variable("change", values.mean(axis=1), f"{axis.long_name} where it happens")
+        words = f"{axis.long_name} where it happens"
+        found[f"change_{axis.name}"] = variable("change", values.mean(axis=1), words, axis.units)
         error = 0.5 * np.abs(values[:, 1] - values[:, 0])
         said = f"error of change_{axis.name}: half the distance of the values that it lies between"
-        found[f"change_{axis.name}_error"] = variable("change", error, said)
+        found[f"change_{axis.name}_error"] = variable("change", error, said, axis.units)
     return found

@@ -205,7 +205,7 @@ def _branches(scene: Scene, lanes: LaneRunner, branches: Sequence[Branch]) -> di
     stable = [np.all(np.abs(branch.multipliers) < 1.0, axis=1) for branch in branches]
     most = max((branch.period for branch in branches), default=1)
     return {
-        axis.name: variable(dims, table([branch.value for branch in branches]), axis.long_name),
+        axis.name: variable(dims, table([branch.value for branch in branches]), axis.long_name, axis.units),
         "period": variable("branch", np.array([b.period for b in branches], np.int32), "period", counted_in(system)),
         **_coordinates(scene, lanes, [branch.points for branch in branches], functools.partial(table), dims, most),
         "multipliers": variable((*dims, "multiplier", "part"), values, "Floquet multipliers, real and imaginary part"),
@@ -246,9 +246,10 @@ def _bifurcations(
             dim,
             np.array([point.value for point in found], float),
             f"{axis.long_name} at the bifurcation",
+            axis.units,
             ancillary_variables=f"{name}_error",
         ),
-        f"{name}_error": variable(dim, np.array([point.error for point in found], float), error_words),
+        f"{name}_error": variable(dim, np.array([point.error for point in found], float), error_words, axis.units),
         "period": variable(
             dim, np.array([len(point.points) for point in found], np.int32), "period of the orbit", counted_in(system)
         ),
