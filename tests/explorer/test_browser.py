@@ -23,7 +23,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
 
 COLUMNS = 128
-PATIENCE = 45_000  # milliseconds
+PATIENCE = 120_000  # milliseconds: an end to waiting on machines that do much else, no demand
 CONFIG = """
 title: The page's own test
 system: {constraint: constant_speed, a: 0.5, c: 1.0, omega: 1.0}
