@@ -88,7 +88,8 @@ class Page:
             stylesheets=[_CSS],
             sizing_mode="stretch_width",
         )
-        self._portrait_pane = pn.pane.Bokeh(self._portrait.figure, sizing_mode="stretch_width", visible=False)
+        drawn_lane = pn.pane.Bokeh(self._portrait.figure, sizing_mode="stretch_width")
+        self._portrait_pane = pn.Column(drawn_lane, sizing_mode="stretch_width", visible=False)
         self._low = pn.widgets.TextInput(name=f"{view.axis} from", width=190)
         self._high = pn.widgets.TextInput(name="to", width=190)
         self._variable = pn.widgets.Select(
