@@ -155,6 +155,7 @@ def test_open_zoom_go_back_and_reload(tab, address):
     page.wait_for_function("() => location.search.includes('low=4.0&high=6.0')")
 
 
+@pytest.mark.slow  # compiles every criterion
 def test_a_click_tells_all_of_a_lane(tab, address):
     page = tab(address)
     whole(page)
