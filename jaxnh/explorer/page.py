@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -162,8 +162,7 @@ class Page:
     def begin(self) -> None:
         """Ask for the first view."""
         self._look()
-        if self._wrong:
-            self._say(self._wrong, error=True)
+        self._note(())
 
     def end(self) -> None:
         """The tab is closed."""
@@ -271,7 +270,7 @@ class Page:
         self._picture = picture
         self._diagram.show(view, picture)
         self._say(picture.words)
-        self._notes.object = "".join(f"<div class='notes'>{html.escape(note)}</div>" for note in picture.notes)
+        self._note(picture.notes)
 
     def _show_lane(self, report: LaneReport) -> None:
         self._portrait.show(report)
@@ -279,6 +278,12 @@ class Page:
         self._lane.object = report_html(report)
         if report.whole and self._picture is not None:
             self._say(self._picture.words)
+
+    def _note(self, notes: Sequence[str]) -> None:
+        """Notes under the picture: before them why an address names no view, for as long as the first view stands."""
+        wrong = [self._wrong] if self._wrong and self._history.place == 0 else []
+        lines = [*(("status error", text) for text in wrong), *(("notes", text) for text in notes)]
+        self._notes.object = "".join(f"<div class='{kind}'>{html.escape(text)}</div>" for kind, text in lines)
 
     def _say(self, text: str, *, error: bool = False) -> None:
         self._status.object = f"<div class='status{' error' if error else ''}'>{html.escape(text)}</div>"
