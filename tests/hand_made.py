@@ -157,3 +157,30 @@ def cascade_marks():
         "criticality": (("bifurcation",), np.array([1, 1, -1]), "criticality", "1"),
     }
     return dataset({}, variables, panel="marks", panel_variables="x1_points", along="b")
+
+
+def cusp_curves():
+    """The fold curve of x' = p + q x − x³ with its cusp at (0, 0), and a doubling of period 2 that is none of it."""
+    x = np.linspace(-0.6, 0.6, 31)
+    p, q = np.full((2, 31), np.nan), np.full((2, 31), np.nan)
+    p[0], q[0] = -2 * x**3, 3 * x**2
+    p[1, :10], q[1, :10] = np.linspace(-0.4, 0.4, 10), 0.2
+    flags = {"flag_values": np.arange(2), "flag_meanings": "fold period_doubling"}
+    special = {"flag_values": np.arange(2), "flag_meanings": "cusp generalised_doubling"}
+    variables = {
+        "p": (("curve", "point"), p, "push p", "1"),
+        "q": (("curve", "point"), q, "stiffness q", "1"),
+        "kind": (("curve",), np.array([0, 1]), "kind of bifurcation", "1", flags),
+        "period": (("curve",), np.array([1, 2]), "period", "periods"),
+        "special_p": (("special",), np.zeros(1), "push p", "1"),
+        "special_q": (("special",), np.zeros(1), "stiffness q", "1"),
+        "special_kind": (("special",), np.zeros(1, int), "point of codimension two", "1", special),
+    }
+    return dataset({}, variables, panel="bifurcation_curves", panel_variables="p q", over="p q")
+
+
+def cusp_point():
+    """The point of codimension two of `cusp_curves`, by itself."""
+    curves = cusp_curves()
+    variables = {"p": curves["special_p"], "q": curves["special_q"], "kind": curves["special_kind"]}
+    return xr.Dataset(variables, attrs={**curves.attrs, "panel": "special_points"})

@@ -8,6 +8,7 @@ as long as side by side on one core, and no other core can help.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import jax
@@ -19,9 +20,11 @@ from jaxtyping import Int
 from pydantic import Field, model_validator
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, rule
+from jaxnh.analyses.period import beyond_doublings, survey
 from jaxnh.analyses.poincare import recording, strobe_states
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.settling import points_at, states_at
 from jaxnh.analyses.states import check_transient, count, section_attrs, settled, state_variables
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
@@ -46,6 +49,13 @@ class DiagramOptions(Options):
         description="Start state: the same in every lane, carried along rising or falling values of the first axis, or "
         "random ones in every lane",
     )
+    orbits: int = Field(
+        default=0,
+        ge=0,
+        le=64,
+        description="Strobes of lanes that settle on a periodic orbit up to this period are those of the orbit itself, "
+        "found by Newton; 0: of none",
+    )
     phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
     starts: int = Field(default=16, ge=1, description="Number of random start states a lane")
     seed: int = Field(default=0, ge=0, description="Seed of the random start states")
@@ -58,6 +68,9 @@ class DiagramOptions(Options):
         for name in _FOR_RANDOM:
             if self.start != "random" and name in self.model_fields_set:
                 raise rule(f"{name} goes with start: random, and start is {self.start}", name, "start")
+        if self.orbits and (self.start in _CARRIED or self.phase):
+            other = "start" if self.start in _CARRIED else "phase"
+            raise rule("orbits are found for starts side by side and strobes at phase 0", "orbits", other)
         return self
 
 
@@ -141,7 +154,17 @@ def _side_by_side(options: DiagramOptions, scene: Scene, lanes: LaneRunner, star
     """A lane for each start state and its parameters: components (lanes, strobes)."""
     state, strobe = _at_phase(options, scene, lanes, start, p)
     state = settled(lanes, strobe, options.transient, state, p)
+    if options.orbits:
+        state = _on_orbits(replace(scene, start=state, p=p, place=None, along=None), lanes, options.orbits)
     return lanes(strobe_states, (strobe,), (state, p), periods=options.strobes - 1, static=(options.strobes,))
+
+
+def _on_orbits(scene: Scene, lanes: LaneRunner, limit: int) -> State:
+    """Start states, of lanes near a stable orbit up to a period a point of that: they need not wait to come to it."""
+    found = survey(scene, lanes, points_at(scene, lanes, scene.start), limit, "diagram", 0)
+    found = beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
+    on_orbit, states = found.period > 0, states_at(scene, lanes, found.u)
+    return jax.tree.map(lambda orbit, start: np.where(on_orbit, orbit, start), states, scene.start)
 
 
 def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:

@@ -1,4 +1,7 @@
-"""The family of maps that a scene is over its first axis, for `orbits.arclength`: of orbits, or of equilibria."""
+"""The family of maps that a scene is over its first axis, for `orbits.arclength`: of orbits, or of equilibria.
+
+And over two of its parameters, for `orbits.curves`.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.arclength import Family
+from jaxnh.orbits.curves import Plane
 from jaxnh.systems.flow import Flow, Parameters
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long
@@ -38,6 +42,28 @@ def orbits_of(
         return lanes(derivatives, shared, (u, scene.at(values).p), tile=_TILE, static=(name,))
 
     return Family(period, scene.system.wrap, size, *ends)
+
+
+def plane_of(
+    scene: Scene,
+    lanes: LaneRunner,
+    strobe: Strobe,
+    size: Float[np.ndarray, " d"],
+    names: tuple[str, str],
+    low: Float[np.ndarray, " 2"],
+    high: Float[np.ndarray, " 2"],
+) -> Plane:
+    """A map of the scene over a plane of two parameters that lanes may have of their own, between their ends."""
+    shared = (strobe, np.int32(1))
+
+    def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, "lanes 2"]) -> Derivatives:
+        if not len(u):
+            return _nothing(u)
+        p = {key: np.full(len(u), leaf[0]) for key, leaf in scene.p.items()}
+        both = p | dict(zip(names, values.T, strict=True))
+        return lanes(derivatives, shared, (u, both), tile=_TILE, static=(names,))
+
+    return Plane(period, scene.system.wrap, size, low, high)
 
 
 def equilibria_of(scene: Scene, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]) -> Family:

@@ -40,26 +40,26 @@ class Derivatives(NamedTuple):
     Attributes:
         image: Pⁿ(u; p), (d,).
         monodromy: ∂Pⁿ/∂u, (d, d).
-        by_parameter: ∂Pⁿ/∂p of one parameter, (d,); None where none was asked for.
+        by_parameter: ∂Pⁿ/∂p of one parameter, (d,), or of several, (d, k); None where none was asked for.
     """
 
     image: Float[Array, " d"]
     monodromy: Float[Array, "d d"]
-    by_parameter: Float[Array, " d"] | None
+    by_parameter: Float[Array, "d ..."] | None
 
 
 def derivatives(
-    strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, name: str | None = None
+    strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, name: str | tuple[str, ...] | None = None
 ) -> Derivatives:
-    """Pⁿ(u; p) with ∂Pⁿ/∂u, and if a parameter is named ∂Pⁿ/∂p in it, in one forward pass.
+    """Pⁿ(u; p) with ∂Pⁿ/∂u, and if a parameter is named, or several, ∂Pⁿ/∂p in them, in one forward pass.
 
     The same as `jax.jacfwd` of `section_map`, to rounding.
     """
     system, d = strobe.system, strobe.system.dimension
     tangents = [Tangent(jax.jvp(system.unchart, (u,), (e,))[1]) for e in jnp.eye(d)]
-    if name is not None:
-        still = jax.tree.map(jnp.zeros_like, tangents[0].state)
-        tangents.append(Tangent(still, {name: jnp.ones_like(u[0])}))
+    still = jax.tree.map(jnp.zeros_like, tangents[0].state)
+    for one in (name,) if isinstance(name, str) else name or ():
+        tangents.append(Tangent(still, {one: jnp.ones_like(u[0])}))
 
     def period(_: int, carry: tuple[State, tuple[Tangent, ...]]) -> tuple[State, tuple[Tangent, ...]]:
         pushed = strobe.push(carry[0], p, carry[1])
@@ -67,4 +67,5 @@ def derivatives(
 
     state, moved = lax.fori_loop(0, n, period, (system.unchart(u), tuple(tangents)))
     columns = [jax.jvp(system.chart, (state,), (t.state,))[1] for t in moved]
-    return Derivatives(system.chart(state), jnp.stack(columns[:d], axis=-1), None if name is None else columns[d])
+    by_parameter = jnp.stack(columns[d:], axis=-1) if isinstance(name, tuple) else columns[d] if name else None
+    return Derivatives(system.chart(state), jnp.stack(columns[:d], axis=-1), by_parameter)

@@ -14,8 +14,9 @@ from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize,
 from matplotlib.patches import Patch
 
 from jaxnh.exceptions import ResultError
+from jaxnh.plotting.bifurcation_curves import draw_curves
 from jaxnh.plotting.frame import cell_edges, legend_above, new_axes
-from jaxnh.plotting.groups import axes_of, declared_axes, label_of, long_axes, needed, shown
+from jaxnh.plotting.groups import axes_of, declared_axes, kind_of, label_of, long_axes, needed, shown
 from jaxnh.plotting.labels import axis_label, symbol_of, title_of, words_of
 from jaxnh.plotting.meanings import FAILED, NONE, meanings
 from jaxnh.plotting.style import MANY
@@ -46,7 +47,7 @@ def numbers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr
 
     Args:
         data: the variable (axis, axis) or (axis, axis, k); other axes have one point.
-        over: groups of doublings along the first axis, drawn over it as curves.
+        over: groups of doublings along the first axis, and of curves of bifurcations, drawn over it.
 
     Raises:
         ResultError: a variable is missing, or there are not two axes of more than one point.
@@ -67,7 +68,7 @@ def numbers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr
     symbol = symbol_of(str(plane.variable.name), "1") if plane.variable.ndim > 2 else ""
     label = axis_label(plane.variable, label_of(data) or words_of(plane.variable), symbol)
     ax.figure.colorbar(image, ax=ax, label=label, pad=0.01, fraction=0.04, extend="both")
-    return _with_doublings(over, plane, framed(data, plane, ax))
+    return _with_curves(over, plane, framed(data, plane, ax))
 
 
 def integers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.Dataset] = ()) -> Axes:
@@ -91,7 +92,7 @@ def integers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[x
     bar = ax.figure.colorbar(image, ax=ax, label=label_of(data) or words_of(plane.variable), pad=0.01, fraction=0.04)
     bar.set_ticks(list(range(len(names))), labels=names)
     bar.ax.minorticks_off()
-    return _with_doublings(over, plane, framed(data, plane, ax))
+    return _with_curves(over, plane, framed(data, plane, ax))
 
 
 def flags_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.Dataset] = ()) -> Axes:
@@ -117,7 +118,7 @@ def flags_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.D
         if np.any(plane.values == value)
     ]
     legend_above(ax, handles)
-    return _with_doublings(over, plane, framed(data, plane, ax))
+    return _with_curves(over, plane, framed(data, plane, ax))
 
 
 def plane_of(data: xr.Dataset) -> Plane:
@@ -156,9 +157,13 @@ def framed(data: xr.Dataset, plane: Plane, ax: Axes) -> Axes:
     return ax
 
 
-def _with_doublings(cascades: Iterable[xr.Dataset], plane: Plane, ax: Axes) -> Axes:
-    for cascade in cascades:
-        _doublings(cascade, plane, ax)
+def _with_curves(over: Iterable[xr.Dataset], plane: Plane, ax: Axes) -> Axes:
+    for group in over:
+        if kind_of(group) == "bifurcation_curves":
+            if [variable.name for variable in shown(group)] == [plane.x.name, plane.y.name]:
+                draw_curves(group, ax, background=True)
+        else:
+            _doublings(group, plane, ax)
     return ax
 
 

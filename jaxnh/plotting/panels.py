@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 from matplotlib.axes import Axes
 
 from jaxnh.plotting.basins import basins_chart, shares
+from jaxnh.plotting.bifurcation_curves import bifurcation_curves, special_points
 from jaxnh.plotting.branches import bifurcations, branches
 from jaxnh.plotting.cascade import cascade
 from jaxnh.plotting.charts import flags_chart, integers_chart, numbers_chart
@@ -45,6 +46,8 @@ PANELS: Mapping[str, Kind] = {
     "shares": Kind(shares, 2.4, "group"),
     "branches": Kind(branches, 3.6, "group"),
     "marks": Kind(bifurcations, 2.8, "group"),
+    "bifurcation_curves": Kind(bifurcation_curves, 3.6, "group"),
+    "special_points": Kind(special_points, 2.8, "group"),
     "flags": Kind(flags, 1.1, "group", flags_chart),
 }
 """Kinds of panels by name."""

@@ -249,12 +249,19 @@ def _over_an_axis(
         return [], []  # the attractors are drawn over their basins
     if kind is PANELS["marks"] and _of_kind("branches", groups):
         return [], []  # they are drawn over the branches
+    if kind is PANELS["special_points"] and _of_kind("bifurcation_curves", groups):
+        return [], []  # they are drawn on the curves
+    if kind in (PANELS["bifurcation_curves"], PANELS["special_points"]):
+        drawn = any(PANELS[kind_of(one)].over == "cascade" for one in groups.values() if _has_chart(one))
+        return ([], []) if drawn else ([Panel(partial(_drawn, name, kind, data), kind.height, True)], [])
     others = other_axes(data)
     count = math.prod(data.sizes[axis] for axis in others)
     if count > _most_points(kind):
         if _has_chart(data):
             assert kind.chart is not None
-            draw = partial(_charted, name, kind.chart, data, _of_kind(kind.over, groups))
+            over = _of_kind(kind.over, groups)
+            over += _of_kind("bifurcation_curves", groups) if kind.over == "cascade" else []
+            draw = partial(_charted, name, kind.chart, data, over)
             return [Panel(draw, _CHART_HEIGHT, True)], []
         if kind is PANELS["cascade"] and len(others) == 1 and any(map(_has_chart, groups.values())):
             return [], []  # it is drawn over the charts

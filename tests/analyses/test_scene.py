@@ -108,7 +108,9 @@ def test_a_dataset_says_what_it_is(lanes, name):
     )
     groups = {name: data}
     if analysis.whole:
-        whole = Sweep((Axis("b", B[:3], "b"),), ((np.arange(3), scene),))
+        scene = own(scene, a=0.4)
+        axes = (Axis("b", B[:3], "b"), Axis("a", np.array([0.4, 0.5]), "a"))[: 2 if name == "curves" else 1]
+        whole = Sweep(axes, ((np.arange(3), scene),))
         groups = analysis.whole.run(analysis.options(**analysis.brief), whole, lanes, data)
         assert set(groups) == {name, *analysis.whole.brings}
         data = groups[name]
@@ -126,6 +128,7 @@ def test_a_dataset_says_what_it_is(lanes, name):
         "flags",
         "basins",
         "branches",
+        "bifurcation_curves",
     )
     assert set(data.attrs["panel_variables"].split()) <= set(data.variables)
     assert (LANE in left.dims) == analysis.independent(analysis.options())
@@ -190,8 +193,9 @@ def test_defaults_go_with_everything_along_a_parameter():
     for flow in (constant_speed(), free_particle(0.5, None, 1.0)):
         setting = Setting(flow, False, (LANES_B, SHARED), "float64", functools.partial(_same, flow))
         for analysis in ANALYSES.values():
-            alone = analysis.name == "branches"  # which are followed along one axis
-            analysis.check(analysis.options(), setting._replace(axes=(LANES_B,)) if alone else setting)
+            # Branches are followed along one axis, curves over two that lanes may differ in.
+            axes = {"branches": (LANES_B,), "curves": (LANES_B, LANES_A)}.get(analysis.name, setting.axes)
+            analysis.check(analysis.options(), setting._replace(axes=axes))
 
 
 def _same(flow, value):

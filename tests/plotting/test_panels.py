@@ -9,12 +9,15 @@ from hand_made import (
     basin_shares,
     cascade_branches,
     cascade_marks,
+    cusp_curves,
+    cusp_point,
     dataset,
     doublings,
     exponents,
     growth_rates,
     periods,
     states,
+    tree,
     verdicts,
 )
 from matplotlib.axes import Axes
@@ -22,10 +25,25 @@ from matplotlib.figure import Figure
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.panels import PANELS
+from jaxnh.plotting.results import figure
 
 rng = np.random.default_rng(0)
 MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
-trajectories, points, density, cascade, curves, integers, flags, basins, shares, branches, marks = (
+(
+    trajectories,
+    points,
+    density,
+    cascade,
+    curves,
+    integers,
+    flags,
+    basins,
+    shares,
+    branches,
+    marks,
+    bifurcation_curves,
+    special_points,
+) = (
     PANELS[name].draw
     for name in (
         "trajectories",
@@ -39,6 +57,8 @@ trajectories, points, density, cascade, curves, integers, flags, basins, shares,
         "shares",
         "branches",
         "marks",
+        "bifurcation_curves",
+        "special_points",
     )
 )
 
@@ -66,6 +86,8 @@ DRAWINGS = {
     "shares": lambda ax: shares(basin_shares(MANY), ax),
     "branches": lambda ax: branches(cascade_branches(), ax, marks=[cascade_marks()], under=[states(FEW, 50)]),
     "marks": lambda ax: marks(cascade_marks(), ax),
+    "bifurcation_curves": lambda ax: bifurcation_curves(cusp_curves(), ax),
+    "special_points": lambda ax: special_points(cusp_point(), ax),
 }
 
 
@@ -386,3 +408,21 @@ def test_marks_are_on_branches_and_open_where_subcritical():
     assert fold.get_label() == "fold, subcritical"
     assert fold.get_markerfacecolor() == "white"
     assert sorted(doubling.get_xdata()) == pytest.approx([3.0, 3.0, 1 + np.sqrt(6), 1 + np.sqrt(6)])
+
+
+def test_curves_of_bifurcations_are_named_and_drawn_over_charts():
+    """A colour a kind, a dash a period; a chart over the same axes has them in place of a panel of their own."""
+    ax = bifurcation_curves(cusp_curves())
+    named = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert named == ["fold, period 1", "period doubling, period 2"]
+    assert [note.get_text() for note in ax.texts] == ["CP"]
+    fold, doubling = (line for line in ax.lines if len(line.get_xdata()) > 1)
+    assert fold.get_color() != doubling.get_color()
+    assert fold.get_linestyle() != doubling.get_linestyle()
+    axes = {name: (np.linspace(-0.5, 0.5, 9), f"{words} {name}") for name, words in (("p", "push"), ("q", "stiffness"))}
+    chart = dataset(
+        axes, {"period": (("p", "q"), np.ones((9, 9), int), "period", "1")}, panel="integers", panel_variables="period"
+    )
+    drawing = figure(tree({"period": chart, "curves": cusp_curves()}, axes="p q"))
+    [ax] = [ax for ax in drawing.axes if ax.get_xlabel().startswith("push")]
+    assert sum(len(line.get_xdata()) == 31 for line in ax.lines) == 4  # two curves, with a white edge each

@@ -1,0 +1,190 @@
+"""Points of codimension two on curves of bifurcations: cusps, generalised doublings, resonances and others. Host code.
+
+Each has a test function that passes zero along its curve. Where it changes sign between two points, its zero is
+located by secants on the curve itself (Illinois). A change of sign through infinity, as cubic coefficients have at
+strong resonances, is none (Kuznetsov, Elements of Applied Bifurcation Theory, 2004, 9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.arclength import Family, Orbits, Way
+from jaxnh.orbits.bifurcations import critical
+from jaxnh.orbits.curves import Curve, Plane, Points, angle_cosine, correct, known, tested
+from jaxnh.orbits.kinds import DOUBLING, FOLD, NEIMARK_SACKER
+from jaxnh.orbits.multipliers import multipliers
+from jaxnh.orbits.normal_forms import cubic
+
+POINTS = (
+    "cusp",
+    "generalised_doubling",
+    "chenciner",
+    "fold_flip",
+    "resonance_1_1",
+    "resonance_1_2",
+    "resonance_1_3",
+    "resonance_1_4",
+)
+"""Points of codimension two by number."""
+
+CUSP, GENERALISED_DOUBLING, CHENCINER, FOLD_FLIP, ONE_ONE, ONE_TWO, ONE_THREE, ONE_FOUR = range(len(POINTS))
+
+_SECANTS = 40
+_KNOWN = 1e-12  # of the chord: a zero is known to rounding
+_POLE = 0.2  # of the smaller of both values of a test function: what is no smaller at its zero is a pole
+_COSINES = {ONE_ONE: 1.0, ONE_TWO: -1.0, ONE_THREE: -0.5, ONE_FOUR: 0.0}
+
+
+class Special(NamedTuple):
+    """A point of codimension two.
+
+    Attributes:
+        kind: number in `POINTS`.
+        values: of both parameters, (2,).
+        place: of the point of the curve before it.
+        points: the orbit, (n, d).
+        multipliers: of it, (d,).
+    """
+
+    kind: int
+    values: Float[np.ndarray, " 2"]
+    place: int
+    points: Float[np.ndarray, "n d"]
+    multipliers: Complex[np.ndarray, " d"]
+
+
+def special_points(plane: Plane, curve: Curve) -> list[Special]:
+    """All that a curve passes through, in its order."""
+    found = list[Special]()
+    for kind, test in _tests(plane, curve.kind).items():
+        values = test(curve.track)
+        signs = np.signbit(values)
+        changes = (signs[1:] != signs[:-1]) & np.isfinite(values[1:] + values[:-1])
+        for place in np.flatnonzero(changes).tolist():
+            if at := _located(plane, curve, test, place, (float(values[place]), float(values[place + 1]))):
+                found.append(_special(plane, kind, place, at))
+    if curve.kind == NEIMARK_SACKER and len(plane.size) == 2:
+        turns = _turning(curve.track)
+        for place in np.flatnonzero(turns[1:] * turns[:-1] < 0.0).tolist():
+            if at := _located(plane, curve, _turning, place, (float(turns[place]), float(turns[place + 1]))):
+                half = angle_cosine(multipliers(at.blocks))[0] < 0.0
+                found.append(_special(plane, ONE_TWO if half else ONE_ONE, place, at))
+    if curve.kind == FOLD:
+        ways = curve.track.way[:, -2:]
+        for place in np.flatnonzero(np.sum(ways[1:] * ways[:-1], axis=1) < 0.0).tolist():
+
+            def forward(track: Points, first: np.ndarray = ways[place]) -> np.ndarray:
+                return track.way[:, -2:] @ first
+
+            ends = float(ways[place] @ ways[place]), float(ways[place + 1] @ ways[place])
+            if at := _located(plane, curve, forward, place, ends):
+                found.append(_special(plane, CUSP, place, at))
+    return sorted(found, key=lambda point: point.place)
+
+
+def _special(plane: Plane, kind: int, place: int, at: Points) -> Special:
+    points, values = known(plane, at.z)
+    return Special(kind, values[0], place, points[0], multipliers(at.blocks)[0])
+
+
+def _tests(plane: Plane, kind: int) -> dict[int, Callable[[Points], Float[np.ndarray, " lanes"]]]:
+    """Test functions by what they show, on curves of a kind."""
+    if kind == NEIMARK_SACKER:
+
+        def to_cosine(cosine: float) -> Callable[[Points], np.ndarray]:
+            return lambda track: angle_cosine(multipliers(track.blocks)) - cosine
+
+        found = {point: to_cosine(cosine) for point, cosine in _COSINES.items()}
+        return {CHENCINER: lambda track: _cubic(plane, kind, track), **found}
+    critical = 1.0 if kind == FOLD else -1.0
+    other, resonance = (DOUBLING, ONE_ONE) if kind == FOLD else (FOLD, ONE_TWO)
+    found: dict[int, Callable[[Points], np.ndarray]] = {
+        FOLD_FLIP: lambda track: tested(other, track.blocks),
+        resonance: lambda track: _others(multipliers(track.blocks), critical),
+    }
+    if kind == DOUBLING:
+        found[GENERALISED_DOUBLING] = lambda track: _cubic(plane, kind, track)
+    return found
+
+
+def _others(values: Complex[np.ndarray, "lanes d"], critical: float) -> Float[np.ndarray, " lanes"]:
+    """∏(μ − μ_c) over all multipliers but the critical one: it is zero where this one is double."""
+    nearest = np.argmin(np.abs(values - critical), axis=1)
+    apart = values - critical
+    apart[np.arange(len(values)), nearest] = 1.0
+    return np.real(np.prod(apart, axis=1))
+
+
+def _turning(track: Points) -> Float[np.ndarray, " lanes"]:
+    """In two dimensions, which way M turns: zero where M is ±1, which a symmetry can bring about on a curve.
+
+    There e^(±iθ) pass −1 or 1 and stay on the circle: cos θ has an extremum, and goes through nothing.
+    """
+    whole = track.blocks[:, 0]
+    for i in range(1, track.blocks.shape[1]):
+        whole = track.blocks[:, i] @ whole
+    return whole[:, 1, 0] - whole[:, 0, 1]
+
+
+def _cubic(plane: Plane, kind: int, track: Points) -> Float[np.ndarray, " lanes"]:
+    """The cubic coefficient of the normal form of each point, over its own number in place of a parameter."""
+    points, values = known(plane, track.z)
+    lanes, n, d = points.shape
+
+    def period(u: np.ndarray, number: np.ndarray) -> Derivatives:
+        return plane.period(u, values[number.astype(int)])
+
+    none, way = np.zeros(lanes), Way(np.zeros((lanes, n, d)), np.zeros(lanes))
+    orbits = Orbits(points, np.arange(lanes, dtype=float), way, track.blocks, none, none, none, track.converged, way)
+    family = Family(period, plane.wrap, plane.size, 0.0, float(max(lanes, 1)))
+    found, some = np.full(lanes, np.nan), np.arange(lanes)
+    if kind == NEIMARK_SACKER:  # beyond strong resonances there are no complex multipliers
+        some = np.flatnonzero(np.isfinite(critical(family, multipliers(track.blocks))))
+    with np.errstate(divide="ignore", invalid="ignore"):  # at strong resonances it is infinite
+        found[some] = cubic(family, orbits.take(some), np.full(len(some), kind)).coefficient
+    return found
+
+
+def _located(
+    plane: Plane, curve: Curve, test: Callable[[Points], np.ndarray], place: int, ends: tuple[float, float]
+) -> Points | None:
+    """The point of a curve between two of its own where a test function is zero; None where it is infinite."""
+    track = curve.track.take(slice(place, place + 2))
+    chord = track.z[1:] - track.z[:1]
+    length = np.linalg.norm(chord, axis=1, keepdims=True)
+    first, second = (length * track.way[k : k + 1] for k in (0, 1))
+
+    def at(s: float) -> Points:
+        left = 1.0 - s
+        z = track.z[:1] + s * s * (3.0 - 2.0 * s) * chord + s * left**2 * first - s * s * left * second
+        z += (s - np.sum((z - track.z[:1]) * chord) / np.sum(chord**2)) * chord  # onto the hyperplane of the share
+        return correct(plane, curve.kind, z, chord / length)
+
+    (low, high), (below, above) = (0.0, 1.0), ends
+    value, before = ends[0], 0
+    here: Points | None = None
+    for _ in range(_SECANTS):
+        s = (low * above - high * below) / (above - below)
+        here = at(s)
+        if not here.converged[0]:
+            return None
+        value = float(test(here)[0])
+        if not np.isfinite(value):
+            return None
+        side = 1 if (value > 0.0) == (above > 0.0) else -1
+        if side > 0:
+            high, above = s, value
+            below = below / 2.0 if before == side else below
+        else:
+            low, below = s, value
+            above = above / 2.0 if before == side else above
+        before = side
+        if value == 0.0 or high - low < _KNOWN or abs(value) < _KNOWN * max(abs(e) for e in ends):
+            break
+    return here if abs(value) <= _POLE * min(abs(e) for e in ends) else None

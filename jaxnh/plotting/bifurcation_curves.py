@@ -1,0 +1,92 @@
+"""Curves of bifurcations over two parameters, a colour a kind, with their points of codimension two named."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+
+from jaxnh.plotting.frame import new_axes
+from jaxnh.plotting.groups import needed, shown
+from jaxnh.plotting.labels import axis_label
+from jaxnh.plotting.meanings import meanings
+from jaxnh.plotting.style import CURVES
+
+_DASHES = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (4, 1, 1, 1)))
+_SHORT = {
+    "cusp": "CP",
+    "generalised doubling": "GPD",
+    "chenciner": "CH",
+    "fold flip": "LPPD",
+    "resonance 1 1": "R1",
+    "resonance 1 2": "R2",
+    "resonance 1 3": "R3",
+    "resonance 1 4": "R4",
+}
+
+
+def bifurcation_curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Both parameters of all curves: a colour a kind, a dash a period; points of codimension two are dots with names.
+
+    Args:
+        data: two parameters (curve, point), `kind` and `period` of each curve, and those of `special` points.
+
+    Raises:
+        ResultError: a variable is missing.
+    """
+    ax = new_axes(ax)
+    across, up = shown(data)[:2]
+    draw_curves(data, ax)
+    x, y = across.to_numpy(), up.to_numpy()
+    for values, limits in ((x, ax.set_xlim), (y, ax.set_ylim)):
+        if np.isfinite(values).any():
+            limits(np.nanmin(values), np.nanmax(values))
+    ax.set(xlabel=axis_label(across), ylabel=axis_label(up))
+    return ax
+
+
+def draw_curves(data: xr.Dataset, ax: Axes, background: bool = False) -> None:
+    """The curves alone, on axes that are there: over a chart (`background`) each has a white edge.
+
+    Raises:
+        ResultError: a variable is missing.
+    """
+    across, up = shown(data)[:2]
+    kind, period = needed(data, "kind", "period")
+    named = meanings(kind)
+    order, periods = list(named), np.unique(period.to_numpy()).tolist()
+    seen: set[tuple[int, int]] = set()
+    for k in range(data.sizes["curve"]):
+        what, n = int(kind[k]), int(period[k])
+        words = f"{named[what][0]}, period {n}" if (what, n) not in seen else None
+        seen.add((what, n))
+        x, y = across.isel(curve=k).to_numpy(), up.isel(curve=k).to_numpy()
+        dash = _DASHES[periods.index(n) % len(_DASHES)]
+        if background:
+            ax.plot(x, y, color="white", linewidth=2.2)
+        ax.plot(x, y, color=CURVES[order.index(what) % len(CURVES)], linestyle=dash, linewidth=1.1, label=words)
+    x, y, what = needed(data, f"special_{across.name}", f"special_{up.name}", "special_kind")
+    _dots(x, y, what, ax)
+    if seen:
+        ax.legend(fontsize=7, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(3, len(seen)))
+
+
+def special_points(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Points of codimension two alone, as dots with short names over both parameters.
+
+    Raises:
+        ResultError: a variable is missing.
+    """
+    ax = new_axes(ax)
+    across, up = shown(data)[:2]
+    _dots(across, up, needed(data, "kind")[0], ax)
+    ax.set(xlabel=axis_label(across), ylabel=axis_label(up))
+    return ax
+
+
+def _dots(x: xr.DataArray, y: xr.DataArray, kind: xr.DataArray, ax: Axes) -> None:
+    words = {value: name for value, (name, _) in meanings(kind).items()}
+    for across, up, what in zip(x.to_numpy(), y.to_numpy(), kind.to_numpy(), strict=True):
+        ax.plot(across, up, "o", color="black", markerfacecolor="white", markersize=4, zorder=5)
+        label = _SHORT.get(words[int(what)], words[int(what)])
+        ax.annotate(label, (across, up), (4, 4), textcoords="offset points", fontsize=7, zorder=5)

@@ -1,0 +1,97 @@
+"""Curves of bifurcations through the whole package: a cusp in closed form, doublings of the particle over b and a."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import taylor
+from conftest import ROOT, session_of
+from measure import twin
+
+import jaxnh
+from jaxnh.config.experiment import Experiment
+from jaxnh.exceptions import ConfigError
+from jaxnh.orbits.codimension_two import POINTS
+from jaxnh.orbits.kinds import KINDS
+from jaxnh.systems.particle import constant_speed
+
+CUSP = """
+import jax.numpy as jnp
+
+def system(p=0.0, q=0.5):
+    def rhs(y, t):
+        x, z = y
+        return p + q * x - x**3, jnp.cos(2 * jnp.pi * t) - z
+
+    return {"rhs": rhs, "coordinates": ("x", "z"), "period": 1.0}
+"""
+BOTH = "p: {start: -0.6, stop: 0.6, count: 13}, q: {start: -0.5, stop: 1.0, count: 4}"
+
+
+def cusp(folder, sweep=BOTH, options="{limit: 1, transient: 64, values: 2}"):
+    (folder / "cusp.py").write_text(CUSP)
+    text = f"""\
+system: {{file: {folder / "cusp.py"}}}
+initial: {{x: 1.0, z: 0.1}}
+sweep: {{{sweep}}}
+accuracy: {{target: 1.0e-10}}
+analyses:
+  curves: {options}
+"""
+    return Experiment.from_text(text)
+
+
+@pytest.mark.slow
+def test_cusp_over_two_parameters(tmp_path):
+    """4q³ = 27p² from one end of the plane to the other, through the cusp at (0, 0): one curve, and nothing else."""
+    tree = session_of(cusp(tmp_path)).tree()
+    data = tree["curves"]
+    assert [KINDS[kind] for kind in data["kind"].values] == ["fold"]
+    p, q = (data[name].values[0] for name in ("p", "q"))
+    assert np.abs(4 * q**3 - 27 * p**2).max() < 1e-9
+    assert q[[0, -1]] == pytest.approx([1.0, 1.0])
+    assert p[0] == pytest.approx(-p[-1])
+    assert [POINTS[kind] for kind in data["special_kind"].values] == ["cusp"]
+    assert abs(float(data["special_p"][0])) < 1e-9
+    assert abs(float(data["special_q"][0])) < 1e-9
+    jaxnh.figure(tree)
+
+
+@pytest.mark.parametrize(
+    ("sweep", "message"),
+    [
+        ("p: {start: -0.6, stop: 0.6, count: 13}", "followed over two axes, and the sweep has p"),
+        ("p: {values: [0.1, 0.2]}, q: {values: [0.1]}", "over a range of q"),
+    ],
+)
+def test_what_curves_cannot_do_is_said(tmp_path, sweep, message):
+    with pytest.raises(ConfigError, match=message):
+        cusp(tmp_path, sweep).requested()
+
+
+@pytest.mark.slow
+def test_doublings_of_the_particle_over_two_parameters():
+    """Points of the first two curves over b and a, each against the Taylor reference at its own a: to 1e-8."""
+    settings = [
+        "sweep={b: {start: 5.4, stop: 5.7, count: 5}, a: {start: 0.48, stop: 0.52, count: 3}}",
+        "analyses={curves: {limit: 2, transient: 256, values: 1, step: 0.05}}",
+        "accuracy.target=1e-10",
+    ]
+    experiment = jaxnh.load(ROOT / "configs/chart_b_a.yaml", settings)
+    data = session_of(experiment).tree()["curves"]
+    for n in (1, 2):
+        [k] = [
+            k
+            for k in range(data.sizes["curve"])
+            if KINDS[int(data["kind"][k])] == "period_doubling" and int(data["period"][k]) == n
+        ]
+        b, a = (data[name].values[k] for name in ("b", "a"))
+        known = np.flatnonzero(np.isfinite(b))
+        for place in known[[0, len(known) // 2, -1]]:
+            par = twin(constant_speed(a=float(a[place])))
+            start = par.start().astype(float)
+            value = float(b[place])
+            for _ in range(400):
+                [start] = taylor.strobe(par, np.array([value - 0.01]), np.array([start]))
+            exact = float(taylor.doubling_point(par, n, value, taylor.orbit(par, n, value, start)[0])[0])
+            assert abs(value - exact) < 1e-8

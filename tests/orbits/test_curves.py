@@ -1,0 +1,211 @@
+"""Curves of bifurcations over two parameters and what they pass through, against closed forms and against scipy."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+from measure import scene_of
+
+from jaxnh.analyses.families import plane_of
+from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.codimension_two import POINTS, special_points
+from jaxnh.orbits.curves import CLOSED, RANGE, RESONANCE, Plane, both_ways
+from jaxnh.orbits.kinds import DOUBLING, FOLD, NEIMARK_SACKER
+from jaxnh.solvers import verner9
+from jaxnh.systems.first_order import first_order
+
+ROUNDING = 1e-11  # unknowns of order one; Newton's last step is below 1e-9 and shrinks by 1e-6
+
+
+def plane(period, d, low, high):
+    return Plane(period, lambda gap: gap, np.ones(d), np.array(low, float), np.array(high, float))
+
+
+def henon(u, values):
+    """(x, y) → (1 − a x² + y, b x)."""
+    (x, y), (a, b), zero = u.T, values.T, np.zeros(len(u))
+    matrix = np.array([[-2 * a * x, zero + 1], [b, zero]]).transpose(2, 0, 1)
+    columns = np.array([[-(x**2), zero], [zero, x]]).transpose(2, 0, 1)
+    return Derivatives(np.stack([1 - a * x**2 + y, b * x], 1), matrix, columns)
+
+
+HENON = plane(henon, 2, (-1.5, -1.2), (4.0, 0.5))
+
+
+def fixed(a, b):
+    """The fixed point of Hénon's map with the larger x."""
+    x = (-(1 - b) + np.sqrt(max((1 - b) ** 2 + 4 * a, 0.0))) / (2 * a)
+    return [[x, b * x]]
+
+
+def passed(curve, map_plane):
+    """What a curve passes through: name and parameters."""
+    return [(POINTS[point.kind], *point.values) for point in special_points(map_plane, curve)]
+
+
+def test_curves_of_henon():
+    """Folds a = −(1 − b)²/4, doublings a = 3(1 − b)²/4, and at b = −1 all resonances.
+
+    There the multipliers are e^(±iθ) with cos θ = 1 − √(1 + a).
+    """
+    [fold] = both_ways(HENON, FOLD, np.array([fixed(-0.25, 0.0)]), np.array([[-0.25, 0.0]]))
+    assert fold.ends == (RANGE, RANGE)
+    a, b = fold.values.T
+    assert np.abs(a + (1 - b) ** 2 / 4).max() < ROUNDING
+    assert sorted(b[[0, -1]]) == pytest.approx([-1.2, 0.5])
+    [(name, *at)] = passed(fold, HENON)
+    assert name == "resonance_1_1"
+    assert at == pytest.approx([-1.0, -1.0], abs=ROUNDING)
+
+    [doubling] = both_ways(HENON, DOUBLING, np.array([fixed(0.75, 0.0)]), np.array([[0.75, 0.0]]))
+    a, b = doubling.values.T
+    assert np.abs(a - 3 * (1 - b) ** 2 / 4).max() < ROUNDING
+    [(name, *at)] = passed(doubling, HENON)
+    assert name == "resonance_1_2"
+    assert at == pytest.approx([3.0, -1.0], abs=ROUNDING)
+
+    [torus] = both_ways(HENON, NEIMARK_SACKER, np.array([fixed(0.5, -1.0)]), np.array([[0.5, -1.0]]))
+    assert torus.ends == (RESONANCE, RESONANCE)
+    assert np.abs(torus.values[:, 1] + 1).max() < ROUNDING
+    known = {"resonance_1_1": -1.0, "resonance_1_4": 0.0, "resonance_1_3": 1.25, "resonance_1_2": 3.0}
+    found = {name: (a, b) for name, a, b in passed(torus, HENON) if name != "chenciner"}  # it keeps areas
+    assert set(found) == set(known)
+    for name, exact in known.items():
+        near = 1e-6 if name == "resonance_1_1" else ROUNDING  # the multipliers there go like a root
+        assert found[name] == pytest.approx((exact, -1.0), abs=near)
+
+
+def test_curve_of_period_two():
+    """Hénon's second doubling, by its 2-periodic orbit: a = (5b² − 6b + 5)/4, through a strong resonance at b = −1."""
+    b = 0.3
+    a = (5 * b * b - 6 * b + 5) / 4
+    x, y = 0.5, 0.0
+    for _ in range(2000):  # just below the doubling the orbit attracts
+        x, y = 1 - (a - 0.01) * x * x + y, b * x
+    orbit = np.array([[[x, y], [1 - (a - 0.01) * x * x + y, b * x]]])
+    [curve] = both_ways(HENON, DOUBLING, orbit, np.array([[a - 0.01, b]]))
+    a, b = curve.values.T
+    assert np.abs(a - (5 * b * b - 6 * b + 5) / 4).max() < ROUNDING
+
+
+def cubic(u, values):
+    """x → p + q x − x³."""
+    x, (p, q) = u[:, 0], values.T
+    return Derivatives((p + q * x - x**3)[:, None], (q - 3 * x**2)[:, None, None], np.stack([0 * x + 1, x], 1)[:, None])
+
+
+def test_cusp_and_generalised_doublings():
+    """Folds meet in a cusp at (0, 1); where 9x² = 1, at (±16/27, −2/3), a doubling is neither sub- nor supercritical."""
+    cubics = plane(cubic, 1, (-1.0, -1.5), (1.0, 2.0))
+    x = 0.3
+    q = 1 + 3 * x * x
+    [fold] = both_ways(cubics, FOLD, np.array([[[x]]]), np.array([[x - q * x + x**3, q]]))
+    [(name, *at)] = passed(fold, cubics)
+    assert name == "cusp"
+    assert at == pytest.approx([0.0, 1.0], abs=ROUNDING)
+    q = -1 + 3 * x * x
+    [doubling] = both_ways(cubics, DOUBLING, np.array([[[x]]]), np.array([[x - q * x + x**3, q]]))
+    both = sorted(passed(doubling, cubics))
+    assert [name for name, *_ in both] == ["generalised_doubling"] * 2
+    # Cubic coefficients are differences over 1e-3: their error is its square, of the fifth derivative, which is none.
+    assert np.array([at for _, *at in both]) == pytest.approx(
+        np.array([[-16 / 27, -2 / 3], [16 / 27, -2 / 3]]), abs=1e-8
+    )
+
+
+def swirl(u, values):
+    """z → e^{2i} z (1 + μ + ν |z|² − |z|⁴)."""
+    (x, y), (mu, nu) = u.T, values.T
+    r = x * x + y * y
+    growth, slope = 1 + mu + nu * r - r * r, 2 * (nu - 2 * r)
+    turn = np.array([[np.cos(2.0), -np.sin(2.0)], [np.sin(2.0), np.cos(2.0)]])
+    inner = np.array([[growth + slope * x * x, slope * x * y], [slope * x * y, growth + slope * y * y]])
+    columns = np.array([[x, r * x], [y, r * y]])
+    return Derivatives(
+        (turn @ (growth * u.T)).T, np.einsum("ij,jkl->lik", turn, inner), np.einsum("ij,jkl->lik", turn, columns)
+    )
+
+
+def test_chenciner_point():
+    """At μ = 0 a torus is born for every ν; where ν changes sign it changes its side."""
+    swirls = plane(swirl, 2, (-0.5, -1.0), (0.5, 1.5))
+    [curve] = both_ways(swirls, NEIMARK_SACKER, np.zeros((1, 1, 2)), np.array([[0.0, 0.5]]))
+    assert curve.ends == (RANGE, RANGE)
+    [(name, *at)] = passed(curve, swirls)
+    assert name == "chenciner"
+    assert at == pytest.approx([0.0, 0.0], abs=1e-6)  # differences over 1e-3, of |z|⁴
+
+
+# ---- van der Pol's oscillator
+
+
+def van_der_pol(force=1.0, omega=1.3):
+    """configs/flows/van_der_pol.py at mu = 0.5 in the phase of the drive: its frequency is a parameter like others."""
+
+    def rhs(y, t):
+        x, v = y
+        return v / omega, (0.5 * (1 - x**2) * v - x + force * jnp.cos(t)) / omega
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * np.pi}
+
+
+def by_scipy(force, omega, u, turn=2 * np.pi):
+    """P and ∂P/∂u by DOP853 with variational equations."""
+
+    def rates(t, y):
+        x, v, tangents = y[0], y[1], y[2:].reshape(2, 2)
+        force_ = 0.5 * (1 - x**2) * v - x + force * np.cos(t)
+        change = [tangents[1], (-x * v - 1) * tangents[0] + 0.5 * (1 - x**2) * tangents[1]]
+        return np.concatenate([[v, force_], *change]) / omega
+
+    start = np.concatenate([u, np.eye(2).ravel()])
+    end = scipy.integrate.solve_ivp(rates, (0, turn), start, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    return end[:2], end[2:].reshape(2, 2)
+
+
+def resonance_by_scipy(force, omega, u, cosine):
+    """(force, ω): Newton on H(u) = u, det ∂H/∂u = 1 and tr ∂H/∂u = 2 cos(θ/2), slopes by differences.
+
+    With the half of a period and the mirror, H(u) = −P_{1/2}(u), P = H², since (x, v, t) → (−x, −v, t + π) is a symmetry.
+    """
+
+    def mismatch(at):
+        image, matrix = by_scipy(at[0], at[1], at[2:], np.pi)
+        return np.append(-image - at[2:], [np.linalg.det(matrix) - 1, -np.trace(matrix) - 2 * cosine])
+
+    at = np.array([force, omega, *u])
+    slopes = np.array([(mismatch(at + h) - mismatch(at - h)) / 2e-5 for h in 1e-5 * np.eye(4)]).T
+    for _ in range(3):
+        at = at - np.linalg.solve(slopes, mismatch(at))
+    return at[:2]
+
+
+def test_torus_boundary_of_van_der_pol(lanes):
+    """Where the oscillation is no longer entrained: through resonances, to 1e-8 of scipy's Newton.
+
+    At 1:2 both multipliers are −1 and M is −1, as of a symmetric orbit: the curve goes on."""
+    flow = first_order(van_der_pol, {"force": 1.0, "omega": 1.3})
+    scene = scene_of(flow, flow.start({"x": 0.0, "v": 0.0}), [1.0], verner9, 48, name="force")
+    low, high = np.array([0.2, 1.05]), np.array([6.0, 4.0])
+    forced = plane_of(scene, lanes, scene.strobe(), np.ones(2), ("force", "omega"), low, high)
+    u, at = np.array([1.0, 0.0]), np.array([1.09, 1.3])
+    for _ in range(20):  # with a stronger force the orbit attracts
+        u = by_scipy(1.3, 1.3, u)[0]
+    for _ in range(6):  # Newton, towards where it no longer does
+        image, matrix = by_scipy(*at, u)
+        u = u - np.linalg.solve(matrix - np.eye(2), image - u)
+    [curve] = both_ways(forced, NEIMARK_SACKER, u[None, None], at[None], 0.05)
+    found = {POINTS[point.kind]: point for point in special_points(forced, curve)}
+    for name, half in (("resonance_1_3", np.pi / 3), ("resonance_1_4", np.pi / 4), ("resonance_1_2", np.pi / 2)):
+        point = found[name]
+        _, matrix = by_scipy(*point.values, point.points[0], np.pi)  # which turns by θ/2 or by π + θ/2
+        cosine = np.copysign(np.cos(half), -np.trace(matrix))
+        exact = resonance_by_scipy(*point.values, point.points[0], cosine)
+        assert np.abs(point.values - exact).max() < 1e-8
+    for k in range(0, len(curve.values), max(1, len(curve.values) // 4)):
+        image, matrix = by_scipy(*curve.values[k], curve.points[k, 0])
+        assert np.abs(image - curve.points[k, 0]).max() < 1e-9
+        assert abs(np.linalg.det(matrix) - 1) < 1e-9
+    assert CLOSED not in curve.ends
