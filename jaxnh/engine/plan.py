@@ -17,8 +17,10 @@ from jaxnh.analyses.base import LANE, Analysis, Options, Sweep
 from jaxnh.analyses.scene import Axis, Scene
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
+from jaxnh.engine import kept_decisions
 from jaxnh.engine.axes import Points, on_axes, places_of, points, sampled, whole_on_axes
 from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan
+from jaxnh.engine.kept_decisions import Decision
 from jaxnh.engine.lanes import TILE, Lanes, turns_of
 from jaxnh.engine.levels import Level, filled, with_computed
 from jaxnh.exceptions import AccuracyError
@@ -160,9 +162,10 @@ def decide(
     *,
     asked: bool = True,
 ) -> Job:
-    """Everything that holds for the whole sweep of an experiment, which is computed here unless a machine is named.
+    """Everything that holds for the whole sweep of an experiment: an earlier run's decision, or a new one.
 
     Args:
+        machine: what computes it, where that is not this process.
         asked: whether it may be larger than is run unasked.
 
     Raises:
@@ -170,11 +173,19 @@ def decide(
         ConfigError: it is too large.
     """
     axes, requested = experiment.axes, experiment.requested()
-    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
-        plan = plan_of(experiment, calibrate(experiment, axes, lanes, experiment.accuracy.only_target))
+    name = kept_decisions.name_of(experiment, lanes)
+    if kept := kept_decisions.find(name):
+        plan, chosen = Plan(SOLVERS[kept.solver], kept.steps, kept.compensated, kept.error_estimate), kept.chosen
+        lanes.fastest = min(lanes.fastest, kept.fastest)
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
-        chosen = choose(experiment, axes, plan, requested, lanes)
+    else:
+        with lanes.stage("accuracy: errors of one period on sample lanes", 0):
+            plan = plan_of(experiment, calibrate(experiment, axes, lanes, experiment.accuracy.only_target))
+            if not asked:
+                check_size(experiment, axes, plan, requested, lanes)
+            chosen = choose(experiment, axes, plan, requested, lanes)
+        kept_decisions.keep(name, Decision(plan.solver.name, *plan[1:], chosen, lanes.fastest))
     return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
 
 
