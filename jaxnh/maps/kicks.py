@@ -15,6 +15,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Pushed, Strobe, Tangent
 from jaxnh.solvers import half_turn, kick
 from jaxnh.systems.flow import Parameters, Vector
@@ -86,9 +87,8 @@ class KickStrobe(Strobe):
         drift_after = jnp.roll(table[:, 0], -1).at[self.kicks - 1].set(self.rest)
         moved = [(*t.state[0], _cross(state[1], t.state[1])) for t in tangents]
         moved = tuple(_drift_tangent(state[1], v, table[0, 0]) for v in moved)
-        carry, moved, volume = self._run(
-            advance, jnp.column_stack([table, drift_after]), (self._begin(state), moved, jnp.ones_like(state[0][0]))
-        )
+        begun = self._begin(state), moved, of_lane(jnp.ones_like(state[0][0]), state[0][0])
+        carry, moved, volume = self._run(advance, jnp.column_stack([table, drift_after]), begun)
         q, n = self._end(carry)
         pushed = tuple(
             Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.p)
@@ -137,7 +137,7 @@ class KickStrobe(Strobe):
         return entry[2] if self.system.forced else entry[1]
 
     def _begin(self, state: State) -> _Carry:
-        return _Carry(*state, jax.tree.map(jnp.zeros_like, state) if self.compensated else None)
+        return _Carry(*state, of_lane(jax.tree.map(jnp.zeros_like, state), state[0][0]) if self.compensated else None)
 
     def _end(self, carry: _Carry) -> State:
         q = _along(carry.q, carry.n, self.rest)
