@@ -16,7 +16,7 @@ def of_lane(carry: Carry, lane: ArrayLike) -> Carry:
     """The same numbers, which `jax.vmap` takes to differ from lane to lane.
 
     It finds out by tracing the body of a loop that what begins as a constant does not stay one, and then traces it
-    again: two loops, one in the other, four times. What it costs is a choice between equals, once where the loop begins.
+    again: two loops, one in the other, four times. The price is a choice between equals, once where the loop begins.
 
     Args:
         carry: pytree of what a loop carries.
