@@ -16,6 +16,8 @@ from jaxnh.analyses.settling import REASONS
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 
+UNCALIBRATED = True
+
 
 @pytest.fixture(autouse=True)
 def kept_programs(monkeypatch):

@@ -41,6 +41,7 @@ analyses:
     return Experiment.from_text(text)
 
 
+@pytest.mark.slow
 def test_pitchfork_from_lanes_that_have_settled(tmp_path):
     """Lanes on x = √μ lead to all: x = 0 from end to end, and both sides of the pitchfork at μ = 0."""
     tree = session_of(pitchfork(tmp_path)).tree()

@@ -282,7 +282,8 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize(("system", "values", "par", "place"), some_slow(HIDDEN, "the longest chain is a jump"))
+@pytest.mark.slow
+@pytest.mark.parametrize(("system", "values", "par", "place"), HIDDEN.values(), ids=HIDDEN)
 def test_hidden_cascades(result, request, system, values, par, place):
     """A longer chain of runs that is none; 8 → 16 between one lane and the next; 48 → 96, of which no lane is seen."""
     name = request.node.callspec.id.replace(" ", "_")

@@ -68,6 +68,7 @@ def test_pitchfork(tmp_path):
             assert (at, error) == (pytest.approx(0.0, abs=1e-15), pytest.approx(0.1))
 
 
+@pytest.mark.slow
 def test_hopf(tmp_path):
     """x'' = (μ − x²) x' − x: the cycle is what the rest point becomes at μ = 0."""
     sweep = {"mu": {"values": [-0.3, -0.15, 0.15, 0.3]}, "x": {"values": [0.5, 2.0]}, "v": {"values": [0.0]}}
@@ -76,6 +77,7 @@ def test_hopf(tmp_path):
     assert attractors.sizes["change"] == 0
 
 
+@pytest.mark.slow
 def test_driven_folds(tmp_path):
     """x'' + 0.2 x' + x + x³ = F cos 1.5 t: a small and a large answer, which ends and begins at folds.
 

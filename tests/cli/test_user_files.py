@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import run_here
+from measure import some_slow
 
 from jaxnh.cli import arguments
 from jaxnh.engine import calibration
@@ -38,7 +39,7 @@ SYSTEMS = {
 }
 
 
-@pytest.mark.parametrize(("system", "reason"), SYSTEMS.values(), ids=SYSTEMS)
+@pytest.mark.parametrize(("system", "reason"), some_slow(SYSTEMS, "stiff"))
 def test_why_no_lane_has_a_period(tmp_path, system, reason):
     (tmp_path / "own.py").write_text(system)
     (tmp_path / "own.yaml").write_text(CONFIG)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 from conftest import ROOT
+from measure import some_slow
 
 import jaxnh
 from jaxnh.analyses.period import orbits
@@ -142,7 +143,8 @@ def ends(name, periods):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name == "rolling_disk" else ()) for name in NAMES]
+    "name",
+    some_slow({name: name for name in NAMES}, "lorenz", "duffing_single_well", "duffing_double_well", "pendulum"),
 )
 def test_flow_against_equations_written_out(name):
     """Two periods or units of time: of the size of the motion, tolerances of 1e-13 times what chaos makes of them."""

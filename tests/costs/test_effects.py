@@ -104,6 +104,7 @@ def spectrum(lanes):
     return scene, lyapunov.run(options, scene, lanes)
 
 
+@pytest.mark.slow
 def test_exponents_pair_about_zero(spectrum):
     """One is zero, along the flow, and the others are ±λ: the divergence is a time derivative (Dettmann and Morriss).
 
@@ -136,6 +137,7 @@ def test_exponent_against_taylor(spectrum):
     assert abs(found.mean() - ours) < bar + error
 
 
+@pytest.mark.slow
 def test_one_exponent_is_one_tangent(lanes, spectrum):
     """One exponent alone is the largest of three, the same where motion is orderly; it carries one tangent, three two."""
     scene, group = spectrum

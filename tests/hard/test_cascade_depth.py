@@ -105,6 +105,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
 
 
 @pytest.mark.case("Deep in the cascade")
+@pytest.mark.slow
 def test_deep_in_the_cascade(battery, lanes, one_period):
     """Doubling points up to 1024 → 2048, and stable orbits between them closed and with all their multipliers."""
     deepest = 11 if battery.full else 7

@@ -59,6 +59,7 @@ def exact_crossings(name, b):
     return np.array([taylor.crossings(ANGLE, value, system.number, 4, direction=direction) for value in b])
 
 
+@pytest.mark.slow
 def test_crossings_meet_the_target(lanes):
     """The plan that calibration chooses for a target keeps it at the first crossing, against Taylor in long double.
 

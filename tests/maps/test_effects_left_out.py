@@ -53,7 +53,8 @@ def test_map_without_forcing_is_diffeqsolve(lanes):
     np.testing.assert_allclose([x, y, n1, n2], [*there.q, *there.v], atol=1e-9)
 
 
-@pytest.mark.parametrize("names", [pytest.param((), marks=pytest.mark.slow), ("forcing", "cubic_stiffness")])
+@pytest.mark.slow
+@pytest.mark.parametrize("names", [(), ("forcing", "cubic_stiffness")])
 def test_sweep_over_a(lanes, names):
     """Lanes that differ in a are the lanes of their own a and one b, and so is ∂P/∂a by differences."""
     values = np.array([0.3, 0.5, 0.8])

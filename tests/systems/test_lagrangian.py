@@ -233,6 +233,7 @@ def test_energy_of_the_appell_hamel_machine_in_springs():
 # ---- projection and failures
 
 
+@pytest.mark.slow
 def test_projection_is_orthogonal_and_its_drift_is_kept():
     """One coarse step leaves f = 0 by its error; the projection moves v along M⁻¹Aᵀ alone, and keeps that |f|."""
     system, plain = lagrangian(sleigh, {"mass": 1.3, "inertia": 0.4, "length": 0.6}), SOLVERS["tsit5"]
