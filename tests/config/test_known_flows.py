@@ -17,7 +17,7 @@ import scipy.integrate
 from conftest import ROOT
 
 import jaxnh
-from jaxnh.analyses.period import orbits
+from jaxnh.analyses.lane_orbits import orbits
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
