@@ -35,11 +35,11 @@ from jaxnh.analyses.branch_seeds import random_wave, settled_waves
 from jaxnh.analyses.families import orbits_of
 from jaxnh.analyses.family_tree import Bifurcation, Tree, grow
 from jaxnh.analyses.locating import PERIOD_TILE, refined
-from jaxnh.analyses.period import survey_from_start
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.random_starts import Side, check_box
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.analyses.settling import states_at
+from jaxnh.analyses.survey import survey_from_start
 from jaxnh.orbits.branches import ENDS, Branch, Steps
 from jaxnh.orbits.kinds import KINDS
 from jaxnh.orbits.normal_forms import CRITICALITIES

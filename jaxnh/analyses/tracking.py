@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.attractors import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Judged, scene_from, stays_near
+from jaxnh.analyses.lane_orbits import CONVERGED, largest_multiplier, orbits
 from jaxnh.analyses.looks import angles
 from jaxnh.analyses.matching import Found, match, same_orbits, same_within
-from jaxnh.analyses.period import CONVERGED, largest_multiplier, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.settling import RESTLESS, SETTLED, go_on, settle
 from jaxnh.analyses.zeros import rest_points
