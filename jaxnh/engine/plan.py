@@ -24,6 +24,7 @@ from jaxnh.engine.kept_decisions import Decision
 from jaxnh.engine.lanes import TILE, Lanes, turns_of
 from jaxnh.engine.levels import Level, filled, with_computed
 from jaxnh.exceptions import AccuracyError
+from jaxnh.maps.build import make_strobe
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece, tile_lanes
 from jaxnh.storage.provenance import versions
@@ -67,9 +68,14 @@ def calibrate(experiment: Experiment, axes: Sequence[Axis], lanes: Lanes, target
     """Errors of one period on sample lanes of a sweep; where one target alone will be asked for, as far as it needs.
 
     Raises:
-        AccuracyError: no lane has a period that can be computed.
+        AccuracyError: no lane has a period that can be computed, or the solver asked for is not made for the flow.
     """
-    rows = [points(experiment, axes, places) for places in sampled(axes, SAMPLED_LANES)]
+    rows, asked = [points(experiment, axes, places) for places in sampled(axes, SAMPLED_LANES)], experiment.accuracy
+    if asked.solver and asked.steps:
+        try:
+            make_strobe(rows[0].system, SOLVERS[asked.solver], asked.steps)
+        except AccuracyError as error:
+            raise AccuracyError(f"{experiment.label}: accuracy.solver: {error}") from None
     try:
         return Calibration(rows, lanes, experiment.precision, target)
     except AccuracyError as error:
@@ -80,15 +86,12 @@ def plan_of(experiment: Experiment, calibration: Calibration) -> Plan:
     """The solver and steps asked for, or else the cheapest that meet the target.
 
     Raises:
-        AccuracyError: nothing meets the target, or the solver asked for is not made for the flow.
+        AccuracyError: nothing meets the target.
     """
     accuracy = experiment.accuracy
     if accuracy.solver and accuracy.steps:
         solver = SOLVERS[accuracy.solver]
-        try:
-            return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
-        except AccuracyError as error:
-            raise AccuracyError(f"{experiment.label}: accuracy.solver: {error}") from None
+        return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
     try:
         return calibration.cheapest(accuracy.target)
     except AccuracyError as error:

@@ -208,6 +208,7 @@ def test_the_ghost_of_a_cycle_is_no_attractor(tmp_path, mu):
         np.testing.assert_allclose(tree["attractors"]["exponent"].values, -2 * root * (1 + root), rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_a_bottleneck_beside_an_attractor(tmp_path):
     """x'' + 2 x' = x − x³ + c, with c beyond the fold at 2/(3√3) by 10⁻⁶, and a drive so weak that it only keeps time.
 

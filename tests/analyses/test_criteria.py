@@ -101,6 +101,7 @@ def test_exponents_of_chaos_over_many_periods(case):
     check_chaotic_spectrum(chaotic, twin, 0, group, 32, 1000)
 
 
+@pytest.mark.slow
 def test_tangents_cost_operations_only_where_asked_for():
     """Operations in the compiled programs, exactly: a diagram has the kicks of the map and no others.
 

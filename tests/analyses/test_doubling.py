@@ -316,6 +316,7 @@ def test_the_whole_range_of_b(result):
     assert np.all(np.abs(group["b"].values - exact("table1")) <= group["b_error"].values)
 
 
+@pytest.mark.slow
 def test_the_example_of_the_readme(result):
     """At d = 0.05 the cascade lies beyond the config's range: it is found there, and the paper's d = 0.1 stays away."""
     overrides = (*SMALL, "system.d=0.05", "sweep.b.count=64")

@@ -63,6 +63,7 @@ def test_order_that_refinements_show():
     assert unmet_accuracy.order_of([(int(n), 3e-12) for n in kicks]) == np.inf
 
 
+@pytest.mark.slow
 def test_a_calibration_that_takes_long_says_how_far_it_is(tmp_path, monkeypatch):
     """Its steps and what they have come to, and of a field with a jump why it comes no further."""
     monkeypatch.setattr(calibration, "_SILENT_SECONDS", 0.0)

@@ -184,6 +184,7 @@ def test_energy_of_henon_and_heiles_is_kept():
     assert 0.0496 < energy(start).min() < energy(start).max() < 1 / 6
 
 
+@pytest.mark.slow
 def test_modes_of_the_double_pendulum():
     """Small angles along a mode, lower = ±√((1 + ratio)/ratio) upper: they swing at w, but for the cube of the angle."""
     flow, _, _, _ = flow_and_lanes("double_pendulum")

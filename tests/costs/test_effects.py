@@ -126,6 +126,7 @@ def test_exponents_pair_about_zero(spectrum):
     assert largest[2] < 0.02 * largest[0]  # order: tangents grow in proportion to time, and so ln T/T
 
 
+@pytest.mark.slow
 def test_exponent_against_taylor(spectrum):
     """The largest exponent, by Taylor variational equations in float64 on the same lane, within both error bars."""
     scene, group = spectrum

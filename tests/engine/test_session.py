@@ -166,6 +166,7 @@ def test_one_device(whole):
     identical(session.run("poincare"), whole)
 
 
+@pytest.mark.slow
 def test_sections():
     """Without a clock lanes are seen on the section."""
     session = session_of(Experiment.from_dict(UNFORCED))
@@ -176,6 +177,7 @@ def test_sections():
     np.testing.assert_array_equal(found["x1"].isel(x2=0), alone["x1"])
 
 
+@pytest.mark.slow
 def test_own_systems(tmp_path):
     """A user's system has its parameters and coordinates as axes; its programs are those of test_two_axes."""
     (tmp_path / "own.py").write_text(OSCILLATOR)

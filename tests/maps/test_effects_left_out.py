@@ -41,6 +41,7 @@ def test_tables_have_no_forcing_that_is_left_out():
     assert (free_running.steps, int(free_running.one.kicks)) == (40, 17)
 
 
+@pytest.mark.slow
 def test_map_without_forcing_is_diffeqsolve(lanes):
     """A disturbed speed without forcing, against the general route by another method, to the error of either."""
     system = disturbed_speed(without=("forcing",))

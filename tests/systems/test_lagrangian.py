@@ -199,6 +199,7 @@ def appell_hamel(ratio=0.7, gravity=9.0, stiffness=0.0):
     return {"T": kinetic, "Q": forces, "f": wheel, "coordinates": ("x", "y", "z"), "period": 1.0}
 
 
+@pytest.mark.slow
 def test_appell_hamel_machine():
     """It falls with z'' = −g/(1 + r²) along a straight line (Hamel, Theoretische Mechanik, 1949), λ = x''/(2x').
 
