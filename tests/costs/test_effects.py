@@ -12,6 +12,7 @@ import taylor
 import xarray as xr
 from conftest import ROOT
 from measure import scene_of
+from unforced import write_config
 
 from jaxnh.analyses import ANALYSES, chaos01, diagram, lyapunov, period, poincare, scene, verdict
 from jaxnh.analyses.base import LANE
@@ -196,24 +197,10 @@ def test_diagram_from_random_starts(lanes, spectrum):
 
 # ---- configs
 
-CONFIG = """\
-title: Effects
-system: {constraint: constant_speed, a: 0.5, c: 1.0, without: [forcing]}
-sweep: {b: {values: [0.2, 0.3]}}
-section: {coordinate: y1, value: 0.0, direction: up}
-accuracy: {target: 1.0e-6}
-analyses:
-  poincare: {transient: 2, strobes: 16}
-  diagram: {transient: 2, strobes: 4}
-  portrait: {transient: 1, periods: 2, samples: 8}
-"""
-
 
 @pytest.fixture
 def config(tmp_path):
-    path = tmp_path / "scene.yaml"
-    path.write_text(CONFIG, encoding="utf-8")
-    return path
+    return write_config(tmp_path)
 
 
 @pytest.mark.slow

@@ -6,29 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from unforced import ANGLE, SPLITTING, START, P, spread, without
 
-from jaxnh.analyses import scene
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
-from jaxnh.solvers import SPLITTINGS, dopri8
+from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import definition
 from jaxnh.systems.lagrangian import Motion, lagrangian
-from jaxnh.systems.particle import constant_speed, disturbed_speed
-
-START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
-ANGLE = np.array([0.1, 0.1, math.atan2(math.sqrt(0.99), 0.1)])
-LANES = 16
-B = np.linspace(0.1, 0.8, LANES)
-P = {"b": B}
-SPLITTING = SPLITTINGS["kahan_li8"]
-
-
-def without(*names, **others):
-    return constant_speed(without=names, **others)
-
-
-def spread(start, count=LANES):
-    return scene.spread(start, count)
+from jaxnh.systems.particle import disturbed_speed
 
 
 def test_tables_have_no_forcing_that_is_left_out():
