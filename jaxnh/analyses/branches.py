@@ -33,10 +33,10 @@ from jaxnh.analyses.equilibria import equilibria
 from jaxnh.analyses.families import orbits_of
 from jaxnh.analyses.family_tree import Orbit, grow
 from jaxnh.analyses.locating import PERIOD_TILE, refined
-from jaxnh.analyses.period import survey_from_start
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.random_starts import Side, check_box
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.survey import survey_from_start
 from jaxnh.orbits.branches import Steps
 
 _WORK = 3.0  # of a run, in those of settling: a guess

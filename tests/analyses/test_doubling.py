@@ -125,8 +125,12 @@ def test_delta_is_that_of_the_definition(table):
         assert delta[k] == pytest.approx((b[k] - b[k - 1]) / (b[k + 1] - b[k]), rel=1e-14)
     truth, known = (exact[1:-1] - exact[:-2]) / (exact[2:] - exact[1:-1]), np.s_[1 : len(exact) - 1]
     assert np.all(np.abs(delta[known] - truth) <= group["delta_error"].values[known])
-    assert abs(group.attrs["delta_limit"] - FEIGENBAUM) <= group.attrs["delta_limit_error"] < 0.1  # no empty words
-    assert abs(group.attrs["alpha"] - 2.502907875) <= group.attrs["alpha_error"] < 0.1  # Briggs
+    # No wider than twice the last step of δ: corrections fall at least by half a level (theory: by δ, and by −8), so
+    # that what is left is no more than that step. Those of α fall by −1/α: of one as large as the first width, the
+    # five widths here leave 0.4⁴ = 0.026, and an interval has it on both sides of it. Briggs' numbers.
+    widest = 2 * abs(delta[4] - delta[3])
+    assert abs(group.attrs["delta_limit"] - FEIGENBAUM) <= group.attrs["delta_limit_error"] < widest
+    assert abs(group.attrs["alpha"] - 2.502907875) <= group.attrs["alpha_error"] < 0.05
 
 
 def test_root_attributes(table):
@@ -282,7 +286,8 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize(("system", "values", "par", "place"), some_slow(HIDDEN, "the longest chain is a jump"))
+@pytest.mark.slow
+@pytest.mark.parametrize(("system", "values", "par", "place"), HIDDEN.values(), ids=HIDDEN)
 def test_hidden_cascades(result, request, system, values, par, place):
     """A longer chain of runs that is none; 8 → 16 between one lane and the next; 48 → 96, of which no lane is seen."""
     name = request.node.callspec.id.replace(" ", "_")
@@ -315,6 +320,7 @@ def test_the_whole_range_of_b(result):
     assert np.all(np.abs(group["b"].values - exact("table1")) <= group["b_error"].values)
 
 
+@pytest.mark.slow
 def test_the_example_of_the_readme(result):
     """At d = 0.05 the cascade lies beyond the config's range: it is found there, and the paper's d = 0.1 stays away."""
     overrides = (*SMALL, "system.d=0.05", "sweep.b.count=64")

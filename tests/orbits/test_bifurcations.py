@@ -121,7 +121,7 @@ NORMAL_FORMS = {
 }
 
 
-@pytest.mark.parametrize("name", some_slow({name: name for name in NORMAL_FORMS}, "fold", "pitchfork", "torus"))
+@pytest.mark.parametrize("name", some_slow({name: name for name in NORMAL_FORMS}, "fold", "pitchfork"))
 def test_normal_forms(lanes, name):
     """At μ = 0 each, with the coefficient and criticality of the flow's own equation."""
     rates, names, u, value, kind, coefficient = NORMAL_FORMS[name]
@@ -187,6 +187,7 @@ def fold_by_scipy(omega, u):
     return at[0]
 
 
+@pytest.mark.slow
 def test_folds_of_duffings_resonance(lanes):
     """Both ends of the bistable range of frequencies, to 1e-8 of scipy's and within their errors; nothing else is there."""
     flow = first_order(duffing, {"omega": 1.0})
