@@ -20,9 +20,9 @@ from jaxnh.analyses.branch_seeds import settled_waves
 from jaxnh.analyses.families import orbits_of, plane_of
 from jaxnh.analyses.family_tree import grow
 from jaxnh.analyses.locating import PERIOD_TILE, refined
-from jaxnh.analyses.period import survey_from_start
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
+from jaxnh.analyses.survey import survey_from_start
 from jaxnh.orbits.branches import Steps
 from jaxnh.orbits.codimension_two import POINTS, Special, special_points
 from jaxnh.orbits.curves import ENDS, Curve, Plane, both_ways, unknowns

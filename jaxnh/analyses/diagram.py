@@ -20,12 +20,12 @@ from jaxtyping import Int
 from pydantic import Field, model_validator
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, rule
-from jaxnh.analyses.period import beyond_doublings, survey
 from jaxnh.analyses.poincare import recording, strobe_states
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.settling import points_at, states_at
 from jaxnh.analyses.states import check_transient, count, section_attrs, settled, state_variables
+from jaxnh.analyses.survey import beyond_doublings, survey
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import Strobe
