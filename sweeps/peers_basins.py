@@ -1,6 +1,6 @@
 """Basins of a pendulum from 100,000 starts, end to end beside pybasin; writes results/peers_basins.md.
 
-    python -m sweeps.peers_basins [--pybasin PYTHON] [--repeats 3]
+    python -m sweeps.peers_basins [--pybasin PYTHON] [--repeats 3] [--starts ACROSS UP]
 
 PYTHON is an interpreter that has pybasin with its extra `jax`; without it there is no peer. Both start from the same
 grid of `configs/flows/torque_pendulum.yaml`, in processes of their own that take turns. Alone on a quiet machine.
@@ -54,17 +54,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m sweeps.peers_basins", description="Basins beside pybasin.")
     parser.add_argument("--pybasin", metavar="PYTHON", help="an interpreter that has pybasin")
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--starts", type=int, nargs=2, metavar=("ACROSS", "UP"), help="a grid of other sizes")
     parser.add_argument("--output", type=Path, default=ROOT / "results" / "peers_basins.md")
     args = parser.parse_args()
-    experiment = jaxnh.load(CONFIG)
-    across, up = (len(axis.values) for axis in experiment.axes)
+    axes = jaxnh.load(CONFIG).axes
+    across, up = args.starts or (len(axis.values) for axis in axes)
+    grid = [f"sweep.{axis.name}.count={count}" for axis, count in zip(axes, (across, up), strict=True)]
     measured: dict[str, list[Sample]] = {}
     with tempfile.TemporaryDirectory(prefix="jaxnh_basins_") as name:
         for repeat in range(args.repeats):
             folder = Path(name, str(repeat))
             folder.mkdir()
             for cache in ("empty", "kept"):
-                measured.setdefault(f"jaxnh, {cache} cache", []).append(_ours(folder))
+                measured.setdefault(f"jaxnh, {cache} cache", []).append(_ours(folder, grid))
             if args.pybasin:
                 measured.setdefault("pybasin", []).append(_theirs(args.pybasin, across, up))
             last = ", ".join(f"{peer} {samples[-1].seconds:.1f} s" for peer, samples in measured.items())
@@ -81,10 +83,11 @@ def main() -> None:
     print(page)
 
 
-def _ours(folder: Path) -> Sample:
-    """One run of the command, its programs kept in the folder."""
+def _ours(folder: Path, grid: Sequence[str]) -> Sample:
+    """One run of the command from a grid of starts, its programs kept in the folder."""
     result = folder / "result.h5"
-    command = [sys.executable, "-m", "jaxnh.sweep", str(CONFIG), "--output", str(result), "--fresh", "--quiet"]
+    command = [sys.executable, "-m", "jaxnh.sweep", str(CONFIG), *grid]
+    command += ["--output", str(result), "--fresh", "--quiet"]
     seconds = _run(command, {"JAX_COMPILATION_CACHE_DIR": str(folder / "cache")})[0]
     attractors = jaxnh.open_result(result)["attractors"].to_dataset()
     kinds = [KINDS[int(kind)] for kind in attractors["kind"].to_numpy()]

@@ -45,10 +45,11 @@ page. {machine}
 
 {measured_at}
 
-Seconds, medians of {repeats} runs{turns}. *Empty*: no program is kept from an earlier run; *kept*: all are. Calibration
-has its own programs in it, tracing and the others are outside it; where a program is found, tracing is what it takes to
-name and load it. Writing is the result file alone: tiles are written while the next are computed. The rest is the start
-and end of Python, the config, tiles, and tables on the terminal. `small` has 64 lanes and 100 periods.
+Seconds, medians of {repeats} runs{turns}. *Empty*: nothing is kept from an earlier run; *kept*: all programs are, and
+what was decided for the sweep. Calibration has its own programs in it, tracing and the others are outside it; where a
+program is found, tracing is what it takes to name and load it. Writing is the result file alone: tiles are written
+while the next are computed. The rest is the start and end of Python, the config, tiles, and tables on the terminal.
+`small` has 64 lanes and 100 periods.
 """
 
 

@@ -1,6 +1,6 @@
 """What lanes have settled on: representatives judged by the criteria of `verdict`, and confirmed by a longer look.
 
-- periodic: Newton finds a stable orbit at the strobes, up to a period (`period.survey`).
+- periodic: Newton finds a stable orbit at the strobes, up to a period (`survey.survey`).
 - equilibrium: without a clock, a zero of the field near by whose eigenvalues all have negative real parts.
 - chaotic: the largest exponent, that along the flow aside, is positive as `verdict` asks for.
 - limit_cycle: without a clock that exponent is negative, and the motion has gone to and fro.
@@ -25,9 +25,9 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from jaxnh.analyses.looks import Look, angles, look_at, maps, points_a_unit, units
 from jaxnh.analyses.lyapunov import LyapunovOptions
 from jaxnh.analyses.lyapunov import run as exponents_of
-from jaxnh.analyses.period import beyond_doublings, survey
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.settling import RESTLESS, SETTLED_TO, Lot, points_at, states_at
+from jaxnh.analyses.survey import beyond_doublings, survey
 from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
 from jaxnh.analyses.zeros import zeros
 from jaxnh.maps.protocol import Strobe

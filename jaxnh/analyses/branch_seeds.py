@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.family_tree import Orbit
+from jaxnh.analyses.lane_orbits import ORBIT_TILE
 from jaxnh.analyses.locating import period_map
-from jaxnh.analyses.period import ORBIT_TILE, first_points, strobe_points
 from jaxnh.analyses.random_starts import Box, started
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.survey import first_points, strobe_points
 from jaxnh.maps.iterate import section_map
 from jaxnh.orbits.shooting import Wrap, orbits_from_afar
 

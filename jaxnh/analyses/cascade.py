@@ -17,10 +17,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.daughter import FEIGENBAUM, daughters, long_daughter, window
+from jaxnh.analyses.lane_orbits import apart
 from jaxnh.analyses.locating import Located, locate, period_map, refined
-from jaxnh.analyses.period import apart, first_points, survey
 from jaxnh.analyses.runs import Line, Start, seen, starts
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.survey import first_points, survey
 from jaxnh.orbits.doubling_points import DoublingPoint
 
 TRANSIENT = 512

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.period import CONVERGED, apart, largest_multiplier, least_period, orbits
+from jaxnh.analyses.lane_orbits import CONVERGED, apart, largest_multiplier, least_period, orbits
 from jaxnh.analyses.runs import Line
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.orbits.doubling_points import DoublingPoint, doubling_function

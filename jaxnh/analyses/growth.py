@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.build import between, cut_strobe
+from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Strobe, Tangent
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
@@ -150,7 +151,8 @@ def advance(
     strobes: Strobe, quadrature: Quadrature | None, count: ArrayLike, begun: ArrayLike, growth: Growth, p: Parameters
 ) -> Growth:
     """One lane `count` periods on, its sums begun anew."""
-    growth = Growth(growth.state, growth.tangents, *jax.tree.map(jnp.zeros_like, growth[2:]))
+    zeros = jax.tree.map(jnp.zeros_like, growth[2:])
+    growth = Growth(growth.state, growth.tangents, *of_lane(zeros, growth.state[0][0]))
     # Where the divergence is a derivative more, it serves the sum rule alone.
     wanted = strobes.system.contraction or len(growth.logs) == strobes.system.exponents
 
@@ -193,7 +195,7 @@ def _divergence(quadrature: Quadrature, state: State, p: Parameters) -> Array:
         return (state, carry[1] + weight * flow.divergence(t, state, p)), None
 
     nodes = (quadrature.maps, jnp.asarray(quadrature.t), jnp.asarray(quadrature.weights))
-    return lax.scan(node, (state, jnp.zeros_like(state[0][0])), nodes)[0][1]
+    return lax.scan(node, (state, of_lane(jnp.zeros_like(state[0][0]), state[0][0])), nodes)[0][1]
 
 
 def _across(

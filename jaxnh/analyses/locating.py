@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.period import ORBIT_TILE
+from jaxnh.analyses.lane_orbits import ORBIT_TILE
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import Derivatives, derivatives, section_map
 from jaxnh.maps.protocol import Strobe

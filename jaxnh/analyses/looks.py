@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float
 from jaxnh.analyses.growth import BLOCKS, windows
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.build import make_parts
+from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Flow, Parameters, State
@@ -143,12 +144,13 @@ def look(strobe: Strobe, each: ArrayLike, state: State, p: Parameters, parts: in
 
     def block(carry: tuple[_Sums, Array], number: Array) -> tuple[tuple[_Sums, Array], Array]:
         sums, weights = carry
-        begun = sums._replace(block=jnp.zeros_like(sums.block)), weights
+        begun = sums._replace(block=of_lane(jnp.zeros_like(sums.block), sums.path[0])), weights
         ended = lax.fori_loop(number * each, (number + 1) * each, period, begun)
         return ended, ended[0].block / jnp.float64(each)
 
     zero, far = jnp.zeros(width), jnp.full(d, jnp.inf)
     begun = _Sums(state, zero, jnp.zeros((2, width)), zero, far, -far, jnp.zeros(d))
+    begun = of_lane(begun, jax.tree.leaves(state)[0])
     (sums, weights), blocks = lax.scan(block, (begun, jnp.zeros(3)), jnp.arange(BLOCKS, dtype=jnp.int32))
     whole, halves = sums.whole / weights[0], sums.halves / weights[1:, None]
     return Look(sums.state, whole, halves, blocks, sums.low, sums.high, sums.path)

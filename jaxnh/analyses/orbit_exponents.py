@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.growth import Growth, parts_of, turn
-from jaxnh.analyses.period import ORBIT_TILE, Survey, early_look, first_look, orbits, survey
+from jaxnh.analyses.lane_orbits import ORBIT_TILE, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
+from jaxnh.analyses.survey import Survey, early_look, first_look, survey
 from jaxnh.systems.flow import Flow, State
 
 _LONGEST = 64  # period of an orbit that is looked for

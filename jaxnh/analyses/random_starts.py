@@ -58,11 +58,10 @@ def started(scene: Scene, starts: int, seed: int, box: Box) -> tuple[Scene, dict
     count = int(places.max()) - first + 1
     draws = np.random.Generator(bits).random((count, starts, len(box)))[places - first].reshape(-1, len(box))
     drawn = {name: low + (high - low) * draws[:, k] for k, (name, (low, high)) in enumerate(box.items())}
-    flow = scene.flow
-    here = flow.outputs(jax.tree.map(_as_path, scene.start), np.zeros(1))
+    here = scene.flow.outputs(jax.tree.map(_as_path, scene.in_time().start), np.zeros(1))
     others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in here.items()}
     p = {name: np.repeat(values, starts) for name, values in scene.p.items()}
-    state: State = flow.start(others | drawn)
+    state: State = scene.system.start(others | drawn)
     return replace(scene, start=state, p=p, place=np.repeat(places, starts), along=None), drawn
 
 

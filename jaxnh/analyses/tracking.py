@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.attractors import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Judged, scene_from, stays_near
+from jaxnh.analyses.lane_orbits import CONVERGED, largest_multiplier, orbits
 from jaxnh.analyses.looks import angles
 from jaxnh.analyses.matching import Found, match, same_orbits, same_within
-from jaxnh.analyses.period import CONVERGED, largest_multiplier, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.settling import RESTLESS, SETTLED, go_on, settle
 from jaxnh.analyses.zeros import rest_points
@@ -162,6 +162,7 @@ class _Line:
         self._orbit = np.isin(every.kind, (PERIODIC, EQUILIBRIUM))
         self._beside = {way: grid.beside(axis, point, way) for way in (1, -1)}
         self._links = {way: np.full(len(point), -1) for way in (1, -1)}
+        # Of orbits followed on: the last value that they are at, and the one beyond, −1 at the end of the axis.
         self._ends: dict[int, dict[int, tuple[int, int]]] = {1: {}, -1: {}}
         self.unseen: list[Unseen] = []
 
@@ -195,6 +196,7 @@ class _Line:
             at, u = self._point[some], self._every.u[some]
             while len(some):
                 end = self._grid.beside(self._axis, at, way)
+                self._ends[way] |= {one: (int(at[k]), -1) for k, one in enumerate(some.tolist()) if end[k] < 0}
                 some, at, end, u = (leaf[end >= 0] for leaf in (some, at, end, u))
                 found = self._continued(some, u, at, end)
                 goes_on = np.zeros(len(some), bool)

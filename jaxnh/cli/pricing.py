@@ -25,7 +25,7 @@ from jaxnh.engine.calibration import Calibration, Plan
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.output import check_output
 from jaxnh.engine.plan import calibrate, job_of, plan_of, scene_of, spent, work_of
-from jaxnh.engine.run import attributes
+from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ArgumentError, ConfigError, ResultError
 from jaxnh.plotting import costs as figures_cost

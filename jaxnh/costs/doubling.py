@@ -20,8 +20,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses import cascade
 from jaxnh.analyses.base import Entry, variable
+from jaxnh.analyses.lane_orbits import CONVERGED, orbits
 from jaxnh.analyses.locating import period_map, refined, walk
-from jaxnh.analyses.period import CONVERGED, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, section_points
 from jaxnh.costs.stage import Inside
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map

@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.engine.axes import Points
 from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.unmet_accuracy import ROUGH, fault_of, of_long_returns, of_slow_convergence
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.maps.iterate import iterate, record
@@ -23,7 +22,7 @@ from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.section import Crossing, SectionedFlow
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.systems.flow import Parameters, State
 
 SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
@@ -37,7 +36,6 @@ _SAFETY = 2.0  # the error is taken this many times: some lanes of the sweep hav
 _REFERENCE_STEPS = 96
 _ROUNDING = 1e-12  # references nearer to each other than this are the same
 _NEAR = 0.1  # of the target: nearer references are not needed, as the error is taken twice
-_ROUGH = 1e-8  # references further apart than this say nothing: more steps may yet help
 _STALLED = 2  # refinements in a row that do not halve the distance: what is left is rounding
 _SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very system
 _MOST_SEED_KICKS = 1 << 16
@@ -49,12 +47,9 @@ _PRECISE = {
     "float32": 1e-1,
 }  # an error below this that more steps do not halve is rounding
 _MOST_KICKS = 1 << 20
-_LONG = 4.0  # times the median return: errors have grown in it
 _HOPELESS = 1 << 17  # kicks: fast motion is resolved by now, and what still does not converge is given little more time
 _MAPS_KEPT = 64  # of flows, while a number of steps is looked at
-_STIFF = 200.0  # rates a unit of time that explicit steps of the reference do not follow
 _SILENT_SECONDS = 10.0
-_NOT_SMOOTH, _ORDER_OF_LAST = 2.5, 5  # order seen in the last refinements below which fields are taken to have corners
 _PATIENT = 5  # refinements, as corners let the distance fall unevenly
 
 
@@ -167,16 +162,8 @@ class Calibration:
         where = _place(self._samples, worst)
         what, hint = "period", ""
         if self._flows[0] is not self._flows[0].flow:
-            what, lengths = "return", np.abs(self._reference[-1] - self._samples.states.t)
-            if lengths[worst] > _LONG * np.nanmedian(lengths):
-                hint = (
-                    f"; it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
-                )
-        if _order_of(self._fall) < _NOT_SMOOTH:
-            hint += (
-                "; more steps lessen it so slowly as where the equations jump or have corners (sign, abs, where): "
-                "make these smooth, or ask for less"
-            )
+            what, hint = "return", of_long_returns(np.abs(self._reference[-1] - self._samples.states.t), worst)
+        hint += of_slow_convergence(self._fall)
         return AccuracyError(
             f"no solver has an error of one {what} of {target:g} over this sweep; with up to {self._tried:,} kicks, "
             f"that at {where} comes down to {errors[worst]:.2g}{hint}"
@@ -281,28 +268,11 @@ class Calibration:
         image = self._image(self._maps(self._way.reference, _REFERENCE_STEPS), self._samples)
         kept = np.flatnonzero(np.all(np.isfinite(image), axis=0))
         if not len(kept):
-            why = self._fault()
-            raise AccuracyError(f"every lane of this sweep has a non-finite state within a period{why and f'; {why}'}")
+            first = jax.tree.map(lambda leaf: leaf[0], self._samples)
+            why = fault_of(self._flows[int(first.row)], first.states, first.p)
+            why = why and f"; at {_place(self._samples, 0)} {why}"
+            raise AccuracyError(f"every lane of this sweep has a non-finite state within a period{why}")
         self._samples = self._samples.take(kept)
-
-    def _fault(self) -> str:
-        """Why the map of the first sample has no value, with its place in the sweep; "" where that is not seen."""
-        one = jax.tree.map(lambda leaf: leaf[0], self._samples)
-        system = self._flows[int(one.row)]
-        flow, where = system.flow, f"at {_place(self._samples, 0)}"
-        state = one.states if flow is system else one.states.state
-        if why := flow.fault_at(0.0, state, one.p):
-            return f"{where} {why}"
-        if (fastest := _fastest(flow, state, one.p)) > _STIFF:
-            time_unit = ", or give a smaller time_unit" if flow.autonomous else ""
-            unit = "unit of time" if flow.autonomous else "period"
-            return (
-                f"{where} rates of change reach {fastest:.2g} a {unit}, and solvers are explicit: the system is stiff; "
-                f"slow down what is fast in it{time_unit}"
-            )
-        if isinstance(system, SectionedFlow):
-            return f"{where} the section may not be met within {system.longest:g} units of time"
-        return ""
 
     def _tell(self, text: str) -> None:
         """Say how far a calibration is that takes long."""
@@ -335,7 +305,7 @@ class Calibration:
         gaps, least = np.full((2, len(self._samples.row)), np.inf)
         stalled = np.zeros(len(gaps), int)
         while 1.5 * steps * solver.stages <= _MOST_KICKS:
-            patience = np.where(gaps > _ROUGH, _PATIENT if steps * solver.stages > _HOPELESS else np.inf, _STALLED)
+            patience = np.where(gaps > ROUGH, _PATIENT if steps * solver.stages > _HOPELESS else np.inf, _STALLED)
             open_ = np.flatnonzero((gaps > _ROUNDING) & (stalled < patience))
             # One small distance may be chance, as where the corner of a field lies in a step: all of them are not.
             if not len(open_) or self._largest(gaps) <= self._near:
@@ -406,22 +376,6 @@ def _order_seen(few: int, before: float, many: int, after: float, order: float) 
     if many <= few or not 0.0 < after < before < math.inf:
         return order
     return min(max(math.log(before / after) / math.log(many / few), 1.0), order)
-
-
-def _fastest(flow: Flow, y: State, p: Parameters) -> float:
-    """Largest modulus of the eigenvalues of a flow's linearisation at a state and t = 0, times its unit of time."""
-    flat, whole = ravel_pytree(jax.tree.map(jnp.asarray, y))
-    jacobian = np.asarray(jax.jacfwd(lambda z: ravel_pytree(flow.rhs(0.0, whole(z), p))[0])(flat))
-    return float(np.abs(np.linalg.eigvals(jacobian)).max()) * flow.period if np.isfinite(jacobian).all() else 0.0
-
-
-def _order_of(fall: Sequence[tuple[int, float]]) -> float:
-    """With which power of the kicks distances fall in the last refinements; infinite: unknown, or down to rounding."""
-    seen = [(kicks, gap) for kicks, gap in fall if gap < math.inf][-_ORDER_OF_LAST:]
-    if len(seen) < _ORDER_OF_LAST or min(gap for _, gap in seen) < _ROUGH:
-        return math.inf
-    kicks, gaps = np.log(np.array(seen)).T
-    return float(-np.polyfit(kicks, gaps, 1)[0])
 
 
 def _place(samples: _Samples, number: int) -> str:

@@ -6,9 +6,7 @@ others. What cannot be named for certain, as a function of another package, is n
 program has been traced and lowered, which is most of the time to a result (Newton's: 5 s of 8 s without a cache, and
 0.2 s from here); programs kept here are not kept there as well.
 
-Files lie in the folder `jaxnh` of JAX's cache and are as much to be trusted as that: they are code that runs. One that
-is cut off, damaged or of another program is no program, and is written anew. One that nothing has asked for in sixty
-days, as those of an earlier version, is removed when another is written. JAXNH_KEEP_PROGRAMS=0 switches it off.
+Their files (`kept_files`) are as much to be trusted as JAX's cache: they are code that runs.
 """
 
 from __future__ import annotations
@@ -19,9 +17,8 @@ import json
 import os
 import pickle
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import cache, partial
 from importlib.metadata import version
@@ -34,9 +31,8 @@ import numpy as np
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
+from jaxnh.engine import kept_files
 from jaxnh.engine.xla_options import host, machine
-from jaxnh.exceptions import ResultError
-from jaxnh.storage.atomic import replacing
 from jaxnh.systems.user_file import UserFile
 
 _LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "numpy")
@@ -50,8 +46,6 @@ _SETTINGS = (
     "jax_exec_time_optimization_effort",
 )
 _ACCOUNTED = ("jaxnh", *_LIBRARIES, "builtins", "math", "collections")  # modules whose text the versions say
-_UNUSED_SECONDS = 60 * 24 * 3600.0
-_HEAD = 64 + 1  # of a file: the checksum of what follows
 
 
 class _Unnamed(Exception):
@@ -72,24 +66,17 @@ def name_of(
         arguments: pytree of all others, arrays, whose shapes and types count alone.
         devices: those that it runs on.
     """
-    if _folder() is None:
+    if kept_files.folder() is None:
         return None
     try:
-        words = [_surroundings(), _of_devices(devices), *_constant(function), *_constant(static), *_shapes(arguments)]
+        words = [surroundings(), of_devices(devices), *_constant(function), *_constant(static), *_shapes(arguments)]
     except _Unnamed:
         return None
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 
-def _folder() -> Path | None:
-    """Where programs are kept; None where they are not."""
-    root = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    if not root or "://" in root or os.environ.get("JAXNH_KEEP_PROGRAMS") == "0":
-        return None
-    return Path(root) / "jaxnh" if jax.config.jax_enable_compilation_cache else None  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def _surroundings() -> str:
+def surroundings() -> str:
+    """What decides every number: versions, the text of this package, settings of JAX."""
     settings = {name: str(getattr(jax.config, name, None)) for name in _SETTINGS}
     return json.dumps([_versions(), settings, os.environ.get("EQX_ON_ERROR")])
 
@@ -104,10 +91,16 @@ def _versions() -> list[str]:
     return [sys.version, *(f"{name} {version(name)}" for name in _LIBRARIES), text.hexdigest()]
 
 
-def _of_devices(devices: Sequence[Any]) -> str:
+def of_devices(devices: Sequence[Any]) -> str:
+    """What computes: devices, processor, and XLA's options."""
     first = devices[0]
     kinds = [(one.platform, one.device_kind, one.id) for one in devices]
     return json.dumps([kinds, first.client.platform_version, machine(first), host()], sort_keys=True)
+
+
+def of_user_file(file: UserFile) -> str | None:
+    """A user's file, with what it comes to; None where that is not certain."""
+    return f"user's file {file.sha256} {file.traced}" if file.traced is not None else None
 
 
 def _shapes(value: Any) -> Iterator[str]:
@@ -150,9 +143,9 @@ def _constant(value: Any) -> Iterator[str]:
         yield f"{_class(type(value))} {len(items)}"
         yield from sorted("\t".join(_constant(item)) for item in items)
     elif isinstance(value, UserFile):
-        if value.traced is None:
+        if (said := of_user_file(value)) is None:
             raise _Unnamed(value)
-        yield f"user's file {value.sha256} {value.traced}"
+        yield said
     elif isinstance(value, MethodType):
         yield from (value.__func__.__qualname__, *_constant(value.__self__))
     elif isinstance(value, partial):
@@ -188,7 +181,7 @@ def _known(thing: Any) -> str:
     return f"{thing.__module__}.{thing.__qualname__}"
 
 
-# ---- files
+# ---- programs
 
 
 def find(name: str, inputs: Any, devices: Sequence[Any]) -> Any:
@@ -198,17 +191,10 @@ def find(name: str, inputs: Any, devices: Sequence[Any]) -> Any:
         inputs: structure of its arguments, ((…), {}).
         devices: those that it runs on.
     """
-    folder = _folder()
-    try:
-        content = (folder / name).read_bytes() if folder else b""
-    except OSError:
-        return None
-    data = content[_HEAD:]
-    if content[:_HEAD] != _head(name, data):
+    data = kept_files.find(name)
+    if data is None:
         return None
     try:
-        with suppress(OSError):
-            os.utime(folder / name)  # pyright: ignore[reportOptionalOperand]
         payload, outputs = pickle.load(io.BytesIO(data))
         return serialize_executable.deserialize_and_load(payload, inputs, outputs, execution_devices=devices)
     except Exception:  # whatever another library says of a file that it cannot load: it is written anew
@@ -217,30 +203,14 @@ def find(name: str, inputs: Any, devices: Sequence[Any]) -> Any:
 
 def keep(name: str, program: Any) -> None:
     """Have a program that `compiling` has made found by later runs; where it cannot be kept, it is not."""
-    folder = _folder()
-    if folder is None:
+    if kept_files.folder() is None:
         return
     try:
         payload, _, outputs = serialize_executable.serialize(program)
         data = pickle.dumps((payload, outputs))
     except Exception:  # programs that call back, or constants: JAX names no set of errors for what it cannot write
         return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with replacing(folder / name) as file:
-            file.write(_head(name, data) + data)
-            file.settle()
-    except (OSError, ResultError):
-        return
-    _forget(folder)
-
-
-def _forget(folder: Path) -> None:
-    """Remove programs that no run has asked for in a long time."""
-    with suppress(OSError), os.scandir(folder) as files:
-        for file in files:
-            if time.time() - file.stat().st_mtime > _UNUSED_SECONDS:
-                os.unlink(file)
+    kept_files.keep(name, data)
 
 
 @contextmanager
@@ -253,7 +223,3 @@ def compiling() -> Iterator[None]:
     finally:
         jax.config.update("jax_enable_compilation_cache", True)
         compilation_cache.reset_cache()
-
-
-def _head(name: str, data: bytes) -> bytes:
-    return hashlib.sha256(name.encode() + data).hexdigest().encode() + b"\n"

@@ -17,11 +17,14 @@ from jaxnh.analyses.base import LANE, Analysis, Options, Sweep
 from jaxnh.analyses.scene import Axis, Scene
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
+from jaxnh.engine import kept_decisions
 from jaxnh.engine.axes import Points, on_axes, places_of, points, sampled, whole_on_axes
 from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan
+from jaxnh.engine.kept_decisions import Decision
 from jaxnh.engine.lanes import TILE, Lanes, turns_of
 from jaxnh.engine.levels import Level, filled, with_computed
 from jaxnh.exceptions import AccuracyError
+from jaxnh.maps.build import make_strobe
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece, tile_lanes
 from jaxnh.storage.provenance import versions
@@ -65,9 +68,14 @@ def calibrate(experiment: Experiment, axes: Sequence[Axis], lanes: Lanes, target
     """Errors of one period on sample lanes of a sweep; where one target alone will be asked for, as far as it needs.
 
     Raises:
-        AccuracyError: no lane has a period that can be computed.
+        AccuracyError: no lane has a period that can be computed, or the solver asked for is not made for the flow.
     """
-    rows = [points(experiment, axes, places) for places in sampled(axes, SAMPLED_LANES)]
+    rows, asked = [points(experiment, axes, places) for places in sampled(axes, SAMPLED_LANES)], experiment.accuracy
+    if asked.solver and asked.steps:
+        try:
+            make_strobe(rows[0].system, SOLVERS[asked.solver], asked.steps)
+        except AccuracyError as error:
+            raise AccuracyError(f"{experiment.label}: accuracy.solver: {error}") from None
     try:
         return Calibration(rows, lanes, experiment.precision, target)
     except AccuracyError as error:
@@ -78,15 +86,12 @@ def plan_of(experiment: Experiment, calibration: Calibration) -> Plan:
     """The solver and steps asked for, or else the cheapest that meet the target.
 
     Raises:
-        AccuracyError: nothing meets the target, or the solver asked for is not made for the flow.
+        AccuracyError: nothing meets the target.
     """
     accuracy = experiment.accuracy
     if accuracy.solver and accuracy.steps:
         solver = SOLVERS[accuracy.solver]
-        try:
-            return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
-        except AccuracyError as error:
-            raise AccuracyError(f"{experiment.label}: accuracy.solver: {error}") from None
+        return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
     try:
         return calibration.cheapest(accuracy.target)
     except AccuracyError as error:
@@ -160,9 +165,10 @@ def decide(
     *,
     asked: bool = True,
 ) -> Job:
-    """Everything that holds for the whole sweep of an experiment, which is computed here unless a machine is named.
+    """Everything that holds for the whole sweep of an experiment: an earlier run's decision, or a new one.
 
     Args:
+        machine: what computes it, where that is not this process.
         asked: whether it may be larger than is run unasked.
 
     Raises:
@@ -170,11 +176,19 @@ def decide(
         ConfigError: it is too large.
     """
     axes, requested = experiment.axes, experiment.requested()
-    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
-        plan = plan_of(experiment, calibrate(experiment, axes, lanes, experiment.accuracy.only_target))
+    name = kept_decisions.name_of(experiment, lanes)
+    if kept := kept_decisions.find(name):
+        plan, chosen = Plan(SOLVERS[kept.solver], kept.steps, kept.compensated, kept.error_estimate), kept.chosen
+        lanes.fastest = min(lanes.fastest, kept.fastest)
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
-        chosen = choose(experiment, axes, plan, requested, lanes)
+    else:
+        with lanes.stage("accuracy: errors of one period on sample lanes", 0):
+            plan = plan_of(experiment, calibrate(experiment, axes, lanes, experiment.accuracy.only_target))
+            if not asked:
+                check_size(experiment, axes, plan, requested, lanes)
+            chosen = choose(experiment, axes, plan, requested, lanes)
+        kept_decisions.keep(name, Decision(plan.solver.name, *plan[1:], chosen, lanes.fastest))
     return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
 
 

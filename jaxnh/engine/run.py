@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from queue import SimpleQueue
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -22,22 +21,22 @@ from jaxnh.engine.output import other_than
 from jaxnh.engine.plan import (
     Done,
     batches,
-    clock_of,
     compute,
-    count_warnings,
     decide,
     spent,
     work_of_pieces,
 )
 from jaxnh.engine.progress import Heeding, Progress, Silent
+from jaxnh.engine.result_attributes import attributes, extras_of
+from jaxnh.engine.side_by_side import side_by_side
 from jaxnh.engine.xla_options import configure, differing
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
 from jaxnh.storage import tiles
 from jaxnh.storage.atomic import same_file
 from jaxnh.storage.calls import Calls, left
-from jaxnh.storage.merge import DamagedPieceError, Extra, gathered, merge
+from jaxnh.storage.merge import DamagedPieceError, gathered, merge
 from jaxnh.storage.pieces import Job, Piece, share
-from jaxnh.storage.provenance import LevelOf, Method, UserFile, root_attributes, versions
+from jaxnh.storage.provenance import versions
 from jaxnh.storage.tiles import Receipt, Spent
 
 GO_ON = "run the same command again to go on"
@@ -293,9 +292,18 @@ class _Run:
         cut = [batch for batch in found if batch[0].names == job.independent]
         if len(cut) > 1:
             found = [batch for batch in found if batch[0].names != job.independent]
-            pieces, ways = [piece for batch in cut for piece in batch], (self._in_turn, self._side_by_side)
-            way = ways[len(lanes.devices) > 1]
-            self._over(job, pieces, cost, lambda: way(job, cut, lanes, cost))
+            pieces = [piece for batch in cut for piece in batch]
+
+            def one(batch: Sequence[Piece], runner: Lanes) -> None:
+                self._in_turn(job, [batch], runner, cost)
+
+            def all_of_them() -> None:
+                if len(lanes.devices) > 1:
+                    side_by_side(lanes, cut, one)
+                else:
+                    self._in_turn(job, cut, lanes, cost)
+
+            self._over(job, pieces, cost, all_of_them)
         self._in_turn(job, found, lanes, {})
         self._in_turn(job, [[piece] for piece in last], lanes, {})  # what they are made of has been written
 
@@ -318,29 +326,6 @@ class _Run:
         finally:
             self._progress.shown = self._shown
             self._shown.finish()
-
-    def _side_by_side(self, job: Job, found: Sequence[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
-        """Compute batches, on each device one at a time: while one is between two calls, the others compute."""
-        runners, idle = lanes.apart(), SimpleQueue[Lanes]()
-        for runner in runners:
-            idle.put(runner)
-
-        def one(batch: Sequence[Piece]) -> None:
-            runner = idle.get()
-            try:
-                self._in_turn(job, [batch], runner, cost)
-            finally:
-                idle.put(runner)
-
-        with ThreadPoolExecutor(len(runners)) as workers:
-            begun = [workers.submit(one, batch) for batch in found]
-            try:
-                for end in as_completed(begun):
-                    end.result()
-            finally:
-                for batch in begun:
-                    batch.cancel()
-        lanes.add(runners)
 
     def _in_turn(self, job: Job, found: Sequence[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
         """Compute batches one after the other; each is written while the next is computed."""
@@ -416,12 +401,9 @@ class _Run:
         same_file(kept, self._path)
 
     def _merge(self, job: Job, path: Path) -> None:
-        of = {name: [self._receipts[piece.number] for piece in job.sources(name)] for name in job.groups}
-        counts = {name: _counts(name, receipts) for name, receipts in of.items()}
-        extras = {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
         self._total = self._spent()
         attrs = attributes(self._experiment, job, self._total, self._how.command)
-        merge(path, attrs, self._folder, job, extras, self._check)
+        merge(path, attrs, self._folder, job, extras_of(job, self._receipts), self._check)
 
     def _outcome(self, job: Job, *, whole: bool) -> Outcome:
         lanes = self._lanes
@@ -434,33 +416,3 @@ class _Run:
             (len(self._pieces), self._every),
             whole,
         )
-
-
-def attributes(experiment: Experiment, job: Job, total: Spent, command: str = "") -> dict[str, object]:
-    """Root attributes of a result; `command` is "" for a call from Python."""
-    own, clock = experiment.user_file, clock_of(experiment, axes_of(experiment.axes, job))
-    return root_attributes(
-        title=experiment.title,
-        config=experiment.text,
-        config_sha256=experiment.sha256,
-        versions=job.versions,
-        method=Method(job.solver, job.steps, job.compensated, experiment.precision, job.error_estimate),
-        spent=total,
-        axes=job.names,
-        strobe_period=clock.period,
-        command=command,
-        section=clock.section,
-        user_file=UserFile(str(own.path), own.text, own.sha256) if own else None,
-        chosen=job.chosen,
-        machine=job.machine,
-        level=LevelOf(job.level, job.levels, job.refine) if job.level else None,
-    )
-
-
-def _counts(name: str, receipts: Sequence[Receipt]) -> dict[str, int]:
-    """What is counted in a group, over all pieces."""
-    found: dict[str, int] = {}
-    for receipt in receipts:
-        for key, value in receipt.counts.get(name, {}).items():
-            found[key] = found.get(key, 0) + value
-    return found

@@ -35,7 +35,8 @@ from jaxnh.engine.plan import (
     spent,
 )
 from jaxnh.engine.progress import Calling, Progress, Silent
-from jaxnh.engine.run import How, attributes, run_to_file
+from jaxnh.engine.result_attributes import attributes
+from jaxnh.engine.run import How, run_to_file
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import InputError
 from jaxnh.storage.hdf5 import open_result

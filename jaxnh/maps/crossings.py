@@ -17,6 +17,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Pushed, Strobe, Tangent
 from jaxnh.maps.section import NO_RETURN, NOT_FINITE, Crossing, SectionedFlow
 from jaxnh.systems.flow import Flow, Parameters, State
@@ -56,7 +57,7 @@ class SteppedStrobe(Strobe):
         return lax.fori_loop(0, self.steps, lambda _, z: self.one(z, p), state)
 
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
-        begun = Pushed(state, tangents, jnp.ones_like(state[0][0]))
+        begun = Pushed(state, tangents, of_lane(jnp.ones_like(state[0][0]), state[0][0]))
         return lax.fori_loop(0, self.steps, lambda _, pushed: _pushed_on(self.one, pushed, p), begun)
 
 
@@ -186,7 +187,7 @@ class EventStrobe(Strobe):
         def unfinished(search: _Search) -> Array:
             return (search.left > 0) & ~search.lost & (search.steps < self.most_steps)
 
-        return lax.while_loop(unfinished, lambda search: self._stepped(search, p, advance), first)
+        return lax.while_loop(unfinished, lambda search: self._stepped(search, p, advance), of_lane(first, rate))
 
     def _stepped(self, search: _Search, p: Parameters, advance: Callable[[Strobe, Carried], Carried]) -> _Search:
         """One step on: a whole one, one that locates the crossing within it, or the one that ends there."""

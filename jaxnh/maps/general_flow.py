@@ -23,6 +23,7 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
+from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Pushed, Strobe, Tangent
 from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.solvers import WrittenOutRungeKutta
@@ -142,7 +143,8 @@ class GeneralStrobe(Strobe):
             )
             return Moving(value, moved, y.log_volume)
 
-        zero = jnp.zeros_like(jax.tree.leaves(state)[0])
+        first = jax.tree.leaves(state)[0]
+        zero = of_lane(jnp.zeros_like(first), first)
         begun = Moving(state, tuple(t.state for t in tangents), zero)
         if system.drifts:
             ended = self._march(field, project, begun, len(tangents) + 1)

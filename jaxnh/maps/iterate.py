@@ -10,6 +10,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Strobe, Tangent
 from jaxnh.systems.flow import Parameters, State
 
@@ -65,6 +66,6 @@ def derivatives(
         pushed = strobe.push(carry[0], p, carry[1])
         return pushed.state, pushed.tangents
 
-    state, moved = lax.fori_loop(0, n, period, (system.unchart(u), tuple(tangents)))
+    state, moved = lax.fori_loop(0, n, period, of_lane((system.unchart(u), tuple(tangents)), u[0]))
     columns = [jax.jvp(system.chart, (state,), (t.state,))[1] for t in moved]
     return Derivatives(system.chart(state), jnp.stack(columns[:d], axis=-1), None if name is None else columns[d])

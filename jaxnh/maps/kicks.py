@@ -15,6 +15,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Pushed, Strobe, Tangent
 from jaxnh.solvers import half_turn, kick
 from jaxnh.systems.flow import Parameters, Vector
@@ -57,10 +58,11 @@ class KickStrobe(Strobe):
         return (float(np.mean(self.kicks)),)
 
     def __call__(self, state: State, p: Parameters) -> State:
-        def advance(entry: Array, carry: _Carry) -> _Carry:
-            return _one_loop(lambda carry: self._kick(entry, carry, p), carry)
+        def advance(i: Array, carry: _Carry) -> _Carry:
+            return _one_loop(lambda carry: self._kick(table[i], carry, p), carry)
 
-        return self._end(self._run(advance, jnp.asarray(self.table), self._begin(state)))
+        table = jnp.asarray(self.table)
+        return self._end(lax.fori_loop(0, self.kicks, advance, self._begin(state)))
 
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
         # A kick turns θ alone, so few numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, p). Differentiating
@@ -78,17 +80,16 @@ class KickStrobe(Strobe):
             kicked = [_kick_tangent(slopes, v, t.p, names) for v, t in zip(moved, tangents, strict=True)]
             return tuple(_drift_tangent(n, v, length) for v in kicked), volume * slopes[0]
 
-        def advance(entry: Array, carry: tuple[_Carry, tuple[Vector, ...], Array]) -> Any:
-            after, slopes = _one_loop(partial(kick, entry), carry[0])
-            return after, *_one_loop(partial(move, entry[table.shape[1]]), after.n, slopes, *carry[1:])
+        def advance(i: Array, carry: tuple[_Carry, tuple[Vector, ...], Array]) -> Any:
+            after, slopes = _one_loop(partial(kick, table[i]), carry[0])
+            drift_after = jnp.where(i + 1 < self.kicks, table[jnp.minimum(i + 1, len(table) - 1), 0], self.rest)
+            return after, *_one_loop(partial(move, drift_after), after.n, slopes, *carry[1:])
 
         table = jnp.asarray(self.table)
-        drift_after = jnp.roll(table[:, 0], -1).at[self.kicks - 1].set(self.rest)
         moved = [(*t.state[0], _cross(state[1], t.state[1])) for t in tangents]
         moved = tuple(_drift_tangent(state[1], v, table[0, 0]) for v in moved)
-        carry, moved, volume = self._run(
-            advance, jnp.column_stack([table, drift_after]), (self._begin(state), moved, jnp.ones_like(state[0][0]))
-        )
+        begun = self._begin(state), moved, of_lane(jnp.ones_like(state[0][0]), state[0][0])
+        carry, moved, volume = lax.fori_loop(0, self.kicks, advance, begun)
         q, n = self._end(carry)
         pushed = tuple(
             Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.p)
@@ -137,7 +138,7 @@ class KickStrobe(Strobe):
         return entry[2] if self.system.forced else entry[1]
 
     def _begin(self, state: State) -> _Carry:
-        return _Carry(*state, jax.tree.map(jnp.zeros_like, state) if self.compensated else None)
+        return _Carry(*state, of_lane(jax.tree.map(jnp.zeros_like, state), state[0][0]) if self.compensated else None)
 
     def _end(self, carry: _Carry) -> State:
         q = _along(carry.q, carry.n, self.rest)
@@ -154,9 +155,6 @@ class KickStrobe(Strobe):
         assert isinstance(other, KickStrobe)
         table = np.asarray(self.table)
         return replace(self, table=np.pad(table, [(0, len(np.asarray(other.table)) - len(table)), (0, 0)]))
-
-    def _run(self, advance: Callable[[Array, Any], Any], table: Array, carry: Any) -> Any:
-        return lax.fori_loop(0, self.kicks, lambda i, carry: advance(table[i], carry), carry)
 
 
 def _one_loop(function: Callable[..., Any], *carried: Any) -> Any:

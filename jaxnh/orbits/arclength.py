@@ -150,20 +150,8 @@ def correct(
         tolerance: length of a step after which an orbit is known.
         near: lengths of steps that are too short to lead elsewhere, and need not be half of those before.
     """
-    lanes, n, d = points.shape
-    none = np.full(lanes, np.nan)
-    found = Orbits(
-        np.array(points),
-        np.array(value),
-        Way(np.full((lanes, n, d), np.nan), none.copy()),
-        np.full((lanes, n, d, d), np.nan),
-        none.copy(),
-        none.copy(),
-        none.copy(),
-        np.zeros(lanes, bool),
-        Way(np.full((lanes, n, d), np.nan), none.copy()),
-    )
-    last, open_ = np.full(lanes, np.inf), np.arange(lanes)
+    found, last = _guessed(points, value), np.full(len(value), np.inf)
+    open_ = np.arange(len(value))
     for _ in range(_NEWTON_STEPS + 1):
         missing, blocks, columns = _equations(family, found.points[open_], found.value[open_])
         found.residual[open_], found.blocks[open_] = np.abs(missing).max(axis=(1, 2)), blocks
@@ -176,10 +164,9 @@ def correct(
         moved, way, other, crossing = _solutions(family, missing, blocks, columns, here)
         at_rest = last[open_] <= tolerance
         done = open_[at_rest]
-        found.converged[done] = True
-        for leaf, new in zip((*found.way, *found.other_way), (*way, *other), strict=True):
+        for leaf, new in zip((*found.way, *found.other_way, found.crossing), (*way, *other, crossing), strict=True):
             leaf[done] = new[at_rest]
-        found.crossing[done] = crossing[at_rest]
+        found.converged[done] = True
         size = length(family, moved)
         with np.errstate(invalid="ignore"):
             contracts = size <= np.maximum(_CONTRACTION * last[open_], 0.0 if near is None else near[open_])
@@ -192,6 +179,19 @@ def correct(
             break
     found.missed[:] = length(family, Way(found.points - points, found.value - value))
     return found
+
+
+def _guessed(points: Float[np.ndarray, "lanes n d"], value: Float[np.ndarray, " lanes"]) -> Orbits:
+    """Guesses of which nothing else is known yet."""
+    lanes, _, d = points.shape
+
+    def unknown(*shape: int) -> np.ndarray:
+        return np.full((lanes, *shape), np.nan)
+
+    way, other = (Way(unknown(*points.shape[1:]), unknown()) for _ in range(2))
+    blocks = unknown(points.shape[1], d, d)
+    none = (unknown(), unknown(), unknown(), np.zeros(lanes, bool))
+    return Orbits(np.array(points), np.array(value), way, blocks, *none, other)
 
 
 def _equations(

@@ -52,7 +52,8 @@ def branches(
             lines = [_stretches(x[b], y[b, :, i], (stable[b] == 1) == attracts) for b in here for i in range(n)]
             if lines:
                 points = np.concatenate(lines)
-                label = f"period {n}" if attracts and k < _PERIODS else None
+                words = f"period {n}" if n else "equilibria"
+                label = words if attracts and k < _PERIODS else None
                 ax.plot(*points.T, color=colour, linewidth=1.1 if attracts else 0.7, linestyle=style, label=label)
     for group in marks:
         bifurcations(group, ax)

@@ -38,7 +38,7 @@ def test_doubling_along_a_shared_parameter():
     assert abs(float(b) - 5.6) < 10 * error
 
 
-@pytest.mark.parametrize("name", ["omega", "c"])
+@pytest.mark.parametrize("name", [pytest.param("omega", marks=pytest.mark.slow), "c"])
 def test_state_carried_along_a_shared_parameter(name):
     """The last state at a value is the first at the next one, and each value has its own clock and speed."""
     values = [1.1, 0.9, 1.3]  # b = 2.5 attracts; one period has an error of 1e-8 and three add up

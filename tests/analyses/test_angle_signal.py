@@ -38,6 +38,7 @@ def scene():
     return scene_of(flow, start, DRIVES, SOLVERS["dopri5"], 120, name="drive", error=1e-8)
 
 
+@pytest.mark.slow
 def test_growth_of_a_rotating_pendulum(scene, lanes):
     """K is near 1 where the motion is chaotic, whether the pendulum swings or turns, and near 0 elsewhere."""
     k = chaos01.run(chaos01.Chaos01Options(transient=64, periods=600), scene, lanes)["k"].to_numpy()

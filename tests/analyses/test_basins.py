@@ -108,6 +108,7 @@ def grid(tree, *names):
     return np.stack([a.ravel() for a in np.meshgrid(*(tree["basins"][n].values for n in names), indexing="ij")])
 
 
+@pytest.mark.slow
 def test_driven_pendulum(tmp_path):
     """Rotation and rest of a damped pendulum under a constant torque; exponents −γ and −γ/2 by its divergence.
 
@@ -130,6 +131,7 @@ def test_driven_pendulum(tmp_path):
     assert attractors["fraction"].values.tolist() == [np.mean(number == k) for k in (1, 2)]
 
 
+@pytest.mark.slow
 def test_five_attractors(tmp_path):
     """x'' + 0.08 x' + x³ = 0.2 cos t has orbits of periods 1, 3, 1, 2, 2 in this box, whatever phase lanes come in.
 
@@ -206,6 +208,7 @@ def test_the_ghost_of_a_cycle_is_no_attractor(tmp_path, mu):
         np.testing.assert_allclose(tree["attractors"]["exponent"].values, -2 * root * (1 + root), rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_a_bottleneck_beside_an_attractor(tmp_path):
     """x'' + 2 x' = x − x³ + c, with c beyond the fold at 2/(3√3) by 10⁻⁶, and a drive so weak that it only keeps time.
 
@@ -238,6 +241,7 @@ def test_escape(tmp_path):
     assert tree["attractors"]["fraction"].values.tolist() == [3 / 5]
 
 
+@pytest.mark.slow
 def test_escape_in_proportion_to_time(tmp_path):
     """y' = 1 never ends in a number that is not finite, and is seen to leave."""
     sweep = {"x": line(0.1, 1.0, 3)}
@@ -285,6 +289,7 @@ def test_boxes_around_points():
 # ---- over parameters
 
 
+@pytest.mark.slow
 def test_planes_of_starts_at_each_value(tmp_path):
     """Every value of a parameter has the attractors and shares of a plane of starts by itself, by other numbers."""
     plane = {"x": line(-1.0, 1.0, 8), "v": line(-0.5, 1.0, 8)}

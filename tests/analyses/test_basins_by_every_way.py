@@ -16,6 +16,8 @@ from jaxnh.analyses.settling import REASONS
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 
+UNCALIBRATED = True
+
 
 @pytest.fixture(autouse=True)
 def kept_programs(monkeypatch):
@@ -53,6 +55,7 @@ def test_one_group_of_a_session(tmp_path):
     assert session_of(asked).run("attractors").identical(whole)
 
 
+@pytest.mark.slow
 def test_parts_are_joined(double_well, in_memory, tmp_path):
     """Four parts, then what needs all tiles; parts alone have no basins."""
     config = tmp_path / "job.yaml"

@@ -102,6 +102,7 @@ def test_undecided_and_failed():
     assert boundary_of(labels).basin_entropy.value == pytest.approx(np.sum(mixed) / places)
 
 
+@pytest.mark.slow
 def test_planes_of_a_sweep(tmp_path):
     """At each value of a parameter the measures of its plane; without them none is stored."""
     plane = {"x": line(-1.5, 1.5, 33), "v": line(-1.0, 1.0, 32)}

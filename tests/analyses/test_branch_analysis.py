@@ -41,6 +41,7 @@ analyses:
     return Experiment.from_text(text)
 
 
+@pytest.mark.slow
 def test_pitchfork_from_lanes_that_have_settled(tmp_path):
     """Lanes on x = √μ lead to all: x = 0 from end to end, and both sides of the pitchfork at μ = 0."""
     tree = session_of(pitchfork(tmp_path)).tree()
@@ -69,6 +70,7 @@ def test_pitchfork_from_lanes_that_have_settled(tmp_path):
     assert max(root) == pytest.approx(np.sqrt(0.7), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_random_starts_find_what_no_lane_settles_on(tmp_path):
     """Far beyond the pitchfork x = 0 repels; Newton finds it all the same, and x = −√μ, where no lane goes."""
     options = "{limit: 1, transient: 64, starts: 16, values: 2, seed: 3, box: {x: [-1.5, 1.5], z: [-1, 1]}}"

@@ -15,6 +15,7 @@ from measure import scene_of, some_slow
 
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.growth import gram_schmidt
+from jaxnh.analyses.lane_orbits import least_period
 from jaxnh.analyses.scene import spread
 from jaxnh.costs.operations import count
 from jaxnh.engine.lanes import Lanes
@@ -56,7 +57,7 @@ def test_multiple_of_the_period():
     lanes, b = Lanes(), np.array([5.8, 2.5])
     start, p = constant_speed().section_point(spread(START, 2)), {"b": b}
     u = lanes(section_map, (strobe, np.int32(400)), (start, p))
-    np.testing.assert_array_equal(period.least_period(lanes, strobe, u, p, 8, np.ones((2, 3))), [1, 2])
+    np.testing.assert_array_equal(least_period(lanes, strobe, u, p, 8, np.ones((2, 3))), [1, 2])
 
 
 def test_exponents_of_periodic_orbits(case):
@@ -101,6 +102,7 @@ def test_exponents_of_chaos_over_many_periods(case):
     check_chaotic_spectrum(chaotic, twin, 0, group, 32, 1000)
 
 
+@pytest.mark.slow
 def test_tangents_cost_operations_only_where_asked_for():
     """Operations in the compiled programs, exactly: a diagram has the kicks of the map and no others.
 

@@ -286,7 +286,8 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize(("system", "values", "par", "place"), some_slow(HIDDEN, "the longest chain is a jump"))
+@pytest.mark.slow
+@pytest.mark.parametrize(("system", "values", "par", "place"), HIDDEN.values(), ids=HIDDEN)
 def test_hidden_cascades(result, request, system, values, par, place):
     """A longer chain of runs that is none; 8 → 16 between one lane and the next; 48 → 96, of which no lane is seen."""
     name = request.node.callspec.id.replace(" ", "_")
@@ -319,6 +320,7 @@ def test_the_whole_range_of_b(result):
     assert np.all(np.abs(group["b"].values - exact("table1")) <= group["b_error"].values)
 
 
+@pytest.mark.slow
 def test_the_example_of_the_readme(result):
     """At d = 0.05 the cascade lies beyond the config's range: it is found there, and the paper's d = 0.1 stays away."""
     overrides = (*SMALL, "system.d=0.05", "sweep.b.count=64")

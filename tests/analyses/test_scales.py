@@ -83,6 +83,7 @@ def scene(define, start, values, units, steps):
     return Scene(system, spread(state, len(values)), {name: scaled}, dopri8, steps, False, 1e-9, along=axis)
 
 
+@pytest.mark.slow
 def test_periods_of_duffing_in_any_units():
     """Periods 1, 3 and none, too early for slow lanes: those of the first units, and multipliers to rounding.
 

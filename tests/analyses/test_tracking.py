@@ -52,6 +52,17 @@ def test_folds(tmp_path, starts):
     assert abs(end - FOLD) <= bar
 
 
+def test_rest_points_that_are_there_along_the_whole_axis(tmp_path):
+    """The same between the folds, from x = 0: that leads to the lower one below μ = 0, to the upper one above."""
+    mu = [-0.3, -0.1, 0.1, 0.3]
+    sweep = {"mu": {"values": mu}, "x": {"values": [0.0]}}
+    attractors, _ = attractors_of(tmp_path, ("x",), "mu + x - x**3,", sweep, parameters="mu=0.0")
+    roots = np.array([sorted(np.roots([-1, 0, 1, m]).real) for m in mu])
+    np.testing.assert_allclose(np.sort(attractors["x"].values, axis=1), roots[:, [0, 2]], atol=1e-9)
+    assert sorted(attractors["fraction"].values.T.tolist()) == [[0, 0, 1, 1], [1, 1, 0, 0]]
+    assert attractors.sizes["change"] == 0
+
+
 def test_pitchfork(tmp_path):
     """x' = μ x − x³: the middle one gives way to twins, none of which is it, whichever way the axis goes."""
     for mu in (np.linspace(-0.5, 0.5, 6), np.array([0.3, -0.5, 0.5, -0.3, -0.1, 0.1])):
@@ -68,6 +79,7 @@ def test_pitchfork(tmp_path):
             assert (at, error) == (pytest.approx(0.0, abs=1e-15), pytest.approx(0.1))
 
 
+@pytest.mark.slow
 def test_hopf(tmp_path):
     """x'' = (μ − x²) x' − x: the cycle is what the rest point becomes at μ = 0."""
     sweep = {"mu": {"values": [-0.3, -0.15, 0.15, 0.3]}, "x": {"values": [0.5, 2.0]}, "v": {"values": [0.0]}}
@@ -76,6 +88,7 @@ def test_hopf(tmp_path):
     assert attractors.sizes["change"] == 0
 
 
+@pytest.mark.slow
 def test_driven_folds(tmp_path):
     """x'' + 0.2 x' + x + x³ = F cos 1.5 t: a small and a large answer, which ends and begins at folds.
 

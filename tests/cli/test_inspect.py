@@ -16,6 +16,7 @@ from conftest import ROOT, run_here
 
 from jaxnh.storage import hdf5 as store
 
+UNCALIBRATED = True
 CONFIG = """\
 title: To be looked at
 system: {constraint: disturbed_speed, d: 0.1}

@@ -20,6 +20,7 @@ from jaxnh.config.experiment import load
 from jaxnh.plotting import results as figures
 from jaxnh.plotting.panels import PANELS
 
+UNCALIBRATED = True
 CONFIG = """\
 title: A little of everything
 system: {constraint: disturbed_speed, d: 0.1}

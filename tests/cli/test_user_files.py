@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import run_here
+from measure import some_slow
 
 from jaxnh.cli import arguments
-from jaxnh.engine import calibration
+from jaxnh.engine import calibration, unmet_accuracy
 
 CONFIG = """\
 system: {file: own.py}
@@ -38,7 +39,7 @@ SYSTEMS = {
 }
 
 
-@pytest.mark.parametrize(("system", "reason"), SYSTEMS.values(), ids=SYSTEMS)
+@pytest.mark.parametrize(("system", "reason"), some_slow(SYSTEMS, "stiff"))
 def test_why_no_lane_has_a_period(tmp_path, system, reason):
     (tmp_path / "own.py").write_text(system)
     (tmp_path / "own.yaml").write_text(CONFIG)
@@ -57,11 +58,12 @@ def test_order_that_refinements_show():
     kicks = [1000 * 1.2**k for k in range(8)]
     for order in (1, 9):
         fall = [(int(n), 1e-2 * (n / 1000.0) ** -order) for n in kicks]
-        assert calibration._order_of([(100, np.inf), *fall]) == pytest.approx(order, rel=1e-3)  # of rounded kicks
-    assert calibration._order_of([(100, np.inf), (150, 1e-5)]) == np.inf
-    assert calibration._order_of([(int(n), 3e-12) for n in kicks]) == np.inf
+        assert unmet_accuracy.order_of([(100, np.inf), *fall]) == pytest.approx(order, rel=1e-3)  # of rounded kicks
+    assert unmet_accuracy.order_of([(100, np.inf), (150, 1e-5)]) == np.inf
+    assert unmet_accuracy.order_of([(int(n), 3e-12) for n in kicks]) == np.inf
 
 
+@pytest.mark.slow
 def test_a_calibration_that_takes_long_says_how_far_it_is(tmp_path, monkeypatch):
     """Its steps and what they have come to, and of a field with a jump why it comes no further."""
     monkeypatch.setattr(calibration, "_SILENT_SECONDS", 0.0)

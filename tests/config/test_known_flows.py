@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 import scipy.integrate
 from conftest import ROOT
+from measure import some_slow
 
 import jaxnh
-from jaxnh.analyses.period import orbits
+from jaxnh.analyses.lane_orbits import orbits
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
@@ -142,7 +143,8 @@ def ends(name, periods):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name == "rolling_disk" else ()) for name in NAMES]
+    "name",
+    some_slow({name: name for name in NAMES}, "lorenz", "duffing_single_well", "duffing_double_well", "pendulum"),
 )
 def test_flow_against_equations_written_out(name):
     """Two periods or units of time: of the size of the motion, tolerances of 1e-13 times what chaos makes of them."""
@@ -182,6 +184,7 @@ def test_energy_of_henon_and_heiles_is_kept():
     assert 0.0496 < energy(start).min() < energy(start).max() < 1 / 6
 
 
+@pytest.mark.slow
 def test_modes_of_the_double_pendulum():
     """Small angles along a mode, lower = ±√((1 + ratio)/ratio) upper: they swing at w, but for the cube of the angle."""
     flow, _, _, _ = flow_and_lanes("double_pendulum")

@@ -5,29 +5,17 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
+from unforced import write_config
 
 from jaxnh.config.experiment import load
 from jaxnh.exceptions import ConfigError, InputError
 from jaxnh.maps.section import Crossing, SectionedFlow
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 
-UNFORCED = """\
-system: {constraint: constant_speed, a: 0.5, c: 1.0, without: [forcing]}
-sweep: {b: {values: [0.2, 0.3]}}
-section: {coordinate: y1, value: 0.0, direction: up}
-accuracy: {target: 1.0e-6}
-analyses:
-  poincare: {transient: 2, strobes: 16}
-  diagram: {transient: 2, strobes: 4}
-  portrait: {transient: 1, periods: 2, samples: 8}
-"""
-
 
 @pytest.fixture
 def config(tmp_path):
-    path = tmp_path / "scene.yaml"
-    path.write_text(UNFORCED, encoding="utf-8")
-    return path
+    return write_config(tmp_path)
 
 
 # ---- what is left out, and contradictions

@@ -70,6 +70,7 @@ def test_lengths_of_time_and_of_returns(tmp_path):
     assert (flow.period, flow.longest) == (0.5, 30.0)
 
 
+@pytest.mark.slow
 def test_without_a_section_what_needs_none_runs_in_time(tmp_path):
     """With solver and steps given, a section changes nothing of a spectrum, bit for bit, and is not stored."""
     whole = CONFIG.replace("dopri8", "tsit5")  # whose programs are smaller
@@ -146,6 +147,7 @@ def test_exponents_of_lorenz(tmp_path):
     assert exponents.sum() == pytest.approx(-(10.0 + 1.0 + 8 / 3), abs=np.log(150.0) / 256)
 
 
+@pytest.mark.slow
 def test_crossings_of_lorenz_lie_on_the_plane(tmp_path):
     config = CONFIG.replace(
         "lyapunov: {transient: 16, periods: 256, exponents: 3}", "diagram: {transient: 4, strobes: 8}"

@@ -81,6 +81,7 @@ def scene_of(experiment, values, steps):
 # ---- the map
 
 
+@pytest.mark.slow
 def test_map_is_diffeqsolve_with_projected_steps(tmp_path):
     """The loop of steps is the written-out solver, projected, under `diffrax.diffeqsolve`, to rounding."""
     own = scene(tmp_path, [2.0], 100)

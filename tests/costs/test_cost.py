@@ -191,6 +191,7 @@ def test_file_and_figures(run, tree):
     assert all(part in lines[-2] for part in ("accuracy", "solvers", "doubling", "compile"))
 
 
+@pytest.mark.slow
 def test_price_of_an_exponent(monkeypatch):
     """At the most chaotic b, the error falls as averages do: fourfold over sixteen times the periods, on the whole."""
     for name, value in (("_SEARCHED", 8), ("_LANES", 64), ("_AVERAGED", (16, 256))):

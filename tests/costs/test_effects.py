@@ -12,6 +12,7 @@ import taylor
 import xarray as xr
 from conftest import ROOT
 from measure import scene_of
+from unforced import write_config
 
 from jaxnh.analyses import ANALYSES, chaos01, diagram, lyapunov, period, poincare, scene, verdict
 from jaxnh.analyses.base import LANE
@@ -104,6 +105,7 @@ def spectrum(lanes):
     return scene, lyapunov.run(options, scene, lanes)
 
 
+@pytest.mark.slow
 def test_exponents_pair_about_zero(spectrum):
     """One is zero, along the flow, and the others are ±λ: the divergence is a time derivative (Dettmann and Morriss).
 
@@ -125,6 +127,7 @@ def test_exponents_pair_about_zero(spectrum):
     assert largest[2] < 0.02 * largest[0]  # order: tangents grow in proportion to time, and so ln T/T
 
 
+@pytest.mark.slow
 def test_exponent_against_taylor(spectrum):
     """The largest exponent, by Taylor variational equations in float64 on the same lane, within both error bars."""
     scene, group = spectrum
@@ -136,6 +139,7 @@ def test_exponent_against_taylor(spectrum):
     assert abs(found.mean() - ours) < bar + error
 
 
+@pytest.mark.slow
 def test_one_exponent_is_one_tangent(lanes, spectrum):
     """One exponent alone is the largest of three, the same where motion is orderly; it carries one tangent, three two."""
     scene, group = spectrum
@@ -193,24 +197,10 @@ def test_diagram_from_random_starts(lanes, spectrum):
 
 # ---- configs
 
-CONFIG = """\
-title: Effects
-system: {constraint: constant_speed, a: 0.5, c: 1.0, without: [forcing]}
-sweep: {b: {values: [0.2, 0.3]}}
-section: {coordinate: y1, value: 0.0, direction: up}
-accuracy: {target: 1.0e-6}
-analyses:
-  poincare: {transient: 2, strobes: 16}
-  diagram: {transient: 2, strobes: 4}
-  portrait: {transient: 1, periods: 2, samples: 8}
-"""
-
 
 @pytest.fixture
 def config(tmp_path):
-    path = tmp_path / "scene.yaml"
-    path.write_text(CONFIG, encoding="utf-8")
-    return path
+    return write_config(tmp_path)
 
 
 @pytest.mark.slow

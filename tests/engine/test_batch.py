@@ -448,6 +448,7 @@ def test_damaged_tiles_are_computed_again(job, whole):
     assert all(word in line for word, line in zip(words, said, strict=True)), said
 
 
+@pytest.mark.slow
 def test_tiles_of_another_config_are_not_replaced(job, whole):
     """A job begun with other values stays, and one line says what to do; --fresh drops it."""
     assert job.run_here("sweep.b.count=257", "--part", "1/2")[0] == 0

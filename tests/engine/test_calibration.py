@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import taylor
 from conftest import lanes_with_kept_programs
-from measure import SYSTEMS, UNIT, apart, calibrated, some_slow, twin
+from measure import SYSTEMS, UNIT, apart, calibrated, twin
 
 from jaxnh.analyses.scene import spread
 from jaxnh.exceptions import AccuracyError
@@ -48,7 +48,8 @@ def other_lanes(lanes, system, first, last):
     return b, np.concatenate(points)
 
 
-@pytest.mark.parametrize(("name", "first", "last"), some_slow(RANGES, "disturbed, all b"))
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "first", "last"), RANGES.values(), ids=RANGES)
 def test_estimate_is_honest(lanes, name, first, last):
     """On lanes on the way and on the attractors the true error is below the estimate, which is below the target; and with
     every digit asked for there are more kicks.

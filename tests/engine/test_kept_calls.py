@@ -65,12 +65,13 @@ def calls_of(batch, *arguments):
 @pytest.mark.parametrize(
     ("text", "tile", "number", "at"),
     [
-        pytest.param(CARRIED, None, signal.SIGTERM, 3, id="carried, SIGTERM", marks=pytest.mark.slow),
+        pytest.param(CARRIED, None, signal.SIGTERM, 3, id="carried, SIGTERM"),
         pytest.param(CARRIED, None, signal.SIGINT, 1, id="carried, SIGINT"),
-        pytest.param(DOUBLING, None, signal.SIGTERM, 4, id="doubling", marks=pytest.mark.slow),
-        pytest.param(CONFIG, 32, signal.SIGKILL, 2, id="a batch of small tiles, killed", marks=pytest.mark.slow),
+        pytest.param(DOUBLING, None, signal.SIGTERM, 4, id="doubling"),
+        pytest.param(CONFIG, 32, signal.SIGKILL, 2, id="a batch of small tiles, killed"),
     ],
 )
+@pytest.mark.slow
 def test_stopped_within_a_piece(tmp_path, text, tile, number, at):
     """No call that was over is made again, and the result is that of a run that nothing disturbs, bit for bit."""
     (tmp_path / "whole").mkdir()

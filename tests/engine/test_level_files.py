@@ -22,6 +22,7 @@ from jaxnh.plotting.reading import load_result
 from jaxnh.storage import tiles
 from jaxnh.storage.hdf5 import read_attrs, read_group, verify
 
+UNCALIBRATED = True
 EXPERIMENT = Experiment.from_dict(said(WIDE, {"count": 3, "refine": "boundary"}, PERIOD))
 
 
@@ -121,6 +122,7 @@ def test_damaged_level_is_made_again(tmp_path, whole):
     assert numbers(path) == numbers(whole)
 
 
+@pytest.mark.slow
 def test_four_parts(tmp_path, whole):
     """A part goes on to the next level once the others have done theirs; then they are joined."""
     path = tmp_path / "a.h5"

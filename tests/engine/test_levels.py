@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import session_of
+from measure import some_slow
 
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.levels import near_changes
 from jaxnh.exceptions import ConfigError
 
+UNCALIBRATED = True
 LANE_AXES = {"b": {"start": 4.6, "stop": 5.6, "count": 20}, "a": {"start": 0.45, "stop": 0.55, "count": 9}}
 ROWS = {"b": {"start": 5.2, "stop": 6.0, "count": 9}, "d": {"start": 0.05, "stop": 0.4, "count": 5}}
 WIDE = {"b": {"start": 5.4, "stop": 5.7, "count": 33}, "a": {"start": 0.49, "stop": 0.51, "count": 9}}
@@ -34,7 +36,9 @@ def tree_of(*what):
 PERIOD = {"period": ANALYSES["period"]}
 
 
-@pytest.mark.parametrize(("sweep", "analyses"), [(LANE_AXES, ANALYSES), (ROWS, PERIOD)], ids=["lanes", "rows"])
+@pytest.mark.parametrize(
+    ("sweep", "analyses"), some_slow({"lanes": (LANE_AXES, ANALYSES), "rows": (ROWS, PERIOD)}, "rows")
+)
 def test_all_levels_are_the_plain_run(sweep, analyses):
     """Every bit of it, whatever the level at which a lane was computed; `computed` says that all were."""
     plain, levels = tree_of(sweep, None, analyses), tree_of(sweep, {"count": 3}, analyses)

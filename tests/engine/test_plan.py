@@ -14,6 +14,7 @@ from jaxnh.engine import plan as work
 from jaxnh.engine.lanes import Lanes
 from jaxnh.storage.pieces import Piece
 
+UNCALIBRATED = True
 COUNT = 600
 HEAD = f"""\
 system: {{constraint: disturbed_speed, d: 0.1}}

@@ -88,7 +88,7 @@ def test_fixed_value_is_no_dimension(session, whole):
     [
         pytest.param({"d": [0.05, 0.1]}, {"b": 5, "d": 2}, marks=pytest.mark.slow),
         ({"x1": [0.1, 0.3]}, {"b": 5, "x1": 2}),
-        ({"a": [0.5, 0.6]}, {"b": 5, "a": 2}),
+        pytest.param({"a": [0.5, 0.6]}, {"b": 5, "a": 2}, marks=pytest.mark.slow),
         pytest.param({"c": [0.9, 1.0], "x1": 0.1}, {"b": 5, "c": 2}, marks=pytest.mark.slow),
     ],
 )
@@ -140,6 +140,7 @@ def test_calibration_is_kept_within_its_ends():
     assert session.plan == plan
 
 
+@pytest.mark.slow
 def test_a_plan_in_time_does_not_serve_returns():
     """A spectrum of a flow without a clock needs no section; a diagram has one, whose steps serve both."""
     system = {"constraint": "constant_speed", "a": 0.5, "c": 1.0, "without": ["forcing"]}
@@ -165,6 +166,7 @@ def test_one_device(whole):
     identical(session.run("poincare"), whole)
 
 
+@pytest.mark.slow
 def test_sections():
     """Without a clock lanes are seen on the section."""
     session = session_of(Experiment.from_dict(UNFORCED))
@@ -175,6 +177,7 @@ def test_sections():
     np.testing.assert_array_equal(found["x1"].isel(x2=0), alone["x1"])
 
 
+@pytest.mark.slow
 def test_own_systems(tmp_path):
     """A user's system has its parameters and coordinates as axes; its programs are those of test_two_axes."""
     (tmp_path / "own.py").write_text(OSCILLATOR)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from types import SimpleNamespace
 
 import pytest
 from conftest import run_here
@@ -16,6 +15,7 @@ from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import ConfigError
 from jaxnh.solvers import SOLVERS
 
+UNCALIBRATED = True
 CONFIG = """\
 system: {constraint: constant_speed}
 sweep:
@@ -36,7 +36,6 @@ def config(tmp_path):
 
 def test_a_billion_lanes(config, monkeypatch):
     """128 + 256 (1 + 2) lane-periods of each, 900 with the transient; nothing else is done before it is said."""
-    monkeypatch.setattr(work, "calibrate", lambda *_: SimpleNamespace(error=lambda *_: 1e-6))
     monkeypatch.setattr(work, "choose", None)
     done = run_here(config.name, cwd=config.parent)
     assert done.returncode == 2

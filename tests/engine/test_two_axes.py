@@ -17,6 +17,7 @@ from jaxnh.config.experiment import Experiment
 from jaxnh.engine.plan import clock_of
 from jaxnh.engine.session import Session
 
+UNCALIBRATED = True
 PARTICLE = {"constraint": "disturbed_speed", "a": 0.5, "b": 5.3, "c": 1.0, "d": 0.1, "omega": 1.0}
 B = {"start": 5.2, "stop": 5.6, "count": 5}
 FEW = {"solver": "blanes_moan6", "steps": 40}

@@ -168,6 +168,7 @@ def test_a_click_tells_all_of_a_lane(tab, address):
     shot(page, "clicked")
 
 
+@pytest.mark.slow
 def test_what_is_saved_computes_the_view_again(tab, address, tmp_path):
     page = tab(address)
     whole(page)

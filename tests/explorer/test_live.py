@@ -12,6 +12,7 @@ from jaxnh.engine.progress import Calling
 from jaxnh.exceptions import InputError, Stopped
 from jaxnh.explorer.live import Live
 
+UNCALIBRATED = True
 CONFIG = {
     "system": {"constraint": "constant_speed"},
     "sweep": {"b": {"start": 4.0, "stop": 6.0, "count": 8}},

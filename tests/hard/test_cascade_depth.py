@@ -11,7 +11,7 @@ from battery import worst
 from matplotlib.figure import Figure
 from measure import scene_of, turned
 
-from jaxnh.analyses import chaos01, lyapunov, period, verdict
+from jaxnh.analyses import chaos01, lane_orbits, lyapunov, period, survey, verdict
 from jaxnh.analyses.cascade import follow
 from jaxnh.maps.iterate import derivatives
 from jaxnh.orbits.doubling_points import doubling_point, follow_branch
@@ -33,7 +33,7 @@ def one_period(lanes):
 @pytest.fixture(scope="module")
 def first(lanes, one_period):
     """The doubling 1 → 2."""
-    start = period.survey(SCENE, lanes, constant_speed().section_point(START)[None], 2, "hard", 300)
+    start = survey.survey(SCENE, lanes, constant_speed().section_point(START)[None], 2, "hard", 300)
     return doubling_point(one_period, follow_branch(one_period, start.u, 5.54, 5.515))
 
 
@@ -56,15 +56,15 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     )
     h = 1e-5
     at = {"b": first.value + np.array([-h, h])}
-    near = period.orbits(lanes, SCENE.strobe(), np.tile(first.orbit, (2, 1)), at, 1)
+    near = lane_orbits.orbits(lanes, SCENE.strobe(), np.tile(first.orbit, (2, 1)), at, 1)
     low, high = (np.linalg.eigvals(m).real.min() for m in near.monodromy)
     kappa = (high - low) / (2 * h)
     edge = 10.0**-n_edges
     b = np.concatenate([first.value + edge / kappa, first.value - edge / kappa])
     start = np.tile(constant_speed().section_point(START), (len(b), 1))
     scene = SCENE.at(b)
-    found = period.survey(scene, lanes, start, 16, "hard", 512)
-    found = period.beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
+    found = survey.survey(scene, lanes, start, 16, "hard", 512)
+    found = survey.beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
     wanted = np.repeat([1, 2], len(edge))
     wrong = int(np.sum(found.period != wanted))
     battery.row("|1 + μ| = 1e-2 … 1e-12 on both sides: periods 1 and 2", wrong, 0, "wrong periods:")
@@ -79,7 +79,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     off = np.abs(reference - found.multiplier[: len(edge)])
     battery.row("multiplier of period 1, by Taylor's monodromy matrix", worst(off), 1e-9, "error")
     steps = [
-        period.orbits(lanes, SCENE.strobe(), np.tile(first.orbit + 0.01, (len(edge), 1)), {"b": side}, 1).steps
+        lane_orbits.orbits(lanes, SCENE.strobe(), np.tile(first.orbit + 0.01, (len(edge), 1)), {"b": side}, 1).steps
         for side in np.split(b, 2)
     ]
     battery.row("Newton steps to the orbit of period 1", int(np.max(steps)), int(np.min(steps)) + 1, "largest number")
@@ -105,6 +105,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
 
 
 @pytest.mark.case("Deep in the cascade")
+@pytest.mark.slow
 def test_deep_in_the_cascade(battery, lanes, one_period):
     """Doubling points up to 1024 → 2048, and stable orbits between them closed and with all their multipliers."""
     deepest = 11 if battery.full else 7

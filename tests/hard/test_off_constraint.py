@@ -92,6 +92,7 @@ def adaptive_dopri8(system, y, p, periods):
     return lax.scan(period, tuple(jnp.asarray(v, float) for v in y), length=periods)[1]
 
 
+@pytest.mark.slow
 def test_growth_of_a_speed_error(battery, lanes):
     """An error put in on purpose grows by the predicted factor, as long as it stays small beside the speed."""
     count, put_in = (64, 1e-8) if battery.full else (8, 1e-8)

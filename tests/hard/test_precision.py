@@ -102,6 +102,7 @@ def seconds(lanes, maps, start):
     return best
 
 
+@pytest.mark.slow
 def test_never_silently(battery, sweep, tmp_path):
     """Printed and in the file; and refused for what rests on Newton, and for Runge–Kutta methods."""
     path = tmp_path / "single.yaml"

@@ -10,33 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import taylor
+from unforced import ANGLE, LANES, SPLITTING, START, B, P, spread, without
 
-from jaxnh.analyses import scene
 from jaxnh.engine.axes import Points
 from jaxnh.engine.calibration import Calibration
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.maps.section import Crossing, SectionedFlow
-from jaxnh.solvers import SPLITTINGS, dopri8
+from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
-from jaxnh.systems.particle import constant_speed
-
-START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
-ANGLE = np.array([0.1, 0.1, math.atan2(math.sqrt(0.99), 0.1)])
-LANES = 16
-B = np.linspace(0.1, 0.8, LANES)
-P = {"b": B}
-SPLITTING = SPLITTINGS["kahan_li8"]
-
-
-def without(*names, **others):
-    return constant_speed(without=names, **others)
-
-
-def spread(start, count=LANES):
-    return scene.spread(start, count)
-
 
 SECTIONS = {
     "up": (SectionedFlow(without("forcing"), "y1", 1, 0.0, "up"), 1),
@@ -59,6 +42,7 @@ def exact_crossings(name, b):
     return np.array([taylor.crossings(ANGLE, value, system.number, 4, direction=direction) for value in b])
 
 
+@pytest.mark.slow
 def test_crossings_meet_the_target(lanes):
     """The plan that calibration chooses for a target keeps it at the first crossing, against Taylor in long double.
 

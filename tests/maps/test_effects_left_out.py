@@ -6,29 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from unforced import ANGLE, SPLITTING, START, P, spread, without
 
-from jaxnh.analyses import scene
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
-from jaxnh.solvers import SPLITTINGS, dopri8
+from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import definition
 from jaxnh.systems.lagrangian import Motion, lagrangian
-from jaxnh.systems.particle import constant_speed, disturbed_speed
-
-START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
-ANGLE = np.array([0.1, 0.1, math.atan2(math.sqrt(0.99), 0.1)])
-LANES = 16
-B = np.linspace(0.1, 0.8, LANES)
-P = {"b": B}
-SPLITTING = SPLITTINGS["kahan_li8"]
-
-
-def without(*names, **others):
-    return constant_speed(without=names, **others)
-
-
-def spread(start, count=LANES):
-    return scene.spread(start, count)
+from jaxnh.systems.particle import disturbed_speed
 
 
 def test_tables_have_no_forcing_that_is_left_out():
@@ -41,6 +26,7 @@ def test_tables_have_no_forcing_that_is_left_out():
     assert (free_running.steps, int(free_running.one.kicks)) == (40, 17)
 
 
+@pytest.mark.slow
 def test_map_without_forcing_is_diffeqsolve(lanes):
     """A disturbed speed without forcing, against the general route by another method, to the error of either."""
     system = disturbed_speed(without=("forcing",))
@@ -53,7 +39,8 @@ def test_map_without_forcing_is_diffeqsolve(lanes):
     np.testing.assert_allclose([x, y, n1, n2], [*there.q, *there.v], atol=1e-9)
 
 
-@pytest.mark.parametrize("names", [pytest.param((), marks=pytest.mark.slow), ("forcing", "cubic_stiffness")])
+@pytest.mark.slow
+@pytest.mark.parametrize("names", [(), ("forcing", "cubic_stiffness")])
 def test_sweep_over_a(lanes, names):
     """Lanes that differ in a are the lanes of their own a and one b, and so is ∂P/∂a by differences."""
     values = np.array([0.3, 0.5, 0.8])

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from measure import some_slow
 
 from jaxnh.analyses.scene import spread
 from jaxnh.exceptions import AccuracyError
@@ -178,8 +177,9 @@ def test_damped_motion_without_force_is_exact(lanes):
 
 
 @pytest.mark.parametrize(
-    ("make", "system"), some_slow({"field": (first_order, oscillators), "T and Q": (lagrangian, by_t_and_q)}, "field")
+    ("make", "system"), [(first_order, oscillators), (lagrangian, by_t_and_q)], ids=["field", "T and Q"]
 )
+@pytest.mark.slow
 def test_tangents_are_derivatives_of_the_map(lanes, make, system):
     """By the linearisation of the force, of state and drive, against jacfwd; the volume is their determinant."""
     flow = make(system, VALUES, ("drive",))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 from measure import scene_of, some_slow
-from test_branches import DAMPING, FORCE, LOGISTIC, duffing, logistic_orbit
+from test_branches import LOGISTIC, by_scipy, duffing, logistic_orbit
 
 from jaxnh.analyses.families import equilibria_of, orbits_of
 from jaxnh.analyses.family_tree import Orbit, grow
@@ -122,7 +121,7 @@ NORMAL_FORMS = {
 }
 
 
-@pytest.mark.parametrize("name", some_slow({name: name for name in NORMAL_FORMS}, "fold", "pitchfork", "torus"))
+@pytest.mark.parametrize("name", some_slow({name: name for name in NORMAL_FORMS}, "fold", "pitchfork"))
 def test_normal_forms(lanes, name):
     """At μ = 0 each, with the coefficient and criticality of the flow's own equation."""
     rates, names, u, value, kind, coefficient = NORMAL_FORMS[name]
@@ -176,20 +175,9 @@ def test_hopf(lanes):
 def fold_by_scipy(omega, u):
     """(ω, u): Newton on P(u) = u and det(∂P/∂u − 1) = 0 by DOP853 and variational equations."""
 
-    def rates(t, y):
-        x, v = y[:2]
-        tangents = y[2:].reshape(2, 2)
-        force = FORCE * np.cos(t) - DAMPING * v - x - x**3
-        change = [tangents[1], -(1 + 3 * x**2) * tangents[0] - DAMPING * tangents[1]]
-        return np.concatenate([[v, force], *change])
-
     def mismatch(at):
-        def scaled(t, y):
-            return rates(t, y) / at[0]
-
-        start = np.concatenate([at[1:], np.eye(2).ravel()])
-        end = scipy.integrate.solve_ivp(scaled, (0, 2 * np.pi), start, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-        return np.append(end[:2] - at[1:], np.linalg.det(end[2:].reshape(2, 2) - np.eye(2)))
+        image, matrix = by_scipy(at[0], at[1:])
+        return np.append(image - at[1:], np.linalg.det(matrix - np.eye(2)))
 
     at = np.array([omega, *u])
     # Slopes of the first point do for all: it is known to some eight digits, and each step gains as many less three.
@@ -199,6 +187,7 @@ def fold_by_scipy(omega, u):
     return at[0]
 
 
+@pytest.mark.slow
 def test_folds_of_duffings_resonance(lanes):
     """Both ends of the bistable range of frequencies, to 1e-8 of scipy's and within their errors; nothing else is there."""
     flow = first_order(duffing, {"omega": 1.0})

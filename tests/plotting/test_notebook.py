@@ -16,6 +16,7 @@ import jaxnh
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.notebook import html
 
+UNCALIBRATED = True
 FEW = np.array([5.8, 2.5, 4.1, 5.3])
 
 

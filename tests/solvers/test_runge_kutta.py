@@ -16,7 +16,7 @@ methods = pytest.mark.parametrize("solver", RUNGE_KUTTA.values(), ids=RUNGE_KUTT
 OWN = {name: getattr(diffrax, name.capitalize()) for name in RUNGE_KUTTA if hasattr(diffrax, name.capitalize())}
 
 
-@methods
+@pytest.mark.parametrize("solver", some_slow(dict(RUNGE_KUTTA), "tsit5", "verner9"))
 @pytest.mark.parametrize("system", some_slow(CALM, "disturbed"))
 def test_order_under_diffrax(system, solver):
     """A wrong coefficient costs one order at least, so half an order less is its sign.

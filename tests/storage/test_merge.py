@@ -284,6 +284,7 @@ def test_merged_is_assembled_is_written_at_once(tmp_path, monkeypatch, axes, til
     st.lists(st.tuples(st.integers(1, 4), st.booleans()), min_size=1, max_size=3),
     st.integers(1, 20),
 )
+@pytest.mark.slow
 def test_any_axes(tmp_path_factory, drawn, tile):
     axes = tuple((f"p{k}", size, shared) for k, (size, shared) in enumerate(drawn))
     folder = tmp_path_factory.mktemp("any")

@@ -144,6 +144,7 @@ def stepped_whole(system, state, p):
 
 
 @LARGE_SLOW
+@pytest.mark.slow
 def test_tangents_are_derivatives_of_the_map(lanes, name):
     """In state and parameter, against jacfwd; as many multipliers are zero as there are constraints."""
     system, start = SYSTEMS[name][0], on_constraints(name)

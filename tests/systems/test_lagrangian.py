@@ -199,6 +199,7 @@ def appell_hamel(ratio=0.7, gravity=9.0, stiffness=0.0):
     return {"T": kinetic, "Q": forces, "f": wheel, "coordinates": ("x", "y", "z"), "period": 1.0}
 
 
+@pytest.mark.slow
 def test_appell_hamel_machine():
     """It falls with z'' = −g/(1 + r²) along a straight line (Hamel, Theoretische Mechanik, 1949), λ = x''/(2x').
 
@@ -233,6 +234,7 @@ def test_energy_of_the_appell_hamel_machine_in_springs():
 # ---- projection and failures
 
 
+@pytest.mark.slow
 def test_projection_is_orthogonal_and_its_drift_is_kept():
     """One coarse step leaves f = 0 by its error; the projection moves v along M⁻¹Aᵀ alone, and keeps that |f|."""
     system, plain = lagrangian(sleigh, {"mass": 1.3, "inertia": 0.4, "length": 0.6}), SOLVERS["tsit5"]

@@ -1,0 +1,109 @@
+"""Newton on periodic orbits of many lanes at once: orbits, their least periods and multipliers.
+
+Which lanes share a tile is decided here; one lane's step is `orbits/newton.py`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxnh.analyses.scene import LaneRunner, picked
+from jaxnh.maps.protocol import Strobe
+from jaxnh.orbits.newton import Look, Orbit, find_orbits, look
+from jaxnh.systems.flow import Flow, Parameters
+
+CONVERGED = 1e-7
+"""Residual of an orbit that Newton has found, in sizes of the motion."""
+
+ORBIT_TILE = 64
+"""Lanes a tile of programs that follow orbits."""
+
+# Few lanes have long orbits, and a tile takes as long for one lane as for all of it: sixteen take half the time that 64
+# do, no longer than eight, and where there are many lanes a lane takes twice as long as in tiles of 64.
+_SHORT, _LONG_TILE = 8, 16
+
+
+def orbits(
+    lanes: LaneRunner,
+    strobe: Strobe,
+    u: Float[np.ndarray, "lanes d"],
+    p: Parameters,
+    n: int | Int[np.ndarray, " lanes"],
+    size: Float[np.ndarray, "lanes d"] | None = None,
+) -> Orbit:
+    """`find_orbits` of period n over lanes, whose parameters are (lanes,) and whose motions have these sizes, or 1.
+
+    Lanes of like periods wait least for each other where they are neighbours.
+    """
+    n = np.broadcast_to(np.asarray(n, np.int32), len(u))
+
+    def of(lane: Int[np.ndarray, " group"], tile: int) -> Orbit:
+        def look_at(u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> Look:
+            which = lane[some]
+            at = (n[which], u, picked(p, which), *(() if size is None else sizes(strobe.system, size[which])))
+            return lanes(look, (strobe,), at, tile=tile)
+
+        return find_orbits(look_at, u[lane])
+
+    short, long = np.flatnonzero(n <= _SHORT), np.flatnonzero(n > _SHORT)
+    groups = [(lane, tile) for lane, tile in ((short, ORBIT_TILE), (long, _LONG_TILE)) if len(lane)]
+    found = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(of(*group) for group in groups))
+    return picked(found, np.argsort(np.concatenate([lane for lane, _ in groups])))
+
+
+def sizes(system: Flow, size: Float[np.ndarray, "lanes d"]) -> tuple[Float[np.ndarray, "lanes d"], ...]:
+    """Sizes as Newton's last argument, which a flow without dimensions has none of."""
+    return () if system.dimensionless else (size,)
+
+
+def apart(
+    system: Flow, one: Float[np.ndarray, "... d"], other: Float[np.ndarray, "... d"], size: Float[np.ndarray, "... d"]
+) -> np.ndarray:
+    """Largest difference (...) between section points in sizes of the motion; without dimensions that of positions."""
+    if system.dimensionless:
+        return system.apart(one, other)
+    return np.max(np.abs(system.wrap(one - other)) / size, axis=-1)
+
+
+def least_period(
+    lanes: LaneRunner,
+    strobe: Strobe,
+    u: Float[np.ndarray, "lanes d"],
+    p: Parameters,
+    n: int | Int[np.ndarray, " lanes"],
+    size: Float[np.ndarray, "lanes d"],
+) -> Int[np.ndarray, " lanes"]:
+    """Least d that divides n with P^d(u) = u, for points u of orbits of period n of motions with these sizes.
+
+    All such d are multiples of the least, so that prime factors are taken off n one by one for as long as u comes
+    back. A lane that was still on its way may miss its orbit at d and meet it at a multiple.
+    """
+    period = np.array(np.broadcast_to(n, len(u)))
+    factor = _prime_factors(period, np.ones_like(period))
+    while len(open_ := np.flatnonzero(factor)):
+        open_ = open_[np.argsort(period[open_] // factor[open_], kind="stable")]
+        d = (period[open_] // factor[open_]).astype(np.int32)
+        at = (d, u[open_], picked(p, open_), *sizes(strobe.system, size[open_]))
+        back = lanes(look, (strobe,), at, tile=ORBIT_TILE).residual < CONVERGED
+        period[open_[back]] //= factor[open_[back]]
+        factor[open_] = _prime_factors(period[open_], factor[open_] - back)
+    return period
+
+
+def _prime_factors(n: Int[np.ndarray, " lanes"], above: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
+    """The least prime factor of each n that is larger than a bound of its own, 0 where there is none."""
+    most = int(np.max(n, initial=1))
+    primes = np.array([q for q in range(2, most + 1) if all(q % d for d in range(2, math.isqrt(q) + 1))], int)
+    divides = (n[:, None] % primes == 0) & (primes > above[:, None])
+    return np.where(np.any(divides, axis=1), primes[np.argmax(divides, axis=1)], 0) if len(primes) else 0 * n
+
+
+def largest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.ndarray, " lanes"]:
+    """Largest modulus of the eigenvalues; infinite where the matrix is not finite."""
+    finite = np.all(np.isfinite(monodromy), axis=(1, 2))
+    moduli = np.abs(np.linalg.eigvals(np.where(finite[:, None, None], monodromy, 0.0)))
+    return np.where(finite, moduli.max(axis=1), np.inf)

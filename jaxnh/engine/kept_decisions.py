@@ -1,0 +1,59 @@
+"""What was decided for a sweep, kept from run to run as its programs are: a later run calibrates nothing.
+
+The solver and its steps follow from the experiment, the package, the libraries and the machine alone, bit for bit. The
+parts of a sweep, the jobs of a cluster, and a run after another of the same config decide once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+from jaxnh.config.experiment import Experiment
+from jaxnh.engine import kept_files, kept_programs
+from jaxnh.engine.lanes import Lanes
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What holds for a whole sweep.
+
+    Attributes:
+        solver: its name.
+        steps: a period.
+        compensated: whether sums are.
+        error_estimate: of one period's map.
+        chosen: what analyses choose from the whole sweep, by their names.
+        fastest: seconds a lane for a turn of the innermost loop of a map, as `Lanes` has seen in deciding.
+    """
+
+    solver: str
+    steps: int
+    compensated: bool
+    error_estimate: float
+    chosen: Mapping[str, Mapping[str, int]]
+    fastest: float
+
+
+def name_of(experiment: Experiment, lanes: Lanes) -> str | None:
+    """The name of a decision, the same in every process; None where it is not to be kept."""
+    user = experiment.user_file
+    said = kept_programs.of_user_file(user) if user else ""
+    if kept_files.folder() is None or said is None:
+        return None
+    words = ["decision", kept_programs.surroundings(), kept_programs.of_devices(lanes.devices)]
+    return hashlib.sha256("\n".join([*words, str(lanes.tile), said, experiment.sha256]).encode()).hexdigest()
+
+
+def find(name: str | None) -> Decision | None:
+    """The decision of that name, if it is kept."""
+    data = kept_files.find(name) if name else None
+    return Decision(**json.loads(data)) if data else None
+
+
+def keep(name: str | None, decision: Decision) -> None:
+    """Have a decision found by later runs; where it cannot be kept, it is not."""
+    if name:
+        kept_files.keep(name, json.dumps(asdict(decision)).encode())

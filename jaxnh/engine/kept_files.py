@@ -1,0 +1,71 @@
+"""Files of what is kept from run to run, in the folder `jaxnh` of JAX's cache, each found by a name of what decides it.
+
+One that is cut off, damaged or of another name is none, and is written anew. One that nothing has asked for in sixty
+days, as those of an earlier version, is removed when another is written. JAXNH_KEEP_PROGRAMS=0 switches all of it off.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import jax
+
+from jaxnh.exceptions import ResultError
+from jaxnh.storage.atomic import replacing
+
+_UNUSED_SECONDS = 60 * 24 * 3600.0
+_HEAD = 64 + 1  # of a file: the checksum of what follows
+
+
+def folder() -> Path | None:
+    """Where things are kept; None where they are not."""
+    root = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if not root or "://" in root or os.environ.get("JAXNH_KEEP_PROGRAMS") == "0":
+        return None
+    return Path(root) / "jaxnh" if jax.config.jax_enable_compilation_cache else None  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def find(name: str) -> bytes | None:
+    """What is kept by a name; None where nothing is, or nothing sound."""
+    where = folder()
+    try:
+        content = (where / name).read_bytes() if where else b""
+    except OSError:
+        return None
+    data = content[_HEAD:]
+    if content[:_HEAD] != _head(name, data):
+        return None
+    with suppress(OSError):
+        os.utime(where / name)  # pyright: ignore[reportOptionalOperand]
+    return data
+
+
+def keep(name: str, data: bytes) -> None:
+    """Have something found by later runs; where it cannot be kept, it is not."""
+    where = folder()
+    if where is None:
+        return
+    try:
+        where.mkdir(parents=True, exist_ok=True)
+        with replacing(where / name) as file:
+            file.write(_head(name, data) + data)
+            file.settle()
+    except (OSError, ResultError):
+        return
+    _forget(where)
+
+
+def _forget(where: Path) -> None:
+    """Remove what no run has asked for in a long time."""
+    with suppress(OSError), os.scandir(where) as files:
+        for file in files:
+            if time.time() - file.stat().st_mtime > _UNUSED_SECONDS:
+                os.unlink(file)
+
+
+def _head(name: str, data: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + data).hexdigest().encode() + b"\n"

@@ -1,0 +1,73 @@
+"""Why no number of steps meets an accuracy, or a map has no value at all: what the user of a system is told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
+
+from jaxnh.maps.section import SectionedFlow
+from jaxnh.systems.flow import Flow, Parameters, State
+
+ROUGH = 1e-8
+"""References further apart than this say nothing: more steps may yet help."""
+
+_LONG = 4.0  # times the median return: errors have grown in it
+_STIFF = 200.0  # rates a unit of time that explicit steps of the reference do not follow
+_NOT_SMOOTH, _ORDER_OF_LAST = 2.5, 5  # order seen in the last refinements below which fields are taken to have corners
+
+
+def fault_of(system: Flow, state: State, p: Parameters) -> str:
+    """Why the map of a state, floats, has no value; "" where that is not seen."""
+    flow = system.flow
+    state = state if flow is system else state.state
+    if why := flow.fault_at(0.0, state, p):
+        return why
+    if (fastest := _fastest(flow, state, p)) > _STIFF:
+        time_unit = ", or give a smaller time_unit" if flow.autonomous else ""
+        unit = "unit of time" if flow.autonomous else "period"
+        return (
+            f"rates of change reach {fastest:.2g} a {unit}, and solvers are explicit: the system is stiff; "
+            f"slow down what is fast in it{time_unit}"
+        )
+    if isinstance(system, SectionedFlow):
+        return f"the section may not be met within {system.longest:g} units of time"
+    return ""
+
+
+def of_long_returns(lengths: Float[np.ndarray, " samples"], worst: int) -> str:
+    """What to say of the sample of the largest error where returns to a section take so long; "": nothing."""
+    if lengths[worst] > _LONG * np.nanmedian(lengths):
+        return f"; it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
+    return ""
+
+
+def of_slow_convergence(fall: Sequence[tuple[int, float]]) -> str:
+    """What to say where references of more and more kicks come together so slowly; "": nothing."""
+    if order_of(fall) < _NOT_SMOOTH:
+        return (
+            "; more steps lessen it so slowly as where the equations jump or have corners (sign, abs, where): "
+            "make these smooth, or ask for less"
+        )
+    return ""
+
+
+def order_of(fall: Sequence[tuple[int, float]]) -> float:
+    """With which power of the kicks distances fall in the last refinements; infinite: unknown, or down to rounding."""
+    seen = [(kicks, gap) for kicks, gap in fall if gap < math.inf][-_ORDER_OF_LAST:]
+    if len(seen) < _ORDER_OF_LAST or min(gap for _, gap in seen) < ROUGH:
+        return math.inf
+    kicks, gaps = np.log(np.array(seen)).T
+    return float(-np.polyfit(kicks, gaps, 1)[0])
+
+
+def _fastest(flow: Flow, y: State, p: Parameters) -> float:
+    """Largest modulus of the eigenvalues of a flow's linearisation at a state and t = 0, times its unit of time."""
+    flat, whole = ravel_pytree(jax.tree.map(jnp.asarray, y))
+    jacobian = np.asarray(jax.jacfwd(lambda z: ravel_pytree(flow.rhs(0.0, whole(z), p))[0])(flat))
+    return float(np.abs(np.linalg.eigvals(jacobian)).max()) * flow.period if np.isfinite(jacobian).all() else 0.0
