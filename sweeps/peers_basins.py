@@ -31,15 +31,16 @@ _KIND = {"rest": "equilibrium", "rotation": "limit_cycle"}
 _HEAD = """\
 # Basins beside pybasin
 
-`{command}` runs `configs/flows/torque_pendulum.yaml`, a damped pendulum under a constant torque from {starts:,} starts,
-and pybasin's own benchmark of it from the same ones. {machine}
+`{command}` runs a damped pendulum under a constant torque
+(`configs/flows/torque_pendulum.yaml`) from {starts:,} starts, and pybasin's own benchmark of it from the same ones.
+{machine}, {cores} cores.
 
 {measured_at}
 
-Seconds of whole processes, medians of {repeats} runs in turn: jaxnh with an empty cache of programs and with those
-kept. jaxnh finds the attractors, and is done with a lane once its motion has settled, at a target of 1e-8 a unit of
-time; pybasin integrates every start to t = 1000 at rtol 1e-8 and atol 1e-6 in double precision (JAX_ENABLE_X64=1), and
-is given both attractors. Shares have intervals of 95 % (Wilson), as those of random starts would.
+Seconds of whole processes, {repeats}: jaxnh with an empty cache of programs and with those kept. jaxnh finds the
+attractors, and is done with a lane once its motion has settled, at a target of 1e-8 a unit of time; pybasin integrates
+every start to t = 1000 at rtol 1e-8 and atol 1e-6 in double precision (JAX_ENABLE_X64=1), and is given both attractors.
+Shares have intervals of 95 % (Wilson), as those of random starts would.
 """
 
 
@@ -72,15 +73,21 @@ def main() -> None:
             last = ", ".join(f"{peer} {samples[-1].seconds:.1f} s" for peer, samples in measured.items())
             print(f"run {repeat + 1} of {args.repeats}: {last}", file=sys.stderr, flush=True)
     head = _HEAD.format(
-        command=" ".join(["python -m sweeps.peers_basins", *sys.argv[1:]]),
+        command=" ".join(["python -m sweeps.peers_basins", *_without_folders(sys.argv[1:])]),
         starts=across * up,
         machine=processor(),
+        cores=len(os.sched_getaffinity(0)),
         measured_at=str(stamp()),
-        repeats=args.repeats,
+        repeats="one run each" if args.repeats == 1 else f"medians of {args.repeats} runs in turn",
     )
     page = "\n".join([head, *_table(measured, across * up), ""])
     args.output.write_text(page, encoding="utf-8")
     print(page)
+
+
+def _without_folders(arguments: Sequence[str]) -> list[str]:
+    """Arguments of the command line, of paths the name alone."""
+    return [Path(one).name if "/" in one else one for one in arguments]
 
 
 def _ours(folder: Path, grid: Sequence[str]) -> Sample:

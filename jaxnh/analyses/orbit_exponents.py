@@ -90,7 +90,7 @@ def on_orbits(
     if not len(candidates):
         return no_orbits(len(growth.tangents))
     some, u = scene.take(candidates), scene.system.section_point(picked(growth.state, candidates))
-    found = survey(some, lanes, u, min(longest, _LONGEST), "lyapunov", 0)
+    found = survey(some, lanes, u, min(longest, _LONGEST), "lyapunov", 0, tile=ORBIT_TILE)
     settled = np.flatnonzero(found.period > 0)
     return of_orbits(scene, lanes, growth, candidates[settled], picked(found, settled), parts)
 

@@ -77,16 +77,20 @@ def survey(
     transient: int,
     least: int = 1,
     only_doublings: bool = False,
+    tile: int | None = None,
 ) -> Survey:
     """Attractor and period (from `least` up to a limit) of every lane of a scene, from start points u.
 
     Lanes whose orbit is not found early are looked at again after the whole transient. The period is a multiple of the
     least n after which the points roughly recur; with `only_doublings`, for a cascade, 2, 4, 8, … times that alone are
     tried.
+
+    Args:
+        tile: lanes a tile on their way, where they are few.
     """
     first, *late = _looks(transient, limit)
-    seen = _look(scene, lanes, u, first, label, least, only_doublings)
-    return _continued(scene, lanes, seen, late, label, least, only_doublings)
+    how = label, least, only_doublings, tile
+    return _continued(scene, lanes, _look(scene, lanes, u, first, *how), late, *how)
 
 
 class Timing(NamedTuple):
@@ -147,6 +151,7 @@ def _continued(
     label: str,
     least: int = 1,
     only_doublings: bool = False,
+    tile: int | None = None,
 ) -> Survey:
     """Those lanes whose orbits have not been seen are looked at again."""
     found = jax.tree.map(np.copy, seen.survey)
@@ -156,7 +161,7 @@ def _continued(
         if not len(left):
             break
         open_ = open_[left]
-        part, ends = _look(scene.take(open_), lanes, ends[left], timing, label, least, only_doublings)
+        part, ends = _look(scene.take(open_), lanes, ends[left], timing, label, least, only_doublings, tile)
         for whole, some in zip(found, part, strict=True):
             whole[open_] = some
     return found
@@ -178,6 +183,7 @@ def _look(
     label: str,
     least: int = 1,
     only_doublings: bool = False,
+    tile: int | None = None,
 ) -> Seen:
     """What is seen of lanes some periods on, in 2 limit points of each."""
     strobe, count, p = scene.strobe(), scene.count, dict(scene.p)
@@ -185,10 +191,11 @@ def _look(
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
         shared, static = (strobe, np.int32(wait)), (2 * limit,)
         if scene.system.dimensionless:
-            points, size = lanes(strobe_points, shared, (u, p), periods=cost, static=static), np.ones_like(u)
+            points = lanes(strobe_points, shared, (u, p), periods=cost, static=static, tile=tile)
+            size = np.ones_like(u)
         else:
             radian = 0.0 if scene.system.autonomous else scene.system.period / (2 * np.pi)
-            points, size = lanes(_sized_points, (*shared, radian), (u, p), periods=cost, static=static)
+            points, size = lanes(_sized_points, (*shared, radian), (u, p), periods=cost, static=static, tile=tile)
     recurs = _recurrences(scene.system, points, size, limit, least, only_doublings)
     period, found, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
     failed |= ~np.all(np.isfinite(points), axis=(1, 2))
@@ -231,19 +238,25 @@ def _recurrences(
 ) -> Bool[np.ndarray, "periods lanes"]:
     """Whether n may be the period of a lane, for n from 0 to a limit: a multiple of the least after which points recur.
 
-    Newton decides: points that nearly recur do so too where a lane is still on its way.
+    Newton decides: points that nearly recur do so too where a lane is still on its way. Just after a doubling an orbit
+    and its daughter cannot be told apart; points of other multiples of the least are apart from each other, and recur
+    twice as near after the whole period. Bands of chaos do so after no multiple.
     """
     possible = np.zeros((limit + 1, len(points)), np.bool_)
-    base = np.zeros(len(points), int)
+    base, nearest = np.zeros(len(points), int), np.zeros(len(points))
     for n in range(least, limit + 1):
         lanes = np.flatnonzero(apart(system, points[:, n], points[:, 0], size) < _CLOSE)  # most do not recur
         if not len(lanes):
             continue
         ahead, behind = points[lanes, n : n + limit], points[lanes, :limit]
-        lanes = lanes[np.max(apart(system, ahead, behind, size[lanes, None]), axis=1) < _CLOSE]
-        base[lanes] = np.where(base[lanes] == 0, n, base[lanes])
+        distance = np.max(apart(system, ahead, behind, size[lanes, None]), axis=1)
+        lanes, distance = lanes[distance < _CLOSE], distance[distance < _CLOSE]
+        first = base[lanes] == 0
+        base[lanes[first]], nearest[lanes[first]] = n, distance[first]
         ratio, rest = np.divmod(n, base[lanes])
-        possible[n, lanes] = (rest == 0) & ((ratio & (ratio - 1) == 0) | (not only_doublings))
+        doubled = ratio & (ratio - 1) == 0
+        nearer = distance < 0.5 * nearest[lanes]
+        possible[n, lanes] = (rest == 0) & (doubled | (nearer & (not only_doublings)))
     return possible
 
 

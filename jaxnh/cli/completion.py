@@ -42,7 +42,8 @@ def _keys(node: dict[str, Any], schema: dict[str, Any], path: str) -> Iterator[s
         if name not in _USERS_OWN:
             yield from _keys(schema["$defs"][name], schema, path)
         return
-    for one in (*node.get("oneOf", ()), *node.get("anyOf", ())):
+    cases = (node[word] for word in ("then", "else") if word in node)
+    for one in (*node.get("oneOf", ()), *node.get("anyOf", ()), *cases):
         yield from _keys(one, schema, path)
     for key, value in node.get("properties", {}).items():
         yield from _keys(value, schema, f"{path}.{key}" if path else key)

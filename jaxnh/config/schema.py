@@ -21,10 +21,11 @@ def schema() -> dict[str, Any]:
     system = properties["system"]
     properties["system"] = {**system, "oneOf": [*system["oneOf"], {"$ref": users["properties"]["system"]["$ref"]}]}
     kinds = {"then": {"properties": {}}, "else": {"properties": {}}}  # which of the two is known from the system
-    for name in ("initial", "sweep"):
+    for name in ("initial", "sweep", "section"):
         properties[name] = {"description": properties[name]["description"]}
         for word, given in (("then", users), ("else", built_in)):
-            kinds[word]["properties"][name] = {"$ref": given["properties"][name]["$ref"]}
+            form = given["properties"][name]
+            kinds[word]["properties"][name] = {key: form[key] for key in ("$ref", "anyOf") if key in form}
     return {
         "$schema": GenerateJsonSchema.schema_dialect,
         **built_in,

@@ -9,7 +9,6 @@ coordinates and velocities the map has m multipliers zero.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -28,6 +27,7 @@ from jaxnh.maps.protocol import Pushed, Strobe, Tangent
 from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.systems.tracing import once
 
 _SMALLEST_GRID = 2048  # steps of all parts: most accuracies, and refined ones, run through one program
 _LARGEST_STEP = 3000  # equations that are written out in a step; larger ones compile for minutes, and get a loop
@@ -250,7 +250,7 @@ def split_of(system: Flow) -> TimeSplit:
     return _split(jax.tree.structure(system), shapes)
 
 
-@functools.lru_cache(maxsize=256)
+@once
 def _split(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> TimeSplit:
     system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
 

@@ -7,7 +7,6 @@ the mass.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -31,7 +30,7 @@ from jaxnh.systems.jourdain import (
     constraint_functions,
     matrices,
 )
-from jaxnh.systems.tracing import jacobian_trace
+from jaxnh.systems.tracing import jacobian_trace, once
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
@@ -326,7 +325,7 @@ class Lagrangian(Defined):
         }
 
 
-@functools.lru_cache(maxsize=256)
+@once
 def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit | None:
     """Of a structure, once: parameters are no numbers then, and decide nothing."""
     found: list[Explicit | None] = []

@@ -6,9 +6,10 @@ where another is not.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,9 @@ from jax.extend import core
 
 _INLINED = ("jit", "pjit", "closed_call", "core_call")
 
+_NO_DEVICES = jax.sharding.AbstractMesh((), ())
+
+Found = TypeVar("Found")
 Slot = int
 """Number of a value of a program."""
 
@@ -179,6 +183,23 @@ def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], 
 
     slopes = [jax.jvp(component(i), (leaves[i],), (jnp.ones_like(leaves[i]),))[1] for i in numbers]
     return sum(slopes[1:], slopes[0])
+
+
+def once(
+    look: Callable[[Any, tuple[tuple[int, ...], ...]], Found],
+) -> Callable[[Any, tuple[tuple[int, ...], ...]], Found]:
+    """A look at functions, by tracing, that is taken once for each structure of a pytree and shapes of its leaves.
+
+    What is traced while a program for some devices is made is of that program's devices, unless it is traced apart.
+    """
+
+    @functools.lru_cache(maxsize=256)
+    @functools.wraps(look)
+    def found(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Found:
+        with jax.sharding.use_abstract_mesh(_NO_DEVICES):
+            return look(structure, shapes)
+
+    return found
 
 
 def _alone(equation: Any, program: Any) -> Callable[..., Sequence[Any]]:

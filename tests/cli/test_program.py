@@ -55,6 +55,7 @@ def test_it_runs_them(program, tmp_path):
         ("jaxnh cost a.yaml analyses.chaos", ["transient=", "periods="]),
         ("jaxnh sweep a.yaml analyses.chaos01.p", ["periods="]),
         ("jaxnh sweep a.yaml system.constraint=f", ["free"]),
+        ("jaxnh sweep a.yaml sweep.b.st", ["start=", "stop="]),
         ("jaxnh sweep a.yaml nothing.", []),
     ],
 )

@@ -17,7 +17,8 @@ from measure import SYSTEMS
 from jaxnh.engine.lanes import TILE, Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
-from jaxnh.solvers import SPLITTINGS
+from jaxnh.solvers import SPLITTINGS, tsit5
+from jaxnh.systems.first_order import first_order
 
 MANY = 1000
 STATE = (np.full(MANY, 0.1), np.full(MANY, 0.1)), (np.full(MANY, 0.1), np.full(MANY, math.sqrt(0.99)))
@@ -184,3 +185,17 @@ def test_configure(number, set_before, devices):
         [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
     )
     assert done.stdout.split() == [str(devices), "5.0"]
+
+
+def test_a_flow_first_seen_by_two_devices():
+    """What is known of a flow's equations is found while the first program is traced, and is of no device."""
+
+    def rotor(damping):
+        return {"rhs": lambda y, t: (y[1], 0.5 - damping * y[1] - jnp.sin(y[0])), "coordinates": ("angle", "rate")}
+
+    flow = first_order(rotor, {"damping": 0.1})
+    step = make_strobe(flow, tsit5, 1)
+    start = jax.vmap(flow.unchart)(np.stack([np.linspace(0.0, 1.0, 8), np.zeros(8)], axis=1))
+    lanes = start, {"damping": np.full(8, 0.1)}
+    found = [Lanes(devices=jax.devices("cpu")[:n])(iterate, (step, np.int32(20)), lanes) for n in (2, 1)]
+    same(*found)
