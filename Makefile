@@ -6,10 +6,11 @@ INSTALLED := $(VENV)/.installed
 TABLES := table1 table2
 FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
 RANGES := range_constant range_disturbed
+CHARTS := chart_b_d chart_b_a
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) unforced governor basins branches flows paper effects startup claims docs release-check test slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows paper effects startup claims docs release-check test check_types check_tests slow hard clean
 
 install: $(INSTALLED)
 
@@ -22,7 +23,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 $(TABLES): $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
 
-$(FIGURES) $(RANGES) unforced governor basins branches: $(INSTALLED)
+$(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches: $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
 	$(RUN)/python -m jaxnh.plot results/$@.h5
 
@@ -66,12 +67,17 @@ NEWEST ?= $(lastword $(wildcard $(foreach minor,11 12 13 14 15,$(HOME)/.pyenv/ve
 release-check: $(INSTALLED)
 	$(RUN)/python -m sweeps.release_check --newest '$(NEWEST)'
 
-# Style, types, layers and all tests but those marked slow.
+# Style, layers, types and all tests but those marked slow. Types are checked beside the tests, by one core for a minute.
 test: $(INSTALLED)
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check .
-	$(RUN)/basedpyright --warnings
 	$(RUN)/lint-imports --no-cache
+	$(MAKE) --jobs=2 --keep-going check_types check_tests
+
+check_types: $(INSTALLED)
+	$(RUN)/basedpyright --warnings
+
+check_tests: $(INSTALLED)
 	$(RUN)/pytest --numprocesses 2 --dist worksteal --durations 20
 
 # The tests marked slow, and no others.

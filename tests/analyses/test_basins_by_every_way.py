@@ -43,6 +43,7 @@ def in_memory(double_well):
     return tree
 
 
+@pytest.mark.slow
 def test_tiles(double_well, in_memory, tmp_path):
     """Tiles of 16 lanes on disk, and one group of a session alone."""
     same_tree(jaxnh.run(double_well, tmp_path / "tiles.h5", tile=16), in_memory)

@@ -26,6 +26,7 @@ def lorenz(folder, rho, longest):
     return tree["attractors"].to_dataset(), tree["basins"].to_dataset()
 
 
+@pytest.mark.slow
 def test_crisis_of_chaos(tmp_path):
     """Below the crisis chaos is a passage to one of the foci, up to the Hopf point they are beside it, then it is alone.
 

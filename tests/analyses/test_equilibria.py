@@ -103,6 +103,7 @@ def test_equilibria_of_roessler(lanes):
         assert abs(point.value - value) < point.error + ROUNDING
 
 
+@pytest.mark.slow
 def test_random_starts_on_a_section(lanes):
     """Newton finds Lorenz's shortest orbit, which repels (Viswanath, Nonlinearity 16 (2003) 1035), from random starts."""
     flow = SectionedFlow(first_order(lorenz, {"rho": 28.0}), "z", 2, 27.0, "up")

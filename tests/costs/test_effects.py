@@ -183,6 +183,7 @@ def test_other_analyses_on_a_section(lanes, spectrum):
     assert found["period"].attrs["units"] == "crossings"
 
 
+@pytest.mark.slow
 def test_diagram_from_random_starts(lanes, spectrum):
     """Crossings with their times, rising, in each of the dimensions of the diagram."""
     scene, _ = spectrum

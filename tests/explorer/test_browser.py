@@ -188,6 +188,7 @@ def test_what_is_saved_computes_the_view_again(tab, address, tmp_path):
     assert (tmp_path / "view.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_two_tabs_have_views_of_their_own(tab, address):
     one, other = tab(address), tab(address)
     whole(other)
@@ -205,6 +206,7 @@ def test_an_error_is_said_on_the_page(tab, address):
     shot(page, "error")
 
 
+@pytest.mark.slow
 def test_a_result_opens_without_computing_and_a_stopped_server_is_said(tab, config, tmp_path):
     result = tmp_path / "page.h5"
     jaxnh.run(jaxnh.load(config, ["sweep.b.count=16", "analyses={diagram: {strobes: 64}, period: {limit: 2}}"]), result)
