@@ -134,6 +134,10 @@ def _power(arithmetic: Arithmetic, params: Mapping[str, Any], a: Double) -> Doub
     return result
 
 
+def _equal(_: Arithmetic, __: Mapping[str, Any], a: Double, b: Double) -> Array:
+    return (a.hi == b.hi) & (_half(a, 1) == _half(b, 1))
+
+
 _OPERATIONS: dict[str, Callable[..., Value]] = {
     "add": lambda arithmetic, _, a, b: arithmetic.add(a, b),
     "add_any": lambda arithmetic, _, a, b: arithmetic.add(a, b),
@@ -145,6 +149,7 @@ _OPERATIONS: dict[str, Callable[..., Value]] = {
     "square": lambda arithmetic, _, a: arithmetic.mul(a, a),
     "sin": lambda arithmetic, _, a: arithmetic.sin_cos(a)[0],
     "cos": lambda arithmetic, _, a: arithmetic.sin_cos(a)[1],
+    "eq": _equal,
     "atan2": lambda arithmetic, _, a, b: arithmetic.atan2(a, b),
 }
 
