@@ -64,7 +64,7 @@ class Setting(NamedTuple):
         flow: the system in continuous time.
         autonomous: whether it has no clock and is seen on a section.
         axes: of the sweep.
-        precision: "float64" or "float32".
+        precision: "float64", "float32" or "extended".
         flow_at: the system in continuous time at a value of the first axis; raises ValueError where there is none.
     """
 
@@ -177,6 +177,7 @@ class Analysis:
             axis, once for each point of the others (`Scene.along`); variables without dimensions are then attributes
             of the group, or get the other axes where there are some.
         newton: whether it rests on Newton for orbits, for which single precision is too coarse.
+        extended: whether it makes use of `accuracy.precision: extended`.
         in_time: whether it looks at a flow without a clock in time, and needs no section of it.
         numbers: options to about how many numbers a lane leaves.
         choose: (options, scene, lane runner) to whole numbers that hold for all lanes of a sweep; of several scenes
@@ -199,6 +200,7 @@ class Analysis:
     needs: tuple[str, ...] = ()
     independent: Callable[[Any], bool] = _always
     newton: bool = False
+    extended: bool = False
     in_time: bool = False
     numbers: Callable[[Any], int] = _few
     choose: Callable[[Any, Scene, LaneRunner], Mapping[str, int]] | None = None

@@ -14,6 +14,7 @@ from jaxnh.analyses.along import value_by_value
 from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, Table, variable
 from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade_limits import doublings_limit, widths_limit
+from jaxnh.analyses.extended import ExtendedDoublings, delta_limit, deltas, extended_doublings
 from jaxnh.analyses.locating import PERIOD_TILE
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
@@ -50,6 +51,8 @@ def independent(options: DoublingOptions) -> bool:
 def check(options: DoublingOptions, setting: Setting) -> None:
     """See that the first axis is a parameter, and one that there is something of between two values of it."""
     first = setting.axes[0]
+    if first.kind == "shared" and setting.precision == "extended":
+        raise OptionError(f"extended precision is along a parameter that lanes have of their own{setting.advice}")
     if taken := [axis.name for axis in setting.axes if axis.name in _OWN_NAMES]:
         raise OptionError(f"{taken[0]} is what doubling calls a number of its own; rename the parameter")
     if first.kind == "start":
@@ -71,7 +74,8 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
     search = options.search and scene.flow_at is None
     found = follow(scene, value_by_value(scene, lanes), options.levels, search=search)
-    return _dataset(scene.system, scene.line, options.levels, found)
+    data = _dataset(scene.system, scene.line, options.levels, found)
+    return _extended(data, extended_doublings(scene, lanes, found)) if scene.precision == "extended" else data
 
 
 def _dataset(system: Flow, axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
@@ -125,6 +129,23 @@ def _dataset(system: Flow, axis: Axis, levels: int, found: Cascade) -> xr.Datase
         **({"warnings": warnings} if (warnings := _warnings(axis, levels, found)) else {}),
     }
     return xr.Dataset(variables, attrs=attrs)
+
+
+def _extended(data: xr.Dataset, found: ExtendedDoublings) -> xr.Dataset:
+    """The dataset with what double-double precision knows of its doublings: their other digits, δ and its limit."""
+    name, levels = str(data.attrs["along"]), data.sizes["level"]
+    count = min(len(found.coarse), len(found.fine))
+    value, rest, delta, error = (np.full(levels, np.nan) for _ in range(4))
+    value[:count], rest[:count] = np.reshape([point.value for point in found.fine[:count]], (count, 2)).T
+    if count > 2:
+        (coarse, _), (fine, rounding) = deltas(found.coarse[:count]), deltas(found.fine[:count])
+        delta[1 : count - 1], error[1 : count - 1] = fine, np.abs(np.subtract(fine, coarse)) + rounding
+    limit, limit_error = delta_limit(found.fine)
+    new = {name: np.where(np.isnan(value), data[name], value), "delta": delta, "delta_error": error}
+    new |= {"delta_limit": limit, "delta_limit_error": limit_error} if np.isfinite(limit) else {}
+    data = data.assign({key: (data[key].dims, numbers, data[key].attrs) for key, numbers in new.items()})
+    words = f"what is to be added to {name} for its digits beyond float64, of the map as it is computed"
+    return data.assign({f"{name}_rest": variable("level", rest, words, str(data[name].attrs["units"]))})
 
 
 def _warnings(axis: Axis, levels: int, found: Cascade) -> str:
@@ -252,6 +273,7 @@ ANALYSIS = Analysis(
     run,
     independent=independent,
     newton=True,
+    extended=True,
     check=check,
     table=table,
     price=price,

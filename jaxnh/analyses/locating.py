@@ -18,7 +18,8 @@ from jaxnh.orbits.shooting import Period
 PERIOD_TILE = 32
 """Lanes a tile of the derivatives of a period: an orbit has few points."""
 
-_REFINEMENTS = (1, 2, 4)
+REFINEMENTS = (1, 2, 4)
+"""Of the steps that the accuracy asks for, in maps that a doubling is located with."""
 
 
 class Located(NamedTuple):
@@ -71,7 +72,7 @@ def refined(scene: Scene) -> tuple[Strobe, ...]:
     other as plain sums scatter them.
     """
     exact = replace(scene, compensated=True)
-    strobes = [exact.strobe(refinement) for refinement in _REFINEMENTS]
+    strobes = [exact.strobe(refinement) for refinement in REFINEMENTS]
     return tuple(strobe.with_room_of(strobes[-1]) for strobe in strobes)
 
 

@@ -54,7 +54,7 @@ class Scene:
         along: the first axis, where the lanes are those along it, at one point of all others.
         flow_at: where all lanes share the parameter that is this axis, the system at a value of it; else None.
         chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
-        precision: "float64" or, where asked for, "float32", of the arithmetic within a period.
+        precision: "float64" or, where asked for, "float32" or "extended", of the arithmetic within a period.
     """
 
     system: Flow

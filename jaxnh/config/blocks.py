@@ -241,9 +241,10 @@ class Accuracy(Block):
         default=None, ge=1, le=1_000_000, description="Steps a period instead of those chosen for the target"
     )
 
-    precision: Literal["float64", "float32"] | None = Field(
+    precision: Literal["float64", "float32", "extended"] | None = Field(
         default=None,
-        description="Arithmetic within a period: float64, or if asked for float32, with errors of 1e-5 and more",
+        description="Arithmetic within a period: float64, or if asked for float32, with errors of 1e-5 and more, or"
+        " extended, which is double-double for doublings once they are found",
     )
 
     @property
@@ -263,8 +264,8 @@ class Accuracy(Block):
         if (self.solver is None) != (self.steps is None):
             given, absent = ("solver", "steps") if self.steps is None else ("steps", "solver")
             raise rule(f"solver and steps go together; give {absent} as well", given)
-        if self.precision == "float32" and self.solver and self.solver not in SPLITTINGS:
-            raise rule(f"float32 goes with the splittings, and {self.solver} is none", "precision", "solver")
+        if self.precision in ("float32", "extended") and self.solver and self.solver not in SPLITTINGS:
+            raise rule(f"{self.precision} goes with the splittings, and {self.solver} is none", "precision", "solver")
         return self
 
 

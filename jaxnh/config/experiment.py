@@ -173,10 +173,13 @@ class Experiment(Block):
                 f"steps end one by one at crossings, which {solver} is not made for; others are {', '.join(fitting)}",
                 "accuracy.solver",
             )
-        if self.precision == "float32" and not prescribed:
-            raise rule("float32 is for a particle at a prescribed speed", "accuracy.precision")
-        if self.precision == "float32" and self.autonomous:
-            raise rule("float32 goes with a strobe, and this scene has no clock", "accuracy.precision")
+        if self.precision != "float64" and not prescribed:
+            raise rule(f"{self.precision} is for a particle at a prescribed speed", "accuracy.precision")
+        if self.precision != "float64" and self.autonomous:
+            raise rule(f"{self.precision} goes with a strobe, and this scene has no clock", "accuracy.precision")
+        if self.precision == "extended" and not any(analysis.extended for analysis, _ in self.requested()):
+            known = listed([analysis.name for analysis in ANALYSES.values() if analysis.extended])
+            raise rule(f"extended is for {known}; ask for it as well, or leave this out", "accuracy.precision")
 
     def _check_analysis(self, analysis: Analysis, options: Options, setting: Setting) -> None:
         """See that an analysis can do with the scene, and its options with scene and sweep."""
@@ -274,7 +277,7 @@ class Experiment(Block):
 
     @property
     def precision(self) -> str:
-        """Arithmetic within a period: "float64", or "float32" where it is asked for."""
+        """Arithmetic within a period: "float64", or "float32" or "extended" where it is asked for."""
         return self.accuracy.precision or "float64"
 
     def too_large(self, would: str) -> ConfigError:

@@ -41,7 +41,11 @@ _SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very syste
 _MOST_SEED_KICKS = 1 << 16
 _ROUNDS = 8
 _TABLES = 4  # that the rounding of plain sums is measured on
-_PRECISE = {"float64": 1e-6, "float32": 1e-1}  # an error below this that more steps do not halve is rounding
+_PRECISE = {
+    "float64": 1e-6,
+    "extended": 1e-6,
+    "float32": 1e-1,
+}  # an error below this that more steps do not halve is rounding
 _MOST_KICKS = 1 << 20
 _HOPELESS = 1 << 17  # kicks: fast motion is resolved by now, and what still does not converge is given little more time
 _MAPS_KEPT = 64  # of flows, while a number of steps is looked at

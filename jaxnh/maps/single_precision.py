@@ -36,8 +36,8 @@ class SingleStrobe(Strobe):
 
 
 def in_precision(strobe: Strobe, precision: str) -> Strobe:
-    """A strobe map, or several stacked, in "float64", as it is, or with its arithmetic in "float32"."""
-    if precision == "float64":
+    """A strobe map, or several stacked, as it is, or with its arithmetic in "float32"."""
+    if precision != "float32":
         return strobe
     inner = jax.tree.map(lambda v: np.asarray(v, np.float32) if np.result_type(v).kind == "f" else v, strobe)
     return SingleStrobe(strobe.system, inner)

@@ -32,7 +32,7 @@ class Method(NamedTuple):
         solver: its name.
         steps: steps a period.
         compensated: whether sums are.
-        precision: "float64" or "float32", of the arithmetic within a period.
+        precision: "float64", "float32" or "extended", of the arithmetic within a period.
         error_estimate: error of one period's map, of all components, that about one in 10,000 of the periods of a
             sweep's lanes exceeds.
     """

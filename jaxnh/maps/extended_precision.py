@@ -1,0 +1,178 @@
+"""A function of float64 in double-double arithmetic: its jaxpr, evaluated with every number a sum of two.
+
+Constants, tables among them, are the float64 that they are: what is computed is the very same function, with roundings
+of 1e-32 in place of 1e-16.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+from jaxnh.maps.double_double import Arithmetic, Double, negative
+from jaxnh.maps.protocol import Strobe, Tangent
+from jaxnh.systems.flow import Parameters
+
+Value = Double | Array
+"""Of a variable: a real number, or an integer or truth value as it is."""
+
+# What puts numbers elsewhere and does no arithmetic.
+_MOVING = {"broadcast_in_dim", "concatenate", "copy", "dynamic_slice", "reshape", "scatter", "select_n", "slice"}
+_MOVING |= {"squeeze", "stack", "transpose"}
+_AS_THEY_ARE = {"reduce_precision", "optimization_barrier"}  # marks for the compiler of float64
+_CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
+
+
+def extended(function: Callable[..., Any], hidden: ArrayLike) -> Callable[..., Any]:
+    """The function with real arguments and results as `Double` in place of arrays.
+
+    Args:
+        function: of float64 arrays; the same operations are done whatever their values.
+        hidden: see `Arithmetic`.
+
+    Raises:
+        NotImplementedError: on the call, where the function has an operation that is not known here.
+    """
+
+    def call(*args: Any) -> Any:
+        leaves, structure = jax.tree.flatten(args, is_leaf=_real)
+        plain = jax.tree.unflatten(structure, [leaf.hi for leaf in leaves])
+        jaxpr, shape = jax.make_jaxpr(function, return_shape=True)(*plain)
+        results = _evaluate(Arithmetic(jnp.asarray(hidden)), jaxpr, leaves)
+        return jax.tree.unflatten(jax.tree.structure(shape), results)
+
+    return call
+
+
+def _real(value: Any) -> bool:
+    return isinstance(value, Double)
+
+
+def _evaluate(arithmetic: Arithmetic, closed: ClosedJaxpr, args: list[Value]) -> list[Value]:
+    jaxpr: Jaxpr = closed.jaxpr
+    known: dict[Any, Value] = {}
+
+    def read(variable: Any) -> Value:
+        return _value(arithmetic, variable.val) if isinstance(variable, Literal) else known[variable]
+
+    known.update(zip(jaxpr.constvars, [_value(arithmetic, constant) for constant in closed.consts], strict=True))
+    known.update(zip(jaxpr.invars, args, strict=True))
+    for equation in jaxpr.eqns:
+        results = _apply(arithmetic, equation, [read(v) for v in equation.invars])
+        known.update(zip(equation.outvars, results, strict=True))
+    return [read(v) for v in jaxpr.outvars]
+
+
+def _value(arithmetic: Arithmetic, constant: Any) -> Value:
+    constant = jnp.asarray(constant)
+    return arithmetic.constant(constant) if jnp.issubdtype(constant.dtype, jnp.floating) else constant
+
+
+def _apply(arithmetic: Arithmetic, equation: Any, values: list[Value]) -> list[Value]:
+    name, params = equation.primitive.name, equation.params
+    if name in _CALLS:
+        inner = params[_CALLS[name]]
+        return _evaluate(arithmetic, inner, values)
+    if name == "while":
+        return _loop(arithmetic, params, values)
+    if name in _AS_THEY_ARE or (
+        name == "convert_element_type" and params["new_dtype"] == jnp.float64 and _real(values[0])
+    ):
+        return values
+    if not any(map(_real, values)):
+        result = equation.primitive.bind(*values, **params)
+        results = result if equation.primitive.multiple_results else [result]
+        return [_value(arithmetic, each) for each in results]
+    if name in _MOVING:
+        return [_moved(equation, values)]
+    if name not in _OPERATIONS:
+        raise NotImplementedError(f"{name} is not known in extended precision")
+    return [_OPERATIONS[name](arithmetic, params, *values)]
+
+
+def _moved(equation: Any, values: list[Value]) -> Double:
+    """Both halves moved alike."""
+    halves = [
+        equation.primitive.bind(*[_half(value, i) if _real(value) else value for value in values], **equation.params)
+        for i in range(1 if all(value.lo is None for value in values if isinstance(value, Double)) else 2)
+    ]
+    return Double(halves[0], halves[1] if len(halves) == 2 else None)
+
+
+def _half(value: Any, number: int) -> Array:
+    return value.hi if number == 0 else jnp.zeros_like(value.hi) if value.lo is None else value.lo
+
+
+def _loop(arithmetic: Arithmetic, params: Mapping[str, Any], values: list[Value]) -> list[Value]:
+    of_condition, of_body = params["cond_nconsts"], params["body_nconsts"]
+    before, body = values[:of_condition], values[of_condition : of_condition + of_body]
+    begun = [Double(v.hi, _half(v, 1)) if isinstance(v, Double) else v for v in values[of_condition + of_body :]]
+
+    def unfinished(carried: list[Value]) -> Array:
+        (left,) = _evaluate(arithmetic, params["cond_jaxpr"], [*before, *carried])
+        assert not isinstance(left, Double)
+        return left
+
+    def turn(carried: list[Value]) -> list[Value]:
+        results = _evaluate(arithmetic, params["body_jaxpr"], [*body, *carried])
+        return [Double(v.hi, _half(v, 1)) if isinstance(v, Double) else v for v in results]
+
+    return lax.while_loop(unfinished, turn, begun)
+
+
+def _power(arithmetic: Arithmetic, params: Mapping[str, Any], a: Double) -> Double:
+    result = a
+    for _ in range(params["y"] - 1):
+        result = arithmetic.mul(result, a)
+    return result
+
+
+def _equal(_: Arithmetic, __: Mapping[str, Any], a: Double, b: Double) -> Array:
+    return (a.hi == b.hi) & (_half(a, 1) == _half(b, 1))
+
+
+_OPERATIONS: dict[str, Callable[..., Value]] = {
+    "add": lambda arithmetic, _, a, b: arithmetic.add(a, b),
+    "add_any": lambda arithmetic, _, a, b: arithmetic.add(a, b),
+    "sub": lambda arithmetic, _, a, b: arithmetic.add(a, negative(b)),
+    "mul": lambda arithmetic, _, a, b: arithmetic.mul(a, b),
+    "div": lambda arithmetic, _, a, b: arithmetic.div(a, b),
+    "neg": lambda _, __, a: negative(a),
+    "integer_pow": _power,
+    "square": lambda arithmetic, _, a: arithmetic.mul(a, a),
+    "sin": lambda arithmetic, _, a: arithmetic.sin_cos(a)[0],
+    "cos": lambda arithmetic, _, a: arithmetic.sin_cos(a)[1],
+    "eq": _equal,
+    "atan2": lambda arithmetic, _, a, b: arithmetic.atan2(a, b),
+}
+
+
+class Carried(NamedTuple):
+    """P at a point and what it makes of a direction there, in section coordinates, (d,) each.
+
+    Attributes:
+        image: P(u; p).
+        vector: ∂P/∂u w.
+    """
+
+    image: Double
+    vector: Double
+
+
+def carried(strobe: Strobe, hidden: ArrayLike, u: Double, w: Double, p: Mapping[str, Double]) -> Carried:
+    """One period of one lane from u (d,) along w (d,), and with parameters p of its own; see `extended`."""
+    system = strobe.system
+
+    def plain(u: Array, w: Array, p: Parameters) -> tuple[Array, Array]:
+        state, along = jax.jvp(system.unchart, (u,), (w,))
+        pushed = strobe.push(state, p, (Tangent(along),))
+        return jax.jvp(system.chart, (pushed.state,), (pushed.tangents[0].state,))
+
+    return Carried(*extended(plain, hidden)(u, w, p))

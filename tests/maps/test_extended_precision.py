@@ -1,0 +1,106 @@
+"""Double-double arithmetic, compiled, against fractions; the map of the particle in it."""
+
+from __future__ import annotations
+
+from decimal import Decimal, localcontext
+from fractions import Fraction
+
+import jax
+import numpy as np
+import pytest
+
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.double_double import Arithmetic, Double, exactly
+from jaxnh.maps.extended_precision import carried, extended
+from jaxnh.maps.iterate import derivatives
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.systems.particle import constant_speed
+
+UNIT = 2.0**-104  # of double-double: four roundings of 2⁻¹⁰⁶
+HIDDEN = np.int64(0)
+
+
+def total(double, i):
+    return Fraction(float(double.hi[i])) + Fraction(float(double.lo[i]))
+
+
+def test_arithmetic():
+    """Sums that cancel, products and quotients of long numbers: a loop, so that operations meet in one program.
+
+    A turn is a few operations of numbers of order one, and its errors grow by its slope, below 1.1: in eight turns less
+    than 8 · 10 · 1.1⁸ units.
+    """
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(-0.3, 0.3, (2, 64))
+
+    def turns(x, y):
+        def turn(at):
+            count, x, y = at
+            return count + 1, x * y - 0.3 * x / (1.5 + y**2) + 1.0 - 1.0, y - x * x * 0.7 + 0.1
+
+        return jax.lax.while_loop(lambda at: at[0] < 8, turn, (0, x, y))[1:]
+
+    def lane(hidden, x, y):
+        return extended(turns, hidden)(exactly(x), exactly(y))
+
+    found = jax.jit(jax.vmap(lane, (None, 0, 0)))(HIDDEN, x, y)
+    for i in range(len(x)):
+        a, b = Fraction(x[i]), Fraction(y[i])
+        for _ in range(8):
+            a, b = a * b - Fraction(0.3) * a / (Fraction(3, 2) + b * b), b - a * a * Fraction(0.7) + Fraction(0.1)
+            a, b = (Fraction(round(number * 2**300), 2**300) for number in (a, b))
+        assert abs(total(found[0], i) - a) < 8 * 10 * 2.2 * UNIT
+        assert abs(total(found[1], i) - b) < 8 * 10 * 2.2 * UNIT
+
+
+def test_angles():
+    """Sine and cosine by their series in decimals, and the angle back: four doublings of errors of few units."""
+    angle = np.append(np.random.default_rng(1).uniform(-np.pi, np.pi, 40), [1e-9, 3.14159, -1.5708])
+
+    def lane(hidden, a):
+        arithmetic = Arithmetic(hidden)
+        sine, cosine = arithmetic.sin_cos(exactly(a))
+        return sine, cosine, arithmetic.atan2(sine, cosine)
+
+    sine, cosine, back = jax.jit(jax.vmap(lane, (None, 0)))(HIDDEN, angle)
+    with localcontext(prec=60):
+        for i, a in enumerate(map(Decimal, angle.tolist())):
+            term, sums = Decimal(1), [Decimal(0), Decimal(0)]
+            for k in range(60):
+                sums[k % 2] += term * (-1) ** (k // 2)
+                term = term * a / (k + 1)
+            for found, wanted in ((cosine, sums[0]), (sine, sums[1]), (back, a)):
+                value = Decimal(float(found.hi[i])) + Decimal(float(found.lo[i]))
+                assert abs(value - wanted) < Decimal(64 * UNIT)
+
+
+def test_unknown_operations_are_named():
+    with pytest.raises(NotImplementedError, match="tanh is not known in extended precision"):
+        extended(jax.numpy.tanh, HIDDEN)(exactly(1.0))
+
+
+@pytest.mark.slow
+def test_map_of_the_particle():
+    """The same map as in float64, to its rounding; the vector is its derivative, by points 2e-12 apart.
+
+    A period's map has a slope of up to 1e3 and a curvature of 1e6 times it: of the difference (1e-12)² 1e6 is left, and
+    rounding of 1e-28 over 1e-12.
+    """
+    strobe = make_strobe(constant_speed(), SPLITTINGS["blanes_moan6"], 12)
+    rng = np.random.default_rng(0)
+    u, w, b = rng.uniform(-0.5, 0.5, (8, 3)), rng.normal(size=(8, 3)), np.full(8, 5.5)
+    zero = np.zeros_like(u)
+    run = jax.jit(jax.vmap(carried, (None, None, 0, 0, 0)))
+
+    def at(shift):
+        p = {"b": Double(b, np.zeros(8))}
+        lo = shift * w
+        hi = u + lo
+        return run(strobe, HIDDEN, Double(hi, lo - (hi - u)), Double(w, zero), p)
+
+    here, (ahead, _), (behind, _) = at(0.0), at(1e-12), at(-1e-12)
+    plain = jax.jit(jax.vmap(derivatives, (None, None, 0, 0)))(strobe, np.int32(1), u, {"b": b})
+    slope = np.abs(plain.monodromy).max()
+    np.testing.assert_allclose(here.image.hi, plain.image, atol=1e-13 * slope)
+    difference = ((ahead.hi - behind.hi) + (ahead.lo - behind.lo)) / 2e-12
+    np.testing.assert_allclose(here.vector.hi, difference, atol=1e-14 * slope)
