@@ -291,6 +291,7 @@ OTHERS = {
         "config/user_system.py": "a method for subclasses",
         "maps/protocol.py": "likewise",
         "maps/along.py": "a map that is for the host alone",
+        "maps/extended_precision.py": "an operation that no flow with a table of kicks has",
     },
     "PydanticCustomError": dict.fromkeys(
         (

@@ -49,12 +49,12 @@ class DiagramOptions(Options):
         description="Start state: the same in every lane, carried along rising or falling values of the first axis, or "
         "random ones in every lane",
     )
-    orbits: int = Field(
-        default=0,
-        ge=0,
+    orbits: int | None = Field(
+        default=None,
+        ge=1,
         le=64,
         description="Strobes of lanes that settle on a periodic orbit up to this period are those of the orbit itself, "
-        "found by Newton; 0: of none",
+        "found by Newton; nothing: of none",
     )
     phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
     starts: int = Field(default=16, ge=1, description="Number of random start states a lane")
