@@ -178,3 +178,24 @@ def test_memory_of_a_large_diagram(tmp_path):
     command = [sys.executable, "-c", code, str(config), "--output", str(tmp_path / "large.h5")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
     assert int(done.stdout.split("peak")[1]) < 2e9 / 1024
+
+
+@pytest.mark.parametrize(("b", "n"), [(5.5197, 1), (5.5195, 2)])
+def test_lanes_near_a_doubling_are_drawn_on_their_orbit(b, n):
+    """Beside the doubling at 5.51962 (Table 1) the map takes thousands of periods to come to the orbit: (μ − 1) is 1e-3.
+
+    Strobes n apart are then 1e-4 apart and more after 64 periods. On the orbit they are the same to rounding, which a
+    few periods leave as it is.
+    """
+    options = {"transient": 64, "strobes": 8}
+    here = scene(SYSTEMS["constant"], np.array([b]), steps=60)
+    waiting, drawn = (sections(run(DiagramOptions(**options, orbits=orbits), here, Lanes()))[0] for orbits in (None, 4))
+    assert np.abs(waiting[n:] - waiting[:-n]).max() > 1e-4
+    assert np.abs(drawn[n:] - drawn[:-n]).max() < 1e-10
+    assert n == 1 or np.abs(drawn[1:] - drawn[:-1]).max() > 1e-2
+
+
+def test_orbits_go_with_starts_side_by_side():
+    for other in ({"start": "up"}, {"phase": 0.5}):
+        with pytest.raises(ValueError, match="side by side and strobes at phase 0"):
+            DiagramOptions(orbits=4, **other)
