@@ -45,11 +45,11 @@ def explore(
     worker = Worker()
     source: Source
     if config.suffix == ".h5":
-        from jaxnh.explorer.recorded import Recorded
+        from jaxnh.explorer.recorded import recorded
 
         if overrides:
             raise InputError("command line: KEY=VALUE: a result file is as it is; leave it out")
-        source = Recorded(config)
+        source = recorded(config)
     else:
         from jaxnh.cli.arguments import experiment_of
         from jaxnh.explorer.live import Live

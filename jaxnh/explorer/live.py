@@ -100,7 +100,7 @@ class Live:
             strobes=options.get("strobes", 128),
             columns=columns,
         )
-        self.axis_words = axis.long_name
+        self.axis_words = {axis.name: axis.long_name}
         self.variables = {name: flow.words(name) for name in flow.coordinates}
         self._base = self._experiment(grid, None)
         self.parameters = tuple(self._movable(axis.name))
@@ -145,12 +145,12 @@ class Live:
             words = f"{share}, {view.strobes} strobes after {view.transient} periods{_failures(failed)}"
             yield Picture(raster(values, points, view.window), whole, words, self._notes(view, known))
 
-    def lane(self, view: View, value: float) -> Iterator[LaneReport]:
+    def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """Reports of a lane: portrait, strobe points and period, then spectrum and verdict."""
         moved = self._moved(view)
         few = self._session(view, moved).session.of_few(_FEW)
         own = self._content["analyses"] or {}
-        where, groups = {view.axis: value, **moved}, {}
+        where, groups = {**where, **moved}, dict[str, xr.Dataset]()
         for names in (_FIRST_REPORT, _SECOND_REPORT):
             groups |= few.groups({name: own.get(name) or {} for name in names}, **where)
             yield LaneReport(where, dict(groups), names is _SECOND_REPORT)

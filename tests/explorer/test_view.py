@@ -13,7 +13,7 @@ FIRST = View("b", 0.1, 6.0, "x1")
 
 def test_a_range_is_of_a_config_s_values():
     assert np.array_equal(FIRST.values(), np.linspace(0.1, 6.0, 1000))
-    assert FIRST.nearest(FIRST.values()[17] + 1e-3) == FIRST.values()[17]
+    assert FIRST.lane_at(FIRST.values()[17] + 1e-3, 0.0) == {"b": FIRST.values()[17]}
 
 
 def test_a_zoom_ends_where_columns_are_neighbouring_doubles():
@@ -44,7 +44,7 @@ def test_back_and_forward():
 
 def test_an_address_names_a_view_to_the_last_bit():
     third = 1.0 / 3.0
-    view = View("b", third, 2 * third, "y1", (-third, third), 64, 256, {"a": 0.1 + 0.2}, 1e-8)
+    view = View("b", third, 2 * third, "y1", (-third, third), "", 64, 256, {"a": 0.1 + 0.2}, 1e-8)
     assert from_query(FIRST, as_query(view)) == view
     assert from_query(FIRST, {}) == FIRST
 
