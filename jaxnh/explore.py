@@ -52,9 +52,9 @@ def explore(
         source = recorded(config)
     else:
         from jaxnh.cli.arguments import experiment_of
-        from jaxnh.explorer.live import Live
+        from jaxnh.explorer.live import live
 
-        source = Live(experiment_of(config, overrides), Watch(worker), columns)
+        source = live(experiment_of(config, overrides), Watch(worker), columns)
     from jaxnh.explorer.serve import make_server, run
 
     server, page = make_server(source, worker.start(), address, port)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import io
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -27,6 +28,7 @@ _STROBES = (64, 128, 256, 512, 1024, 2048)
 _TRANSIENTS = (64, 256, 512, 1024, 4096, 16384)
 _TARGETS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 _SILENT = 0.4  # share of a pass between two words of progress
+_QUICK = 1.5  # seconds that a picture may take without a word of what is being done
 _CSS = """
 :host { --mono: ui-monospace, monospace; }
 .status { font-size: 14px; color: #333; min-height: 20px; }
@@ -272,18 +274,24 @@ class Page:
 
     def _ask(self, what: str, passes: Any, answer: Callable[[Any], None]) -> None:
         """Have passes computed, and answers shown in the page's own thread."""
-        said = [-1.0, ""]
+        said, answered = [-1.0, ""], [time.monotonic()]
 
         def told(label: str, share: float) -> None:
-            if label != said[1] or share - float(said[0]) > _SILENT:
+            quick = what == "picture" and time.monotonic() - answered[0] < _QUICK
+            if not quick and (label != said[1] or share - float(said[0]) > _SILENT):
                 said[:] = [share, label]
-                self._later(lambda: self._say(f"{label}{f' · {share:.0%}' if share else ''}"))
+                known = f"{self._picture.words} · " if self._picture and what == "picture" else ""
+                self._later(lambda: self._say(f"{known}{label}{f' · {share:.0%}' if share else ''}"))
+
+        def answered_by(found: Any) -> None:
+            answered[0] = time.monotonic()
+            self._later(lambda: None if request.stale else answer(found))
 
         request = Request(
             passes,
-            answer=lambda found: self._later(lambda: None if request.stale else answer(found)),
+            answer=answered_by,
             failed=lambda error: self._later(lambda: self._say(_sentence(error), error=True)),
-            told=told if what == "lane" else lambda label, share: told(label, share) if "accuracy" in label else None,
+            told=told,
         )
         self._worker.ask((id(self), what), request)
 

@@ -66,10 +66,14 @@ class View:
         """Values of the axis, as a config of `start`, `stop` and `count` has them."""
         return np.linspace(self.low, self.high, self.columns)
 
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Number of values of every axis, by name."""
+        return {self.axis: self.columns} | ({self.second: self.rows} if self.second else {})
+
     def grid(self) -> dict[str, Float[np.ndarray, " values"]]:
         """Values of every axis, by name."""
-        counts = {self.axis: self.columns, self.second: self.rows}
-        return {name: np.linspace(*ends, counts[name]) for name, ends in self.ranges.items()}
+        return {name: np.linspace(*ends, self.counts[name]) for name, ends in self.ranges.items()}
 
     def zoomed(self, low: float, high: float, window: tuple[float, float] | None) -> View:
         """The view of other ranges; where doubles do not tell its lanes apart, of the narrowest around them."""
@@ -84,8 +88,11 @@ class View:
 
     @property
     def deepest(self) -> bool:
-        """Whether a narrower range has fewer doubles than columns."""
-        return self.high - self.low < 2 * self.columns * float(np.spacing(max(abs(self.low), abs(self.high))))
+        """Whether a narrower range of an axis has fewer doubles than lanes."""
+        return any(
+            high - low < 2 * self.counts[name] * float(np.spacing(max(abs(low), abs(high))))
+            for name, (low, high) in self.ranges.items()
+        )
 
     def lane_at(self, across: float, up: float) -> dict[str, float]:
         """Values of the axes, by name, of the lane whose column or pixel a place lies in."""
