@@ -42,9 +42,10 @@ class Drawing:
 
     def __init__(self, view: View, x_label: str, y_label: str) -> None:
         self._cells = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
+        bottom, top = view.window or (0.0, 1.0)
         self.figure = figure(
             x_range=Range1d(start=view.low, end=view.high),
-            y_range=Range1d(start=0.0, end=1.0),
+            y_range=Range1d(start=bottom, end=top),
             tools="pan,wheel_zoom,tap",
             active_scroll="wheel_zoom",
             sizing_mode="stretch_width",

@@ -87,6 +87,7 @@ class LivePlane:
             rows=int(_ASPECT * width),
         )
         self._seconds: dict[tuple[int, str], float] = {}  # a lane in full, by session and quantity
+        self._basins: tuple[View, Mapping[str, xr.Dataset]] | None = None  # the last ones of which all lanes are known
 
     def passes(self, view: View) -> Iterator[Picture]:
         """Pictures of a view: a coarse one, then all of its lanes, some at a time."""
@@ -113,8 +114,12 @@ class LivePlane:
             level //= 2
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
-        """What is computed of a lane."""
-        return self.sessions.lane(view, where)
+        """What is computed of a lane, and of basins that are known, the attractor that it leads to."""
+        known = dict(self._basins[1]) if self._basins and self._basins[0] == view else {}
+        if known:
+            known[BASINS] = known[BASINS].sel(where, method="nearest")
+        for report in self.sessions.lane(view, where):
+            yield report._replace(groups={**known, **report.groups})
 
     def batch_text(self, view: View) -> str:
         """The YAML of a batch job that computes a view again."""
@@ -158,6 +163,8 @@ class LivePlane:
     ) -> Picture:
         lattice.put(groups[view.variable], places, step)
         shown = {view.variable: lattice.dataset(), **{name: groups[name] for name in ("attractors",) if name in groups}}
+        if whole and view.variable == BASINS:
+            self._basins = view, shown
         pixels = pixels_of(view.variable, shown)
         failed = int(np.sum(np.ma.getmaskarray(pixels.places)))
         words += f"; {failed:,} failed" if failed else ""

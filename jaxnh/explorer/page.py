@@ -17,6 +17,7 @@ from bokeh.models import CustomJS
 from jaxnh.exceptions import JaxnhError
 from jaxnh.explorer.figures import Drawing, Portrait
 from jaxnh.explorer.key import key_html
+from jaxnh.explorer.page_style import CSS, LOST
 from jaxnh.explorer.report import report_html
 from jaxnh.explorer.source import LaneReport, Picture, Source
 from jaxnh.explorer.view import History, View, as_query, from_query
@@ -29,29 +30,6 @@ _TRANSIENTS = (64, 256, 512, 1024, 4096, 16384)
 _TARGETS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 _SILENT = 0.4  # share of a pass between two words of progress
 _QUICK = 1.5  # seconds that a picture may take without a word of what is being done
-_CSS = """
-:host { --mono: ui-monospace, monospace; }
-.status { font-size: 14px; color: #333; min-height: 20px; }
-.error { color: #a4000f; font-weight: 600; }
-.notes { font-size: 12px; color: #666; }
-table.lane { border-collapse: collapse; font-size: 14px; }
-table.lane td { padding: 3px 14px 3px 0; vertical-align: top; }
-table.lane td:first-child { color: #666; white-space: nowrap; }
-.key { font-size: 13px; color: #333; display: flex; flex-wrap: wrap; gap: 2px 14px; align-items: center; }
-.key i { display: inline-block; width: 13px; height: 13px; margin-right: 5px; vertical-align: -2px; }
-.scale { width: 360px; }
-.scale .bar { height: 12px; }
-.scale .ends { display: flex; justify-content: space-between; font-size: 12px; }
-"""
-_LOST = """
-const page = document.createElement("div")
-page.textContent = "The server has stopped: what is on this page stays, and nothing new is computed. " +
-  "Start jaxnh explore again and reload."
-page.id = "lost"
-page.style.cssText = "position:fixed;top:0;left:0;right:0;padding:10px;background:#a4000f;color:white;z-index:9999;" +
-  "font-family:sans-serif;text-align:center"
-if (!document.getElementById("lost")) document.body.appendChild(page)
-"""
 
 
 class Page:
@@ -80,7 +58,7 @@ class Page:
         self._drawing.figure.on_event(RangesUpdate, self._ranged)
         self._drawing.figure.on_event(Tap, self._tapped)
         self._make_controls(first)
-        document.js_on_event("connection_lost", CustomJS(code=_LOST))
+        document.js_on_event("connection_lost", CustomJS(code=LOST))
 
     def _upward(self, view: View) -> str:
         """What lies upward in a view, in words."""
@@ -93,13 +71,13 @@ class Page:
         self._back = pn.widgets.Button(name="◀ Back", width=90, on_click=lambda _: self._move(-1))
         self._forward = pn.widgets.Button(name="Forward ▶", width=90, on_click=lambda _: self._move(1))
         self._whole = pn.widgets.Button(name="Whole range", width=110, on_click=lambda _: self._go_whole())
-        self._status = pn.pane.HTML("", stylesheets=[_CSS], sizing_mode="stretch_width")
-        self._notes = pn.pane.HTML("", stylesheets=[_CSS], sizing_mode="stretch_width")
+        self._status = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
+        self._notes = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
         self._lane = pn.pane.HTML(
             f"Click into the {'plane' if view.second else 'diagram'}: portrait, strobe points, period, spectrum and "
             "verdict of the lane there, as far as "
             f"{'they can be computed' if source.computes else 'the file has them'}.",
-            stylesheets=[_CSS],
+            stylesheets=[CSS],
             sizing_mode="stretch_width",
         )
         drawn_lane = pn.pane.Bokeh(self._portrait.figure, sizing_mode="stretch_width")
@@ -128,7 +106,7 @@ class Page:
         self._png = pn.widgets.FileDownload(
             callback=self._save_picture, filename="view.png", label="Save picture", width=190, button_type="primary"
         )
-        self._key = pn.pane.HTML("", stylesheets=[_CSS], sizing_mode="stretch_width")
+        self._key = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
         self._set_controls(view)
         ends = (self._low, self._high, self._bottom, self._top)
         for control in (*ends, self._variable, self._transient, self._strobes, self._target):

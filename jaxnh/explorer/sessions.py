@@ -89,7 +89,7 @@ class Sessions:
     @property
     def compiled(self) -> int:
         """Programs that the sessions have, whatever they were loaded from."""
-        return sum(known.session.programs for known in self._calibrated)
+        return sum(known.session.programs + known.few.programs for known in self._calibrated)
 
     @property
     def error_estimate(self) -> float:

@@ -110,6 +110,18 @@ def test_the_key_says_what_colours_stand_for(file):
     assert exponents.count("linear-gradient") == 1
 
 
+def test_of_a_file_with_a_diagram_alone_the_diagram_along_the_first_axis_is_shown(tmp_path):
+    path, states = tmp_path / "diagram.h5", number(B[:, None], D[None, :])[..., None] + np.arange(4.0)
+    dims = {"x": (("b", "d", "strobe"), states)}
+    diagram = xr.Dataset(dims, COORDINATES, {"panel": "density", "panel_variables": "x"})
+    write(path, {"jaxnh_version": "0", "axes": "b d"}, {"diagram": diagram})
+    source = recorded(path)
+    [picture] = source.passes(source.first)
+    assert source.first.ranges == {"b": (0.0, 5.0)}
+    assert np.array_equal(picture.data["x"], states[:, 0])
+    assert "at d = 3, the first of 3" in picture.notes[0]
+
+
 def test_a_file_without_planes_is_refused(tmp_path):
     path = tmp_path / "none.h5"
     write(path, {"jaxnh_version": "0", "axes": "b d"}, {"other": group("exponents", np.zeros((6, 3)), "")})

@@ -49,6 +49,24 @@ def test_an_address_names_a_view_to_the_last_bit():
     assert from_query(FIRST, {}) == FIRST
 
 
+def test_a_plane_has_a_range_and_lanes_of_both_axes():
+    plane = View("b", 0.0, 2.0, "lyapunov", (-1.0, 1.0), "d", columns=5, rows=3)
+    assert {name: values.tolist() for name, values in plane.grid().items()} == {
+        "b": [0.0, 0.5, 1.0, 1.5, 2.0],
+        "d": [-1.0, 0.0, 1.0],
+    }
+    assert plane.lane_at(0.8, -0.4) == {"b": 1.0, "d": 0.0}
+    zoomed = plane.zoomed(0.5, 1.0, (1.0, 0.5))
+    assert zoomed.ranges == {"b": (0.5, 1.0), "d": (0.5, 1.0)}
+    assert from_query(plane, as_query(zoomed)) == zoomed
+    assert from_query(plane, {}) == plane
+    deepest = plane.zoomed(0.5, 1.0, (0.25, np.nextafter(0.25, 1.0)))
+    assert len(np.unique(deepest.grid()["d"])) == 3
+    assert deepest.deepest
+    with pytest.raises(InputError, match="a range of d goes from a number up to a larger one"):
+        View("b", 0.0, 1.0, "lyapunov", (1.0, 0.0), "d")
+
+
 @pytest.mark.parametrize("query", [{"low": "x"}, {"low": "7"}, {"strobes": "1.5"}, {"bottom": "nan", "top": "1"}])
 def test_an_address_that_names_none_is_refused(query):
     with pytest.raises(InputError):
