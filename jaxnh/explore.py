@@ -1,4 +1,4 @@
-"""The command `python -m jaxnh.explore CONFIG|RESULT`: a page to look at a diagram with. Imports as `jaxnh.sweep`."""
+"""The command `python -m jaxnh.explore CONFIG|RESULT`: a page of diagrams and planes. Imports as `jaxnh.sweep`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ _NEEDED = ("panel", "bokeh")
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-@app.command(help="Zoom into a bifurcation diagram in the browser, computed as one looks, or read from a result file.")
+@app.command(
+    help="Zoom into a diagram or a plane of two axes in the browser, computed as one looks, or read from a result file."
+)
 def explore(
     config: Annotated[
         Path | None,
@@ -32,7 +34,9 @@ def explore(
     address: Annotated[
         str, typer.Option(help="Where to listen; other than the loopback, the page needs a token")
     ] = "127.0.0.1",
-    columns: Annotated[int, typer.Option(min=64, max=4096, help="Values of the axis in a picture")] = 1000,
+    columns: Annotated[
+        int, typer.Option(min=64, max=4096, help="Values of the axis in a diagram; a fifth of it in a plane")
+    ] = 1000,
 ) -> None:
     """Body of the command; the words above are what --help shows."""
     if config is None:
@@ -45,16 +49,16 @@ def explore(
     worker = Worker()
     source: Source
     if config.suffix == ".h5":
-        from jaxnh.explorer.recorded import Recorded
+        from jaxnh.explorer.recorded import recorded
 
         if overrides:
             raise InputError("command line: KEY=VALUE: a result file is as it is; leave it out")
-        source = Recorded(config)
+        source = recorded(config)
     else:
         from jaxnh.cli.arguments import experiment_of
-        from jaxnh.explorer.live import Live
+        from jaxnh.explorer.live import live
 
-        source = Live(experiment_of(config, overrides), Watch(worker), columns)
+        source = live(experiment_of(config, overrides), Watch(worker), columns)
     from jaxnh.explorer.serve import make_server, run
 
     server, page = make_server(source, worker.start(), address, port)

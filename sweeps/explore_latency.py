@@ -17,7 +17,7 @@ import numpy as np
 
 import jaxnh
 from jaxnh.engine.progress import Silent
-from jaxnh.explorer.live import Live
+from jaxnh.explorer.live import LiveDiagram
 from jaxnh.explorer.view import View
 from sweeps.effects import processor
 from sweeps.measured_at import stamp
@@ -56,7 +56,7 @@ def zooms(first: View, count: int, seed: int = 0) -> list[View]:
     return found
 
 
-def seconds(live: Live, view: View) -> tuple[float, float]:
+def seconds(live: LiveDiagram, view: View) -> tuple[float, float]:
     """From the request to the first picture and to the last."""
     began, times = time.perf_counter(), list[float]()
     for _ in live.passes(view):
@@ -70,11 +70,11 @@ def main() -> None:
     parser.add_argument("--zooms", type=int, default=24)
     parser.add_argument("--beside", default="The machine did nothing else.")
     given = parser.parse_args()
-    live = Live(jaxnh.load(_CONFIG), Silent(), 1000)
+    live = LiveDiagram(jaxnh.load(_CONFIG), Silent(), 1000)
     views = zooms(live.first, given.zooms)
     for view in (live.first, views[0]):
         seconds(live, view)
-    before = live.compiled
+    before = live.sessions.compiled
     coarse, refined = np.array([seconds(live, view) for view in views]).T
     rows = [
         f"| {name} | {np.median(times):.2f} | {times.min():.2f} | {times.max():.2f} | {_LIMITS[name]:g} |"
@@ -82,7 +82,7 @@ def main() -> None:
     ]
     text = _TEXT.format(
         zooms=given.zooms,
-        error=live.error_estimate,
+        error=live.sessions.error_estimate,
         narrowest=views[-1].high - views[-1].low,
         widest=views[0].high - views[0].low,
         processor=processor(),
@@ -90,7 +90,7 @@ def main() -> None:
         beside=given.beside,
         measured_at=stamp(),
         rows="\n".join(rows),
-        compiled=live.compiled - before,
+        compiled=live.sessions.compiled - before,
     )
     _PAGE.write_text(text, encoding="utf-8")
     print(text)

@@ -58,6 +58,9 @@ class LyapunovOptions(Options):
     periods: int = Field(default=1024, ge=BLOCKS, description="Periods averaged over, at most")
     error: float = Field(default=0.0, ge=0.0, description="Stop a lane whose error bars, 1/time, are below this")
     exponents: int = Field(default=3, ge=1, description="How many of the largest exponents are wanted")
+    plain: bool | None = Field(
+        default=None, description="Whether plain averages are enough, of lanes on orbits too: quick and less exact"
+    )
 
 
 class Averages(NamedTuple):
@@ -120,7 +123,7 @@ def averages(
     settling = options.transient - aligning
     block = options.periods // BLOCKS
     state, p = scene.lanes
-    early = settled_early(scene, lanes, options.transient) if not to_the_end and _have_orbits(scene) else None
+    early = settled_early(scene, lanes, options.transient) if not to_the_end and _have_orbits(options, scene) else None
     state, before = (early.state, early.periods) if early else (jax.tree.map(np.array, state), 0)
     others = np.setdiff1d(np.arange(count), early.settled) if early else np.arange(count)
     with lanes.stage(f"lyapunov: transient of {len(others)} lanes", len(others) * (options.transient - before)):
@@ -144,7 +147,7 @@ def averages(
             smooth[running] += smooth_parts(part, block, i)
             _put(growth, running, part)
             done[running] += 1
-            if i == 0 and not to_the_end and _have_orbits(scene):
+            if i == 0 and not to_the_end and _have_orbits(options, scene):
                 if early:
                     found = picked(early.survey, early.settled)
                     settled = of_orbits(scene, lanes, growth, early.settled, found, parts)
@@ -191,6 +194,8 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
         plain = of_blocks(found.rates[chosen, :blocks, : lead + k])
         mean[chosen], error[chosen] = nearly_neutral(plain, aligned, blocks * block)
     source = np.zeros(scene.count, np.int8)
+    if options.plain:
+        return Spectrum(mean, error, source)
     last = np.array([found.rates[i, n - max(n // 4, 1) : n, lead].mean() for i, n in enumerate(found.blocks)])
     open_ = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
     open_ &= np.all(np.isfinite(mean), axis=1)
@@ -206,7 +211,7 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
     error[drifting] += unseen_bursts(found.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
     candidates = np.flatnonzero(open_)
     orbits = [found.settled]
-    if len(candidates) and _have_orbits(scene):
+    if len(candidates) and _have_orbits(options, scene):
         orbits.append(on_orbits(scene, lanes, found.growth, candidates, parts, BLOCKS * block))
     for settled in orbits:
         source[settled.lanes] = SOURCES.index("orbit")
@@ -221,9 +226,9 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
     return Spectrum(mean, error, source)
 
 
-def _have_orbits(scene: Scene) -> bool:
+def _have_orbits(options: LyapunovOptions, scene: Scene) -> bool:
     """Whether orbits of lanes are looked for: of a strobe map, whose multipliers are right to rounding."""
-    return not scene.flow.autonomous and scene.precision == "float64"
+    return not options.plain and not scene.flow.autonomous and scene.precision == "float64"
 
 
 def _of_steps(

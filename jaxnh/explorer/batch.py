@@ -54,23 +54,30 @@ def fixed_at(content: Content, values: Mapping[str, float], coordinates: tuple[s
 
 
 def batch_text(
-    content: Content, view: View, coordinates: tuple[str, ...], solver: tuple[str, int] | None, title: str
+    content: Content,
+    view: View,
+    analyses: Mapping[str, Any],
+    coordinates: tuple[str, ...],
+    solver: tuple[str, int] | None,
+    title: str,
 ) -> str:
     """The YAML of a batch job that computes a view again.
 
     Args:
         content: the config that the view is of.
+        analyses: with options.
         coordinates: of the start state.
         solver: and its steps a period that the view was computed with; None leaves them to the target.
         title: what it is, in words.
     """
-    options = {"transient": view.transient, "strobes": view.strobes}
-    base = swept(content, {view.axis: evenly(view.low, view.high, view.columns)}, {"diagram": options})
-    base = fixed_at(base, view.fixed, coordinates)
+    grids = {name: evenly(*ends, view.counts[name]) for name, ends in view.ranges.items()}
+    base = fixed_at(swept(content, grids, analyses), view.fixed, coordinates)
     accuracy = dict(base.get("accuracy") or {})
     if view.target is not None:
         accuracy["target"] = view.target
     if solver is not None:
         accuracy.pop("target", None)
         accuracy |= {"solver": solver[0], "steps": solver[1]}
-    return from_dict({"title": title, **base, **({"accuracy": accuracy} if accuracy else {})}).text
+    ranges = ", ".join(f"{name} from {low!r} to {high!r}" for name, (low, high) in view.ranges.items())
+    whole = {"title": f"{title}: {ranges}", **base, **({"accuracy": accuracy} if accuracy else {})}
+    return from_dict(whole).text

@@ -1,6 +1,8 @@
-"""Bokeh figures of the page: a diagram as an image, and the portrait of a lane."""
+"""Bokeh figures of the page: a view as an image, and the portrait of a lane."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
@@ -9,19 +11,19 @@ from bokeh.models import (
     BoxZoomTool,
     ColumnDataSource,
     CustomJSTickFormatter,
-    Image,
-    LinearColorMapper,
+    ImageRGBA,
     Range1d,
     Span,
 )
 from bokeh.plotting import figure
 
-from jaxnh.explorer.raster import PALETTE, ROWS
+from jaxnh.explorer.raster import ROWS
 from jaxnh.explorer.source import LaneReport, Picture
 from jaxnh.explorer.view import View
 from jaxnh.plotting.style import LINE, MARK, POINT
 
 _MOST_POINTS = 1 << 14
+_PLANE_HEIGHT = 560  # pixels
 
 # Ticks are told apart down to the last bit of a double, whatever the range.
 _TICKS = """
@@ -31,7 +33,7 @@ return Math.abs(tick) >= 1e6 ? tick.toExponential(6) : tick.toFixed(digits)
 """
 
 
-class Diagram:
+class Drawing:
     """The picture of a view.
 
     Attributes:
@@ -40,30 +42,31 @@ class Diagram:
 
     def __init__(self, view: View, x_label: str, y_label: str) -> None:
         self._cells = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
+        bottom, top = view.window or (0.0, 1.0)
         self.figure = figure(
             x_range=Range1d(start=view.low, end=view.high),
-            y_range=Range1d(start=0.0, end=1.0),
+            y_range=Range1d(start=bottom, end=top),
             tools="pan,wheel_zoom,tap",
             active_scroll="wheel_zoom",
             sizing_mode="stretch_width",
             min_width=1100,
-            frame_height=ROWS,
+            frame_height=_PLANE_HEIGHT if view.second else ROWS,
             output_backend="canvas",
             x_axis_label=x_label,
             y_axis_label=y_label,
             toolbar_location="right",
-            name="diagram",
+            name="view",
         )
         box = BoxZoomTool()
         self.figure.add_tools(box)
         self.figure.toolbar.active_drag = box
         self.figure.toolbar.logo = None
-        mapper = LinearColorMapper(palette=list(PALETTE), low=-0.5, high=len(PALETTE) - 0.5)
-        glyph = Image(image="image", x="x", y="y", dw="dw", dh="dh", color_mapper=mapper)
-        self.figure.add_glyph(self._cells, glyph)
+        self.figure.add_glyph(self._cells, ImageRGBA(image="image", x="x", y="y", dw="dw", dh="dh"))
         self.figure.grid.grid_line_alpha = 0.0
-        self._chosen = Span(dimension="height", line_color=MARK, line_dash="dashed", visible=False)
-        self.figure.add_layout(self._chosen)
+        look = {"line_color": MARK, "line_dash": "dashed", "visible": False}
+        self._chosen = {view.axis: Span(dimension="height", **look), view.second: Span(dimension="width", **look)}
+        for line in self._chosen.values():
+            self.figure.add_layout(line)
         for axis in (self.figure.xaxis, self.figure.yaxis):
             axis.formatter = CustomJSTickFormatter(code=_TICKS)
             axis.ticker = BasicTicker(desired_num_ticks=6)
@@ -80,9 +83,10 @@ class Diagram:
         """Say what is drawn upward."""
         self.figure.yaxis.axis_label = y_label
 
-    def mark(self, value: float | None) -> None:
-        """Mark a value of the axis, or none."""
-        self._chosen.update(visible=value is not None, location=value)
+    def mark(self, where: Mapping[str, float]) -> None:
+        """Mark a lane by its values of the axes."""
+        for name, value in where.items():
+            self._chosen[name].update(visible=True, location=value)
 
 
 class Portrait:

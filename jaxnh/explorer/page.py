@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import io
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,7 +15,9 @@ from bokeh.events import RangesUpdate, Tap
 from bokeh.models import CustomJS
 
 from jaxnh.exceptions import JaxnhError
-from jaxnh.explorer.figures import Diagram, Portrait
+from jaxnh.explorer.figures import Drawing, Portrait
+from jaxnh.explorer.key import key_html
+from jaxnh.explorer.page_style import CSS, LOST
 from jaxnh.explorer.report import report_html
 from jaxnh.explorer.source import LaneReport, Picture, Source
 from jaxnh.explorer.view import History, View, as_query, from_query
@@ -26,24 +29,7 @@ _STROBES = (64, 128, 256, 512, 1024, 2048)
 _TRANSIENTS = (64, 256, 512, 1024, 4096, 16384)
 _TARGETS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 _SILENT = 0.4  # share of a pass between two words of progress
-_CSS = """
-:host { --mono: ui-monospace, monospace; }
-.status { font-size: 14px; color: #333; min-height: 20px; }
-.error { color: #a4000f; font-weight: 600; }
-.notes { font-size: 12px; color: #666; }
-table.lane { border-collapse: collapse; font-size: 14px; }
-table.lane td { padding: 3px 14px 3px 0; vertical-align: top; }
-table.lane td:first-child { color: #666; white-space: nowrap; }
-"""
-_LOST = """
-const page = document.createElement("div")
-page.textContent = "The server has stopped: what is on this page stays, and nothing new is computed. " +
-  "Start jaxnh explore again and reload."
-page.id = "lost"
-page.style.cssText = "position:fixed;top:0;left:0;right:0;padding:10px;background:#a4000f;color:white;z-index:9999;" +
-  "font-family:sans-serif;text-align:center"
-if (!document.getElementById("lost")) document.body.appendChild(page)
-"""
+_QUICK = 1.5  # seconds that a picture may take without a word of what is being done
 
 
 class Page:
@@ -61,18 +47,22 @@ class Page:
             first = from_query(source.first, query)
         except JaxnhError as error:
             first, self._wrong = source.first, str(error)
-        if first.axis != source.first.axis or first.variable not in source.variables:
+        known = first.ranges.keys() == source.first.ranges.keys() and first.variable in source.variables
+        if not known or first.axis != source.first.axis:
             first = source.first
         self._history = History([first])
         self._picture: Picture | None = None
-        self._value: float | None = None
         self._setting = False  # whether controls are being set to a view, and not moved by hand
-        self._diagram = Diagram(first, source.axis_words, source.variables[first.variable])
+        self._drawing = Drawing(first, source.axis_words[first.axis], self._upward(first))
         self._portrait = Portrait()
-        self._diagram.figure.on_event(RangesUpdate, self._ranged)
-        self._diagram.figure.on_event(Tap, self._tapped)
+        self._drawing.figure.on_event(RangesUpdate, self._ranged)
+        self._drawing.figure.on_event(Tap, self._tapped)
         self._make_controls(first)
-        document.js_on_event("connection_lost", CustomJS(code=_LOST))
+        document.js_on_event("connection_lost", CustomJS(code=LOST))
+
+    def _upward(self, view: View) -> str:
+        """What lies upward in a view, in words."""
+        return self._source.axis_words[view.second] if view.second else self._source.variables[view.variable]
 
     # ---- layout
 
@@ -81,19 +71,25 @@ class Page:
         self._back = pn.widgets.Button(name="◀ Back", width=90, on_click=lambda _: self._move(-1))
         self._forward = pn.widgets.Button(name="Forward ▶", width=90, on_click=lambda _: self._move(1))
         self._whole = pn.widgets.Button(name="Whole range", width=110, on_click=lambda _: self._go_whole())
-        self._status = pn.pane.HTML("", stylesheets=[_CSS], sizing_mode="stretch_width")
-        self._notes = pn.pane.HTML("", stylesheets=[_CSS], sizing_mode="stretch_width")
+        self._status = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
+        self._notes = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
         self._lane = pn.pane.HTML(
-            "Click into the diagram: portrait, strobe points, period, spectrum and verdict of the value there.",
-            stylesheets=[_CSS],
+            f"Click into the {'plane' if view.second else 'diagram'}: portrait, strobe points, period, spectrum and "
+            "verdict of the lane there, as far as "
+            f"{'they can be computed' if source.computes else 'the file has them'}.",
+            stylesheets=[CSS],
             sizing_mode="stretch_width",
         )
         drawn_lane = pn.pane.Bokeh(self._portrait.figure, sizing_mode="stretch_width")
         self._portrait_pane = pn.Column(drawn_lane, sizing_mode="stretch_width", visible=False)
         self._low = pn.widgets.TextInput(name=f"{view.axis} from", width=190)
         self._high = pn.widgets.TextInput(name="to", width=190)
+        self._bottom = pn.widgets.TextInput(name=f"{view.second} from", width=190)
+        self._top = pn.widgets.TextInput(name="to", width=190)
         self._variable = pn.widgets.Select(
-            name="coordinate", options={words: name for name, words in source.variables.items()}, width=190
+            name="quantity" if view.second else "coordinate",
+            options={words: name for name, words in source.variables.items()},
+            width=190,
         )
         self._transient = pn.widgets.Select(name="transient (periods)", width=190)
         self._strobes = pn.widgets.Select(name="strobes a value", width=190)
@@ -110,21 +106,26 @@ class Page:
         self._png = pn.widgets.FileDownload(
             callback=self._save_picture, filename="view.png", label="Save picture", width=190, button_type="primary"
         )
+        self._key = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
         self._set_controls(view)
-        for control in (self._low, self._high, self._variable, self._transient, self._strobes, self._target):
+        ends = (self._low, self._high, self._bottom, self._top)
+        for control in (*ends, self._variable, self._transient, self._strobes, self._target):
             control.param.watch(self._controlled, "value")
         for slider in self._sliders.values():
             slider.param.watch(self._controlled, "value_throttled")
 
     def layout(self) -> pn.viewable.Viewable:
         """The whole page."""
-        depth = [self._transient, self._strobes, self._target] if self._source.computes else []
-        saves = [self._yaml, self._png] if self._source.computes else [self._png]
-        side = pn.Column(self._variable, self._low, self._high, *self._sliders.values(), *depth, *saves, width=230)
+        plane, computes = bool(self._source.first.second), self._source.computes
+        ends = [self._low, self._high, *((self._bottom, self._top) if plane else ())]
+        depth = [] if plane or not computes else [self._transient, self._strobes]
+        saves = [self._target, self._yaml, self._png] if computes else [self._png]
+        side = pn.Column(self._variable, *ends, *self._sliders.values(), *depth, *saves, width=230)
         main = pn.Column(
             pn.pane.HTML(f"<h2 style='margin:4px 0'>{html.escape(self._source.title)}</h2>"),
             pn.Row(self._back, self._forward, self._whole, self._status),
-            pn.pane.Bokeh(self._diagram.figure, sizing_mode="stretch_width"),
+            self._key,
+            pn.pane.Bokeh(self._drawing.figure, sizing_mode="stretch_width"),
             self._notes,
             pn.Row(
                 self._portrait_pane,
@@ -139,6 +140,8 @@ class Page:
         """Have all controls say what a view says."""
         self._setting = True
         self._low.value, self._high.value = repr(view.low), repr(view.high)
+        if view.second and view.window:
+            self._bottom.value, self._top.value = map(repr, view.window)
         self._variable.value = view.variable
         for control, known, value in (
             (self._transient, _TRANSIENTS, view.transient),
@@ -185,10 +188,11 @@ class Page:
         if event.x is None:
             return
         view = self._history.now
-        self._value = view.nearest(event.x)
-        self._diagram.mark(self._value)
-        self._lane.object = f"{html.escape(view.axis)} = {self._value!r}: computing…"
-        self._ask("lane", self._source.lane(view, self._value), self._show_lane)
+        where = view.lane_at(event.x, event.y)
+        self._drawing.mark(where)
+        place = ", ".join(f"{html.escape(name)} = {value!r}" for name, value in where.items())
+        self._lane.object = f"{place}: {'computing' if self._source.computes else 'reading'}…"
+        self._ask("lane", self._source.lane(view, where), self._show_lane)
 
     def _controlled(self, _: Any) -> None:
         if self._setting:
@@ -202,17 +206,19 @@ class Page:
                 if self._sliders[p.name].value != p.value
             }
             low, high = float(self._low.value), float(self._high.value)
+            window = (float(self._bottom.value), float(self._top.value)) if now.second else None
             other = self._variable.value != now.variable or moved != dict(now.fixed)
             view = replace(
                 now,
                 variable=self._variable.value,
-                window=None if other else now.window,
+                window=None if other and not now.second else now.window,
                 transient=self._transient.value,
                 strobes=self._strobes.value,
                 target=self._target.value or None,
                 fixed=moved,
             )
-            return view if (low, high) == (now.low, now.high) else view.zoomed(low, high, None)
+            same = (low, high) == (now.low, now.high) and window in (None, now.window)
+            return view if same else view.zoomed(low, high, window)
 
         self._try(changed)
 
@@ -232,13 +238,13 @@ class Page:
 
     def _go_whole(self) -> None:
         first = self._source.first
-        self._try(lambda: replace(self._history.now, low=first.low, high=first.high, window=None))
+        self._try(lambda: replace(self._history.now, low=first.low, high=first.high, window=first.window))
 
     def _look(self) -> None:
         view = self._history.now
         self._set_controls(view)
         self._picture = None
-        self._diagram.name(self._source.variables[view.variable])
+        self._drawing.name(self._upward(view))
         self._say("computing…")
         if pn.state.location is not None:
             pn.state.location.search = "?" + "&".join(f"{key}={value}" for key, value in as_query(view).items())
@@ -246,18 +252,24 @@ class Page:
 
     def _ask(self, what: str, passes: Any, answer: Callable[[Any], None]) -> None:
         """Have passes computed, and answers shown in the page's own thread."""
-        said = [-1.0, ""]
+        said, answered = [-1.0, ""], [time.monotonic()]
 
         def told(label: str, share: float) -> None:
-            if label != said[1] or share - float(said[0]) > _SILENT:
+            quick = what == "picture" and time.monotonic() - answered[0] < _QUICK
+            if not quick and (label != said[1] or share - float(said[0]) > _SILENT):
                 said[:] = [share, label]
-                self._later(lambda: self._say(f"{label}{f' · {share:.0%}' if share else ''}"))
+                known = f"{self._picture.words} · " if self._picture and what == "picture" else ""
+                self._later(lambda: self._say(f"{known}{label}{f' · {share:.0%}' if share else ''}"))
+
+        def answered_by(found: Any) -> None:
+            answered[0] = time.monotonic()
+            self._later(lambda: None if request.stale else answer(found))
 
         request = Request(
             passes,
-            answer=lambda found: self._later(lambda: None if request.stale else answer(found)),
+            answer=answered_by,
             failed=lambda error: self._later(lambda: self._say(_sentence(error), error=True)),
-            told=told if what == "lane" else lambda label, share: told(label, share) if "accuracy" in label else None,
+            told=told,
         )
         self._worker.ask((id(self), what), request)
 
@@ -268,7 +280,8 @@ class Page:
 
     def _show(self, view: View, picture: Picture) -> None:
         self._picture = picture
-        self._diagram.show(view, picture)
+        self._drawing.show(view, picture)
+        self._key.object = key_html(picture.pixels) if picture.pixels else ""
         self._say(picture.words)
         self._note(picture.notes)
 

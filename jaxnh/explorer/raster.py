@@ -1,4 +1,4 @@
-"""A diagram as a picture of cells: the share of a column's points in each, as whole numbers for a palette."""
+"""A view as a picture of cells: of a diagram the share of a column's points in each, of a plane a lane a cell."""
 
 from __future__ import annotations
 
@@ -6,33 +6,42 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, UInt8
-from matplotlib.colors import to_hex
+from jaxtyping import Float, UInt32
+from matplotlib.colors import to_rgba_array
 
 from jaxnh.plotting.density import INK, column_shares
+from jaxnh.plotting.frame import cell_edges
+from jaxnh.plotting.pixels import Pixels
 
 LEVELS = INK.N
-PALETTE = ("#ffffff", *(to_hex(INK(k)) for k in range(LEVELS)))
-"""Colours of the numbers of a raster; 0 is an empty cell."""
-
 ROWS = 420
-"""Cells of a column, and pixels that they have on the page."""
+"""Cells of a column of a diagram, and pixels that they have on the page."""
 
 _LEAST = 1e-3  # share of a column's points that has the first colour
+_MOST_CELLS = 1200  # of a plane, either way: about the pixels that the page has
 
 
 class Raster(NamedTuple):
-    """A picture of a diagram.
+    """A picture of a view.
 
     Attributes:
-        cells: place of each cell in `PALETTE`, (rows, columns), from the lower left.
+        cells: colour of each cell, four bytes red, green, blue and opacity, (rows, columns), from the lower left.
         across: left and right end.
         up: lower and upper end.
     """
 
-    cells: UInt8[np.ndarray, "rows columns"]
+    cells: UInt32[np.ndarray, "rows columns"]
     across: tuple[float, float]
     up: tuple[float, float]
+
+
+def _packed(rgba: np.ndarray) -> UInt32[np.ndarray, ...]:
+    """Colours (..., 4) of bytes as one number each."""
+    return np.ascontiguousarray(rgba, np.uint8).view(np.uint32)[..., 0]
+
+
+PALETTE = _packed(np.round(255 * to_rgba_array(["#ffffff", *(INK(k) for k in range(LEVELS))])))
+"""Colours of shares from few points to many, the first that of an empty cell."""
 
 
 def raster(
@@ -45,8 +54,25 @@ def raster(
     """
     across, up, share = column_shares(axis, values, window, ROWS)
     steps = 1.0 + (LEVELS - 1) * (1.0 - np.log(np.maximum(share, _LEAST)) / np.log(_LEAST))
-    cells = np.where(share > 0.0, np.round(steps), 0.0).astype(np.uint8).T
+    cells = PALETTE[np.where(share > 0.0, np.round(steps), 0.0).astype(np.uint8).T]
     return Raster(np.ascontiguousarray(cells), (float(across[0]), float(across[-1])), (float(up[0]), float(up[-1])))
+
+
+def plane_raster(pixels: Pixels) -> Raster:
+    """A plane as cells of one size; where values are uneven, or too many, each has the lane that is there."""
+    (across, x), (up, y) = (_cells(np.asarray(axis)) for axis in (pixels.plane.x, pixels.plane.y))
+    return Raster(_packed(pixels.rgba()[np.ix_(y, x)]), across, up)
+
+
+def _cells(values: Float[np.ndarray, " values"]) -> tuple[tuple[float, float], np.ndarray]:
+    """Ends of cells of one size over rising values, and the place of the value that lies in each."""
+    edges = cell_edges(values)
+    ends, sizes = (float(edges[0]), float(edges[-1])), np.diff(edges)
+    if len(values) <= _MOST_CELLS and sizes.max() - sizes.min() < 0.01 * sizes.mean():
+        return ends, np.arange(len(values))
+    count = int(min(_MOST_CELLS, np.ceil((ends[1] - ends[0]) / sizes.min())))
+    middles = ends[0] + (np.arange(count) + 0.5) * (ends[1] - ends[0]) / count
+    return ends, np.clip(np.searchsorted(edges, middles, side="right") - 1, 0, len(values) - 1)
 
 
 def values_of(data: xr.Dataset, axis: str, variable: str) -> tuple[np.ndarray, np.ndarray]:

@@ -4,83 +4,172 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from jaxnh.exceptions import InputError, JaxnhError
-from jaxnh.explorer.raster import raster, values_of
-from jaxnh.explorer.source import LaneReport, Parameter, Picture
+from jaxnh.explorer.raster import plane_raster, raster, values_of
+from jaxnh.explorer.source import LaneReport, Parameter, Picture, Source
 from jaxnh.explorer.view import View
+from jaxnh.plotting.groups import label_of, shown
+from jaxnh.plotting.labels import words_of
+from jaxnh.plotting.panels import has_pixels, pixels_of
 from jaxnh.storage.hdf5 import open_result
 
-_OF_A_LANE = ("portrait", "poincare", "period", "lyapunov", "chaos01", "verdict")
+_OF_A_LANE = ("portrait", "poincare", "period", "lyapunov", "chaos01", "verdict", "basins", "attractors")
+
+_Groups = Mapping[str, xr.Dataset]
+_Attrs = Mapping[str, Any]
 
 
-class Recorded:
-    """The diagram of a result file; as `Source`."""
+def recorded(path: Path) -> Source:
+    """The planes over the first two long axes of a result file, or where there are none the diagram over the first.
+
+    Raises:
+        InputError: there is no such file, or neither a plane nor a diagram in it.
+    """
+    if not path.is_file():
+        raise InputError(f"command line: RESULT: {path} is {'a folder' if path.is_dir() else 'not there'}")
+    try:
+        tree = open_result(path)
+    except JaxnhError as error:
+        raise InputError(f"command line: RESULT: {error}") from error
+    groups = {str(name): node.to_dataset() for name, node in tree.children.items()}
+    names = str(tree.attrs.get("axes", "")).split()
+    groups = {name: data.assign_attrs(axes=" ".join(names)) for name, data in groups.items()}
+    sizes = {str(name): size for data in groups.values() for name, size in data.sizes.items()}
+    long = [name for name in names if sizes.get(name, 1) > 1]
+    attrs = {**tree.attrs, "title": str(tree.attrs.get("title") or path)}
+    planes = [name for name, data in groups.items() if len(long) > 1 and has_pixels(data)]
+    planes = [name for name in planes if set(long[:2]) <= set(map(str, shown(groups[name])[0].dims))]
+    if planes:
+        return RecordedPlane(groups, planes, (long[0], long[1]), attrs, path)
+    if "diagram" in groups and long:
+        return RecordedDiagram(groups, long[0], attrs, path)
+    there = ", ".join(groups) or "nothing"
+    raise InputError(f"command line: RESULT: {path} has {there}, and no diagram and no plane of two axes")
+
+
+class _Recorded:
+    """What every source of a file has, beside what it draws."""
 
     computes = False
     parameters: tuple[Parameter, ...] = ()
 
-    def __init__(self, path: Path) -> None:
-        """Read the file.
+    def __init__(self, groups: _Groups, first: xr.Dataset, axes: tuple[str, ...], attrs: _Attrs, path: Path) -> None:
+        self._groups = {name: groups[name] for name in _OF_A_LANE if name in groups}
+        self._attrs, self.title = attrs, attrs["title"]
+        self.axis_words = {name: str(first[name].attrs.get("long_name", name)) for name in axes}
+        others = [
+            name for name in str(first.attrs["axes"]).split() if name not in axes and first.sizes.get(name, 1) > 1
+        ]
+        at = "".join(f", at {name} = {float(first[name][0]):g}, the first of {first.sizes[name]:,}" for name in others)
+        self._note = f"from {path}{at}; nothing is computed here"
 
-        Raises:
-            InputError: there is no such file, or no diagram over one axis in it.
+    def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
+        """What the file has of the lane that is nearest to values of the axes."""
+        found = {
+            name: _at(data, where).load()
+            for name, data in self._groups.items()
+            if set(where) <= set(data.dims) or name == "attractors"
+        }
+        yield LaneReport(where, found, True)
+
+    def batch_text(self, view: View) -> str:
+        """There is none: the file has its own config."""
+        return ""
+
+
+class RecordedDiagram(_Recorded):
+    """The diagram of a result file; as `Source`."""
+
+    def __init__(self, groups: _Groups, axis: str, attrs: _Attrs, path: Path) -> None:
+        """Read the diagram.
+
+        Args:
+            groups: of the file, `diagram` among them.
+            attrs: of its root.
         """
-        if not path.is_file():
-            raise InputError(f"command line: RESULT: {path} is {'a folder' if path.is_dir() else 'not there'}")
-        try:
-            tree = open_result(path)
-        except JaxnhError as error:
-            raise InputError(f"command line: RESULT: {error}") from error
-        if "diagram" not in tree.children:
-            there = ", ".join(tree.children) or "nothing"
-            raise InputError(f"command line: RESULT: {path} has {there}, and no diagram")
-        self._groups = {name: node.to_dataset().load() for name, node in tree.children.items() if name in _OF_A_LANE}
-        data = tree["diagram"].to_dataset().load()
-        axes = [name for name in str(tree.attrs.get("axes", "")).split() if data.sizes.get(name, 1) > 1]
-        if len(axes) != 1:
-            raise InputError(f"command line: RESULT: the diagram of {path} has {len(axes)} axes; explore shows one")
-        [axis] = axes
-        others = [name for name in str(tree.attrs["axes"]).split() if name != axis]
-        self._data = data.isel(dict.fromkeys([name for name in others if name in data.dims], 0)).sortby(axis)
+        super().__init__(groups, groups["diagram"], (axis,), attrs, path)
+        self._data = _at(groups["diagram"], {}, keep=(axis,)).sortby(axis).load()
         values = self._data[axis].to_numpy()
-        self.title = str(tree.attrs.get("title") or path)
-        self.axis_words = str(self._data[axis].attrs.get("long_name", axis))
         self.variables = {
             str(name).removesuffix("_state"): str(v.attrs.get("long_name", name))
             for name, v in self._data.data_vars.items()
             if v.dims[:1] == (axis,) and len(v.dims) > 1 and v.dtype.kind == "f"
         }
         named = str(self._data.attrs.get("panel_variables", "")).split()
-        shown = next((name for name in named if name in self.variables), next(iter(self.variables)))
-        self.first = View(
-            axis, float(values.min()), float(values.max()), shown, columns=len(values), strobes=1, transient=1
-        )
-        self._note = f"from {path}: {len(values):,} values; nothing is computed here"
+        drawn = next((name for name in named if name in self.variables), next(iter(self.variables)))
+        self.first = View(axis, float(values.min()), float(values.max()), drawn, columns=len(values))
 
     def passes(self, view: View) -> Iterator[Picture]:
         """The part of the diagram that lies in a view."""
         axis, values = values_of(self._data, view.axis, view.variable)
-        inside = np.flatnonzero((view.low <= axis) & (axis <= view.high))
-        if not len(inside):
-            inside = np.array([np.argmin(np.abs(axis - 0.5 * (view.low + view.high)))])
+        inside = _inside(axis, (view.low, view.high), 1)
         some = raster(axis[inside], values[inside], view.window)
         data = self._data.isel({view.axis: inside})
         yield Picture(some, data, f"{len(inside):,} values", (self._note,))
 
-    def lane(self, view: View, value: float) -> Iterator[LaneReport]:
-        """What the file has of the lane that is nearest to a value."""
-        nearest = float(self._data[view.axis].sel({view.axis: value}, method="nearest"))
-        groups: Mapping[str, xr.Dataset] = {
-            name: data.sel({view.axis: nearest}).squeeze()
-            for name, data in self._groups.items()
-            if view.axis in data.dims
-        }
-        yield LaneReport({view.axis: nearest}, groups, True)
+    def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
+        """What the file has of the lane that is nearest to a value of the axis."""
+        return super().lane(view, _nearest(self._data, where))
 
-    def batch_text(self, view: View) -> str:
-        """There is none: the file has its own config."""
-        return ""
+
+class RecordedPlane(_Recorded):
+    """The planes of a result file, a quantity each; as `Source`."""
+
+    def __init__(self, groups: _Groups, planes: list[str], axes: tuple[str, str], attrs: _Attrs, path: Path) -> None:
+        """Read the planes.
+
+        Args:
+            groups: of the file.
+            planes: those that are shown.
+            attrs: of its root.
+        """
+        super().__init__(groups, groups[planes[0]], axes, attrs, path)
+        self._planes = {name: _at(groups[name], {}, keep=axes).sortby(list(axes)).load() for name in planes}
+        self._others = {name: groups[name].load() for name in groups.keys() & {"attractors"}}
+        self.variables = {name: label_of(data) or words_of(shown(data)[0]) for name, data in self._planes.items()}
+        first = self._planes[planes[0]]
+        across, up = ((float(first[name].min()), float(first[name].max())) for name in axes)
+        counts = first.sizes[axes[0]], first.sizes[axes[1]]
+        self.first = View(axes[0], *across, planes[0], up, axes[1], columns=counts[0], rows=counts[1])
+
+    def passes(self, view: View) -> Iterator[Picture]:
+        """The part of a plane that lies in a view."""
+        data = self._planes[view.variable]
+        inside = {name: _inside(data[name].to_numpy(), ends, 2) for name, ends in view.ranges.items()}
+        groups = {**self._others, view.variable: data.isel(inside)}
+        pixels = pixels_of(view.variable, groups)
+        words = " × ".join(f"{len(places):,}" for places in inside.values()) + " lanes"
+        data = xr.DataTree.from_dict({"/": xr.Dataset(attrs=self._attrs), **groups})  # pyright: ignore[reportUnknownMemberType]
+        yield Picture(plane_raster(pixels), data, words, (self._note,), pixels)
+
+    def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
+        """What the file has of the lane that is nearest to values of the axes."""
+        return super().lane(view, _nearest(self._planes[view.variable], where))
+
+
+def _at(data: xr.Dataset, where: Mapping[str, float], keep: tuple[str, ...] = ()) -> xr.Dataset:
+    """A group at values of some axes, and at the first of those others that are not to be kept."""
+    axes = [name for name in str(data.attrs["axes"]).split() if name in data.dims and name not in keep]
+    return data.isel({name: _place(data, name, where[name]) if name in where else 0 for name in axes})
+
+
+def _place(data: xr.Dataset, axis: str, value: float) -> int:
+    return int(np.argmin(np.abs(data[axis].to_numpy() - value)))
+
+
+def _nearest(data: xr.Dataset, where: Mapping[str, float]) -> dict[str, float]:
+    """Values of axes that the file has."""
+    return {name: float(data[name][_place(data, name, value)]) for name, value in where.items()}
+
+
+def _inside(values: np.ndarray, ends: tuple[float, float], least: int) -> np.ndarray:
+    """Places of the rising values in a range, and of so many at least about its middle."""
+    inside = np.flatnonzero((ends[0] <= values) & (values <= ends[1]))
+    if len(inside) >= least:
+        return inside
+    return np.sort(np.argsort(np.abs(values - 0.5 * (ends[0] + ends[1])), kind="stable")[:least])

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.explorer.source import LaneReport
+from jaxnh.plotting.basins import attractor_words
 from jaxnh.plotting.meanings import meanings
 
 
@@ -23,6 +24,10 @@ def report_html(report: LaneReport) -> str:
 def lines(report: LaneReport) -> Iterator[tuple[str, str]]:
     """What is known, and what it is called."""
     groups = report.groups
+    if any("computed" in data and not int(data["computed"]) for data in groups.values()):
+        yield "from a coarser level", "this lane was not computed; it has what a neighbour of its kind has"
+    if "basins" in groups:
+        yield from _basin(groups["basins"], groups.get("attractors"))
     if "verdict" in groups:
         yield "verdict", _flag(groups["verdict"]["kind"])
     if "period" in groups:
@@ -35,6 +40,17 @@ def lines(report: LaneReport) -> Iterator[tuple[str, str]]:
 
 def _flag(variable: xr.DataArray) -> str:
     return meanings(variable)[int(variable)][0]
+
+
+def _basin(data: xr.Dataset, attractors: xr.Dataset | None) -> Iterator[tuple[str, str]]:
+    number = data["attractor"]
+    if number.ndim:
+        return  # of random starts
+    said = attractor_words(attractors) if attractors is not None and attractors["kind"].ndim == 1 else {}
+    other = {0: "undecided", -1: "failed or escaped"}
+    yield "attractor", said.get(int(number)) or other.get(int(number), f"{int(number)}")
+    if int(number) > 0:
+        yield "known after", f"{float(data['time']):g} {data['time'].attrs.get('units', '')}"
 
 
 def _period(data: xr.Dataset) -> Iterator[tuple[str, str]]:

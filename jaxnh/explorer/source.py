@@ -9,6 +9,7 @@ import xarray as xr
 
 from jaxnh.explorer.raster import Raster
 from jaxnh.explorer.view import View
+from jaxnh.plotting.pixels import Pixels
 
 
 class Picture(NamedTuple):
@@ -16,22 +17,24 @@ class Picture(NamedTuple):
 
     Attributes:
         raster: its cells.
-        data: what it is drawn from, over the axis; None while it is coarse.
+        data: what it is drawn from, over the axes; None while it is coarse.
         words: what it is made of.
         notes: what one has to know to read it.
+        pixels: of a plane, with what its colours stand for.
     """
 
     raster: Raster
-    data: xr.Dataset | None
+    data: xr.Dataset | xr.DataTree | None
     words: str
     notes: tuple[str, ...] = ()
+    pixels: Pixels | None = None
 
 
 class LaneReport(NamedTuple):
     """What is known of one lane so far.
 
     Attributes:
-        where: values of the axis and of other parameters, by name.
+        where: values of the axes and of other parameters, by name.
         groups: datasets of analyses, by name.
         whole: whether nothing more follows.
     """
@@ -57,8 +60,8 @@ class Source(Protocol):
     Attributes:
         title: what is shown, in words.
         first: the view that is shown first.
-        variables: coordinates of states that can be drawn, to what they are called.
-        axis_words: what the axis is called.
+        variables: what can be drawn, coordinates of states or quantities over a plane, to what they are called.
+        axis_words: what the axes are called.
         parameters: those that can be moved.
         computes: whether depth, accuracy and parameters can be chosen.
     """
@@ -70,7 +73,7 @@ class Source(Protocol):
     @property
     def variables(self) -> Mapping[str, str]: ...
     @property
-    def axis_words(self) -> str: ...
+    def axis_words(self) -> Mapping[str, str]: ...
     @property
     def parameters(self) -> tuple[Parameter, ...]: ...
     @property
@@ -80,8 +83,8 @@ class Source(Protocol):
         """Pictures of a view, each better than the one before."""
         ...
 
-    def lane(self, view: View, value: float) -> Iterator[LaneReport]:
-        """What is known of the lane at a value of the axis, more with each report."""
+    def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
+        """What is known of the lane at values of the axes, more with each report."""
         ...
 
     def batch_text(self, view: View) -> str:

@@ -1,4 +1,4 @@
-"""What is looked at: the range of an axis, what is drawn over it, and where one has been. Nothing is computed here."""
+"""What is looked at: ranges of one axis or two, what is drawn over them, and where one has been."""
 
 from __future__ import annotations
 
@@ -18,18 +18,21 @@ _WORDS = ("low", "high", "bottom", "top")
 
 @dataclass(frozen=True)
 class View:
-    """A bifurcation diagram as one looks at it.
+    """A bifurcation diagram, or a plane of two axes, as one looks at it.
 
     Attributes:
         axis: parameter, or coordinate of the start state, across.
         low, high: its range, both ends are lanes.
-        variable: coordinate of the states, upward.
-        window: range of the variable; None: all values there are.
-        transient: periods before the first strobe.
-        strobes: strobes a value.
+        variable: what is drawn: of a diagram the coordinate of the states, upward, of a plane a quantity, as colours.
+        window: range upward: of a plane that of its second axis, both ends are lanes; of a diagram that of the
+            variable, None for all values there are.
+        second: of a plane, the axis upward; "": a diagram.
+        transient: periods before the first strobe, of a diagram.
+        strobes: strobes a value, of a diagram.
         fixed: values of other parameters in place of those of the config.
         target: error of one period that is allowed; None: what the config says.
         columns: values of the axis.
+        rows: values of the second axis.
     """
 
     axis: str
@@ -37,30 +40,47 @@ class View:
     high: float
     variable: str
     window: tuple[float, float] | None = None
+    second: str = ""
     transient: int = 512
     strobes: int = 128
     fixed: Mapping[str, float] = field(default_factory=dict[str, float])
     target: float | None = None
     columns: int = COLUMNS
+    rows: int = 1
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
             raise InputError(f"a range of {self.axis} goes from a number up to a larger one")
         if self.window is not None and not (np.isfinite(self.window).all() and self.window[0] < self.window[1]):
-            raise InputError(f"a range of {self.variable} goes from a number up to a larger one")
+            raise InputError(f"a range of {self.second or self.variable} goes from a number up to a larger one")
+        if self.second and self.window is None:
+            raise InputError(f"a plane needs a range of {self.second}")
+
+    @property
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
+        """Both ends of every axis, by name."""
+        found = {self.axis: (self.low, self.high)}
+        return found | {self.second: self.window} if self.second and self.window else found
 
     def values(self) -> Float[np.ndarray, " columns"]:
         """Values of the axis, as a config of `start`, `stop` and `count` has them."""
         return np.linspace(self.low, self.high, self.columns)
 
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Number of values of every axis, by name."""
+        return {self.axis: self.columns} | ({self.second: self.rows} if self.second else {})
+
+    def grid(self) -> dict[str, Float[np.ndarray, " values"]]:
+        """Values of every axis, by name."""
+        return {name: np.linspace(*ends, self.counts[name]) for name, ends in self.ranges.items()}
+
     def zoomed(self, low: float, high: float, window: tuple[float, float] | None) -> View:
-        """The view of another range; where doubles do not tell its columns apart, of the narrowest around it."""
-        low, high = min(low, high), max(low, high)
-        narrowest = self.columns * float(np.spacing(max(abs(low), abs(high))))
-        if high - low < narrowest:
-            middle = 0.5 * (low + high)
-            low, high = middle - 0.5 * narrowest, middle + 0.5 * narrowest
-        if window is not None:
+        """The view of other ranges; where doubles do not tell its lanes apart, of the narrowest around them."""
+        low, high = _wide(low, high, self.columns)
+        if self.second:
+            window = _wide(*(window or self.ranges[self.second]), self.rows)
+        elif window is not None:
             bottom, top = min(window), max(window)
             least = 1e3 * float(np.spacing(max(abs(bottom), abs(top))))
             window = (bottom, max(top, bottom + least))
@@ -68,13 +88,26 @@ class View:
 
     @property
     def deepest(self) -> bool:
-        """Whether a narrower range has fewer doubles than columns."""
-        return self.high - self.low < 2 * self.columns * float(np.spacing(max(abs(self.low), abs(self.high))))
+        """Whether a narrower range of an axis has fewer doubles than lanes."""
+        return any(
+            high - low < 2 * self.counts[name] * float(np.spacing(max(abs(low), abs(high))))
+            for name, (low, high) in self.ranges.items()
+        )
 
-    def nearest(self, value: float) -> float:
-        """The value of the axis whose column a place lies in."""
-        values = self.values()
-        return float(values[np.argmin(np.abs(values - value))])
+    def lane_at(self, across: float, up: float) -> dict[str, float]:
+        """Values of the axes, by name, of the lane whose column or pixel a place lies in."""
+        places = {self.axis: across, self.second: up}
+        return {name: float(values[np.argmin(np.abs(values - places[name]))]) for name, values in self.grid().items()}
+
+
+def _wide(low: float, high: float, count: int) -> tuple[float, float]:
+    """A range that has room for so many different doubles, around this one."""
+    low, high = min(low, high), max(low, high)
+    narrowest = count * float(np.spacing(max(abs(low), abs(high))))
+    if high - low < narrowest:
+        middle = 0.5 * (low + high)
+        return middle - 0.5 * narrowest, middle + 0.5 * narrowest
+    return low, high
 
 
 @dataclass
@@ -116,7 +149,10 @@ def as_query(view: View) -> dict[str, str]:
     found = {"axis": view.axis, "low": repr(view.low), "high": repr(view.high), "variable": view.variable}
     if view.window is not None:
         found |= {"bottom": repr(view.window[0]), "top": repr(view.window[1])}
-    found |= {"transient": str(view.transient), "strobes": str(view.strobes)}
+    if view.second:
+        found["second"] = view.second
+    else:
+        found |= {"transient": str(view.transient), "strobes": str(view.strobes)}
     if view.target is not None:
         found["target"] = repr(view.target)
     return found | {f"p.{name}": repr(value) for name, value in sorted(view.fixed.items())}
@@ -130,13 +166,15 @@ def from_query(start: View, query: Mapping[str, str]) -> View:
     """
     try:
         numbers = {word: float(query[word]) for word in _WORDS if word in query}
-        window = (numbers["bottom"], numbers["top"]) if {"bottom", "top"} <= set(numbers) else None
+        window = (numbers["bottom"], numbers["top"]) if {"bottom", "top"} <= set(numbers) else start.window
         return replace(
             start,
+            axis=query.get("axis", start.axis),
             low=numbers.get("low", start.low),
             high=numbers.get("high", start.high),
             variable=query.get("variable", start.variable),
             window=window,
+            second=query.get("second", start.second),
             transient=max(1, int(query.get("transient", start.transient))),
             strobes=min(max(1, int(query.get("strobes", start.strobes))), 1 << 14),
             target=float(query["target"]) if "target" in query else start.target,

@@ -11,6 +11,8 @@ from jaxnh.exceptions import Stopped
 
 T = TypeVar("T")
 
+_ENDING = 15.0  # seconds that a pass is waited for at the end: some programs are compiled for so long
+
 Told = Callable[[str, float], None]
 """(what is being done, share that is done, 0 where that is not known) of the pass in hand."""
 
@@ -58,12 +60,14 @@ class Worker:
         return self
 
     def stop(self) -> None:
-        """End the pass in hand, and take no more."""
+        """End the pass in hand, and take no more; a thread inside a program would abort the process at its exit."""
         with self._changed:
             self._over = True
             for request in self._requests.values():
                 request.stale = True
             self._changed.notify()
+        if self._thread.is_alive():
+            self._thread.join(_ENDING)
 
     def ask(self, key: Hashable, request: Request[Any]) -> None:
         """Take a request in place of the last one of the same key."""

@@ -6,7 +6,7 @@ point leads to; that of the shares has one row an attractor, with points of it u
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +17,11 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.patches import Patch
 
 from jaxnh.exceptions import ResultError
-from jaxnh.plotting.charts import framed, image_of, plane_of
+from jaxnh.plotting.charts import framed, image_of
 from jaxnh.plotting.frame import legend_above, new_axes, over_axis
 from jaxnh.plotting.groups import along, needed
 from jaxnh.plotting.meanings import FAILED, NONE, meanings
+from jaxnh.plotting.pixels import Entry, Pixels, coloured, plane_of
 from jaxnh.plotting.style import TINTS, Colour, darker
 
 _COLOURS, _POINTS = TINTS, tuple(darker(tint) for tint in TINTS)
@@ -49,29 +50,51 @@ def basins_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.
     Raises:
         ResultError: a variable is missing, or there are not two axes of more than one point.
     """
-    ax = new_axes(ax)
+    ax, known = new_axes(ax), _known(over)
+    pixels, named = _pixels(data, known)
+    image_of(pixels, ax)
+    legend_above(ax, [_patch(entry) for entry in pixels.entries], 3)
+    framed(data, pixels.plane, ax)
+    for group in known:
+        _attractors(group, (pixels.plane.x, pixels.plane.y), named, ax)
+    return ax
+
+
+def basin_pixels(data: xr.Dataset, over: Iterable[xr.Dataset] = ()) -> Pixels:
+    """Which attractor every point of a plane leads to, with their shares; as of `basins_chart`.
+
+    Raises:
+        ResultError: a variable is missing, or there are not two axes of more than one point.
+    """
+    return _pixels(data, _known(over))[0]
+
+
+def _known(over: Iterable[xr.Dataset]) -> list[xr.Dataset]:
+    """Groups of attractors that there is one each of for the whole plane."""
+    return [group for group in over if group.sizes.get("attractor", 0) and "kind" in group and group["kind"].ndim == 1]
+
+
+def _pixels(data: xr.Dataset, known: Sequence[xr.Dataset]) -> tuple[Pixels, list[_Attractor]]:
     plane = plane_of(data)
     most = int(max(plane.values.max(initial=0), 1))
-    known = [group for group in over if group.sizes.get("attractor", 0) and "kind" in group and group["kind"].ndim == 1]
     named = _named(known[0] if known else None, most)
-    colours = ListedColormap([FAILED, NONE, *(one.colour for one in named)])
-    image_of(plane, plane.values, colours, Normalize(_FAILED - 0.5, most + 0.5), ax)
     shares = {number: 100 * float(np.mean(plane.values == number)) for number in range(_FAILED, most + 1)}
-    handles = [
-        Patch(facecolor=one.colour, edgecolor=one.points, label=f"{one.words}: {_percent(shares[one.number])}")
+    entries = [
+        Entry(one.colour, f"{one.words}: {_percent(shares[one.number])}", one.points)
         for one in named[: len(_COLOURS)]
         if shares[one.number]
     ]
     if beyond := sum(shares[one.number] for one in named[len(_COLOURS) :]):
-        handles.append(Patch(color=_REST, label=f"{len(named) - len(_COLOURS)} others: {_percent(beyond)}"))
+        entries.append(Entry(_REST, f"{len(named) - len(_COLOURS)} others: {_percent(beyond)}"))
     for number, colour, words in ((_UNDECIDED, NONE, "undecided"), (_FAILED, FAILED, "failed or escaped")):
         if shares[number]:
-            handles.append(Patch(color=colour, label=f"{words}: {_percent(shares[number])}"))
-    legend_above(ax, handles, 3)
-    framed(data, plane, ax)
-    for group in known:
-        _attractors(group, (plane.x, plane.y), named, ax)
-    return ax
+            entries.append(Entry(colour, f"{words}: {_percent(shares[number])}"))
+    colours = ListedColormap([FAILED, NONE, *(one.colour for one in named)])
+    return coloured(data, plane, plane.values, colours, Normalize(_FAILED - 0.5, most + 0.5), entries), named
+
+
+def _patch(entry: Entry) -> Patch:
+    return Patch(facecolor=entry.colour, edgecolor=entry.edge or entry.colour, label=entry.words)
 
 
 def shares(data: xr.Dataset, ax: Axes | None = None) -> Axes:
@@ -111,7 +134,7 @@ def shares(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
 def _named(group: xr.Dataset | None, most: int) -> list[_Attractor]:
     """Attractors up to a number, with what a group says that they are."""
-    words = _words(group) if group is not None else {}
+    words = attractor_words(group) if group is not None else {}
     found = []
     for number in range(1, most + 1):
         own = number <= len(_COLOURS)
@@ -120,7 +143,7 @@ def _named(group: xr.Dataset | None, most: int) -> list[_Attractor]:
     return found
 
 
-def _words(group: xr.Dataset) -> dict[int, str]:
+def attractor_words(group: xr.Dataset) -> dict[int, str]:
     """What each attractor of a group is: its number, its kind, and the period of what is periodic."""
     kind, meaning = group["kind"].to_numpy(), meanings(group["kind"])
     periods = group["period"].to_numpy() if "period" in group else np.zeros(len(kind), int)

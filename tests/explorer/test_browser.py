@@ -38,6 +38,16 @@ analyses:
   chaos01: {transient: 32, periods: 128}
   verdict: {longer: 0}
 """
+CHART = """
+title: The page's own chart
+system: {constraint: constant_speed, c: 1.0, omega: 1.0}
+sweep:
+  b: {start: 4.0, stop: 6.0, count: 8}
+  a: {start: 0.4, stop: 0.6, count: 8}
+accuracy: {solver: blanes_moan6, steps: 60}
+analyses:
+  period: {transient: 32, limit: 2}
+"""
 SHOTS = os.environ.get("JAXNH_SCREENSHOTS")  # a folder to keep pictures of the page in, for people to look at
 
 
@@ -105,14 +115,14 @@ def local(url):
     return urlsplit(url).hostname in ("127.0.0.1", None) or url.startswith(("data:", "blob:"))
 
 
-def whole(page):
+def whole(page, words=f"{COLUMNS} values, 64 strobes after 48 periods"):
     """Wait until the picture is refined."""
-    page.get_by_text(f"{COLUMNS} values, 64 strobes after 48 periods").wait_for()
+    page.get_by_text(words).wait_for()
 
 
-def view(page):
+def view(page, low="low", high="high"):
     query = parse_qs(urlsplit(page.url).query)
-    return float(query["low"][0]), float(query["high"][0])
+    return float(query[low][0]), float(query[high][0])
 
 
 def shot(page, name):
@@ -120,8 +130,8 @@ def shot(page, name):
         page.screenshot(path=f"{SHOTS}/{name}.png")
 
 
-def zoom(page, left=0.4, right=0.6):
-    """Drag a box over a part of the diagram."""
+def zoom(page, *words, left=0.4, right=0.6):
+    """Drag a box over a part of the picture, and wait until it says these words, or until a diagram is refined."""
     box = page.locator(".bk-Figure").first.bounding_box()
     top = box["y"] + 0.1 * box["height"]
     page.mouse.move(box["x"] + left * box["width"], top)
@@ -130,7 +140,7 @@ def zoom(page, left=0.4, right=0.6):
     before = page.url
     page.mouse.up()
     page.wait_for_function("before => location.href != before", arg=before)
-    whole(page)
+    whole(page, *words)
 
 
 def test_open_zoom_go_back_and_reload(tab, address):
@@ -223,6 +233,44 @@ def test_a_result_opens_without_computing_and_a_stopped_server_is_said(tab, conf
         assert ended(process) == 0
     page.get_by_text("The server has stopped").wait_for()
     shot(page, "stopped")
+
+
+def test_a_chart_opens_and_is_zoomed_clicked_and_saved(tab, tmp_path):
+    chart = tmp_path / "chart.yaml"
+    chart.write_text(CHART)
+    process, address = started(chart, "--columns", COLUMNS)
+    try:
+        page = tab(address)
+        page.get_by_text("25 × 18 lanes", exact=True).wait_for()
+        zoom(page, "25 × 18 lanes")
+        (low, high), (bottom, top) = view(page), view(page, "bottom", "top")
+        assert 4.0 < low < high < 6.0
+        assert 0.4 < bottom < top < 0.6
+        box = page.locator(".bk-Figure").first.bounding_box()
+        page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+        page.get_by_text("least period").last.wait_for()
+        rows = [line.split("\t") for line in page.locator("table.lane").inner_text().splitlines()]
+        assert low <= float(dict(rows)["b"]) <= high
+        assert bottom <= float(dict(rows)["a"]) <= top
+        shot(page, "chart")
+        with page.expect_download() as download:
+            page.get_by_text("Save as YAML").click()
+        saved = tmp_path / "view.yaml"
+        download.value.save_as(saved)
+        experiment = jaxnh.load(saved)
+        assert [(axis.name, axis.values[0], axis.values[-1]) for axis in experiment.axes] == [
+            ("b", low, high),
+            ("a", bottom, top),
+        ]
+        assert [analysis.name for analysis, _ in experiment.requested()] == ["period"]
+        with page.expect_download() as download:
+            page.get_by_text("Save picture").click()
+        download.value.save_as(tmp_path / "view.png")
+        assert (tmp_path / "view.png").read_bytes().startswith(b"\x89PNG")
+        page.get_by_role("button", name="Back").click()
+        page.wait_for_function("() => location.search.includes('bottom=0.4&top=0.6')")
+    finally:
+        assert ended(process) == 0
 
 
 def maps_of(process):

@@ -10,7 +10,7 @@ import pytest
 import jaxnh
 from jaxnh.engine.progress import Calling
 from jaxnh.exceptions import InputError, Stopped
-from jaxnh.explorer.live import Live
+from jaxnh.explorer.live import live as source_of
 
 UNCALIBRATED = True
 CONFIG = {
@@ -33,16 +33,16 @@ def live(stopping):
         if stopping[0]:
             raise Stopped("stale")
 
-    return Live(jaxnh.Experiment.from_dict(CONFIG), Calling(told), COLUMNS)
+    return source_of(jaxnh.Experiment.from_dict(CONFIG), Calling(told), COLUMNS)
 
 
 def test_a_coarse_picture_comes_before_the_whole_and_a_zoom_compiles_nothing(live):
     first = list(live.passes(live.first))
     assert [picture.data is None for picture in first] == [True, False]
-    before = live.compiled
+    before = live.sessions.compiled
     zoomed = live.first.zoomed(5.41, 5.43, None)
     coarse, fine = live.passes(zoomed)
-    assert live.compiled == before
+    assert live.sessions.compiled == before
     assert coarse.words.startswith("coarse: 96 values, 32 strobes after ")
     assert fine.words == "96 values, 64 strobes after 48 periods"
     assert np.array_equal(fine.data["b"], zoomed.values())
@@ -83,7 +83,9 @@ def test_what_is_below_the_accuracy_is_said(live):
 
 def test_an_axis_of_one_value_is_no_range():
     with pytest.raises(InputError, match="axis of two values or more"):
-        Live(jaxnh.Experiment.from_dict({**CONFIG, "sweep": {"b": {"values": [5.0]}}}), Calling(lambda *_: None), 64)
+        source_of(
+            jaxnh.Experiment.from_dict({**CONFIG, "sweep": {"b": {"values": [5.0]}}}), Calling(lambda *_: None), 64
+        )
 
 
 def test_a_parameter_that_is_not_there_is_named(live):

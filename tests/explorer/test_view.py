@@ -13,7 +13,7 @@ FIRST = View("b", 0.1, 6.0, "x1")
 
 def test_a_range_is_of_a_config_s_values():
     assert np.array_equal(FIRST.values(), np.linspace(0.1, 6.0, 1000))
-    assert FIRST.nearest(FIRST.values()[17] + 1e-3) == FIRST.values()[17]
+    assert FIRST.lane_at(FIRST.values()[17] + 1e-3, 0.0) == {"b": FIRST.values()[17]}
 
 
 def test_a_zoom_ends_where_columns_are_neighbouring_doubles():
@@ -44,9 +44,27 @@ def test_back_and_forward():
 
 def test_an_address_names_a_view_to_the_last_bit():
     third = 1.0 / 3.0
-    view = View("b", third, 2 * third, "y1", (-third, third), 64, 256, {"a": 0.1 + 0.2}, 1e-8)
+    view = View("b", third, 2 * third, "y1", (-third, third), "", 64, 256, {"a": 0.1 + 0.2}, 1e-8)
     assert from_query(FIRST, as_query(view)) == view
     assert from_query(FIRST, {}) == FIRST
+
+
+def test_a_plane_has_a_range_and_lanes_of_both_axes():
+    plane = View("b", 0.0, 2.0, "lyapunov", (-1.0, 1.0), "d", columns=5, rows=3)
+    assert {name: values.tolist() for name, values in plane.grid().items()} == {
+        "b": [0.0, 0.5, 1.0, 1.5, 2.0],
+        "d": [-1.0, 0.0, 1.0],
+    }
+    assert plane.lane_at(0.8, -0.4) == {"b": 1.0, "d": 0.0}
+    zoomed = plane.zoomed(0.5, 1.0, (1.0, 0.5))
+    assert zoomed.ranges == {"b": (0.5, 1.0), "d": (0.5, 1.0)}
+    assert from_query(plane, as_query(zoomed)) == zoomed
+    assert from_query(plane, {}) == plane
+    deepest = plane.zoomed(0.5, 1.0, (0.25, np.nextafter(0.25, 1.0)))
+    assert len(np.unique(deepest.grid()["d"])) == 3
+    assert deepest.deepest
+    with pytest.raises(InputError, match="a range of d goes from a number up to a larger one"):
+        View("b", 0.0, 1.0, "lyapunov", (1.0, 0.0), "d")
 
 
 @pytest.mark.parametrize("query", [{"low": "x"}, {"low": "7"}, {"strobes": "1.5"}, {"bottom": "nan", "top": "1"}])

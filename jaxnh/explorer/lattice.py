@@ -1,0 +1,73 @@
+"""Lanes of a plane as they become known, from coarse to fine: each stands for its neighbours until these are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Int
+
+from jaxnh.explorer.view import View
+
+Places = Int[np.ndarray, " places"]
+"""Places along an axis."""
+
+
+class Lattice:
+    """All lanes of a view of a plane."""
+
+    def __init__(self, view: View) -> None:
+        """Nothing is known yet."""
+        self._grid = view.grid()
+        self._shape = (view.columns, view.rows)
+        self._known: dict[str, np.ndarray] = {}
+        self._part = xr.Dataset()
+
+    def put(self, part: xr.Dataset, places: tuple[Places, Places], step: int) -> None:
+        """Lanes at a product of places along both axes, for all lanes less than half a step away."""
+        axes = tuple(self._grid)
+        around = [_around(place, size, step) for place, size in zip(places, self._shape, strict=True)]
+        for key, item in part.data_vars.items():
+            if not set(axes) <= set(item.dims):
+                continue
+            values = item.transpose(*axes, ...).to_numpy()
+            if key not in self._known:
+                self._known[str(key)] = np.zeros((*self._shape, *values.shape[2:]), values.dtype)
+            into, of = (np.ix_(*both) for both in zip(*around, strict=True))
+            self._known[str(key)][into] = values[of]
+        self._part = part
+
+    def dataset(self) -> xr.Dataset:
+        """All lanes, those that are not known yet with what a neighbour has."""
+        part, axes = self._part, tuple(self._grid)
+        content = {}
+        for name, values in self._known.items():
+            others = [dim for dim in part[name].dims if dim not in axes]
+            content[name] = ((*axes, *others), values.copy(), part[name].attrs)
+        coordinates = {name: (name, values, part[name].attrs) for name, values in self._grid.items()}
+        coordinates |= {str(name): item for name, item in part.coords.items() if not set(axes) & set(item.dims)}
+        return xr.Dataset(content, coordinates, {**part.attrs, "axes": " ".join(axes)})
+
+
+def _around(places: Places, size: int, step: int) -> tuple[Places, Places]:
+    """Places along an axis whose nearest multiple of a step is one of these, and for each of them which."""
+    every = np.arange(size)
+    nearest = np.minimum((every + step // 2) // step, (size - 1) // step) * step
+    mine = np.flatnonzero(np.isin(nearest, places))
+    return mine, np.searchsorted(places, nearest[mine])
+
+
+def blocks(shape: tuple[int, int], step: int, lanes: int, *, first: bool) -> Iterator[tuple[Places, Places]]:
+    """Places of the lanes at multiples of a step that those at multiples of twice the step leave out, some at a time.
+
+    Args:
+        lanes: about so many at a time, and a row at least.
+        first: whether none are known, so that all are wanted.
+    """
+    across, up = (np.arange(0, size, step) for size in shape)
+    products = [(across, up)] if first else [(across[1::2], up[::2]), (across, up[1::2])]
+    for columns, rows in products:
+        each = max(1, lanes // max(1, len(columns)))
+        for begin in range(0, len(rows) if len(columns) else 0, each):
+            yield columns, rows[begin : begin + each]

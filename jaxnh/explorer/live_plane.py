@@ -1,0 +1,172 @@
+"""Planes that are computed as one looks: few lanes for a short time first, then more and more of them in full."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import xarray as xr
+
+from jaxnh.config.experiment import Experiment
+from jaxnh.engine.lanes import TILE
+from jaxnh.engine.progress import Progress
+from jaxnh.engine.session import Session
+from jaxnh.exceptions import InputError
+from jaxnh.explorer import batch
+from jaxnh.explorer.lattice import Lattice, Places, blocks
+from jaxnh.explorer.quantities import BASINS, OF_LANES, Options, analyses_of, shortened
+from jaxnh.explorer.raster import plane_raster
+from jaxnh.explorer.sessions import Calibrated, Sessions, goes_with
+from jaxnh.explorer.source import LaneReport, Picture
+from jaxnh.explorer.view import View
+from jaxnh.plotting.panels import pixels_of
+
+_LANE_COLUMNS = 5  # columns of a diagram that one of a plane is as wide as
+_ASPECT = 0.75  # rows a column
+_LARGEST_STEP = 16
+_PASS_SECONDS = 1.0  # that a pass is meant to take
+_WORDS = {
+    "lyapunov": "largest Lyapunov exponent",
+    "period": "least period",
+    "verdict": "verdict",
+    "chaos01": "0–1 test K",
+    BASINS: "attractor",
+}
+
+
+class LivePlane:
+    """A plane of two axes of an experiment; as `Source`. All that computes is called in one thread."""
+
+    computes = True
+
+    def __init__(self, experiment: Experiment, progress: Progress, columns: int) -> None:
+        """Nothing is computed yet.
+
+        Args:
+            experiment: two axes of it have two values or more; those after them stay at their first values.
+            progress: of its sessions.
+            columns: of a diagram as wide as the plane.
+
+        Raises:
+            InputError: it asks for basins of random starts, or no quantity goes with its system.
+        """
+        axes = [axis for axis in experiment.axes if len(axis.values) > 1][:2]
+        own = batch.content_of(experiment)["analyses"] or {}
+        asked = [name for name in (*OF_LANES, BASINS) if name in own]
+        if (own.get(BASINS) or {}).get("starts"):
+            asked.remove(BASINS)
+            if not asked:
+                raise InputError(
+                    f"{experiment.label}: analyses.basins.starts: explore shows basins over start states, a lane each; "
+                    "of random starts jaxnh sweep and jaxnh plot show the shares"
+                )
+        offered = [name for name in dict.fromkeys((*asked, *OF_LANES)) if goes_with(experiment, name, own.get(name))]
+        if not offered:
+            raise InputError(
+                f"{experiment.label}: analyses: over two axes explore shows {', '.join(_WORDS)}; none goes with this"
+            )
+        self.sessions = Sessions(experiment, axes, offered, progress)
+        self.parameters = self.sessions.parameters
+        self.title = experiment.title or experiment.label
+        self.axis_words = {axis.name: axis.long_name for axis in axes}
+        self.variables = {name: _WORDS[name] for name in offered}
+        self._notes = (
+            () if asked else (f"the config asks for {', '.join(own)}; over two axes explore shows these quantities",)
+        )
+        self._rows = any(axis.kind == "shared" for axis in axes)  # lanes of other values of it are run by themselves
+        across, up = axes
+        width = columns // _LANE_COLUMNS
+        self.first = View(
+            across.name,
+            *self.sessions.ends[across.name],
+            offered[0],
+            self.sessions.ends[up.name],
+            up.name,
+            columns=width,
+            rows=int(_ASPECT * width),
+        )
+        self._seconds: dict[tuple[int, str], float] = {}  # a lane in full, by session and quantity
+        self._basins: tuple[View, Mapping[str, xr.Dataset]] | None = None  # the last ones of which all lanes are known
+
+    def passes(self, view: View) -> Iterator[Picture]:
+        """Pictures of a view: a coarse one, then all of its lanes, some at a time."""
+        known, analyses = self.sessions.of(view), analyses_of(view.variable, self.sessions.own)
+        lattice, step = Lattice(view), self._step(view, known)
+        if view.variable != BASINS:  # which take as long for a short time
+            session = known.few if self._rows else known.session
+            [places] = blocks((view.columns, view.rows), step, view.columns * view.rows, first=True)
+            groups = self._computed(view, session, shortened(analyses), places)
+            words = f"coarse: {len(places[0]):,} × {len(places[1]):,} lanes, for a short time"
+            yield self._picture(view, known, lattice, groups, places, step, words)
+        total, done, level = view.columns * view.rows, 0, step
+        while level:
+            for places in self._blocks(view, known, level, first=level == step):
+                began, lanes = time.perf_counter(), len(places[0]) * len(places[1])
+                groups = self._computed(view, known.session, analyses, places)
+                each, key = (time.perf_counter() - began) / lanes, (id(known.session), view.variable)
+                self._seconds[key] = min(self._seconds.get(key, np.inf), each)
+                done = lanes if view.variable == BASINS else done + lanes
+                words = f"{done:,} of {total:,} lanes; the others have what a neighbour has"
+                if whole := done == total:
+                    words = f"{view.columns:,} × {view.rows:,} lanes"
+                yield self._picture(view, known, lattice, groups, places, level, words, whole=whole)
+            level //= 2
+
+    def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
+        """What is computed of a lane, and of basins that are known, the attractor that it leads to."""
+        known = dict(self._basins[1]) if self._basins and self._basins[0] == view else {}
+        if known:
+            known[BASINS] = known[BASINS].sel(where, method="nearest")
+        for report in self.sessions.lane(view, where):
+            yield report._replace(groups={**known, **report.groups})
+
+    def batch_text(self, view: View) -> str:
+        """The YAML of a batch job that computes a view again."""
+        return self.sessions.batch_text(view, analyses_of(view.variable, self.sessions.own), self.title)
+
+    # ---- how
+
+    def _blocks(self, view: View, known: Calibrated, step: int, *, first: bool) -> Iterator[tuple[Places, Places]]:
+        """Places of the lanes of a level, as many at a time as a pass has time for; of basins all at once."""
+        shape = (view.columns, view.rows)
+        if view.variable == BASINS:
+            return blocks(shape, step, view.columns * view.rows, first=True)
+        each = self._seconds.get((id(known.session), view.variable), np.inf)
+        return blocks(shape, step, max(TILE * known.session.devices, int(_PASS_SECONDS / each)), first=first)
+
+    def _computed(
+        self, view: View, session: Session, analyses: Options, places: tuple[Places, Places]
+    ) -> dict[str, xr.Dataset]:
+        """Groups of the lanes at a product of places along both axes."""
+        at = {name: values[place] for (name, values), place in zip(view.grid().items(), places, strict=True)}
+        return session.groups(analyses, **at, **self.sessions.moved(view))
+
+    def _step(self, view: View, known: Calibrated) -> int:
+        """Places between lanes of a coarse picture: all of these are in one tile a device, which takes least."""
+        lanes, step = TILE * known.session.devices, 1
+        while step < _LARGEST_STEP and -(-view.columns // step) * -(-view.rows // step) > lanes:
+            step *= 2
+        return step
+
+    def _picture(
+        self,
+        view: View,
+        known: Calibrated,
+        lattice: Lattice,
+        groups: Mapping[str, xr.Dataset],
+        places: tuple[Places, Places],
+        step: int,
+        words: str,
+        *,
+        whole: bool = False,
+    ) -> Picture:
+        lattice.put(groups[view.variable], places, step)
+        shown = {view.variable: lattice.dataset(), **{name: groups[name] for name in ("attractors",) if name in groups}}
+        if whole and view.variable == BASINS:
+            self._basins = view, shown
+        pixels = pixels_of(view.variable, shown)
+        failed = int(np.sum(np.ma.getmaskarray(pixels.places)))
+        words += f"; {failed:,} failed" if failed else ""
+        data = xr.DataTree.from_dict(shown) if whole else None  # pyright: ignore[reportUnknownMemberType]
+        return Picture(plane_raster(pixels), data, words, (*self._notes, *self.sessions.notes(view, known)), pixels)

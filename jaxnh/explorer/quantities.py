@@ -1,0 +1,41 @@
+"""What can be seen in a plane, a number a lane, and the analyses that say it: in full, and in short at first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from jaxnh.analyses.growth import BLOCKS
+
+OF_LANES = ("lyapunov", "period", "verdict", "chaos01")
+"""Analyses whose lanes are by themselves, in the order that they are offered in."""
+
+BASINS = "basins"
+"""The one whose lanes are numbered by what all of them come to."""
+
+_SHORT: Mapping[str, Mapping[str, Any]] = {
+    "lyapunov": {"transient": 16, "periods": BLOCKS, "error": 0.0, "plain": True},
+    "period": {"transient": 16, "limit": 8},
+    "chaos01": {"transient": 16, "periods": 128},
+    "verdict": {"longer": 0},
+}
+
+Options = Mapping[str, Mapping[str, Any]]
+"""Analyses with their options."""
+
+
+def analyses_of(quantity: str, own: Mapping[str, Mapping[str, Any] | None]) -> Options:
+    """What says a quantity in full: the options of a config, of exponents the largest alone.
+
+    Args:
+        own: analyses of the config.
+    """
+    if quantity == "lyapunov":
+        return {quantity: {**(own.get(quantity) or {}), "exponents": 1}}
+    names = ("period", "lyapunov", "chaos01", quantity) if quantity == "verdict" else (quantity,)
+    return {name: own.get(name) or {} for name in names}
+
+
+def shortened(analyses: Options) -> Options:
+    """The same for a first look."""
+    return {name: {**options, **_SHORT[name]} for name, options in analyses.items()}

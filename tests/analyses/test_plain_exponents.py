@@ -1,0 +1,38 @@
+"""Plain averages of exponents beside a closed form, where by default orbits say them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import jaxnh
+from jaxnh.analyses.growth import BLOCKS
+from jaxnh.analyses.lyapunov import SOURCES
+
+UNCALIBRATED = True
+OSCILLATOR = """
+import jax.numpy as jnp
+
+def system(damping=0.2):
+    def rhs(y, t):
+        x, v = y
+        return v, -damping * v - 4.0 * x + jnp.cos(t)
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi}
+"""
+
+
+def test_a_linear_oscillator_s_exponents_are_minus_half_its_damping():
+    """Both eigenvalues have that real part. Tangents turn, so that growth over a block strays by the ratio of the axes
+    of the ellipse that they run on, 2 here, in the logarithm: within ln 2 over the length of the average.
+    """
+    text = "system: {file: oscillator.py}\nsweep: {damping: {values: [0.1, 0.2]}}\nanalyses: {lyapunov: {}}\n"
+    text += "accuracy: {solver: dopri8, steps: 32}\n"
+    session = jaxnh.Session(jaxnh.Experiment.from_text(text, OSCILLATOR))
+    options = {"transient": 16, "periods": BLOCKS, "exponents": 1}
+    plain, usual = (session.run("lyapunov", {**options, "plain": plain}) for plain in (True, None))
+    expected = -0.5 * plain["damping"].to_numpy()
+    assert np.all(plain["exponents_from"] == SOURCES.index("average"))
+    assert np.all(usual["exponents_from"] == SOURCES.index("orbit"))
+    window = BLOCKS * 2 * np.pi
+    assert np.all(np.abs(plain["exponents"][:, 0].to_numpy() - expected) <= np.log(2.0) / window)
+    assert np.all(np.abs(usual["exponents"][:, 0].to_numpy() - expected) < 1e-6)
