@@ -7,6 +7,7 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
+from conftest import ROOT
 
 import jaxnh
 from jaxnh.analyses.extended import delta_limit, deltas
@@ -117,3 +118,17 @@ def test_two_flows_agree(changed):
     assert abs(data.attrs["delta_limit"] - FEIGENBAUM) < 1e-5
     # The other digits are beyond float64, and of δ rounding leaves nothing but what steps do.
     assert np.all(np.abs(data["b_rest"]) <= np.spacing(data["b"]) / 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("table", ["table1", "table2"])
+def test_twelve_levels_of_the_tables(table):
+    """δ to ten digits from both tables' cascades up to period 4096, and an error that covers.
+
+    Rounding leaves δ_11 at 1e-14 of it; its correction of δ⁻¹² is 1e-8, of which extrapolation takes out two terms.
+    """
+    asked = ["accuracy.precision=extended", "accuracy.target=1e-8", "analyses={doubling: {levels: 12, search: false}}"]
+    data = jaxnh.Session(jaxnh.load(ROOT / f"configs/{table}.yaml", asked)).run("doubling")
+    assert data.attrs["levels_found"] == 12
+    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) <= data.attrs["delta_limit_error"] < 1e-8
+    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) < 1e-10
