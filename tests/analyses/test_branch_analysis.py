@@ -98,6 +98,7 @@ def test_what_branches_cannot_do_is_said(tmp_path, sweep, options, message):
         pitchfork(tmp_path, sweep, options).requested()
 
 
+@pytest.mark.slow
 def test_doublings_of_the_particle():
     """Three, found from one orbit of period 1, against the Taylor reference: to 1e-8, and within their errors."""
     settings = [

@@ -182,6 +182,7 @@ def resonance_by_scipy(force, omega, u, cosine):
     return at[:2]
 
 
+@pytest.mark.slow
 def test_torus_boundary_of_van_der_pol(lanes):
     """Where the oscillation is no longer entrained: through resonances, to 1e-8 of scipy's Newton.
 

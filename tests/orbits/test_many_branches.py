@@ -82,11 +82,11 @@ def test_many_branches_of_periods_up_to_eight(scene, lanes):
 
 
 @pytest.mark.slow
-def test_a_thousand_branches_in_one_run(scene, lanes):
-    """At b = 4.81 alone, in chaos, 512 starts find more than 1,000 orbits of periods up to 8, no two of them alike.
+def test_branches_through_a_thousand_orbits_in_one_run(scene, lanes):
+    """From b = 4.81 alone, in chaos, where 512 starts find more than 1,000 orbits of periods up to 8, no two alike.
 
-    Their number has not come to an end there: 32 starts find a quarter of them, 128 half. Every fortieth is followed by
-    itself as well.
+    Their number has not come to an end there: 32 starts find a quarter of them, 128 half. Some are of one branch, which
+    folds back. Every fortieth is followed by itself as well.
     """
     here = replace(
         scene.take(np.array([0])), p={"b": np.array([4.81])}, along=replace(scene.line, values=np.array([4.81]))
