@@ -35,6 +35,7 @@ from jaxnh.exceptions import (
 if TYPE_CHECKING:
     from jaxnh.config.experiment import Experiment, load
     from jaxnh.engine.session import Session, run
+    from jaxnh.explorer.bokeh_figure import bokeh_figure
     from jaxnh.plotting.results import figure
     from jaxnh.storage.hdf5 import open_result
     from jaxnh.systems.free_particle import FreeParticle, free_particle
@@ -49,6 +50,7 @@ _HOMES = {
     "IsokineticParticle": "systems.particle",
     "Lagrangian": "systems.lagrangian",
     "Session": "engine.session",
+    "bokeh_figure": "explorer.bokeh_figure",
     "constant_speed": "systems.particle",
     "disturbed_speed": "systems.particle",
     "figure": "plotting.results",
@@ -90,6 +92,7 @@ __all__ = [
     "Stopped",
     "UserFileError",
     "__version__",
+    "bokeh_figure",
     "constant_speed",
     "disturbed_speed",
     "figure",

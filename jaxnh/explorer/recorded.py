@@ -1,4 +1,4 @@
-"""Views of a result file: what was computed is shown, nothing is computed. Needs no JAX."""
+"""Views of a result: what was computed is shown, nothing is computed. Needs no JAX."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from jaxnh.exceptions import InputError, JaxnhError
+from jaxnh.exceptions import InputError, JaxnhError, ResultError
 from jaxnh.explorer.raster import plane_raster, raster, values_of
 from jaxnh.explorer.source import LaneReport, Parameter, Picture, Source
 from jaxnh.explorer.view import View
@@ -25,7 +25,7 @@ _Attrs = Mapping[str, Any]
 
 
 def recorded(path: Path) -> Source:
-    """The planes over the first two long axes of a result file, or where there are none the diagram over the first.
+    """What `source_of` finds in a result file.
 
     Raises:
         InputError: there is no such file, or neither a plane nor a diagram in it.
@@ -33,23 +33,34 @@ def recorded(path: Path) -> Source:
     if not path.is_file():
         raise InputError(f"command line: RESULT: {path} is {'a folder' if path.is_dir() else 'not there'}")
     try:
-        tree = open_result(path)
+        return source_of(open_result(path), str(path))
     except JaxnhError as error:
         raise InputError(f"command line: RESULT: {error}") from error
-    groups = {str(name): node.to_dataset() for name, node in tree.children.items()}
+
+
+def source_of(tree: xr.DataTree, name: str) -> Source:
+    """The planes over the first two long axes of a result, or where there are none the diagram over the first.
+
+    Args:
+        name: what the result is called.
+
+    Raises:
+        ResultError: there is neither a plane nor a diagram in it.
+    """
+    groups = {str(key): node.to_dataset() for key, node in tree.children.items()}
     names = str(tree.attrs.get("axes", "")).split()
-    groups = {name: data.assign_attrs(axes=" ".join(names)) for name, data in groups.items()}
-    sizes = {str(name): size for data in groups.values() for name, size in data.sizes.items()}
-    long = [name for name in names if sizes.get(name, 1) > 1]
-    attrs = {**tree.attrs, "title": str(tree.attrs.get("title") or path)}
-    planes = [name for name, data in groups.items() if len(long) > 1 and has_pixels(data)]
-    planes = [name for name in planes if set(long[:2]) <= set(map(str, shown(groups[name])[0].dims))]
+    groups = {key: data.assign_attrs(axes=" ".join(names)) for key, data in groups.items()}
+    sizes = {str(axis): size for data in groups.values() for axis, size in data.sizes.items()}
+    long = [axis for axis in names if sizes.get(axis, 1) > 1]
+    attrs = {**tree.attrs, "title": str(tree.attrs.get("title") or name)}
+    planes = [key for key, data in groups.items() if len(long) > 1 and has_pixels(data)]
+    planes = [key for key in planes if set(long[:2]) <= set(map(str, shown(groups[key])[0].dims))]
     if planes:
-        return RecordedPlane(groups, planes, (long[0], long[1]), attrs, path)
+        return RecordedPlane(groups, planes, (long[0], long[1]), attrs, name)
     if "diagram" in groups and long:
-        return RecordedDiagram(groups, long[0], attrs, path)
+        return RecordedDiagram(groups, long[0], attrs, name)
     there = ", ".join(groups) or "nothing"
-    raise InputError(f"command line: RESULT: {path} has {there}, and no diagram and no plane of two axes")
+    raise ResultError(f"{name} has {there}, and no diagram and no plane of two axes")
 
 
 class _Recorded:
@@ -58,15 +69,15 @@ class _Recorded:
     computes = False
     parameters: tuple[Parameter, ...] = ()
 
-    def __init__(self, groups: _Groups, first: xr.Dataset, axes: tuple[str, ...], attrs: _Attrs, path: Path) -> None:
-        self._groups = {name: groups[name] for name in _OF_A_LANE if name in groups}
+    def __init__(self, groups: _Groups, first: xr.Dataset, axes: tuple[str, ...], attrs: _Attrs, name: str) -> None:
+        self._groups = {key: groups[key] for key in _OF_A_LANE if key in groups}
         self._attrs, self.title = attrs, attrs["title"]
-        self.axis_words = {name: str(first[name].attrs.get("long_name", name)) for name in axes}
+        self.axis_words = {axis: str(first[axis].attrs.get("long_name", axis)) for axis in axes}
         others = [
-            name for name in str(first.attrs["axes"]).split() if name not in axes and first.sizes.get(name, 1) > 1
+            axis for axis in str(first.attrs["axes"]).split() if axis not in axes and first.sizes.get(axis, 1) > 1
         ]
-        at = "".join(f", at {name} = {float(first[name][0]):g}, the first of {first.sizes[name]:,}" for name in others)
-        self._note = f"from {path}{at}; nothing is computed here"
+        at = "".join(f", at {axis} = {float(first[axis][0]):g}, the first of {first.sizes[axis]:,}" for axis in others)
+        self._note = f"from {name}{at}; nothing is computed here"
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """What the file has of the lane that is nearest to values of the axes."""
@@ -85,23 +96,24 @@ class _Recorded:
 class RecordedDiagram(_Recorded):
     """The diagram of a result file; as `Source`."""
 
-    def __init__(self, groups: _Groups, axis: str, attrs: _Attrs, path: Path) -> None:
+    def __init__(self, groups: _Groups, axis: str, attrs: _Attrs, name: str) -> None:
         """Read the diagram.
 
         Args:
-            groups: of the file, `diagram` among them.
+            groups: of the result, `diagram` among them.
             attrs: of its root.
+            name: what it is called.
         """
-        super().__init__(groups, groups["diagram"], (axis,), attrs, path)
+        super().__init__(groups, groups["diagram"], (axis,), attrs, name)
         self._data = _at(groups["diagram"], {}, keep=(axis,)).sortby(axis).load()
         values = self._data[axis].to_numpy()
         self.variables = {
-            str(name).removesuffix("_state"): str(v.attrs.get("long_name", name))
-            for name, v in self._data.data_vars.items()
+            str(key).removesuffix("_state"): str(v.attrs.get("long_name", key))
+            for key, v in self._data.data_vars.items()
             if v.dims[:1] == (axis,) and len(v.dims) > 1 and v.dtype.kind == "f"
         }
         named = str(self._data.attrs.get("panel_variables", "")).split()
-        drawn = next((name for name in named if name in self.variables), next(iter(self.variables)))
+        drawn = next((key for key in named if key in self.variables), next(iter(self.variables)))
         self.first = View(axis, float(values.min()), float(values.max()), drawn, columns=len(values))
 
     def passes(self, view: View) -> Iterator[Picture]:
@@ -120,20 +132,21 @@ class RecordedDiagram(_Recorded):
 class RecordedPlane(_Recorded):
     """The planes of a result file, a quantity each; as `Source`."""
 
-    def __init__(self, groups: _Groups, planes: list[str], axes: tuple[str, str], attrs: _Attrs, path: Path) -> None:
+    def __init__(self, groups: _Groups, planes: list[str], axes: tuple[str, str], attrs: _Attrs, name: str) -> None:
         """Read the planes.
 
         Args:
-            groups: of the file.
+            groups: of the result.
             planes: those that are shown.
             attrs: of its root.
+            name: what it is called.
         """
-        super().__init__(groups, groups[planes[0]], axes, attrs, path)
-        self._planes = {name: _at(groups[name], {}, keep=axes).sortby(list(axes)).load() for name in planes}
-        self._others = {name: groups[name].load() for name in groups.keys() & {"attractors"}}
-        self.variables = {name: label_of(data) or words_of(shown(data)[0]) for name, data in self._planes.items()}
+        super().__init__(groups, groups[planes[0]], axes, attrs, name)
+        self._planes = {key: _at(groups[key], {}, keep=axes).sortby(list(axes)).load() for key in planes}
+        self._others = {key: groups[key].load() for key in groups.keys() & {"attractors"}}
+        self.variables = {key: label_of(data) or words_of(shown(data)[0]) for key, data in self._planes.items()}
         first = self._planes[planes[0]]
-        across, up = ((float(first[name].min()), float(first[name].max())) for name in axes)
+        across, up = ((float(first[axis].min()), float(first[axis].max())) for axis in axes)
         counts = first.sizes[axes[0]], first.sizes[axes[1]]
         self.first = View(axes[0], *across, planes[0], up, axes[1], columns=counts[0], rows=counts[1])
 

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import jaxnh
-from jaxnh.exceptions import InputError
+from jaxnh.exceptions import InputError, ResultError
 from jaxnh.explorer.key import key_html
 from jaxnh.explorer.raster import plane_raster
 from jaxnh.explorer.recorded import recorded
@@ -127,3 +127,15 @@ def test_a_file_without_planes_is_refused(tmp_path):
     write(path, {"jaxnh_version": "0", "axes": "b d"}, {"other": group("exponents", np.zeros((6, 3)), "")})
     with pytest.raises(InputError, match="has other, and no diagram and no plane of two axes"):
         recorded(path)
+
+
+def test_a_figure_of_bokeh_has_the_same_pixels(file):
+    tree = jaxnh.open_result(file)
+    drawn = jaxnh.bokeh_figure(tree, "period")
+    [source] = {glyph.data_source for glyph in drawn.renderers if "image" in glyph.data_source.data}
+    source_of_file = recorded(file)
+    *_, picture = source_of_file.passes(replace(source_of_file.first, variable="period"))
+    np.testing.assert_array_equal(source.data["image"][0], picture.raster.cells)
+    assert (drawn.xaxis[0].axis_label, drawn.yaxis[0].axis_label) == ("coupling b", "depth d")
+    with pytest.raises(ResultError, match="no speed to be drawn; there are lyapunov, period"):
+        jaxnh.bokeh_figure(tree, "speed")

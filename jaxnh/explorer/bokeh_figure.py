@@ -1,0 +1,33 @@
+"""A result as a figure of Bokeh, to be zoomed in a notebook or put on a page of one's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import xarray as xr
+from bokeh.plotting import figure
+
+from jaxnh.exceptions import ResultError
+from jaxnh.explorer.figures import Drawing
+from jaxnh.explorer.recorded import source_of
+
+
+def bokeh_figure(result: xr.DataTree, quantity: str | None = None) -> figure:
+    """What the explorer shows of a result first: planes over its first two axes, or the diagram over the first.
+
+    Args:
+        result: of `open_result` or `run`.
+        quantity: of planes the group, of a diagram the coordinate; None: the first.
+
+    Raises:
+        ResultError: there is neither a plane nor a diagram, or not this quantity.
+    """
+    source = source_of(result, str(result.attrs.get("title") or "the result"))
+    view = source.first if quantity is None else replace(source.first, variable=quantity)
+    if view.variable not in source.variables:
+        raise ResultError(f"there is no {view.variable} to be drawn; there are {', '.join(source.variables)}")
+    upward = source.axis_words[view.second] if view.second else source.variables[view.variable]
+    drawing = Drawing(view, source.axis_words[view.axis], upward)
+    *_, picture = source.passes(view)
+    drawing.show(view, picture)
+    return drawing.figure
