@@ -18,18 +18,14 @@ _LONG = float if REAL is np.float64 else REAL
 
 
 @functools.cache
-def _integrator(rates, d, event=None, direction=None):
-    """The integrator with tangents, its state at time 0, and the times of events where a coordinate passes zero."""
-    state, times = hy.make_vars(*(f"y{k}" for k in range(d))), []
+def _integrator(rates, d):
+    """The integrator with tangents, and its state at time 0."""
+    state = hy.make_vars(*(f"y{k}" for k in range(d)))
     motion = list(zip(state, rates(*state, hy.par[0], hy.time), strict=True))
-    events = []
-    if event is not None:
-        way = hy.event_direction.positive if direction > 0 else hy.event_direction.negative
-        events = [hy.nt_event(state[event], lambda ta, t, s: times.append(t), direction=way, fp_type=_LONG)]
     equations = hy.var_ode_sys(motion, [*state], order=1)
     start = np.zeros(d, REAL)
-    ta = hy.taylor_adaptive(equations, start, pars=[REAL(0)], fp_type=_LONG, nt_events=events, compact_mode=True)
-    return ta, ta.state.copy(), times
+    ta = hy.taylor_adaptive(equations, start, pars=[REAL(0)], fp_type=_LONG, compact_mode=True)
+    return ta, ta.state.copy()
 
 
 def _begun(ta, at_zero, value, y):
@@ -41,41 +37,13 @@ def strobe_map(rates, d, period, n=1):
     """Pⁿ of a flow with a clock."""
 
     def image(value, u):
-        ta, at_zero, _ = _integrator(rates, d)
+        ta, at_zero = _integrator(rates, d)
         whole = np.eye(d, dtype=REAL)
         for _ in range(n):
             _begun(ta, at_zero, value, u)
             assert ta.propagate_until(REAL(period))[0] == hy.taylor_outcome.time_limit
             u, whole = ta.state[:d].copy(), ta.state[d:].reshape(d, d) @ whole
         return u, whole
-
-    return image
-
-
-def return_map(rates, d, coordinate, direction=1, start=1):
-    """From where a coordinate is zero and moves in one direction to where it is so next, in the other coordinates.
-
-    Args:
-        direction: in which it passes zero at the end, 1 or -1.
-        start: in which it does so where it begins.
-    """
-    rest = [k for k in range(d) if k != coordinate]
-
-    def image(value, u):
-        y = np.insert(np.asarray(u, REAL), coordinate, 0)
-        ta, at_zero, times = _integrator(rates, d, coordinate, direction)
-        times.clear()
-        _begun(ta, at_zero, value, y)
-        while not [t for t in times if t > 1e-6 or start != direction]:
-            assert ta.step()[0] == hy.taylor_outcome.success
-        end = next(t for t in times if t > 1e-6 or start != direction)
-        ta, at_zero, _ = _integrator(rates, d)
-        _begun(ta, at_zero, value, y)
-        ta.propagate_until(end)
-        state, first = ta.state[:d].copy(), ta.state[d:].reshape(d, d)
-        rate = np.array(rates(*state, REAL(value), REAL(0)), REAL)
-        onto = first - np.outer(rate, first[coordinate]) / rate[coordinate]  # all stay on the section
-        return state[rest], onto[np.ix_(rest, rest)]
 
     return image
 
