@@ -58,23 +58,6 @@ def test_folds_of_duffings_oscillator_in_both_wells():
 
 
 @pytest.mark.slow
-def test_doublings_of_duffings_oscillator():
-    """The orbit in a well doubles, and doubles again, before chaos is in both."""
-    found, data = found_in(
-        "configs/flows/duffing_double_well.yaml",
-        "gamma: {start: 0.2, stop: 0.3, count: 9}",
-        "{limit: 2, transient: 256}",
-    )
-    doublings = [point for point in found if point[0] == "period_doubling"]
-    assert sorted(n for _, n, *_ in doublings) == [1, 2]
-    for _, n, value, error, k in doublings:
-        u = [float(data[name][k]) for name in ("x", "v")]
-        exact, multipliers = bifurcation(strobe_map(duffing, 2, taylor.TWO_PI, n), "period_doubling", value, u)
-        assert abs(value - exact) < min(1e-8, error + 1e-12)
-        assert np.abs(multipliers + 1).min() < 1e-6
-
-
-@pytest.mark.slow
 def test_torus_is_born_in_van_der_pols_oscillator():
     """Below a force the oscillation is not entrained: a Neimark–Sacker bifurcation, and nothing else."""
     file = ROOT / "configs/flows/van_der_pol.py"
