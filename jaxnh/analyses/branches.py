@@ -32,8 +32,7 @@ from jaxnh.analyses.branch_tables import OWN_NAMES, Grown, datasets
 from jaxnh.analyses.equilibria import equilibria
 from jaxnh.analyses.families import orbits_of
 from jaxnh.analyses.family_tree import Orbit, grow
-from jaxnh.analyses.locating import PERIOD_TILE, refined
-from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.locating import price_of_orbits, refined
 from jaxnh.analyses.random_starts import Side, check_box
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.survey import survey_from_start
@@ -175,11 +174,6 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     return Table("Branches of periodic orbits", ("period", "branches", "stable somewhere", name), tuple(rows))
 
 
-def price(options: BranchesOptions, scene: Scene) -> Price:
-    """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
-    return newton_price(scene, PERIOD_TILE)
-
-
 ANALYSIS = Analysis(
     "branches",
     BranchesOptions,
@@ -191,7 +185,7 @@ ANALYSIS = Analysis(
     count=count,
     check=check,
     table=table,
-    price=price,
+    price=price_of_orbits,
     brief={"transient": 1, "limit": 1},
 )
 """The entry of this analysis in the table."""

@@ -19,8 +19,7 @@ from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Options, Set
 from jaxnh.analyses.branch_seeds import settled_waves
 from jaxnh.analyses.families import orbits_of, plane_of
 from jaxnh.analyses.family_tree import grow
-from jaxnh.analyses.locating import PERIOD_TILE, refined
-from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.locating import price_of_orbits, refined
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.analyses.survey import survey_from_start
 from jaxnh.orbits.branches import Steps
@@ -253,11 +252,6 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     return Table("Points of codimension two", ("point", "on the curve of", first, second), tuple(rows), left=(0, 1))
 
 
-def price(options: CurvesOptions, scene: Scene) -> Price:
-    """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
-    return newton_price(scene, PERIOD_TILE)
-
-
 ANALYSIS = Analysis(
     "curves",
     CurvesOptions,
@@ -269,7 +263,7 @@ ANALYSIS = Analysis(
     count=count,
     check=check,
     table=table,
-    price=price,
+    price=price_of_orbits,
     brief={"transient": 1, "limit": 1, "values": 1},
 )
 """The entry of this analysis in the table."""

@@ -15,8 +15,7 @@ from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, Table, 
 from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade_limits import doublings_limit, widths_limit
 from jaxnh.analyses.extended import ExtendedDoublings, delta_limit, deltas, extended_doublings
-from jaxnh.analyses.locating import PERIOD_TILE
-from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.locating import price_of_orbits
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.systems.flow import Flow
 
@@ -261,11 +260,6 @@ def _cell(text: str) -> str:
     return "–" if text in ("nan", "+nan") else text
 
 
-def price(options: DoublingOptions, scene: Scene) -> Price:
-    """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
-    return newton_price(scene, PERIOD_TILE)
-
-
 ANALYSIS = Analysis(
     "doubling",
     DoublingOptions,
@@ -276,6 +270,6 @@ ANALYSIS = Analysis(
     extended=True,
     check=check,
     table=table,
-    price=price,
+    price=price_of_orbits,
 )
 """The entry of this analysis in the table."""

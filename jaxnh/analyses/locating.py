@@ -8,7 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxnh.analyses.base import Options
 from jaxnh.analyses.lane_orbits import ORBIT_TILE
+from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import Derivatives, derivatives, section_map
 from jaxnh.maps.protocol import Strobe
@@ -96,3 +98,8 @@ def walk(
         image = lanes(section_map, (strobe, np.int32(len(points))), (here, p), tile=ORBIT_TILE)
         points = np.concatenate([points, image])
     return points
+
+
+def price_of_orbits(options: Options, scene: Scene) -> Price:
+    """Orbits and their multipliers, at several values of a parameter, need the derivatives of a period."""
+    return newton_price(scene, PERIOD_TILE)

@@ -1,7 +1,7 @@
 """The experiment: what a config says, as frozen records that are valid once they exist. Nothing below sees a raw dict.
 
 The whole lives here; the blocks of all systems in blocks.py, of the particle in particle.py and of users' systems in
-user_system.py, YAML and its lines in yaml_source.py, the words for a fault in
+user_system.py, what goes with what in fitting.py, YAML and its lines in yaml_source.py, the words for a fault in
 messages.py, and which block stands where in layout.py.
 """
 
@@ -20,17 +20,17 @@ from numpy.typing import ArrayLike
 from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, rule
+from jaxnh.analyses.base import Analysis, Options, Setting, rule
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.blocks import Accuracy, Analyses, Block, Levels, Published, SectionBlock, SystemBlock
+from jaxnh.config.fitting import check_accuracy, check_analysis, check_levels
 from jaxnh.config.layout import layout, user_layout
-from jaxnh.config.messages import close_match, first_fault, listed
+from jaxnh.config.messages import close_match, first_fault
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, PrescribedSpeed, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem, admitted
 from jaxnh.config.yaml_source import Source, from_dict, from_text, read
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.section import Crossing
-from jaxnh.solvers import NYSTROM, RUNGE_KUTTA, SPLITTINGS
 from jaxnh.systems.flow import Flow, State
 from jaxnh.systems.user_file import UserFile
 
@@ -130,67 +130,21 @@ class Experiment(Block):
     def _check(self) -> Experiment:
         self.sweep.check()
         self._block.check(self.initial, self.sweep)
-        self._check_accuracy()
+        requested = self.requested()
+        check_accuracy(
+            self.accuracy, requested, prescribed=isinstance(self.system, PrescribedSpeed), clock=not self.autonomous
+        )
         if self.section and not self.autonomous:
             raise rule("this scene has a clock, and is seen at its strobes; leave section out", "section")
         axes = self.axes
         setting = Setting(
             self._in_time({}), self.autonomous, axes, self.precision, lambda value: self._in_time({axes[0].name: value})
         )
-        for analysis, options in self.requested():
-            self._check_analysis(analysis, options, setting)
+        for analysis, options in requested:
+            check_analysis(analysis, options, setting)
         if self.levels:
-            self._check_levels(self.levels)
+            check_levels(self.levels, {name: grid.size for name, grid in self.sweep.grids.items()}, requested)
         return self
-
-    def _check_levels(self, levels: Levels) -> None:
-        """See that the coarsest level has two values of every axis, and that lanes can be left out."""
-        for name, grid in self.sweep.grids.items():
-            if 1 < grid.size <= levels.coarsest:
-                most = (grid.size - 1).bit_length()
-                few = f"{grid.size} values of {name} are too few for {levels.count} levels"
-                advice = f"{most} at most, or {levels.coarsest + 1} values" if most > 1 else "leave levels out"
-                raise rule(f"{few}: {advice}", "levels.count", f"sweep.{name}")
-        for analysis, options in self.requested():
-            if not analysis.independent(options):
-                along = f"{analysis.name} runs along all values of {next(iter(self.sweep.grids))}"
-                raise rule(f"{along}, and levels leave some out: run it without them", f"analyses.{analysis.name}")
-        if levels.refine == "boundary" and not any(analysis.classes for analysis, _ in self.requested()):
-            known = listed([analysis.name for analysis in ANALYSES.values() if analysis.classes])
-            raise rule(f"a boundary is seen in {known}; ask for one of them as well", "levels.refine")
-
-    def _check_accuracy(self) -> None:
-        """See that solver and precision go with the system."""
-        solver, prescribed = self.accuracy.solver, isinstance(self.system, PrescribedSpeed)
-        if solver in SPLITTINGS and not prescribed:
-            general = ", ".join((*RUNGE_KUTTA, *NYSTROM))
-            raise rule(f"{solver} is for a particle at a prescribed speed; others are {general}", "accuracy.solver")
-        if solver in NYSTROM and prescribed:
-            raise rule(f"{solver} is for flows x'' = F(x, t) - gamma x', and this particle is none", "accuracy.solver")
-        fitting = [name for name, s in SPLITTINGS.items() if not s.processed]
-        if solver and prescribed and self.autonomous and solver not in fitting:
-            raise rule(
-                f"steps end one by one at crossings, which {solver} is not made for; others are {', '.join(fitting)}",
-                "accuracy.solver",
-            )
-        if self.precision != "float64" and not prescribed:
-            raise rule(f"{self.precision} is for a particle at a prescribed speed", "accuracy.precision")
-        if self.precision != "float64" and self.autonomous:
-            raise rule(f"{self.precision} goes with a strobe, and this scene has no clock", "accuracy.precision")
-        if self.precision == "extended" and not any(analysis.extended for analysis, _ in self.requested()):
-            known = listed([analysis.name for analysis in ANALYSES.values() if analysis.extended])
-            raise rule(f"extended is for {known}; ask for it as well, or leave this out", "accuracy.precision")
-
-    def _check_analysis(self, analysis: Analysis, options: Options, setting: Setting) -> None:
-        """See that an analysis can do with the scene, and its options with scene and sweep."""
-        name = analysis.name
-        if setting.precision == "float32" and analysis.newton:
-            raise rule(f"float32 is too coarse for Newton on orbits, which {name} rests on", "accuracy.precision")
-        try:
-            analysis.check(options, setting)
-        except OptionError as error:
-            key = f"analyses.{name}.{error.key}".rstrip(".")
-            raise rule(str(error), key, f"analyses.{name}", *(f"sweep.{axis}" for axis in self.sweep.grids)) from None
 
     # ---- what is run
 

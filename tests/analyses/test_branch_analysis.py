@@ -7,38 +7,19 @@ import pytest
 import taylor
 from conftest import ROOT, session_of
 from measure import twin
+from normal_form import normal_form
 from test_known_doublings import crossing, doubled
 
 import jaxnh
-from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.branches import ENDS
 from jaxnh.orbits.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
 
-PITCHFORK = """
-import jax.numpy as jnp
-
-def system(mu=0.0):
-    def rhs(y, t):
-        x, z = y
-        return mu * x - x**3, jnp.cos(2 * jnp.pi * t) - z
-
-    return {"rhs": rhs, "coordinates": ("x", "z"), "period": 1.0}
-"""
-
 
 def pitchfork(folder, sweep="mu: {start: -0.5, stop: 0.7, count: 12}", options="{limit: 2, transient: 64}"):
-    (folder / "pitchfork.py").write_text(PITCHFORK)
-    text = f"""\
-system: {{file: {folder / "pitchfork.py"}}}
-initial: {{x: 0.3{"" if "z:" in sweep else ", z: 0.1"}}}
-sweep: {{{sweep}}}
-accuracy: {{target: 1.0e-10}}
-analyses:
-  branches: {options}
-"""
-    return Experiment.from_text(text)
+    initial = f"{{x: 0.3{'' if 'z:' in sweep else ', z: 0.1'}}}"
+    return normal_form(folder, "mu * x - x**3", "mu=0.0", initial, sweep, f"branches: {options}")
 
 
 @pytest.mark.slow

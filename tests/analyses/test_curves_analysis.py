@@ -7,38 +7,20 @@ import pytest
 import taylor
 from conftest import ROOT, session_of
 from measure import twin
+from normal_form import normal_form
 
 import jaxnh
-from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.codimension_two import POINTS
 from jaxnh.orbits.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
 
-CUSP = """
-import jax.numpy as jnp
-
-def system(p=0.0, q=0.5):
-    def rhs(y, t):
-        x, z = y
-        return p + q * x - x**3, jnp.cos(2 * jnp.pi * t) - z
-
-    return {"rhs": rhs, "coordinates": ("x", "z"), "period": 1.0}
-"""
 BOTH = "p: {start: -0.6, stop: 0.6, count: 13}, q: {start: -0.5, stop: 1.0, count: 4}"
 
 
 def cusp(folder, sweep=BOTH, options="{limit: 1, transient: 64, values: 2}"):
-    (folder / "cusp.py").write_text(CUSP)
-    text = f"""\
-system: {{file: {folder / "cusp.py"}}}
-initial: {{x: 1.0, z: 0.1}}
-sweep: {{{sweep}}}
-accuracy: {{target: 1.0e-10}}
-analyses:
-  curves: {options}
-"""
-    return Experiment.from_text(text)
+    parameters, initial = "p=0.0, q=0.5", "{x: 1.0, z: 0.1}"
+    return normal_form(folder, "p + q * x - x**3", parameters, initial, sweep, f"curves: {options}")
 
 
 @pytest.mark.slow

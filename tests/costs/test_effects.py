@@ -12,7 +12,7 @@ import taylor
 import xarray as xr
 from conftest import ROOT
 from measure import scene_of
-from unforced import write_config
+from unforced import ANGLE, LANES, SPLITTING, START, P, write_config
 
 from jaxnh.analyses import ANALYSES, chaos01, diagram, lyapunov, period, poincare, scene, verdict
 from jaxnh.analyses.base import LANE
@@ -28,12 +28,6 @@ from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 from sweeps import effects as page_of_effects
 
-START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
-ANGLE = np.array([0.1, 0.1, math.atan2(math.sqrt(0.99), 0.1)])
-LANES = 16
-B = np.linspace(0.1, 0.8, LANES)
-P = {"b": B}
-SPLITTING = SPLITTINGS["kahan_li8"]
 EFFECTS = ("forcing", "coupling", "cubic_stiffness")
 
 
