@@ -13,6 +13,7 @@ that the sequence itself tells: a Gaussian process. No value of δ or α is put 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -66,16 +67,16 @@ _WIDTHS = _Kind(lambda r: (-r, r * r), np.array([0.1, 0.2, 0.4]), 0.25, constant
 
 
 class _Posterior(NamedTuple):
-    """Over a grid of ratios, and of sizes and bounds of corrections: (ratios, models).
+    """Over a grid of ratios, under one model of the corrections: (ratios,) each.
 
     Attributes:
-        density: logarithm, up to a constant.
+        density: logarithm, up to a constant that all models have.
         value, variance: of the limit of the sequence.
     """
 
-    density: Float[np.ndarray, "ratios models"]
-    value: Float[np.ndarray, "ratios models"]
-    variance: Float[np.ndarray, "ratios models"]
+    density: Float[np.ndarray, " ratios"]
+    value: Float[np.ndarray, " ratios"]
+    variance: Float[np.ndarray, " ratios"]
 
 
 _UNKNOWN = Limit(np.nan, np.nan, np.nan, np.nan)
@@ -112,26 +113,47 @@ def _limit(
     last: float,
     kind: _Kind,
 ) -> Limit:
-    """The interval of the ratio about that of the last levels, and the limit: on ever closer grids."""
+    """The interval of the ratio about that of the last levels, and the limit, over all models of the corrections."""
     middle = np.log(max(last, _LEAST_RATIO))
-    low, high = max(middle - kind.reach, np.log(_LEAST_RATIO)), middle + kind.reach
+    ends = max(middle - kind.reach, np.log(_LEAST_RATIO)), middle + kind.reach
+    models = itertools.product(_SIZES, kind.bounds)
+    grids, found = zip(*(_peak(sequence, errors, kind, size, bound, ends) for size, bound in models), strict=True)
+    mass = np.concatenate([p.density + np.log(logs[1] - logs[0]) for logs, p in zip(grids, found, strict=True)])
+    logs = np.concatenate(grids)
+    order = np.argsort(logs)
+    weight = np.exp(mass - mass.max())[order]
+    weight /= weight.sum()
+    ratios = np.exp(logs[order])
+    value, variance = (np.concatenate([getattr(p, name) for p in found])[order] for name in ("value", "variance"))
+    ratio = float(weight @ ratios)
+    interval = np.interp([_TAIL, 1.0 - _TAIL], np.cumsum(weight) - 0.5 * weight, ratios)
+    limit = float(weight @ value)
+    spread = float(weight @ (variance + (value - limit) ** 2))
+    return Limit(ratio, float(np.abs(interval - ratio).max()), limit, _WIDE * float(np.sqrt(spread)))
+
+
+def _peak(
+    sequence: Float[np.ndarray, " levels"],
+    errors: Float[np.ndarray, " levels"],
+    kind: _Kind,
+    size: float,
+    bound: float,
+    ends: tuple[float, float],
+) -> tuple[Float[np.ndarray, " ratios"], _Posterior]:
+    """Logarithms of ratios where a model is likely, and how likely it is there: on ever closer grids.
+
+    Each model has grids of its own: the more it ties the sequence down the narrower its peak, and between the nodes of
+    a grid that is fine enough for one model that of another goes unseen.
+    """
+    low, high = ends
     while True:  # a grid that is not fine enough has its third kept at most
         logs = np.linspace(low, high, _NODES)
-        found = _posterior(sequence, errors, np.exp(-logs), kind)
-        of_ratio = np.logaddexp.reduce(found.density, axis=1)
-        kept = np.flatnonzero(of_ratio > of_ratio.max() - _NEGLIGIBLE)
+        found = _posterior(sequence, errors, np.exp(-logs), kind, size, bound)
+        kept = np.flatnonzero(found.density > found.density.max() - _NEGLIGIBLE)
         first, final = max(kept[0] - 1, 0), min(kept[-1] + 1, _NODES - 1)
         if final - first > _NODES / _FINE:
-            break
+            return logs, found
         low, high = logs[first], logs[final]
-    weight = np.exp(found.density - found.density.max())
-    weight /= weight.sum()
-    share, ratios = weight.sum(axis=1), np.exp(logs)
-    ratio = float(share @ ratios)
-    ends = np.interp([_TAIL, 1.0 - _TAIL], np.cumsum(share) - 0.5 * share, ratios)
-    value = float((weight * found.value).sum())
-    variance = float((weight * (found.variance + (found.value - value) ** 2)).sum())
-    return Limit(ratio, float(np.abs(ends - ratio).max()), value, _WIDE * float(np.sqrt(variance)))
 
 
 def _posterior(
@@ -139,6 +161,8 @@ def _posterior(
     errors: Float[np.ndarray, " levels"],
     r: Float[np.ndarray, " ratios"],
     kind: _Kind,
+    size: float,
+    bound: float,
 ) -> _Posterior:
     """How likely ratios r = 1/δ or 1/α are, limit and A integrated out (Rasmussen, Williams 2006, 2.7)."""
     levels = len(sequence)
@@ -149,13 +173,13 @@ def _posterior(
     else:
         scale = abs(sequence[-1]) / power[:, -1]
     main = scale[:, None] * power
-    covariance = _covariance(main, errors, k, kind.tied(r), kind.bounds)
+    covariance = _covariance(main, errors, k, kind.tied(r), size, bound)
     spread = np.sqrt(np.einsum("...ii->...i", covariance))
     correlation = covariance / (spread[..., :, None] * spread[..., None, :])
     root = np.linalg.cholesky(correlation + _NUGGET * np.eye(levels))
     unit = abs(sequence[-1] - sequence[-2])
     known = [main, *([np.full_like(main, unit)] if kind.constant else []), np.broadcast_to(sequence, main.shape)]
-    columns = np.stack(known, -1)[:, None] / spread[..., None]
+    columns = np.stack(known, -1) / spread[..., None]
     upper = np.linalg.qr(np.linalg.solve(root, columns))[1]
     p = len(known) - 1
     diagonal = np.abs(np.einsum("...ii->...i", upper))
@@ -171,12 +195,11 @@ def _covariance(
     errors: Float[np.ndarray, " levels"],
     k: np.ndarray,
     tied: tuple[np.ndarray, ...],
-    bounds: Float[np.ndarray, " bounds"],
-) -> Float[np.ndarray, "ratios models levels levels"]:
-    """Of corrections and errors: E ρᵏ⁺ˡ over |ρ| below each bound, and the ratios that are tied, times each size."""
+    size: float,
+    bound: float,
+) -> Float[np.ndarray, "ratios levels levels"]:
+    """Of corrections and errors: E ρᵏ⁺ˡ over |ρ| below a bound, and the ratios that are tied, times the size."""
     sums = k[:, None] + k
-    others = [np.where(sums % 2 == 0, bound**sums / (sums + 1.0), 0.0) for bound in bounds]
+    others = np.where(sums % 2 == 0, bound**sums / (sums + 1.0), 0.0)
     own = np.sum([ratio[:, None, None] ** sums for ratio in tied], axis=0)
-    relative = _SIZES[:, None, None, None] ** 2 * (own[:, None, None] + np.stack(others))
-    size = main[:, :, None] * main[:, None, :]
-    return size[:, None] * relative.reshape(len(main), -1, *size.shape[1:]) + np.diag(errors**2)
+    return size**2 * main[:, :, None] * main[:, None, :] * (own + others) + np.diag(errors**2)
