@@ -47,7 +47,7 @@ _PRECISE = {
     "float32": 1e-1,
 }  # an error below this that more steps do not halve is rounding
 _MOST_KICKS = 1 << 20
-_HOPELESS = 1 << 17  # kicks: fast motion is resolved by now, and what still does not converge is given little more time
+_HOPELESS = 1 << 17  # kicks: what does not converge by now may have corners, and is given little more time
 _MAPS_KEPT = 64  # of flows, while a number of steps is looked at
 _SILENT_SECONDS = 10.0
 _PATIENT = 5  # refinements, as corners let the distance fall unevenly
@@ -305,7 +305,8 @@ class Calibration:
         gaps, least = np.full((2, len(self._samples.row)), np.inf)
         stalled = np.zeros(len(gaps), int)
         while 1.5 * steps * solver.stages <= _MOST_KICKS:
-            patience = np.where(gaps > ROUGH, _PATIENT if steps * solver.stages > _HOPELESS else np.inf, _STALLED)
+            hopeless = steps * solver.stages > _HOPELESS and not self._way.smooth  # fast smooth motion still converges
+            patience = np.where(gaps > ROUGH, _PATIENT if hopeless else np.inf, _STALLED)
             open_ = np.flatnonzero((gaps > _ROUNDING) & (stalled < patience))
             # One small distance may be chance, as where the corner of a field lies in a step: all of them are not.
             if not len(open_) or self._largest(gaps) <= self._near:

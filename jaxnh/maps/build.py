@@ -49,11 +49,13 @@ class Way(Protocol):
         reference: the one that errors are measured with.
         summations: whether sums may be plain, compensated, or both.
         rough_steps: of the reference, for a first look at a flow.
+        smooth: whether its flows are known to have neither jumps nor corners.
     """
 
     reference: ClassVar[Solver]
     summations: ClassVar[tuple[bool, ...]]
     rough_steps: ClassVar[int]
+    smooth: ClassVar[bool]
 
     def solvers(self, flow: Any) -> tuple[Solver, ...]:
         """Those to choose from."""
@@ -84,6 +86,7 @@ class Kicks:
     reference: ClassVar[Solver] = SPLITTINGS["sofroniou_spaletta10"]
     summations: ClassVar[tuple[bool, ...]] = (False, True)
     rough_steps: ClassVar[int] = 32
+    smooth: ClassVar[bool] = True
 
     def solvers(self, flow: Any) -> tuple[Solver, ...]:
         return tuple(SPLITTINGS.values())
@@ -139,6 +142,7 @@ class Steps:
     reference: ClassVar[Solver] = verner9
     summations: ClassVar[tuple[bool, ...]] = (False,)
     rough_steps: ClassVar[int] = 16
+    smooth: ClassVar[bool] = False
 
     def solvers(self, flow: Flow) -> tuple[Solver, ...]:
         # Where Nyström's method goes it needs half the arithmetic of the others, at every accuracy.
