@@ -31,7 +31,7 @@ from jaxnh.analyses.branch_seeds import random_wave, settled_waves
 from jaxnh.analyses.branch_tables import OWN_NAMES, Grown, datasets
 from jaxnh.analyses.equilibria import equilibria
 from jaxnh.analyses.families import orbits_of
-from jaxnh.analyses.family_tree import Orbit, grow
+from jaxnh.analyses.family_tree import grow
 from jaxnh.analyses.locating import price_of_orbits, refined
 from jaxnh.analyses.random_starts import Side, check_box
 from jaxnh.analyses.scene import LaneRunner, Scene
@@ -138,13 +138,11 @@ def whole(options: BranchesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Da
     here = scene.take(np.argsort(scene.line.values, kind="stable")[some])
     if options.starts:
         with lanes.stage(f"branches: {options.starts} random starts at {len(some)} values of {axis.name}", 0):
-            wave = random_wave(
-                here, lanes, options.starts, options.seed, options.box, options.limit, unit, options.transient
+            waves.append(
+                random_wave(
+                    here, lanes, options.starts, options.seed, options.box, options.limit, unit, options.transient
+                )
             )
-        by_value = {orbit.value: list[Orbit]() for orbit in wave}
-        for orbit in wave:
-            by_value[orbit.value].append(orbit)
-        waves += by_value.values()
 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"branches: {label}", 0)

@@ -23,6 +23,7 @@ from jaxnh.orbits.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKE
 from jaxnh.orbits.normal_forms import cubic
 from jaxnh.orbits.switching import crossing, doubled
 
+_AT_ONCE = 32  # branches that are followed side by side: together they fill tiles, and few are followed twice
 _NARROW = 1 / 64  # of a chord, about the place of a bifurcation of a less fine map
 _SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have the bifurcation in common
 
@@ -108,40 +109,25 @@ def _followed(
     family: Family, tree: Tree, some: Sequence[Orbit], begun: Sequence[Orbits], steps: Steps, stage: Stage
 ) -> list[Branch]:
     """The new branches through orbits, and on from orbits at bifurcations, all of one period."""
-    new = list[Branch]()
-    for orbits in begun:  # first, as they begin where their branches do
-        keep = [k for k in range(len(orbits.value)) if _is_new(family, tree.branches, orbits, k)]
-        if keep:
-            here = orbits.take(np.array(keep))
-            with stage(f"{len(keep)} branches of period {here.points.shape[1]} from bifurcations"):
-                _add(family, new, here, both_ways(family, here, steps))  # back through the bifurcation as well
-    known = [*tree.branches, *new]
-    some = [orbit for orbit in some if not on_branch(family, known, orbit.points, orbit.value)]
+    queue = [orbits.take(orbits.converged) for orbits in begun]  # first, as they begin where their branches do
     if some:
         points, value = np.stack([orbit.points for orbit in some]), np.array([orbit.value for orbit in some])
         orbits = correct(family, points, value, along_parameter(family, *points.shape[:2]), FINE)
-        keep = [k for k in range(len(some)) if orbits.converged[k] and _is_new(family, known, orbits, k)]
-        keep = [k for i, k in enumerate(keep) if not any(_equal(family, orbits, k, j) for j in keep[:i])]
-        if keep:
-            here = orbits.take(np.array(keep))
-            with stage(f"{len(keep)} branches of period {points.shape[1]}"):
-                _add(family, new, here, both_ways(family, here, steps))
-    return new
+        queue.append(orbits.take(orbits.converged))
+    orbits: Orbits = jax.tree.map(lambda *leaves: np.concatenate(leaves), *queue)
+    n = orbits.points.shape[1]
+    known = [branch for branch in tree.branches if branch.period == n]
 
+    def is_new(others: Sequence[Branch], k: int) -> bool:
+        return not on_branch(family, others, orbits.points[k], float(orbits.value[k]))
 
-def _is_new(family: Family, known: Sequence[Branch], orbits: Orbits, k: int) -> bool:
-    return bool(orbits.converged[k]) and not on_branch(family, known, orbits.points[k], float(orbits.value[k]))
-
-
-def _equal(family: Family, orbits: Orbits, k: int, j: int) -> bool:
-    return orbits.value[k] == orbits.value[j] and same_orbit(family, orbits.points[k], orbits.points[j], _SAME_POINT)
-
-
-def _add(family: Family, new: list[Branch], begun: Orbits, branches: Sequence[Branch]) -> None:
-    """Those that do not begin on one added before."""
-    for k, branch in enumerate(branches):
-        if len(branch.value) > 1 and _is_new(family, new, begun, k):
+    with stage(f"branches of period {n} from {len(orbits.value)} orbits"):  # and back through bifurcations as well
+        followed = both_ways(family, orbits, steps, lambda found, k: is_new([*known, *found], k), _AT_ONCE)
+    new = list[Branch]()
+    for k, branch in followed.items():
+        if len(branch.value) > 1 and is_new(new, k):
             new.append(branch)
+    return new
 
 
 def _with(

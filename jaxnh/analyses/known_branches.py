@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxnh.orbits.arclength import Family, Way, length
 from jaxnh.orbits.branches import Branch
@@ -17,69 +16,79 @@ _HALVINGS = 40
 
 def on_branch(family: Family, branches: Sequence[Branch], points: Float[np.ndarray, "n d"], value: float) -> bool:
     """Whether an orbit at a value of the parameter is on one of the branches, whichever of its points comes first."""
-    return any(
-        _apart(family, there, points) <= _SAME
-        for branch in branches
-        if branch.period == len(points)
-        for there in orbits_at(family, branch, value)
-    )
+    there = orbits_at(family, [branch for branch in branches if branch.period == len(points)], value)
+    return bool(len(there) and _apart(family, there, points).min() <= _SAME)
 
 
-def orbits_at(family: Family, branch: Branch, value: float) -> Iterator[Float[np.ndarray, "n d"]]:
-    """The orbits of a branch at a value of the parameter, nearly; where it turns between two points, perhaps two."""
-    above, rate = branch.value - value, branch.way.value
-    passes = (above[:-1] <= 0.0) != (above[1:] <= 0.0)
-    for i in np.flatnonzero(passes | (np.sign(rate[:-1]) != np.sign(rate[1:]))).tolist():
-        yield from _between(family, branch, i, value)
-    for end in (0, -1):  # where it begins or ends at the value and lies below it
-        if above[end] == 0.0:
-            yield branch.points[end]
+def orbits_at(family: Family, branches: Sequence[Branch], value: float) -> Float[np.ndarray, "some n d"]:
+    """The orbits of branches of one period at a value of the parameter, nearly; where one turns, perhaps two."""
+    found, stretches = list[np.ndarray](), list[tuple[Branch, int]]()
+    for branch in branches:
+        above, rate = branch.value - value, branch.way.value
+        passes = (above[:-1] <= 0.0) != (above[1:] <= 0.0)
+        turns = (rate[:-1] < 0.0) != (rate[1:] < 0.0)
+        stretches += [(branch, i) for i in np.flatnonzero(passes | turns).tolist()]
+        # where it begins or ends at the value and lies below it
+        found += [branch.points[end][None] for end in (0, -1) if above[end] == 0.0]
+    if stretches:
+        found.append(_between(family, stretches, value))
+    return np.concatenate(found) if found else np.zeros((0, 0, len(family.size)))
 
 
 def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"], near: float) -> bool:
     """Whether two orbits are as near as this in lengths, whichever of their points comes first."""
-    return len(one) == len(other) and _apart(family, one, other) <= near
+    return len(one) == len(other) and bool(_apart(family, one[None], other)[0] <= near)
 
 
-def _between(family: Family, branch: Branch, i: int, value: float) -> Iterator[Float[np.ndarray, "n d"]]:
-    """On the cubic between two points of a branch the orbits at a value that it passes there."""
-    points, values = branch.points[i : i + 2], branch.value[i : i + 2]
-    chord = Way(points[1:] - points[:1], values[1:] - values[:1])
-    size = float(length(family, chord)[0])
-    rates, ways = size * branch.way.value[i : i + 2], size * branch.way.points[i : i + 2]
+def _between(family: Family, stretches: Sequence[tuple[Branch, int]], value: float) -> Float[np.ndarray, "some n d"]:
+    """On cubics between a point of a branch and its next the orbits at a value that they pass there."""
+    points, values, rates, ways = (
+        np.stack([leaf(branch)[i : i + 2] for branch, i in stretches], axis=1)
+        for leaf in (lambda b: b.points, lambda b: b.value, lambda b: b.way.value, lambda b: b.way.points)
+    )
+    size = length(family, Way(points[1] - points[0], values[1] - values[0]))
+    rates, ways = size * rates, size[:, None, None] * ways
 
-    def cubic(s: float, ends: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        left = 1.0 - s
-        bent = s * s * (3.0 - 2.0 * s)
-        return ends[0] + bent * (ends[1] - ends[0]) + s * left * left * slopes[0] - s * s * left * slopes[1]
-
-    def rise(s: float) -> float:
+    def rise(s: np.ndarray) -> np.ndarray:
         left = 1.0 - s
         whole = 6.0 * s * left * (values[1] - values[0])
-        return float(whole + left * (1.0 - 3.0 * s) * rates[0] + s * (3.0 * s - 2.0) * rates[1])
+        return whole + left * (1.0 - 3.0 * s) * rates[0] + s * (3.0 * s - 2.0) * rates[1]
 
-    def above(s: float) -> float:
-        return float(cubic(s, values, rates)) - value
+    def above(s: np.ndarray) -> np.ndarray:
+        return _cubic(s, values, rates) - value
 
-    turn = [_zero(rise, 0.0, 1.0)] if rise(0.0) * rise(1.0) < 0.0 else []
-    for low, high in itertools.pairwise([0.0, *turn, 1.0]):
-        if (above(low) <= 0.0) != (above(high) <= 0.0):
-            yield cubic(_zero(above, low, high), points, ways)
+    zero, one = np.zeros(len(size)), np.ones(len(size))
+    turn = np.where(rise(zero) * rise(one) < 0.0, _zeros(rise, zero, one), 0.0)
+    found = list[np.ndarray]()
+    for low, high in ((zero, turn), (turn, one)):
+        passes = (above(low) <= 0.0) != (above(high) <= 0.0)
+        found.append(_cubic(_zeros(above, low, high)[:, None, None], points, ways)[passes])
+    return np.concatenate(found)
 
 
-def _zero(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function changes sign, by halving."""
-    positive = function(high) > 0.0
+def _cubic(s: np.ndarray, ends: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Hermite's polynomials from one end (s = 0) to the other (s = 1)."""
+    left = 1.0 - s
+    bent = s * s * (3.0 - 2.0 * s)
+    return ends[0] + bent * (ends[1] - ends[0]) + s * left * left * slopes[0] - s * s * left * slopes[1]
+
+
+def _zeros(
+    function: Callable[[np.ndarray], np.ndarray], low: Float[np.ndarray, " some"], high: Float[np.ndarray, " some"]
+) -> Float[np.ndarray, " some"]:
+    """Where functions change sign, by halving."""
+    positive: Bool[np.ndarray, " some"] = function(high) > 0.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if (function(middle) > 0.0) == positive:
-            high = middle
-        else:
-            low = middle
+        beyond = (function(middle) > 0.0) == positive
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
     return 0.5 * (low + high)
 
 
-def _apart(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"]) -> float:
-    """Distance of two orbits in lengths, of all turns of one the least."""
-    turned = np.stack([np.roll(other, m, 0) for m in range(len(other))])
-    return float(length(family, Way(family.wrap(one - turned), np.zeros(len(other)))).min())
+def _apart(
+    family: Family, some: Float[np.ndarray, "some n d"], one: Float[np.ndarray, "n d"]
+) -> Float[np.ndarray, " some"]:
+    """Distances of orbits from one in lengths, of all its turns the least."""
+    none = np.zeros(len(some))
+    turns = (np.roll(one, m, 0) for m in range(len(one)))
+    return np.min([length(family, Way(family.wrap(some - turn), none)) for turn in turns], axis=0)

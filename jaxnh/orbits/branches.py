@@ -6,7 +6,7 @@ curve is straight: where it turns, or Newton goes far from the guess, they are t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
@@ -53,6 +53,9 @@ STEPS = Steps()
 
 
 _Leaves = TypeVar("_Leaves", Orbits, Way)
+
+Wanted = Callable[[Sequence["Branch"], int], bool]
+"""Whether the orbit of a number is still to be followed, with the branches that are whole by now."""
 
 
 @dataclass(frozen=True)
@@ -110,93 +113,141 @@ class Branch:
         )
 
 
-def follow(family: Family, begun: Orbits, steps: Steps = STEPS) -> list[Branch]:
-    """The branches on from orbits in the directions of their ways, each to its end; lanes do not feel each other."""
-    lanes = len(begun.value)
-    history = [_Points.of(family, np.arange(lanes), begun)]
-    count, end = np.ones(lanes, int), np.full(lanes, MOST_POINTS)
-    size, now, open_ = np.full(lanes, _FIRST * steps.largest), begun, np.arange(lanes)
-    bend = times(np.zeros(lanes), begun.way)
-    while len(open_):
-        taken, step, at_end = _stepped(family, now, bend, np.minimum(size[open_], _room(family, now)))
+def both_ways(
+    family: Family, begun: Orbits, steps: Steps = STEPS, wanted: Wanted | None = None, at_once: int | None = None
+) -> dict[int, Branch]:
+    """The branches through orbits, from one end to the other, by the orbits' numbers; of a closed one the loop.
+
+    Lanes do not feel each other. Where one comes to its end the next in turn takes its place, so that few long branches
+    keep none waiting.
+
+    Args:
+        family: the map.
+        begun: orbits, with the directions in which branches are followed first.
+        steps: how branches are followed.
+        wanted: asked for each orbit as its turn comes, with the branches that have come to both of their ends and the
+            orbit's number; by default all are.
+        at_once: how many are followed at a time, by default all.
+    """
+    count = len(begun.value)
+    back = begun._replace(way=Way(-begun.way.points, -begun.way.value), crossing=-begun.crossing)
+    course = _Course(family, jax.tree.map(lambda *leaves: np.concatenate(leaves), begun, back), steps)
+    found, turn, followed = dict[int, Branch](), 0, 0
+    while turn < count or len(course.open_):
+        more = list[int]()
+        while turn < count and (at_once is None or followed < at_once):
+            if wanted is None or wanted(list(found.values()), turn):
+                more.append(turn)
+                followed += 1
+            turn += 1
+        if more:
+            course.begin(np.array([*more, *(count + k for k in more)], int))
+        ended = course.step().tolist() if len(course.open_) else []
+        for k in sorted({lane % count for lane in ended}):
+            if course.is_done(k) and course.is_done(count + k):
+                followed -= 1
+                ahead, behind = course.branch(k), course.branch(count + k)
+                loop = ahead.ends[1] == CLOSED
+                found[k] = ahead.ending(CLOSED) if loop else behind.reversed(odd(family)).joined(ahead)
+    return {k: found[k] for k in sorted(found)}
+
+
+class _Course:
+    """Lanes on their way along branches, each to its end in the direction it has begun with.
+
+    Attributes:
+        open_: numbers of the lanes that are on their way.
+    """
+
+    def __init__(self, family: Family, begun: Orbits, steps: Steps) -> None:
+        lanes = len(begun.value)
+        self._family, self._begun, self._steps = family, begun, steps
+        self.open_ = np.arange(0)
+        self._now, self._bend = begun.take(self.open_), times(np.zeros(0), begun.take(self.open_).way)
+        self._count, self._end = np.zeros(lanes, int), np.full(lanes, START)
+        self._size = np.full(lanes, _FIRST * steps.largest)
+        self._rows = [list[_Points]() for _ in range(lanes)]
+
+    def begin(self, lanes: Int[np.ndarray, " some"]) -> None:
+        """Set lanes on their way."""
+        now = self._begun.take(lanes)
+        self._keep(lanes, now)
+        self.open_ = np.concatenate([self.open_, lanes])
+        self._now = _both(self._now, now)
+        self._bend = _both(self._bend, times(np.zeros(len(lanes)), now.way))
+
+    def is_done(self, lane: int) -> bool:
+        """Whether a lane has come to its end."""
+        return bool(self._end[lane] != START)
+
+    def step(self) -> Int[np.ndarray, " some"]:
+        """One step of all lanes on their way; those that have come to their ends by it."""
+        family, steps, open_, now, bend = self._family, self._steps, self.open_, self._now, self._bend
+        taken, step, at_end = _stepped(family, now, bend, np.minimum(self._size[open_], _room(family, now)))
         with np.errstate(invalid="ignore"):
             share = np.where(step > 0.0, taken.missed / np.maximum(step, _SMALLEST), 0.0)
             good = taken.converged & (inner(family, taken.way, now.way) >= _BENT) & (share <= _MISSED)
             good &= (taken.value >= family.low) & (taken.value <= family.high)
         collapsed, merged = (good & which for which in _collapses(family, now, taken))
-        closed = good & (count[open_] > _LEAST_LOOP) & _passes(family, begun.take(open_), now, taken, 2.0 * step)
+        closed = good & (self._count[open_] > _LEAST_LOOP)
+        closed &= _passes(family, self._begun.take(open_), now, taken, 2.0 * step)
         kept = good & ~merged & (step > 0.0)
-        history.append(_Points.of(family, open_[kept], taken.take(kept)))
-        count[open_[kept]] += 1
+        self._keep(open_[kept], taken.take(kept))
         factor = np.where(good, np.clip(_WANTED / np.maximum(share, _SMALLEST), 0.5, _GROWTH), 0.5)
-        size[open_] = np.minimum(np.minimum(size[open_], np.maximum(step, _SMALLEST)) * factor, steps.largest)
+        self._size[open_] = np.minimum(
+            np.minimum(self._size[open_], np.maximum(step, _SMALLEST)) * factor, steps.largest
+        )
         far = np.abs(now.points / family.size).max(axis=(1, 2)) > _FARTHEST
         done = np.zeros(len(open_), bool)
         for which, reason in (
-            (count[open_] >= steps.most, MOST_POINTS),
-            (~good & (size[open_] <= _SMALLEST), NO_CONVERGENCE),
+            (self._count[open_] >= steps.most, MOST_POINTS),
+            (~good & (self._size[open_] <= _SMALLEST), NO_CONVERGENCE),
             (far, UNBOUNDED),
             (good & at_end, RANGE),
             (closed, CLOSED),
             (collapsed, COLLAPSED),
         ):
-            end[open_[which]] = reason
+            self._end[open_[which]] = reason
             done |= which
         turned = times(1.0 / np.maximum(step, _SMALLEST), minus(taken.way, np.ones(len(open_)), now.way))
         bend, now = _chosen(good, turned, bend), _chosen(good, taken, now)
-        bend, now, open_ = _taken(bend, ~done), now.take(~done), open_[~done]
-    return _gathered(history, end)
+        self._bend, self._now, self.open_ = _taken(bend, ~done), now.take(~done), open_[~done]
+        return open_[done]
 
+    def branch(self, lane: int) -> Branch:
+        """What a lane has come by; nothing of it is kept."""
+        rows, self._rows[lane] = self._rows[lane], []
+        whole: _Points = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+        return Branch(*whole, ends=(START, int(self._end[lane])))
 
-def both_ways(family: Family, begun: Orbits, steps: Steps = STEPS) -> list[Branch]:
-    """The branches through orbits, from one end to the other; of a closed one the loop."""
-    lanes = len(begun.value)
-    back = begun._replace(way=Way(-begun.way.points, -begun.way.value), crossing=-begun.crossing)
-    twice: Orbits = jax.tree.map(lambda *leaves: np.concatenate(leaves), begun, back)
-    halves = follow(family, twice, steps)
-    joined = []
-    for ahead, behind in zip(halves[:lanes], halves[lanes:], strict=True):
-        loop = ahead.ends[1] == CLOSED
-        joined.append(ahead.ending(CLOSED) if loop else behind.reversed(odd(family)).joined(ahead))
-    return joined
+    def _keep(self, lanes: Int[np.ndarray, " some"], orbits: Orbits) -> None:
+        """Have points of lanes in their rows."""
+        family = self._family
+        tests, multipliers = tested(family, orbits), eigenvalues(family, orbits)
+        whole = _Points(orbits.points, orbits.value, orbits.way, tests, multipliers, orbits.residual)
+        for i, lane in enumerate(lanes.tolist()):
+            self._rows[lane].append(whole.of_lane(i))
+        self._count[lanes] += 1
 
 
 class _Points(NamedTuple):
-    """Points of some branches, one each: the numbers of the branches, and what is known there."""
+    """A point of a branch, or all of them, as `Branch` has them."""
 
-    lane: np.ndarray
-    orbits: Orbits
+    points: np.ndarray
+    value: np.ndarray
+    way: Way
     tests: np.ndarray
     multipliers: np.ndarray
+    residual: np.ndarray
 
-    @staticmethod
-    def of(family: Family, lane: np.ndarray, orbits: Orbits) -> _Points:
-        slim = orbits._replace(blocks=np.zeros((len(lane), 0)))  # the largest, and never asked for again
-        return _Points(lane, slim, tested(family, orbits), eigenvalues(family, orbits))
+    def of_lane(self, i: int) -> _Points:
+        """What belongs to one of several lanes."""
+        way = Way(self.way.points[i], self.way.value[i])
+        return _Points(self.points[i], self.value[i], way, self.tests[i], self.multipliers[i], self.residual[i])
 
 
-def _gathered(history: list[_Points], end: Int[np.ndarray, " lanes"]) -> list[Branch]:
-    """The branches of all their points."""
-    lane = np.concatenate([part.lane for part in history])
-    order = np.argsort(lane, kind="stable")
-    starts = np.searchsorted(lane[order], np.arange(len(end) + 1))
-
-    def every(leaves: Sequence[np.ndarray]) -> np.ndarray:
-        return np.concatenate(leaves)[order]
-
-    orbits = [part.orbits for part in history]
-    points, value = every([o.points for o in orbits]), every([o.value for o in orbits])
-    way = Way(every([o.way.points for o in orbits]), every([o.way.value for o in orbits]))
-    tests, multipliers = every([part.tests for part in history]), every([part.multipliers for part in history])
-    residual = every([o.residual for o in orbits])
-    found = []
-    for k, reason in enumerate(end.tolist()):
-        mine = slice(int(starts[k]), int(starts[k + 1]))
-        there = Way(way.points[mine], way.value[mine])
-        found.append(
-            Branch(points[mine], value[mine], there, tests[mine], multipliers[mine], residual[mine], (START, reason))
-        )
-    return found
+def _both(one: _Leaves, more: _Leaves) -> _Leaves:
+    return jax.tree.map(lambda a, b: np.concatenate([a, b]), one, more)
 
 
 def _stepped(

@@ -46,7 +46,7 @@ def logistic_orbit(n, p):
 
 def test_branch_of_fixed_points():
     """x = 1 − 1/p with the multiplier 2 − p, over the whole range and on where it is unstable."""
-    [branch] = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(1, 2.8), 2.8))
+    branch = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(1, 2.8), 2.8))[0]
     assert branch.ends == (RANGE, RANGE)
     assert sorted(branch.value[[0, -1]]) == [2.0, 3.9]
     rounding = 1e-11  # the square of Newton's last step, below 1e-6, and curvature of order one
@@ -56,7 +56,7 @@ def test_branch_of_fixed_points():
 
 def test_branch_turns_at_its_fold():
     """Period 3 is born at p = 1 + √8, and both of its orbits are followed from one; none is below."""
-    [branch] = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(3, 3.835), 3.835))
+    branch = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(3, 3.835), 3.835))[0]
     assert branch.ends == (RANGE, RANGE)
     assert np.all(branch.value[[0, -1]] == 3.9)
     fold = 1 + np.sqrt(8)
@@ -69,7 +69,7 @@ def test_branch_turns_at_its_fold():
 
 def test_branch_ends_where_it_was_born_in_a_doubling():
     """Period 2 from p = 3, where its two points (1 + 1/p ± √((1 − 3/p)(1 + 1/p)))/2 are one."""
-    [branch] = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(2, 3.3), 3.3))
+    branch = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(2, 3.3), 3.3))[0]
     assert sorted(branch.ends) == sorted((COLLAPSED, RANGE))
     p = branch.value
     gap = np.sqrt((1 - 3 / p) * (1 + 1 / p))
@@ -116,7 +116,7 @@ def by_scipy(omega, u):
 
 def test_resonance_of_duffing(resonance):
     """One branch over the frequency, folded twice; its orbits close and have their multipliers by scipy."""
-    [branch] = both_ways(resonance, begun(resonance, [[0.0, 0.1]], 0.6))
+    branch = both_ways(resonance, begun(resonance, [[0.0, 0.1]], 0.6))[0]
     assert {ENDS[end] for end in branch.ends} == {"range"}
     turns = np.flatnonzero(np.diff(np.sign(branch.way.value)))
     assert len(turns) == 2

@@ -43,7 +43,7 @@ def agree(scene, lanes, orbits, steps, alone):
         together = both_ways(family, begun, steps)
         assert len(together) == len(begun.value)
         for k in range(0, len(together), alone):
-            [single] = both_ways(family, begun.take(slice(k, k + 1)), steps)
+            single = both_ways(family, begun.take(slice(k, k + 1)), steps)[0]
             assert single.ends == together[k].ends
             whole = (together[k].points, together[k].value, together[k].way, together[k].tests, together[k].multipliers)
             one = (single.points, single.value, single.way, single.tests, single.multipliers)
