@@ -35,6 +35,11 @@ def duffing(x, v, gamma, t):
     return v, gamma * cosine(t) - taylor.REAL(0.2) * v + x - x * x * x
 
 
+def deeper_wells(x, v, gamma, t):
+    """The same with a friction of 0.25 and a force of the wells of 0.7 (x − x³)."""
+    return v, gamma * cosine(t) - v / 4 + taylor.REAL(0.7) * (x - x * x * x)
+
+
 def van_der_pol(x, v, force, t):
     """configs/flows/van_der_pol.py at mu = 0.5 and omega = 1.3."""
     return v, (1 - x * x) * v / 2 - x + force * cosine(taylor.REAL(1.3) * t)
@@ -55,6 +60,24 @@ def test_folds_of_duffings_oscillator_in_both_wells():
         exact, multipliers = bifurcation(strobe_map(duffing, 2, taylor.TWO_PI), "fold", value, u)
         assert abs(value - exact) < min(1e-8, error + 1e-12)  # of differences in the reference
         assert np.abs(multipliers - 1).min() < 1e-6
+
+
+@pytest.mark.slow
+def test_cascade_of_duffings_oscillator():
+    """The orbit in a well doubles, and doubles again, before chaos is in both wells: the first three of each well."""
+    found, data = found_in(
+        "configs/flows/duffing_double_well.yaml",
+        "gamma: {start: 0.182, stop: 0.206, count: 9}",
+        "{limit: 4, transient: 256}",
+        f"system={{file: {ROOT / 'configs/flows/duffing.py'}, alpha: -0.7, beta: 0.7, delta: 0.25}}",
+    )
+    doublings = [point for point in found if point[0] == "period_doubling" and int(data["criticality"][point[4]]) == 1]
+    assert {1, 2, 4} <= {n for _, n, *_ in doublings}
+    for _, n, value, error, k in doublings:
+        u = [float(data[name][k]) for name in ("x", "v")]
+        exact, multipliers = bifurcation(strobe_map(deeper_wells, 2, taylor.TWO_PI, n), "period_doubling", value, u)
+        assert abs(value - exact) < min(1e-8, error + 1e-12)  # of differences in the reference
+        assert np.abs(multipliers + 1).min() < 1e-6
 
 
 @pytest.mark.slow
