@@ -48,6 +48,34 @@ def strobe_map(rates, d, period, n=1):
     return image
 
 
+def return_map(rates, d, across, level=0.0, *, rising=True, stride=0.05):
+    """The map from the plane where a coordinate has a value to its next crossing, upwards or downwards."""
+
+    def image(value, u):
+        ta, at_zero = _integrator(rates, d)
+        _begun(ta, at_zero, value, np.insert(np.asarray(u, REAL), across, REAL(level)))
+
+        def to(time):
+            assert ta.propagate_until(time)[0] == hy.taylor_outcome.time_limit
+            return float(ta.state[across] - REAL(level)) * (1 if rising else -1)
+
+        height = to(ta.time + REAL(stride))  # away from the plane where it begins
+        while True:
+            before, height = height, to(ta.time + REAL(stride))
+            if before < 0 <= height:
+                break
+        for _ in range(6):
+            rate = np.array(rates(*ta.state[:d], REAL(value), ta.time), REAL)
+            to(ta.time - (ta.state[across] - REAL(level)) / rate[across])
+        rate = np.array(rates(*ta.state[:d], REAL(value), ta.time), REAL)
+        whole = ta.state[d:].reshape(d, d)
+        whole = whole - np.outer(rate, whole[across]) / rate[across]
+        others = [k for k in range(d) if k != across]
+        return ta.state[others].copy(), whole[np.ix_(others, others)]
+
+    return image
+
+
 def determinant(matrix):
     """By minors, in any arithmetic."""
     if len(matrix) == 1:

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Complex, Float
 
-from jaxnh.analyses.known_branches import on_branch, same_orbit
+from jaxnh.analyses.known_branches import SAME, on_branch, same_orbit
 from jaxnh.orbits.arclength import FINE, Family, Orbits, along_parameter, correct
 from jaxnh.orbits.bifurcations import Brackets, brackets, locate, neutral_pair
 from jaxnh.orbits.branches import COLLAPSED, Branch, Steps, both_ways
@@ -24,6 +24,8 @@ from jaxnh.orbits.normal_forms import cubic
 from jaxnh.orbits.switching import crossing, doubled
 
 _AT_ONCE = 32  # branches that are followed side by side: together they fill tiles, and few are followed twice
+_BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it
+_LOOKED_AT = 9  # points of a branch
 _NARROW = 1 / 64  # of a chord, about the place of a bifurcation of a less fine map
 _SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have the bifurcation in common
 
@@ -110,6 +112,7 @@ def _followed(
 ) -> list[Branch]:
     """The new branches through orbits, and on from orbits at bifurcations, all of one period."""
     queue = [orbits.take(orbits.converged) for orbits in begun]  # first, as they begin where their branches do
+    beside = sum(len(orbits.value) for orbits in queue)
     if some:
         points, value = np.stack([orbit.points for orbit in some]), np.array([orbit.value for orbit in some])
         orbits = correct(family, points, value, along_parameter(family, *points.shape[:2]), FINE)
@@ -119,15 +122,22 @@ def _followed(
     known = [branch for branch in tree.branches if branch.period == n]
 
     def is_new(others: Sequence[Branch], k: int) -> bool:
-        return not on_branch(family, others, orbits.points[k], float(orbits.value[k]))
+        near = _BESIDE if k < beside else SAME
+        return not on_branch(family, others, orbits.points[k], float(orbits.value[k]), near)
 
     with stage(f"branches of period {n} from {len(orbits.value)} orbits"):  # and back through bifurcations as well
         followed = both_ways(family, orbits, steps, lambda found, k: is_new([*known, *found], k), _AT_ONCE)
     new = list[Branch]()
     for k, branch in followed.items():
-        if len(branch.value) > 1 and is_new(new, k):
+        if len(branch.value) > 1 and is_new(new, k) and not (k < beside and _is_known(family, [*known, *new], branch)):
             new.append(branch)
     return new
+
+
+def _is_known(family: Family, known: Sequence[Branch], branch: Branch) -> bool:
+    """Whether all of a branch, as far as some of its points tell, is on others."""
+    some = np.unique(np.linspace(0, len(branch.value) - 1, _LOOKED_AT).round().astype(int)).tolist()
+    return all(on_branch(family, known, branch.points[i], float(branch.value[i])) for i in some)
 
 
 def _with(

@@ -10,14 +10,17 @@ from jaxtyping import Bool, Float
 from jaxnh.orbits.arclength import Family, Way, length
 from jaxnh.orbits.branches import Branch
 
-_SAME = 1e-4  # lengths; cubics between points are nearer to the branch than this, and where a branch begins is further
+SAME = 1e-4
+"""Lengths: cubics between points are nearer to the branch than this, and other branches are further, mostly."""
 _HALVINGS = 40
 
 
-def on_branch(family: Family, branches: Sequence[Branch], points: Float[np.ndarray, "n d"], value: float) -> bool:
+def on_branch(
+    family: Family, branches: Sequence[Branch], points: Float[np.ndarray, "n d"], value: float, near: float = SAME
+) -> bool:
     """Whether an orbit at a value of the parameter is on one of the branches, whichever of its points comes first."""
     there = orbits_at(family, [branch for branch in branches if branch.period == len(points)], value)
-    return bool(len(there) and _apart(family, there, points).min() <= _SAME)
+    return bool(len(there) and _apart(family, there, points).min() <= near)
 
 
 def orbits_at(family: Family, branches: Sequence[Branch], value: float) -> Float[np.ndarray, "some n d"]:

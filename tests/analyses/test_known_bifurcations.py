@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import taylor
 from conftest import ROOT, session_of
-from heyoka_newton import bifurcation, strobe_map
+from heyoka_newton import bifurcation, return_map, strobe_map
 from measure import twin
 
 import jaxnh
+from jaxnh.config.experiment import Experiment
 from jaxnh.orbits.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
 
@@ -126,3 +127,109 @@ def test_pitchfork_of_the_particle():
     exact, multipliers = bifurcation(mirrored, "period_doubling", value, [x1, y1, np.arctan2(y2, x2)], wrap)
     assert abs(value - exact) < min(1e-8, error + 1e-12)
     assert np.abs(multipliers + 1).min() < 1e-9
+
+
+# ---- cycles of flows without a clock, which other continuation programs are tried on
+
+CIRCUIT = """\
+def system(nu=-0.6, beta=0.5, gamma=-0.6, r=0.6, a3=0.32858, b3=0.93358):
+    def rhs(state, t):
+        x, y, z = state
+        over = b3 * (y - x) ** 3
+        return (-(beta + nu) * x + beta * y - a3 * x**3 + over) / r, beta * x - (beta + gamma) * y - z - over, y
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+"""
+
+PEROXIDASE = """\
+def system(k8=0.75, k1=0.1631021, k2=1250.0, k3=0.046875, k4=20.0, k5=1.104, k6=0.001, k7=1.5, back=0.1175):
+    def rhs(state, t):
+        a, b, x, y = state
+        one, two, three = k1 * a * b * x, k2 * x * x, k3 * a * b * y
+        of_x = one - 2.0 * two + 2.0 * three - k4 * x + k6
+        return k7 - one - three - back * a, k8 - one - three, of_x, 2.0 * two - three - k5 * y
+
+    return {"rhs": rhs, "coordinates": ("A", "B", "X", "Y")}
+"""
+
+
+def circuit(x, y, z, nu, t):
+    """CIRCUIT in heyoka's numbers and expressions."""
+    half, over = taylor.REAL(0.5), taylor.REAL(0.93358) * (y - x) * (y - x) * (y - x)
+    of_x = (half * y - (half + nu) * x - taylor.REAL(0.32858) * x * x * x + over) / taylor.REAL(0.6)
+    return of_x, half * x - (half + taylor.REAL(-0.6)) * y - z - over, y
+
+
+def peroxidase(a, b, x, y, k8, t):
+    """PEROXIDASE in heyoka's numbers and expressions."""
+    one, two, three = taylor.REAL(0.1631021) * a * b * x, taylor.REAL(1250) * x * x, taylor.REAL(0.046875) * a * b * y
+    of_x = one - 2 * two + 2 * three - taylor.REAL(20) * x + taylor.REAL(0.001)
+    of_y = 2 * two - three - taylor.REAL(1.104) * y
+    return taylor.REAL(1.5) - one - three - taylor.REAL(0.1175) * a, k8 - one - three, of_x, of_y
+
+
+def of_own_file(folder, file, config):
+    """Bifurcations of a user's system: (kind, parameter, error, number), and all there is of them."""
+    (folder / "own.py").write_text(file)
+    data = session_of(Experiment.from_text(f"system: {{file: {folder / 'own.py'}}}\n{config}")).tree()["bifurcations"]
+    name = data.attrs["along"]
+    columns = (data[k].values.tolist() for k in ("kind", name, f"{name}_error"))
+    return [(KINDS[kind], value, error, k) for k, (kind, value, error) in enumerate(zip(*columns, strict=True))], data
+
+
+@pytest.mark.slow
+def test_cycles_of_the_torus_circuit(tmp_path):
+    """MatCont's torBPC: a cycle that is its own mirror image folds and loses that, its twins have a torus and double.
+
+    The map from a crossing to the next one the other way, mirrored, has the first cycle as a fixed point: where it is
+    no more its own image, there is a multiplier −1.
+    """
+    found, data = of_own_file(
+        tmp_path,
+        CIRCUIT,
+        """\
+initial: {x: 0.1, y: 0.1, z: 0.0}
+sweep: {nu: {start: -0.63, stop: -0.58, count: 6}}
+section: {coordinate: z, value: 0.0, direction: up}
+accuracy: {target: 1.0e-10}
+analyses:
+  branches:
+    {limit: 1, transient: 128, starts: 32, values: 3, seed: 1, box: {x: [-1.2, 1.2], y: [-0.8, 0.8], z: [-0.1, 0.1]}}
+""",
+    )
+    whole, half = return_map(circuit, 3, 2), return_map(circuit, 3, 2, rising=False)
+
+    def mirrored(nu, u):
+        image, matrix = half(nu, u)
+        return -image, -matrix
+
+    kinds = [kind for kind, *_ in found]
+    assert sorted(kinds) == ["branch_point", "fold", "neimark_sacker", "neimark_sacker"] + 2 * ["period_doubling"]
+    for kind, value, error, k in found:
+        u = [float(data[name][k]) for name in ("x", "y")]
+        at_branch_point = kind == "branch_point"
+        image, which = (mirrored, "period_doubling") if at_branch_point else (whole, kind)
+        exact, _ = bifurcation(image, which, value, u)
+        assert abs(value - exact) < min(1e-8, error + 1e-12)  # of differences in the reference
+
+
+@pytest.mark.slow
+def test_cycles_of_the_peroxidase_reaction(tmp_path):
+    """The Steinmetz–Larter model, as BifurcationKit's tutorial has it: a torus is born, and then the cycle folds."""
+    found, data = of_own_file(
+        tmp_path,
+        PEROXIDASE,
+        """\
+initial: {A: 5.6, B: 9.0, X: 0.01, Y: 0.02}
+sweep: {k8: {start: 0.8, stop: 0.85, count: 5}}
+section: {coordinate: A, value: 5.6, direction: up}
+accuracy: {target: 1.0e-9}
+analyses:
+  branches: {limit: 1, transient: 128}
+""",
+    )
+    assert [kind for kind, *_ in found] == ["neimark_sacker", "fold"]
+    for kind, value, error, k in found:
+        u = [float(data[name][k]) for name in ("B", "X", "Y")]
+        exact, _ = bifurcation(return_map(peroxidase, 4, 0, 5.6), kind, value, u)
+        assert abs(value - exact) < min(1e-8, error + 1e-12)  # of differences in the reference
