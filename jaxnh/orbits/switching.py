@@ -8,7 +8,8 @@ from jaxtyping import Float
 
 from jaxnh.orbits.arclength import FINE, Family, Orbits, Way, correct, inner, length, times
 
-_AWAY = (4e-3, 1e-3, 2.5e-4)  # from the bifurcation, in lengths, tried in this order
+# Lengths are in sizes of most lanes' motion: an orbit that is thirty times as small bends so much sooner.
+_AWAY = (4e-3, 1e-3, 2.5e-4, 6e-5, 1.5e-5)  # from the bifurcation, in lengths, tried in this order
 _STRAIGHT = 0.99  # cosine of the angle between the curve there and the direction it sets out in
 _BENT = 0.5  # of that, that Newton may go
 
@@ -34,17 +35,21 @@ def crossing(family: Family, orbits: Orbits, sign: float) -> Orbits:
 def _beside(family: Family, at: Way, way: Way) -> Orbits:
     """The nearest orbits that lie along ways from others, where there are some."""
     way = times(1.0 / length(family, way), way)
-    found: Orbits | None = None
-    for away in _AWAY:
-        tried = correct(family, at.points + away * way.points, at.value + away * way.value, way, FINE)
-        with np.errstate(invalid="ignore"):
-            good = tried.converged & (tried.missed <= _BENT * away) & (inner(family, tried.way, way) >= _STRAIGHT)
-        tried = tried._replace(converged=good)
-        if found is None:
-            found = tried
-            continue
-        new = good & ~found.converged
-        for leaf, other in zip(jax.tree.leaves(found), jax.tree.leaves(tried), strict=True):
-            leaf[new] = other[new]
-    assert found is not None
+    found, left = _at_distance(family, at, way, _AWAY[0]), np.arange(len(at.value))
+    for away in _AWAY[1:]:
+        left = left[~found.converged[left]]
+        if not len(left):
+            break
+        here, there = (Way(part.points[left], part.value[left]) for part in (at, way))
+        nearer = _at_distance(family, here, there, away)
+        for leaf, new in zip(jax.tree.leaves(found), jax.tree.leaves(nearer), strict=True):
+            leaf[left] = new
     return found
+
+
+def _at_distance(family: Family, at: Way, way: Way, away: float) -> Orbits:
+    """The orbits so far along ways, converged where the curve still sets out in their directions."""
+    found = correct(family, at.points + away * way.points, at.value + away * way.value, way, FINE)
+    with np.errstate(invalid="ignore"):
+        good = found.converged & (found.missed <= _BENT * away) & (inner(family, found.way, way) >= _STRAIGHT)
+    return found._replace(converged=good)
