@@ -40,7 +40,8 @@ def _beside(family: Family, at: Way, way: Way) -> Orbits:
         left = left[~found.converged[left]]
         if not len(left):
             break
-        nearer = _at_distance(family, *(Way(part.points[left], part.value[left]) for part in (at, way)), away)
+        here, there = (Way(part.points[left], part.value[left]) for part in (at, way))
+        nearer = _at_distance(family, here, there, away)
         for leaf, new in zip(jax.tree.leaves(found), jax.tree.leaves(nearer), strict=True):
             leaf[left] = new
     return found

@@ -77,6 +77,17 @@ def test_branch_between_two_doublings_is_one():
     assert [branch.period for branch in tree.branches] == [1, 2]
 
 
+def test_doubled_branch_of_a_motion_that_is_small_beside_others():
+    """Sizes of thirty: the doubled orbit, whose x leaves as √(p − 3), bends too soon for all but the nearest distances."""
+    family = LOGISTIC._replace(size=np.full(1, 30.0))
+    tree = grow([family] * 3, [[Orbit(np.array(logistic_orbit(1, 2.8)), 2.8)]], 2, STEPS)
+    assert [branch.period for branch in tree.branches] == [1, 2]
+    assert tree.branches[1].value.max() == 3.9
+    p, gap = tree.branches[1].value, np.diff(tree.branches[1].points[:, :, 0], axis=1).ravel()
+    last = 1e-6 * 30.0  # step of Newton in x: its square is left, times half the second derivative 2p of each P, p < 4
+    assert np.abs(gap**2 - (1 - 3 / p) * (1 + 1 / p)).max() < 8 * last**2
+
+
 def test_multipliers_far_apart():
     """Moduli from 10^±20 and a complex pair, from eight matrices; the product alone has none of the small ones."""
     rng = np.random.default_rng(8)
