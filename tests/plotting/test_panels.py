@@ -19,6 +19,7 @@ from hand_made import (
     states,
     tree,
     verdicts,
+    window_rows,
 )
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -43,6 +44,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
     marks,
     bifurcation_curves,
     special_points,
+    windows,
 ) = (
     PANELS[name].draw
     for name in (
@@ -59,6 +61,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
         "marks",
         "bifurcation_curves",
         "special_points",
+        "windows",
     )
 )
 
@@ -88,6 +91,7 @@ DRAWINGS = {
     "marks": lambda ax: marks(cascade_marks(), ax),
     "bifurcation_curves": lambda ax: bifurcation_curves(cusp_curves(), ax),
     "special_points": lambda ax: special_points(cusp_point(), ax),
+    "windows": lambda ax: windows(window_rows(), ax),
 }
 
 
