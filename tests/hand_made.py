@@ -204,4 +204,4 @@ def window_rows():
     variables["period"] = (("window",), np.array(numbers["period"]), "period of the window", "periods")
     variables["begin_kind"] = (("window",), np.array([2, 0, 0]), "kind of the begin", "1", flags)
     variables["end_kind"] = (("window",), np.array([5, 5, 3]), "kind of the end", "1", flags)
-    return dataset({}, variables, panel="windows", panel_variables="period", panel_label="coupling b")
+    return dataset({}, variables, panel="windows", panel_variables="period", panel_label="coupling b", along="b")

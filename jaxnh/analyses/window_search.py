@@ -6,7 +6,8 @@ A run is neighbouring lanes whose periods differ by powers of two. Orbits of the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -14,13 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from jaxnh.analyses.branch_seeds import settled_waves
-from jaxnh.analyses.families import orbits_of
 from jaxnh.analyses.family_tree import Bifurcation, Orbit, Stage, Tree, grow
 from jaxnh.analyses.known_branches import on_branch, same_orbit
-from jaxnh.analyses.locating import refined
 from jaxnh.analyses.runs import Line
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.orbits import branches
 from jaxnh.orbits.arclength import Family, Way, length
 from jaxnh.orbits.branches import Branch, Steps
@@ -30,7 +27,7 @@ ENDS = ("fold", "branch_point", "range", "not_located", "neimark_sacker", "perio
 """Where orbits begin or cease to attract: at a bifurcation, beyond the range of the sweep, at a place not located. Of
 two ends the one that is earlier here is the begin."""
 
-RANGE, _NOT_LOCATED, DOUBLED = (ENDS.index(kind) for kind in ("range", "not_located", "period_doubling"))
+_RANGE, _NOT_LOCATED, DOUBLED = (ENDS.index(kind) for kind in ("range", "not_located", "period_doubling"))
 
 _STEPS = Steps(0.04)  # of a branch, which is not kept: what is located does not depend on it
 _WIDER = 1.0  # widths of a range that it grows by to either side, where an orbit is stable to the end of it
@@ -44,6 +41,7 @@ class End(NamedTuple):
     Attributes:
         kind: number in `ENDS`.
         value, error: of the parameter; not numbers where there is no bifurcation.
+        at: the value of the parameter next to it that is known to attract.
         points: the orbit there, or the last one that attracts, (n, d).
         multipliers: of it, (d,).
     """
@@ -51,6 +49,7 @@ class End(NamedTuple):
     kind: int
     value: float
     error: float
+    at: float
     points: Float[np.ndarray, "n d"]
     multipliers: Complex[np.ndarray, " d"]
 
@@ -75,42 +74,43 @@ class Window(NamedTuple):
 
 
 def search(
-    scene: Scene,
-    lanes: LaneRunner,
     line: Line,
-    size: Float[np.ndarray, " d"],
-    stage: Stage,
+    limit: int,
+    orbits: Callable[[Int[np.ndarray, " some"]], Sequence[Sequence[Orbit]]],
+    families: Callable[[float, float], Sequence[Family]],
+    stage: Stage = nullcontext,
 ) -> list[list[Window]]:
-    """All windows that lanes of a sweep have settled in; those with the same ends, of twins by a symmetry, together.
+    """All windows that two lanes or more have settled in; those with the same ends, of twins by a symmetry, together.
 
     Args:
-        scene: the lanes, in the order of rising values.
-        lanes: runs lanes.
-        line: what they have settled on.
-        size: of the motion in each section coordinate.
+        line: what lanes have settled on, at rising values.
+        limit: largest period of a window.
+        orbits: all points of the orbits of lanes, by their numbers, in waves.
+        families: the map on a range of the parameter, and the same with 2 and 4 times the steps.
         stage: shows what is done inside, by its label.
     """
     ends = float(line.value[0]), float(line.value[-1])
-    whole = orbits_of(scene, lanes, scene.strobe(), size, ends)
-    found = list[list[Window]]()
+    whole, found = families(*ends)[0], list[list[Window]]()
     for first, last in runs_of(line.period):
         run = np.arange(first, last + 1)
-        least = line.period[run].min()
+        least = int(line.period[run].min())
+        if _odd(line.period[run]).max() > limit:
+            continue
         doubled = run[line.period[run] > least].tolist()
-        waves = settled_waves(scene.take(run), lanes, line.u[run], np.where(line.period[run] == least, least, 0))
+        waves = orbits(run[line.period[run] == least])
         settled = {int(np.searchsorted(line.value, orbit.value)): orbit for wave in waves for orbit in wave}
         low, high = (float(line.value[k]) for k in (max(first - 1, 0), min(last + 1, len(line.value) - 1)))
         while True:
-            families = [orbits_of(scene, lanes, strobe, size, (low, high)) for strobe in refined(scene)]
-            tree = grow(families, waves, int(least), _STEPS, stage)
-            new = _windows(families[0], tree, line, settled, doubled)
-            if (low, high) == ends or not any(RANGE in (one.begin.kind, one.end.kind) for one in new):
+            here = families(low, high)
+            new = _windows(here[0], grow(here, waves, least, _STEPS, stage), line, settled, doubled)
+            unknown = {end.at for one in new for end in (one.begin, one.end) if np.isnan(end.value)}
+            if unknown <= set(ends) or (low, high) == ends:
                 break
             wider = _WIDER * (high - low)
             low, high = max(low - wider, ends[0]), min(high + wider, ends[1])
         for one in new:
             _add(whole, found, one)
-    return [group for group in found if len(all_lanes(group)) > 1]
+    return [group for group in found if group[0].period <= limit and len(all_lanes(group)) > 1]
 
 
 def all_lanes(group: Sequence[Window]) -> Int[np.ndarray, " some"]:
@@ -120,9 +120,13 @@ def all_lanes(group: Sequence[Window]) -> Int[np.ndarray, " some"]:
 
 def runs_of(period: Int[np.ndarray, " lanes"]) -> list[tuple[int, int]]:
     """First and last of neighbouring lanes, two or more, whose periods have the same odd factor."""
-    odd = period // np.maximum(period & -period, 1)
-    cuts = [0, *(np.flatnonzero(np.diff(odd)) + 1).tolist(), len(period)]
+    cuts = [0, *(np.flatnonzero(np.diff(_odd(period))) + 1).tolist(), len(period)]
     return [(first, end - 1) for first, end in pairwise(cuts) if period[first] and end - first > 1]
+
+
+def _odd(period: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
+    """The odd factor of periods; of none, which is 0, it is 0."""
+    return period // np.maximum(period & -period, 1)
 
 
 # ---- stretches of branches
@@ -183,20 +187,20 @@ def _part(branch: Branch, stretch: Int[np.ndarray, " some"]) -> Branch:
 def _end(family: Family, tree: Tree, number: int, inside: int, outside: int | None) -> End:
     """What is between the last point of a stretch and the next one, or at the end of the branch."""
     branch = tree.branches[number]
-    here = branch.points[inside], branch.multipliers[inside]
+    here = float(branch.value[inside]), branch.points[inside], branch.multipliers[inside]
     if outside is None:
         beyond = branch.ends[0 if inside == 0 else 1] == branches.RANGE
-        return End(RANGE if beyond else _NOT_LOCATED, np.nan, np.nan, *here)
+        return End(_RANGE if beyond else _NOT_LOCATED, np.nan, np.nan, *here)
     place, chord = min(inside, outside), _chord(family, branch, inside, outside)
     near = [one for one in tree.bifurcations if one.branch == number and abs(one.place - place) <= 1]
-    # Where branches cross, the bifurcation may be listed with the other one.
-    near += [
-        one for one in tree.bifurcations if one.kind == BRANCH_POINT and _beside(family, one, branch, inside, chord)
-    ]
+    if not near:  # listed with a branch that crosses, or the same one from another lane
+        changes = np.signbit(branch.tests[inside]) != np.signbit(branch.tests[outside])
+        shown = [kind for kind, change in zip(kinds(family), changes, strict=True) if change]
+        near = [one for one in tree.bifurcations if one.kind in shown and _beside(family, one, branch, inside, chord)]
     if not near:
         return End(_NOT_LOCATED, np.nan, np.nan, *here)
-    found = min(near, key=lambda one: abs(one.place - place) if one.branch == number else 0)
-    return End(ENDS.index(KINDS[found.kind]), found.value, found.error, found.points, found.multipliers)
+    found = min(near, key=lambda one: abs(one.place - place))
+    return End(ENDS.index(KINDS[found.kind]), found.value, found.error, here[0], found.points, found.multipliers)
 
 
 def _chord(family: Family, branch: Branch, one: int, other: int) -> float:

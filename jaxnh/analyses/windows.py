@@ -6,26 +6,31 @@ and the doublings of each where these accumulate (`cascade`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pydantic import Field
 
 from jaxnh.analyses.base import Analysis, Entry, OptionError, Options, Setting, Table, variable
+from jaxnh.analyses.branch_seeds import settled_waves
 from jaxnh.analyses.cascade import along_line
 from jaxnh.analyses.cascade_limits import doublings_limit
-from jaxnh.analyses.locating import PERIOD_TILE, Located
+from jaxnh.analyses.families import orbits_of
+from jaxnh.analyses.family_tree import Orbit
+from jaxnh.analyses.locating import PERIOD_TILE, Located, refined
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.runs import Line
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.analyses.survey import survey_from_start
 from jaxnh.analyses.window_search import DOUBLED, ENDS, End, Window, all_lanes, search
+from jaxnh.orbits.arclength import Family
 
-_OWN_NAMES = ("window", "level", "multiplier", "part", "period", "orbits", "lanes")
+_WORDS = ("fold", "branch point", "range", "not located", "torus", "doubling")
 _DOUBLED = 4  # times the limit: lanes of orbits up to this period are seen, as those of doublings are
 _WORK = 3.0  # of a run, in those of settling: a guess
 
@@ -56,8 +61,6 @@ def check(options: WindowsOptions, setting: Setting) -> None:
         raise OptionError(f"windows are looked for along one axis; leave out {names}")
     if len(np.unique(first.values)) < 2:
         raise OptionError(f"windows are looked for over a range of {first.name}, and the sweep has one value of it")
-    if first.name in _names():
-        raise OptionError(f"{first.name} is what windows calls a number of its own; rename it")
 
 
 def independent(options: WindowsOptions) -> bool:
@@ -75,7 +78,14 @@ def run(options: WindowsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"windows: {label}", 0)
 
-    windows = [group for group in search(scene, lanes, line, size, stage) if group[0].period <= options.limit]
+    def orbits(some: Int[np.ndarray, " some"]) -> list[list[Orbit]]:
+        return settled_waves(scene.take(some), lanes, line.u[some], line.period[some])
+
+    def families(low: float, high: float) -> list[Family]:
+        return [orbits_of(scene, lanes, strobe, size, (low, high)) for strobe in strobes]
+
+    strobes = refined(scene)
+    windows = search(line, options.limit, orbits, families, stage)
     windows.sort(key=lambda group: float(line.value[all_lanes(group)[0]]))
     doublings = [_doublings(options.levels, scene, lanes, line, group[0], size) for group in windows]
     return _dataset(options, scene, line, windows, doublings)
@@ -89,12 +99,9 @@ def _doublings(
         return ()
     value = float(window.inside.value[0])
     up = window.beyond > value
-    beyond = line.value > value if up else line.value < value
-    last = np.flatnonzero(np.isin(line.value, line.value[window.lanes]) | ~beyond)
-    near = beyond & (
-        np.arange(len(line.value)) <= last.max() + 1 if up else np.arange(len(line.value)) >= last.min() - 1
-    )
-    others = line.take(np.flatnonzero(near))
+    order = np.flatnonzero(line.value > value) if up else np.flatnonzero(line.value < value)[::-1]
+    own = np.flatnonzero(np.isin(order, window.lanes))
+    others = line.take(order[: own.max(initial=-1) + 2])
     no_orbit = Line(np.array([window.beyond]), np.zeros(1, int), window.inside.u)
     begun = Line(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit, strict=True)))
     with lanes.stage(f"windows: doublings of period {window.period}", 0):
@@ -102,12 +109,6 @@ def _doublings(
 
 
 # ---- the dataset
-
-
-def _names() -> set[str]:
-    places = ("first", "last", "begin", "end", "limit")
-    errors, kinds = ((f"{name}_{what}" for name in ("begin", "end", "limit")) for what in ("error", "kind"))
-    return {*_OWN_NAMES, *places, *errors, *kinds, "doubling", "doubling_error", "begin_multipliers", "end_multipliers"}
 
 
 def _dataset(
@@ -161,6 +162,8 @@ def _dataset(
     attrs = {
         "along": axis.name,
         "largest_period": options.limit,
+        "lowest": float(line.value[0]),
+        "highest": float(line.value[-1]),
         "spacing": float(np.diff(line.value).max()),
         "panel": "windows",
         "panel_variables": "period",
@@ -219,20 +222,21 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     rows = []
     for k in range(data.sizes["window"]):
         one = data.isel(window=k)
-        ends = [cell for name in ("begin", "end") for cell in (_place(one, name), ENDS[int(one[f"{name}_kind"])])]
-        rows.append(
-            (str(int(one["period"])), str(int(one["orbits"])), str(int(one["lanes"])), *(ends), _place(one, "limit"))
-        )
-    heads = ("period", "orbits", "lanes", "from", "", "to", "", "doublings end")
-    words = (
-        f"windows of periods up to {data.attrs['largest_period']} wider than one lane of {data.attrs['spacing']:.3g}"
-    )
-    return Table(f"Windows over {data.attrs['along']}", heads, tuple(rows), words, left=(4, 6))
+        ends = (cell for name in ("begin", "end") for cell in (_known(one, name), _WORDS[int(one[f"{name}_kind"])]))
+        rows.append((str(int(one["period"])), str(int(one["orbits"])), *ends, _known(one, "limit")))
+    heads = ("period", "orbits", "from", "", "to", "", "doublings end")
+    lane = f"one lane of {data.attrs['spacing']:.3g}"
+    words = f"windows of periods up to {data.attrs['largest_period']} wider than {lane}; (2): ± 2 in the last digit"
+    return Table(f"Windows over {data.attrs['along']}", heads, tuple(rows), words, left=(3, 5))
 
 
-def _place(one: xr.Dataset, name: str) -> str:
+def _known(one: xr.Dataset, name: str) -> str:
+    """A number with its error in units of the last digit, in brackets."""
     value, error = float(one[name]), float(one[f"{name}_error"])
-    return f"{value:.10g} ± {error:.1g}" if np.isfinite(value) else "–"
+    if not np.isfinite(value + error) or error <= 0.0:
+        return "–"
+    digits = max(math.ceil(-math.log10(error)), 0)
+    return f"{value:.{digits}f}({math.ceil(error * 10**digits)})"
 
 
 def price(options: WindowsOptions, scene: Scene) -> Price:

@@ -11,11 +11,11 @@ from matplotlib.patches import Patch
 from jaxnh.plotting.branches import MARKS
 from jaxnh.plotting.frame import legend_above, new_axes
 from jaxnh.plotting.groups import label_of, needed
-from jaxnh.plotting.labels import axis_label
+from jaxnh.plotting.labels import axis_label, with_units
 from jaxnh.plotting.meanings import meanings
+from jaxnh.plotting.spans import PALE, reaches
 from jaxnh.plotting.style import BLUE
 
-_PALE = "#b9cfe4"
 _INK = "#303030"
 _HALF = 0.12  # of a factor of two in the period: bars reach as far to either side
 _MARGIN = 0.5
@@ -35,9 +35,9 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     stable, whole = reaches(data)
     height = period.to_numpy().astype(float)
     for n, inner, outer in zip(height, stable, whole, strict=True):
-        for (low, high), colour in ((outer, _PALE), (inner, BLUE)):
+        for (low, high), colour in ((outer, PALE), (inner, BLUE)):
             ax.fill_between([low, high], n * 2.0**-_HALF, n * 2.0**_HALF, color=colour, linewidth=0)
-    handles: list[Artist] = [Patch(color=BLUE, label="orbits attract"), Patch(color=_PALE, label="doubled orbits")]
+    handles: list[Artist] = [Patch(color=BLUE, label="orbits attract"), Patch(color=PALE, label="doubled orbits")]
     for place in (begin, end):
         kinds = needed(data, f"{place.name}_kind")[0]
         for value, (words, _) in meanings(kinds).items():
@@ -52,25 +52,9 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.set_ylim(ticks[0] * 2.0**-_MARGIN, ticks[-1] * 2.0**_MARGIN)
     once = {str(handle.get_label()): handle for handle in handles}
     legend_above(ax, list(once.values()))
-    ax.set(xlabel=axis_label(begin, label_of(data)), ylabel=axis_label(period))
+    low, high = (
+        float(data.attrs.get(name, edge)) for name, edge in zip(("lowest", "highest"), ax.get_xlim(), strict=True)
+    )
+    parameter = begin.rename(str(data.attrs.get("along", "begin"))).assign_attrs(long_name=label_of(data))
+    ax.set(xlabel=axis_label(parameter), ylabel=with_units("period of windows", period), xlim=(low, high))
     return ax
-
-
-def reaches(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """From where to where orbits attract, and windows are known to go, each (window, 2); lanes stand for what is not.
-
-    Raises:
-        ResultError: a variable is missing.
-    """
-    names = "first", "last", "begin", "end", "limit"
-    first, last, begin, end, limit = (variable.to_numpy() for variable in needed(data, *names))
-
-    def or_lane(value: np.ndarray, other: np.ndarray) -> np.ndarray:
-        furthest = np.where(np.abs(other - first) > np.abs(other - last), first, last)
-        return np.where(np.isfinite(value), value, np.where(np.isfinite(other), furthest, first))
-
-    from_, to = or_lane(begin, end), or_lane(end, begin)
-    to = np.where(np.isfinite(begin) | np.isfinite(end), to, last)
-    stable = np.stack([np.minimum(from_, to), np.maximum(from_, to)], axis=-1)
-    every = np.stack([first, last, from_, to, limit], axis=-1)
-    return stable, np.stack([np.nanmin(every, axis=-1), np.nanmax(every, axis=-1)], axis=-1)
