@@ -199,6 +199,7 @@ def window_rows():
         "begin": [np.nan, 1 + np.sqrt(8), 3.738173],
         "end": [3.0, 3.841499, np.nan],
         "limit": [3.569946, 3.849500, np.nan],
+        "crisis": [np.nan, 3.856800, np.nan],
     }
     variables = {name: (("window",), np.array(values), f"{name} of a window", "1") for name, values in numbers.items()}
     variables["period"] = (("window",), np.array(numbers["period"]), "period of the window", "periods")

@@ -76,7 +76,7 @@ class Window(NamedTuple):
 def search(
     line: Line,
     limit: int,
-    orbits: Callable[[Int[np.ndarray, " some"]], Sequence[Sequence[Orbit]]],
+    orbits: Callable[[Int[np.ndarray, " some"]], Sequence[Orbit]],
     families: Callable[[float, float], Sequence[Family]],
     stage: Stage = nullcontext,
 ) -> list[list[Window]]:
@@ -85,7 +85,7 @@ def search(
     Args:
         line: what lanes have settled on, at rising values.
         limit: largest period of a window.
-        orbits: all points of the orbits of lanes, by their numbers, in waves.
+        orbits: all points of the orbits of lanes, by their numbers, in the order in which they are looked at.
         families: the map on a range of the parameter, and the same with 2 and 4 times the steps.
         stage: shows what is done inside, by its label.
     """
@@ -97,8 +97,10 @@ def search(
         if _odd(line.period[run]).max() > limit:
             continue
         doubled = run[line.period[run] > least].tolist()
-        waves = orbits(run[line.period[run] == least])
-        settled = {int(np.searchsorted(line.value, orbit.value)): orbit for wave in waves for orbit in wave}
+        every = orbits(run[line.period[run] == least])
+        settled = {int(np.searchsorted(line.value, orbit.value)): orbit for orbit in every}
+        # Most lanes are on the branch of the first, or on its twin: those of a wave are followed side by side.
+        waves = [every[:1], *(every[1 << k : 2 << k] for k in range(len(every).bit_length()))]
         low, high = (float(line.value[k]) for k in (max(first - 1, 0), min(last + 1, len(line.value) - 1)))
         while True:
             here = families(low, high)
@@ -146,9 +148,10 @@ def _windows(
     """
     found = list[Window]()
     for number, branch in enumerate(tree.branches):
-        if branches.COLLAPSED in branch.ends:
-            continue  # born in a doubling: its orbits are of another one's window
         for stretch, *outside in _stretches(family, branch):
+            born = [end for end, beyond in zip(branch.ends, outside, strict=True) if beyond is None]
+            if branches.COLLAPSED in born:
+                continue  # in a doubling: its orbits are of another one's window
             ends = [(stretch[0], outside[0]), (stretch[-1], outside[1])]
             ends = [(_end(family, tree, number, *pair), *pair) for pair in ends]
             (begin, *_), (end, at, beyond) = sorted(ends, key=lambda end: end[0].kind)

@@ -29,8 +29,8 @@ def reaches(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         ResultError: a variable is missing.
     """
-    names = "first", "last", "begin", "end", "limit"
-    first, last, begin, end, limit = (variable.to_numpy() for variable in needed(data, *names))
+    names = "first", "last", "begin", "end", "limit", "crisis"
+    first, last, begin, end, limit, crisis = (variable.to_numpy() for variable in needed(data, *names))
 
     def or_lane(value: np.ndarray, other: np.ndarray) -> np.ndarray:
         furthest = np.where(np.abs(other - first) > np.abs(other - last), first, last)
@@ -39,5 +39,5 @@ def reaches(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     from_, to = or_lane(begin, end), or_lane(end, begin)
     to = np.where(np.isfinite(begin) | np.isfinite(end), to, last)
     stable = np.stack([np.minimum(from_, to), np.maximum(from_, to)], axis=-1)
-    every = np.stack([first, last, from_, to, limit], axis=-1)
+    every = np.stack([first, last, from_, to, limit, crisis], axis=-1)
     return stable, np.stack([np.nanmin(every, axis=-1), np.nanmax(every, axis=-1)], axis=-1)

@@ -25,7 +25,7 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """A bar a window over the parameter: dark where orbits of its period attract, pale as far as it is known to go.
 
     Args:
-        data: over windows `period`, `begin` and `end` with their kinds, `limit`, and the `first` and `last` lane.
+        data: over windows `period`, `begin` and `end` with their kinds, `limit`, `crisis`, the `first` and `last` lane.
 
     Raises:
         ResultError: a variable is missing.
@@ -37,7 +37,10 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     for n, inner, outer in zip(height, stable, whole, strict=True):
         for (low, high), colour in ((outer, PALE), (inner, BLUE)):
             ax.fill_between([low, high], n * 2.0**-_HALF, n * 2.0**_HALF, color=colour, linewidth=0)
-    handles: list[Artist] = [Patch(color=BLUE, label="orbits attract"), Patch(color=PALE, label="doubled orbits")]
+    handles: list[Artist] = [
+        Patch(color=BLUE, label="orbits attract"),
+        Patch(color=PALE, label="doubled orbits, bands"),
+    ]
     for place in (begin, end):
         kinds = needed(data, f"{place.name}_kind")[0]
         for value, (words, _) in meanings(kinds).items():
@@ -45,6 +48,10 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
             if words in MARKS and np.any(here):
                 mark = {"marker": MARKS[words], "markersize": 3.5, "color": _INK, "linestyle": "none", "label": words}
                 handles += ax.plot(place.to_numpy()[here], height[here], **mark)
+    [crisis] = needed(data, "crisis")
+    if np.any(known := np.isfinite(crisis.to_numpy())):
+        mark = {"marker": "x", "markersize": 4.0, "color": _INK, "linestyle": "none", "label": "crisis"}
+        handles += ax.plot(crisis.to_numpy()[known], height[known], **mark)
     ax.set_yscale("log", base=2)
     ticks = np.unique(height).astype(int).tolist() or [1]
     ax.set_yticks(ticks, list(map(str, ticks)))

@@ -9,6 +9,7 @@ from conftest import session_of
 import jaxnh
 from jaxnh.analyses.family_tree import Orbit
 from jaxnh.analyses.runs import Line
+from jaxnh.analyses.window_crisis import locate_crisis
 from jaxnh.analyses.window_search import ENDS, all_lanes, runs_of, search
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import ConfigError
@@ -93,7 +94,7 @@ def windows_of(image, a, start=0.1, limit=12, lost=()):
     line.period[list(lost)] = 0
 
     def orbits(some):
-        return [[Orbit(path[k, : line.period[k]], float(a[k])) for k in some]]
+        return [Orbit(path[k, : line.period[k]], float(a[k])) for k in some]
 
     def families(low, high):
         return [Family(image, lambda gap: gap, np.ones(1), low, high)] * 3
@@ -152,6 +153,60 @@ def test_twins_are_one_window():
     assert len(all_lanes(pair)) > 20
 
 
+def in_turn(period, start):
+    """Steps that paths of the quadratic map stay in turn with the orbit of this period, which Newton finds near."""
+
+    def stays(a, count):
+        x = np.full(len(a), start)
+        for _ in range(40):
+            y, slope = x.copy(), np.ones(len(a))
+            for _ in range(period):
+                y, slope = 1 - a * y**2, -2 * a * y * slope
+            x = x - (y - x) / (slope - 1)
+        centres = [x]
+        for _ in range(period - 1):
+            centres.append(1 - a * centres[-1] ** 2)
+        y, stayed = x + 1e-7, np.full(len(a), count)
+        for n in range(count):
+            y = 1 - a * y**2
+            out = np.argmin(np.abs(y - np.array(centres)), axis=0) != (n + 1) % period
+            stayed[out & (stayed == count)] = n
+        return stayed
+
+    return stays
+
+
+def crisis_of(period, guess):
+    """Where the extremum lands on the orbit that repels: the iterates 2p and 3p of 0 are one. By Newton."""
+    a = guess
+    for _ in range(40):
+        x, rate, seen = 0.0, 0.0, []
+        for n in range(1, 3 * period + 1):
+            x, rate = 1 - a * x * x, -x * x - 2 * a * x * rate
+            seen += [(x, rate)] if n % period == 0 else []
+        (_, _), (x, rate), (y, other) = seen
+        a -= (y - x) / (other - rate)
+    return a
+
+
+@pytest.mark.parametrize(
+    ("period", "limit", "guess"), [(3, LIMIT, 1.7903), (5, 1.631021, 1.63336), (6, 1.482800, 1.485600)]
+)
+@pytest.mark.parametrize("most", [512, 2048])
+def test_crisis_is_where_bands_meet_the_orbit_of_the_fold(period, limit, guess, most):
+    """Within the error. Of paths of n returns those within about 1/n² of the bands beyond it do not leave, as τ ~ 1/√x."""
+    exact = crisis_of(period, guess)
+    assert exact == pytest.approx(guess, abs=1e-4)
+    found = locate_crisis(in_turn(period, 0.0), limit, limit + 1.5 * (exact - limit), period, most)
+    assert abs(found.value - exact) < found.error < 10.0 * (exact - limit) * (10 * period / most) ** 2  # ten returns: τ
+
+
+def test_no_crisis_where_none_is_between():
+    """Bands do not grow before; beyond the crisis paths leave from the first value on."""
+    assert locate_crisis(in_turn(3, 0.0), LIMIT, 1.7895, 3, 512) is None
+    assert locate_crisis(in_turn(3, 0.0), 1.792, 1.8, 3, 512) is None
+
+
 @pytest.mark.parametrize(
     ("sweep", "message"),
     [
@@ -167,16 +222,17 @@ def test_what_windows_cannot_do_is_said(tmp_path, sweep, message):
 
 @pytest.mark.slow
 def test_windows_of_a_flow(tmp_path):
-    """The flow whose strobe map is the quadratic map: period 3, the doublings by Newton on it, and where these end."""
+    """The flow whose strobe map is the quadratic map: period 3, the doublings by Newton on it, where these end, and the crisis."""
     tree = session_of(flow(tmp_path, "a: {start: 1.74, stop: 1.80, count: 61}", "{limit: 3}")).tree()
     data = tree["windows"].to_dataset()
     assert (data["period"].values.tolist(), data["orbits"].values.tolist()) == ([3], [1])
     ends = [ENDS[int(data[f"{name}_kind"][0])] for name in ("begin", "end")]
     assert ends == ["fold", "period_doubling"]
-    for name, exact in (("begin", FOLD), ("end", DOUBLING), ("limit", LIMIT)):
+    for name, exact in (("begin", FOLD), ("end", DOUBLING), ("limit", LIMIT), ("crisis", crisis_of(3, 1.7903))):
         assert abs(float(data[name][0]) - exact) <= float(data[f"{name}_error"][0]) + 1e-13  # and exp(−30)
     assert float(data["begin_error"][0]) < 1e-8
     assert np.abs(data["doubling"].values[0, 0] - DOUBLING) <= data["doubling_error"].values[0, 0] + 1e-13
     assert float(data["limit_error"][0]) < 1e-4
+    assert float(data["crisis_error"][0]) < 1e-5
     assert data["end_multipliers"].values[0, 0] == pytest.approx([-1.0, 0.0], abs=1e-8)
     jaxnh.figure(tree)

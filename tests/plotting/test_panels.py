@@ -439,9 +439,9 @@ def test_windows_are_bars_of_their_period():
     """Dark as far as orbits attract, pale as far as doublings go; where an end is not known, a lane stands for it."""
     ax = windows(window_rows())
     extents = [np.round(bar.get_datalim(ax.transData).intervalx, 4).tolist() for bar in ax.collections]
-    assert extents == [[2.0, 3.5699], [2.0, 3.0], [3.8284, 3.8495], [3.8284, 3.8415], [3.7382, 3.743], [3.7382, 3.743]]
+    assert extents == [[2.0, 3.5699], [2.0, 3.0], [3.8284, 3.8568], [3.8284, 3.8415], [3.7382, 3.743], [3.7382, 3.743]]
     marks = {line.get_label(): line.get_xdata().tolist() for line in ax.lines}
-    assert marks == {"fold": [1 + np.sqrt(8), 3.738173], "period doubling": [3.0, 3.841499]}
+    assert marks == {"fold": [1 + np.sqrt(8), 3.738173], "period doubling": [3.0, 3.841499], "crisis": [3.8568]}
 
 
 def test_windows_are_shaded_below_strobe_points():
