@@ -184,3 +184,25 @@ def cusp_point():
     curves = cusp_curves()
     variables = {"p": curves["special_p"], "q": curves["special_q"], "kind": curves["special_kind"]}
     return xr.Dataset(variables, attrs={**curves.attrs, "panel": "special_points"})
+
+
+def window_rows():
+    """Three windows of the logistic map: period 3 with all that is known, 5 from a fold on, 1 from beyond the range."""
+    flags = {
+        "flag_values": np.arange(6),
+        "flag_meanings": "fold branch_point range not_located neimark_sacker period_doubling",
+    }
+    numbers = {
+        "period": [1, 3, 5],
+        "first": [2.0, 3.83, 3.739],
+        "last": [3.56, 3.849, 3.743],
+        "begin": [np.nan, 1 + np.sqrt(8), 3.738173],
+        "end": [3.0, 3.841499, np.nan],
+        "limit": [3.569946, 3.849500, np.nan],
+        "crisis": [np.nan, 3.856800, np.nan],
+    }
+    variables = {name: (("window",), np.array(values), f"{name} of a window", "1") for name, values in numbers.items()}
+    variables["period"] = (("window",), np.array(numbers["period"]), "period of the window", "periods")
+    variables["begin_kind"] = (("window",), np.array([2, 0, 0]), "kind of the begin", "1", flags)
+    variables["end_kind"] = (("window",), np.array([5, 5, 3]), "kind of the end", "1", flags)
+    return dataset({}, variables, panel="windows", panel_variables="period", panel_label="coupling b", along="b")

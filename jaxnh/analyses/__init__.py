@@ -12,10 +12,24 @@ from jaxnh.analyses import (
     poincare,
     portrait,
     verdict,
+    windows,
 )
 from jaxnh.analyses.base import Analysis
 
-_MODULES = (doubling, lyapunov, period, portrait, poincare, diagram, chaos01, verdict, basins, branches, curves)
+_MODULES = (
+    doubling,
+    lyapunov,
+    period,
+    portrait,
+    poincare,
+    diagram,
+    chaos01,
+    verdict,
+    basins,
+    branches,
+    curves,
+    windows,
+)
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}
 """Every analysis by its key in YAML."""

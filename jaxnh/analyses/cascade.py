@@ -85,6 +85,25 @@ def follow(scene: Scene, lanes: LaneRunner, levels: int, *, search: bool = False
     return found._replace(end=end, outside=outside)
 
 
+def along_line(
+    scene: Scene, lanes: LaneRunner, line: Line, levels: int, size: Float[np.ndarray, " d"]
+) -> tuple[Located, ...]:
+    """The doublings, at most so many, of the orbit of the first lane of a line and those born from it, along it.
+
+    Args:
+        scene: lanes along the first axis; its own values of it play no part here.
+        lanes: runs lanes.
+        line: the first of its lanes has an orbit that attracts, the others what a survey has found there.
+        levels: doublings looked for.
+        size: of the motion in each section coordinate.
+    """
+    steps = _Steps(scene, lanes, _LONGEST_SEEN)
+    steps.size = size
+    first = (start for start in starts(line) if start.line.sign == line.sign and start.runs[0].first == 0)
+    start = next(first, None)
+    return _along(steps, start, levels).found if start is not None else ()
+
+
 def survey_limit(levels: int) -> int:
     """The longest period that a survey looks for where so many doublings are asked for."""
     return min(max(_SMALLEST_LIMIT, 2**levels), _LONGEST_SEEN)

@@ -18,7 +18,8 @@ from jaxnh.plotting.meanings import meanings
 from jaxnh.plotting.style import CURVES
 
 _INK = LinearSegmentedColormap.from_list("ink", ("#d4d4d4", "#808080"))
-_MARKS = {"fold": "s", "period doubling": "o", "neimark sacker": "^", "branch point": "D", "hopf": "v"}
+MARKS = {"fold": "s", "period doubling": "o", "neimark sacker": "^", "branch point": "D", "hopf": "v"}
+"""The mark of a kind of bifurcation."""
 _PERIODS = 8  # that the legend names, the shortest first
 
 
@@ -84,7 +85,7 @@ def bifurcations(data: xr.Dataset, ax: Axes | None = None) -> Axes:
             ax.plot(
                 np.repeat(x[some], y.shape[1]),
                 y[some].ravel(),
-                _MARKS.get(words, "x"),
+                MARKS.get(words, "x"),
                 color="#303030",
                 markerfacecolor=face,
                 markersize=3.5,

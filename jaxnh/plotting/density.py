@@ -18,6 +18,7 @@ from jaxnh.plotting.colouring import Colouring
 from jaxnh.plotting.frame import cell_edges, narrow, new_axes, over_axis
 from jaxnh.plotting.groups import along, label_of, shown
 from jaxnh.plotting.labels import axis_label
+from jaxnh.plotting.spans import shade
 from jaxnh.plotting.style import POINT, Colour
 
 _MARKERS = 20_000  # up to so many points are drawn one by one
@@ -33,6 +34,7 @@ def density(
     ax: Axes | None = None,
     *,
     cascades: Iterable[xr.Dataset] = (),
+    spans: Iterable[xr.Dataset] = (),
     colours: Colouring | None = None,
 ) -> Axes:
     """All values of a variable over one axis, as in a bifurcation diagram; a density unless the points are few.
@@ -43,6 +45,7 @@ def density(
     Args:
         data: the variable (axis, ...); other axes have one point.
         cascades: groups of doublings; those along the same axis are marked.
+        spans: groups of windows; those along the same axis are shaded.
         colours: of the points, which are then drawn one by one.
 
     Raises:
@@ -67,6 +70,8 @@ def density(
     over_axis(data, coordinate, ax, axis_label(drawn, label_of(data)))
     for cascade in cascades:
         mark_doublings(cascade, ax, str(coordinate.name))
+    for group in spans:
+        shade(group, ax, str(coordinate.name))
     return ax
 
 

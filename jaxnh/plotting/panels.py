@@ -18,6 +18,7 @@ from jaxnh.plotting.density import density
 from jaxnh.plotting.groups import kind_of
 from jaxnh.plotting.pixels import Colourer, Pixels, flag_pixels, integer_pixels, number_pixels
 from jaxnh.plotting.planes import points, trajectories
+from jaxnh.plotting.windows import windows
 
 
 class Kind(NamedTuple):
@@ -53,6 +54,7 @@ PANELS: Mapping[str, Kind] = {
     "marks": Kind(bifurcations, 2.8, "group"),
     "bifurcation_curves": Kind(bifurcation_curves, 3.6, "group"),
     "special_points": Kind(special_points, 2.8, "group"),
+    "windows": Kind(windows, 2.4, "group"),
     "flags": Kind(flags, 1.1, "group", flags_chart, pixels=flag_pixels),
 }
 """Kinds of panels by name."""

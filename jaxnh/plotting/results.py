@@ -273,6 +273,7 @@ def _over_an_axis(
         marks, here = {}, at_place(data, place)
         if kind is PANELS["density"]:
             marks["cascades"] = [at_place(other, place) for other in _of_kind("cascade", groups)]
+            marks["spans"] = _of_kind("windows", groups)
             if choice.colour:
                 marks["colours"] = colouring(choice.colour, here, [at_place(g, place) for g in groups.values()])
         if kind is PANELS["branches"]:

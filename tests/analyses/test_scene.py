@@ -129,6 +129,7 @@ def test_a_dataset_says_what_it_is(lanes, name):
         "basins",
         "branches",
         "bifurcation_curves",
+        "windows",
     )
     assert set(data.attrs["panel_variables"].split()) <= set(data.variables)
     assert (LANE in left.dims) == analysis.independent(analysis.options())
@@ -193,8 +194,9 @@ def test_defaults_go_with_everything_along_a_parameter():
     for flow in (constant_speed(), free_particle(0.5, None, 1.0)):
         setting = Setting(flow, False, (LANES_B, SHARED), "float64", functools.partial(_same, flow))
         for analysis in ANALYSES.values():
-            # Branches are followed along one axis, curves over two that lanes may differ in.
-            axes = {"branches": (LANES_B,), "curves": (LANES_B, LANES_A)}.get(analysis.name, setting.axes)
+            # Branches and windows are along one axis, curves over two that lanes may differ in.
+            along = {"branches": (LANES_B,), "windows": (LANES_B,), "curves": (LANES_B, LANES_A)}
+            axes = along.get(analysis.name, setting.axes)
             analysis.check(analysis.options(), setting._replace(axes=axes))
 
 

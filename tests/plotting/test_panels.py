@@ -19,6 +19,7 @@ from hand_made import (
     states,
     tree,
     verdicts,
+    window_rows,
 )
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -43,6 +44,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
     marks,
     bifurcation_curves,
     special_points,
+    windows,
 ) = (
     PANELS[name].draw
     for name in (
@@ -59,6 +61,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
         "marks",
         "bifurcation_curves",
         "special_points",
+        "windows",
     )
 )
 
@@ -88,6 +91,7 @@ DRAWINGS = {
     "marks": lambda ax: marks(cascade_marks(), ax),
     "bifurcation_curves": lambda ax: bifurcation_curves(cusp_curves(), ax),
     "special_points": lambda ax: special_points(cusp_point(), ax),
+    "windows": lambda ax: windows(window_rows(), ax),
 }
 
 
@@ -426,3 +430,22 @@ def test_curves_of_bifurcations_are_named_and_drawn_over_charts():
     drawing = figure(tree({"period": chart, "curves": cusp_curves()}, axes="p q"))
     [ax] = [ax for ax in drawing.axes if ax.get_xlabel().startswith("push")]
     assert sum(len(line.get_xdata()) == 31 for line in ax.lines) == 4  # two curves, with a white edge each
+
+
+# ---- windows
+
+
+def test_windows_are_bars_of_their_period():
+    """Dark as far as orbits attract, pale as far as doublings go; where an end is not known, a lane stands for it."""
+    ax = windows(window_rows())
+    extents = [np.round(bar.get_datalim(ax.transData).intervalx, 4).tolist() for bar in ax.collections]
+    assert extents == [[2.0, 3.5699], [2.0, 3.0], [3.8284, 3.8568], [3.8284, 3.8415], [3.7382, 3.743], [3.7382, 3.743]]
+    marks = {line.get_label(): line.get_xdata().tolist() for line in ax.lines}
+    assert marks == {"fold": [1 + np.sqrt(8), 3.738173], "period doubling": [3.0, 3.841499], "crisis": [3.8568]}
+
+
+def test_windows_are_shaded_below_strobe_points():
+    over = states(np.linspace(2.0, 4.0, 400), 50)
+    shaded = len(density(over, spans=[window_rows()]).patches) - len(density(over).patches)
+    assert shaded == 3
+    assert len(density(over, spans=[window_rows().assign_attrs(along="d")]).patches) == len(density(over).patches)

@@ -1,0 +1,238 @@
+"""Windows of stable orbits along a parameter, against maps whose windows are known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import session_of
+
+import jaxnh
+from jaxnh.analyses.family_tree import Orbit
+from jaxnh.analyses.runs import Line
+from jaxnh.analyses.window_crisis import locate_crisis
+from jaxnh.analyses.window_search import ENDS, all_lanes, runs_of, search
+from jaxnh.config.experiment import Experiment
+from jaxnh.exceptions import ConfigError
+from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.arclength import Family
+
+
+def quadratic(x, a):
+    """x → 1 − a x² and its derivatives."""
+    return Derivatives(1 - a[:, None] * x**2, (-2 * a[:, None] * x)[..., None], -(x**2))
+
+
+def cubic(x, a):
+    """x → a x − x³, its own image under x → −x."""
+    return Derivatives(a[:, None] * x - x**3, (a[:, None] - 3 * x**2)[..., None], x)
+
+
+FLOW = """
+import jax.numpy as jnp
+
+SHARE = 2 * jnp.pi / (9 * 3**0.5 / 8 - 7 * jnp.pi / 12)
+
+def system(a=1.7):
+    def rhs(y, t):
+        x, z = y
+        kick, shrink, turn = (
+            SHARE * jnp.maximum(jnp.cos(2 * jnp.pi * (t - place)) - 0.5, 0.0) ** 3 for place in (1 / 6, 1 / 2, 5 / 6)
+        )
+        angle = 0.5 * jnp.pi * turn
+        return angle * z - 30 * shrink * (x - 1), kick * (2 - a * x * x) - angle * x
+
+    return {"rhs": rhs, "coordinates": ("x", "z"), "period": 1.0}
+"""
+"""The quadratic map as a flow: in thirds of a period z is kicked by 2 − a x², x shrinks to 1, and both turn by 90°.
+
+At the strobes z is −1 and x is 1 − a x² of the x before, but for exp(−30) = 1e-13.
+"""
+
+
+def flow(folder, sweep, options="{}", more=""):
+    (folder / "flow.py").write_text(FLOW)
+    text = f"""\
+system: {{file: {folder / "flow.py"}}}
+initial: {{x: 0.1{"" if "z:" in sweep else ", z: -1.0"}}}
+sweep: {{{sweep}}}
+accuracy: {{target: 1.0e-9{more}}}
+analyses:
+  windows: {options}
+"""
+    return Experiment.from_text(text)
+
+
+def of_period_three(multiplier):
+    """Parameters of the quadratic map with an orbit of period 3 and this multiplier (Stephenson, Physica A 177 (1991) 416).
+
+    The product of its points x has 8 a³ x x' x'' = −μ, and c = −a the cubic c³ + 2c² + (1 − μ/8) c + (1 − μ/8)² = 0.
+    """
+    s = 1 - multiplier / 8
+    roots = -np.roots([1.0, 2.0, s, s * s])
+    return float(roots[np.abs(roots.imag) < 1e-12].real.max())
+
+
+FOLD, DOUBLING = of_period_three(1), of_period_three(-1)
+LIMIT = 1.779818075835
+"""Of superstable orbits of periods 3, 6, …, 3072 of the quadratic map, each by Newton with 40 digits, extrapolated."""
+
+
+def settled(image, a, limit, start):
+    """What lanes of a map settle on, by iteration: the shortest period that they recur after."""
+    x = np.broadcast_to(np.asarray(start, float), a.shape)[:, None]
+    for _ in range(20_000):
+        x = image(x, a).image
+    path, period = [x], np.zeros(len(a), int)
+    for n in range(1, limit + 1):
+        path.append(image(path[-1], a).image)
+        period[(period == 0) & (np.abs(path[-1] - x)[:, 0] < 1e-7)] = n
+    return Line(a, period, x), np.stack(path, axis=1)
+
+
+def windows_of(image, a, start=0.1, limit=12, lost=()):
+    line, path = settled(image, a, limit, start)
+    line.period[list(lost)] = 0
+
+    def orbits(some):
+        return [Orbit(path[k, : line.period[k]], float(a[k])) for k in some]
+
+    def families(low, high):
+        return [Family(image, lambda gap: gap, np.ones(1), low, high)] * 3
+
+    return search(line, limit, orbits, families)
+
+
+def kinds(window):
+    return ENDS[window.begin.kind], ENDS[window.end.kind]
+
+
+def test_runs_of_lanes_are_cascades():
+    """Periods 3, 6, 12 are one run and 5, 5 another; a lane alone, or one without a period, is none."""
+    period = np.array([7, 0, 0, 3, 3, 6, 12, 5, 5, 0, 4, 0])
+    assert runs_of(period) == [(3, 6), (7, 8)]
+
+
+def test_period_three_from_its_fold_to_its_doubling():
+    """From 7/4 on; lanes of periods 6 and 12 are its own, and a lane without a period does not cut it in two."""
+    assert pytest.approx(1.75, abs=1e-14) == FOLD
+    a = np.linspace(1.74, 1.785, 46)
+    [[window]] = windows_of(quadratic, a, lost=[20])
+    assert (window.period, *kinds(window)) == (3, "fold", "period_doubling")
+    for end, exact in ((window.begin, FOLD), (window.end, DOUBLING)):
+        assert abs(end.value - exact) < min(1e-10, end.error + 1e-14)  # of the roots of a cubic
+    assert set(all_lanes([window])) == set(range(11, 40)) - {20}  # 1.751 to 1.779; doublings end at 1.7798
+
+
+def test_an_orbit_that_lanes_have_left_is_followed_to_its_end():
+    """Where lanes settle on something else the orbit still attracts."""
+    a = np.linspace(1.70, 1.80, 101)
+    [window] = next(g for g in windows_of(quadratic, a, lost=[*range(58), *range(61, 101)]) if g[0].period == 3)
+    assert all_lanes([window]).tolist() == [58, 59, 60]
+    assert window.begin.value == pytest.approx(FOLD, abs=1e-10)
+    assert window.end.value == pytest.approx(DOUBLING, abs=1e-10)
+
+
+def test_what_begins_beyond_the_sweep_has_no_value():
+    [[window]] = windows_of(quadratic, np.linspace(1.755, 1.765, 6))
+    assert kinds(window) == ("range", "range")
+    assert np.isnan([window.begin.value, window.end.value]).all()
+    [[window]] = windows_of(quadratic, np.linspace(1.755, 1.775, 11))
+    assert kinds(window) == ("range", "period_doubling")
+
+
+def test_twins_are_one_window():
+    """0 attracts up to 1, then ±√(a − 1) with the multiplier 3 − 2a, up to 2; lanes of either are of one window."""
+    a = np.linspace(0.5, 2.1, 33)
+    zero, pair = windows_of(cubic, a, start=np.where(np.arange(33) % 3, 0.2, -0.2))
+    assert [len(zero), len(pair)] == [1, 2]
+    assert kinds(zero[0]) == ("branch_point", "range")
+    for twin in pair:
+        assert (twin.period, *kinds(twin)) == (1, "branch_point", "period_doubling")
+        assert abs(twin.begin.value - 1) < twin.begin.error < 1e-8
+        assert abs(twin.end.value - 2) < twin.end.error < 1e-9
+    assert len(all_lanes(pair)) > 20
+
+
+def in_turn(period, start):
+    """Steps that paths of the quadratic map stay in turn with the orbit of this period, which Newton finds near."""
+
+    def stays(a, count):
+        x = np.full(len(a), start)
+        for _ in range(40):
+            y, slope = x.copy(), np.ones(len(a))
+            for _ in range(period):
+                y, slope = 1 - a * y**2, -2 * a * y * slope
+            x = x - (y - x) / (slope - 1)
+        centres = [x]
+        for _ in range(period - 1):
+            centres.append(1 - a * centres[-1] ** 2)
+        y, stayed = x + 1e-7, np.full(len(a), count)
+        for n in range(count):
+            y = 1 - a * y**2
+            out = np.argmin(np.abs(y - np.array(centres)), axis=0) != (n + 1) % period
+            stayed[out & (stayed == count)] = n
+        return stayed
+
+    return stays
+
+
+def crisis_of(period, guess):
+    """Where the extremum lands on the orbit that repels: the iterates 2p and 3p of 0 are one. By Newton."""
+    a = guess
+    for _ in range(40):
+        x, rate, seen = 0.0, 0.0, []
+        for n in range(1, 3 * period + 1):
+            x, rate = 1 - a * x * x, -x * x - 2 * a * x * rate
+            seen += [(x, rate)] if n % period == 0 else []
+        (_, _), (x, rate), (y, other) = seen
+        a -= (y - x) / (other - rate)
+    return a
+
+
+@pytest.mark.parametrize(
+    ("period", "limit", "guess"), [(3, LIMIT, 1.7903), (5, 1.631021, 1.63336), (6, 1.482800, 1.485600)]
+)
+@pytest.mark.parametrize("most", [512, 2048])
+def test_crisis_is_where_bands_meet_the_orbit_of_the_fold(period, limit, guess, most):
+    """Within the error. Of paths of n returns those within about 1/n² of the bands beyond it do not leave, as τ ~ 1/√x."""
+    exact = crisis_of(period, guess)
+    assert exact == pytest.approx(guess, abs=1e-4)
+    found = locate_crisis(in_turn(period, 0.0), limit, limit + 1.5 * (exact - limit), period, most)
+    assert abs(found.value - exact) < found.error < 10.0 * (exact - limit) * (10 * period / most) ** 2  # ten returns: τ
+
+
+def test_no_crisis_where_none_is_between():
+    """Bands do not grow before; beyond the crisis paths leave from the first value on."""
+    assert locate_crisis(in_turn(3, 0.0), LIMIT, 1.7895, 3, 512) is None
+    assert locate_crisis(in_turn(3, 0.0), 1.792, 1.8, 3, 512) is None
+
+
+@pytest.mark.parametrize(
+    ("sweep", "message"),
+    [
+        ("z: {start: -1.0, stop: 1.0, count: 3}", "along a parameter, and z is a coordinate of the start state"),
+        ("a: {values: [1.7, 1.8]}, z: {values: [0.1, 0.2]}", "along one axis; leave out z"),
+        ("a: {values: [1.7]}", "over a range of a, and the sweep has one value of it"),
+    ],
+)
+def test_what_windows_cannot_do_is_said(tmp_path, sweep, message):
+    with pytest.raises(ConfigError, match=message):
+        flow(tmp_path, sweep).requested()
+
+
+@pytest.mark.slow
+def test_windows_of_a_flow(tmp_path):
+    """The flow whose strobe map is the quadratic map: period 3, the doublings by Newton on it, where these end, and the crisis."""
+    tree = session_of(flow(tmp_path, "a: {start: 1.74, stop: 1.80, count: 61}", "{limit: 3}")).tree()
+    data = tree["windows"].to_dataset()
+    assert (data["period"].values.tolist(), data["orbits"].values.tolist()) == ([3], [1])
+    ends = [ENDS[int(data[f"{name}_kind"][0])] for name in ("begin", "end")]
+    assert ends == ["fold", "period_doubling"]
+    for name, exact in (("begin", FOLD), ("end", DOUBLING), ("limit", LIMIT), ("crisis", crisis_of(3, 1.7903))):
+        assert abs(float(data[name][0]) - exact) <= float(data[f"{name}_error"][0]) + 1e-13  # and exp(−30)
+    assert float(data["begin_error"][0]) < 1e-8
+    assert np.abs(data["doubling"].values[0, 0] - DOUBLING) <= data["doubling_error"].values[0, 0] + 1e-13
+    assert float(data["limit_error"][0]) < 1e-4
+    assert float(data["crisis_error"][0]) < 1e-5
+    assert data["end_multipliers"].values[0, 0] == pytest.approx([-1.0, 0.0], abs=1e-8)
+    jaxnh.figure(tree)
