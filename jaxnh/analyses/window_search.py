@@ -92,27 +92,41 @@ def search(
     ends = float(line.value[0]), float(line.value[-1])
     whole, found = families(*ends)[0], list[list[Window]]()
     for first, last in runs_of(line.period):
-        run = np.arange(first, last + 1)
-        least = int(line.period[run].min())
-        if _odd(line.period[run]).max() > limit:
+        left = np.arange(first, last + 1)
+        if _odd(line.period[left]).max() > limit:
             continue
-        doubled = run[line.period[run] > least].tolist()
-        every = orbits(run[line.period[run] == least])
-        settled = {int(np.searchsorted(line.value, orbit.value)): orbit for orbit in every}
-        # Most lanes are on the branch of the first, or on its twin: those of a wave are followed side by side.
-        waves = [every[:1], *(every[1 << k : 2 << k] for k in range(len(every).bit_length()))]
-        low, high = (float(line.value[k]) for k in (max(first - 1, 0), min(last + 1, len(line.value) - 1)))
-        while True:
-            here = families(low, high)
-            new = _windows(here[0], grow(here, waves, least, _STEPS, stage), line, settled, doubled)
-            unknown = {end.at for one in new for end in (one.begin, one.end) if np.isnan(end.value)}
-            if unknown <= set(ends) or (low, high) == ends:
-                break
-            wider = _WIDER * (high - low)
-            low, high = max(low - wider, ends[0]), min(high + wider, ends[1])
-        for one in new:
-            _add(whole, found, one)
+        while len(left):  # lanes of another attractor may lie among those of a window
+            least = line.period[left] == line.period[left].min()
+            new = _followed(line, left[least], left[~least].tolist(), orbits, families, stage)
+            for one in new:
+                _add(whole, found, one)
+            left = np.setdiff1d(left[~least], [k for one in new for k in one.lanes])
     return [group for group in found if group[0].period <= limit and len(all_lanes(group)) > 1]
+
+
+def _followed(
+    line: Line,
+    mine: Int[np.ndarray, " some"],
+    others: Sequence[int],
+    orbits: Callable[[Int[np.ndarray, " some"]], Sequence[Orbit]],
+    families: Callable[[float, float], Sequence[Family]],
+    stage: Stage,
+) -> list[Window]:
+    """Windows of the orbits of some lanes of one period, with others that have settled on doubled ones."""
+    ends = float(line.value[0]), float(line.value[-1])
+    every = orbits(mine)
+    settled = {int(np.searchsorted(line.value, orbit.value)): orbit for orbit in every}
+    # Most lanes are on the branch of the first, or on its twin: those of a wave are followed side by side.
+    waves = [every[:1], *(every[1 << k : 2 << k] for k in range(len(every).bit_length()))]
+    low, high = (float(line.value[k]) for k in (max(mine[0] - 1, 0), min(mine[-1] + 1, len(line.value) - 1)))
+    while True:
+        here = families(low, high)
+        new = _windows(here[0], grow(here, waves, int(line.period[mine[0]]), _STEPS, stage), line, settled, others)
+        unknown = {end.at for one in new for end in (one.begin, one.end) if np.isnan(end.value)}
+        if unknown <= set(ends) or (low, high) == ends:
+            return new
+        wider = _WIDER * (high - low)
+        low, high = max(low - wider, ends[0]), min(high + wider, ends[1])
 
 
 def all_lanes(group: Sequence[Window]) -> Int[np.ndarray, " some"]:
@@ -221,15 +235,22 @@ def _beside(family: Family, point: Bifurcation, branch: Branch, place: int, chor
 def _assign(found: list[Window], line: Line, k: int) -> None:
     """Give a lane of a doubled orbit to the window whose doubling is nearest, and to its twin."""
     away = [
-        min((abs(end.value - line.value[k]) for end in (one.begin, one.end) if end.kind == DOUBLED), default=np.inf)
-        if line.period[k] % (2 * one.period) == 0
-        else np.inf
+        min((_beyond(end, line, k, one.period) for end in (one.begin, one.end) if end.kind == DOUBLED), default=np.inf)
         for one in found
     ]
     nearest = min(away, default=np.inf)
     for place, one in enumerate(found):
         if away[place] <= nearest + _SAME * abs(line.value[-1] - line.value[0]) < np.inf:
             found[place] = one._replace(lanes=np.append(one.lanes, k))
+
+
+def _beyond(end: End, line: Line, k: int, period: int) -> float:
+    """How far a lane is beyond a doubling; infinite where no orbits of the doubled period may be all the way to it."""
+    value = float(line.value[k])
+    low, high = sorted((end.value, value))
+    between = line.period[(line.value >= low) & (line.value <= high)]
+    there = np.sign(value - end.value) == np.sign(end.value - end.at) and np.all(between % (2 * period) == 0)
+    return abs(value - end.value) if there else np.inf
 
 
 # ---- twins
