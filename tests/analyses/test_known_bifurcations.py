@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import taylor
 from conftest import ROOT, session_of
-from heyoka_newton import bifurcation, strobe_map
+from heyoka_newton import bifurcation, section_map, strobe_map
 from measure import twin
 
 import jaxnh
@@ -38,6 +38,31 @@ def duffing(x, v, gamma, t):
 def van_der_pol(x, v, force, t):
     """configs/flows/van_der_pol.py at mu = 0.5 and omega = 1.3."""
     return v, (1 - x * x) * v / 2 - x + force * cosine(taylor.REAL(1.3) * t)
+
+
+def peroxidase(a, b, x, y, k8, t):
+    """configs/flows/peroxidase.py."""
+    real = taylor.REAL
+    one, three, two = real(0.1631021) * a * b * x, real(0.046875) * a * b * y, real(2500) * (x * x)
+    return (
+        real(1.5) - real(0.1175) * a - one - three,
+        k8 - one - three,
+        one - two + real(2) * three - real(20) * x + real(0.001),
+        two - three - real(1.104) * y,
+    )
+
+
+def circuit(epsilon, a3, b3):
+    """configs/flows/circuit.py."""
+    real = taylor.REAL
+
+    def rates(x, y, z, nu, t):
+        gap = y - x
+        bent = real(b3) * (gap * gap * gap)
+        first = bent - real(a3) * (x * x * x) + real(0.5) * y - (real(0.5) + nu) * x
+        return first / real(0.6), real(0.5) * x + real(0.1) * y - z - bent, y + real(epsilon)
+
+    return rates
 
 
 @pytest.mark.slow
@@ -103,3 +128,45 @@ def test_pitchfork_of_the_particle():
     exact, multipliers = bifurcation(mirrored, "period_doubling", value, [x1, y1, np.arctan2(y2, x2)], wrap)
     assert abs(value - exact) < min(1e-8, error + 1e-12)
     assert np.abs(multipliers + 1).min() < 1e-9
+
+
+@pytest.mark.slow
+def test_fold_and_torus_of_the_peroxidase_reaction():
+    """Steinmetz and Larter's: the fold and the Neimark–Sacker bifurcation that BifurcationKit's tutorial follows.
+
+    It has ns at k8 ≈ 0.82521357 and bp at 0.84391360, in its documentation of version 0.3.2: 1.1e-5 and 1.2e-8 beside
+    heyoka's.
+    """
+    found, data = found_in(
+        "configs/flows/peroxidase.yaml",
+        "k8: {start: 0.79, stop: 0.86, count: 8}",
+        "{limit: 1, transient: 64}",
+    )
+    assert [point[:2] for point in found] == [("neimark_sacker", 1), ("fold", 1)]
+    returns = section_map(peroxidase, 4, 0, 5.9, -1)
+    for (kind, _, value, error, k), known, near in zip(found, (0.82521357, 0.84391360), (2e-5, 2e-8), strict=True):
+        exact, multipliers = bifurcation(returns, kind, value, [float(data[name][k]) for name in ("b", "x", "y")])
+        assert abs(value - exact) < min(1e-8, error + 1e-11)  # of differences in the reference, whose states reach 10
+        assert abs(exact - known) < near
+        critical = np.abs(multipliers - 1) if kind == "fold" else np.abs(np.abs(multipliers) - 1)
+        assert np.sort(critical)[: 1 if kind == "fold" else 2].max() < 1e-6
+
+
+@pytest.mark.slow
+def test_cycles_of_the_circuit():
+    """MatCont's torBPC: a fold, a Neimark–Sacker bifurcation and a doubling of one cycle, as its test run has them.
+
+    -0.584492842, -0.595750404 and -0.614681654 with 25 intervals of four points (`testtorBPC1`, MatCont 7.6): its
+    collocation is good for six digits.
+    """
+    found, data = found_in(
+        "configs/flows/circuit.yaml", "nu: {start: -0.65, stop: -0.58, count: 8}", "{limit: 1, transient: 256}"
+    )
+    assert [point[:2] for point in found] == [("period_doubling", 1), ("neimark_sacker", 1), ("fold", 1)]
+    returns = section_map(circuit(0.001, 0.32858, 0.93358), 3, 2, 0.02, 1)
+    for (kind, _, value, error, k), known in zip(found, (-0.614681654, -0.595750404, -0.584492842), strict=True):
+        exact, multipliers = bifurcation(returns, kind, value, [float(data[name][k]) for name in ("x", "y")])
+        assert abs(value - exact) < min(1e-8, error + 1e-11)
+        assert abs(exact - known) < 1e-6
+        critical = {"fold": np.abs(multipliers - 1).min(), "period_doubling": np.abs(multipliers + 1).min()}
+        assert critical.get(kind, np.abs(np.abs(multipliers) - 1).max()) < 1e-6
