@@ -14,6 +14,7 @@ import numpy as np
 from taylor import REAL
 
 _SHIFT = 1e-6  # of differences: its square, and the unit roundoff of long double over it, are below 1e-11
+_LEFT = 1e-3  # of time, after which a motion has left the section that it began on
 _LONG = float if REAL is np.float64 else REAL
 
 
@@ -48,32 +49,47 @@ def strobe_map(rates, d, period, n=1):
     return image
 
 
-def return_map(rates, d, across, level=0.0, *, rising=True, stride=0.05):
-    """The map from the plane where a coordinate has a value to its next crossing, upwards or downwards."""
+def section_map(rates, d, place, level, direction):
+    """P of a flow without a clock on the plane where a coordinate passes a level: of the other coordinates, (d − 1,)."""
+    others = np.delete(np.arange(d), place)
 
     def image(value, u):
         ta, at_zero = _integrator(rates, d)
-        _begun(ta, at_zero, value, np.insert(np.asarray(u, REAL), across, REAL(level)))
-
-        def to(time):
-            assert ta.propagate_until(time)[0] == hy.taylor_outcome.time_limit
-            return float(ta.state[across] - REAL(level)) * (1 if rising else -1)
-
-        height = to(ta.time + REAL(stride))  # away from the plane where it begins
-        while True:
-            before, height = height, to(ta.time + REAL(stride))
-            if before < 0 <= height:
-                break
-        for _ in range(6):
-            rate = np.array(rates(*ta.state[:d], REAL(value), ta.time), REAL)
-            to(ta.time - (ta.state[across] - REAL(level)) / rate[across])
-        rate = np.array(rates(*ta.state[:d], REAL(value), ta.time), REAL)
-        whole = ta.state[d:].reshape(d, d)
-        whole = whole - np.outer(rate, whole[across]) / rate[across]
-        others = [k for k in range(d) if k != across]
-        return ta.state[others].copy(), whole[np.ix_(others, others)]
+        start = np.insert(np.asarray(u, REAL), place, REAL(level))
+        end, rate = _crossing_time(rates, d, place, level, direction, value, start), np.ones(d, REAL)
+        _begun(ta, at_zero, value, start)
+        for _ in range(2):  # Newton in time, from a time that is all but exact
+            assert ta.propagate_until(end)[0] == hy.taylor_outcome.time_limit
+            rate = np.array(rates(*ta.state[:d], REAL(value), REAL(0)), REAL)
+            end = end - (ta.state[place] - REAL(level)) / rate[place]
+        first = ta.state[d:].reshape(d, d)
+        onto = first - np.outer(rate, first[place]) / rate[place]  # all stay on the section
+        return ta.state[others].copy(), onto[np.ix_(others, others)]
 
     return image
+
+
+def _crossing_time(rates, d, place, level, direction, value, start):
+    """When a motion first passes the level in a direction, +1 or −1, after it has left it."""
+    ta, times = _with_events(rates, d, place, level, direction)
+    times.clear()
+    ta.pars[0], ta.state[:], ta.time = REAL(value), start, REAL(0)
+    while not times:
+        assert ta.step()[0] in (hy.taylor_outcome.success, hy.taylor_outcome.time_limit)
+        times[:] = [t for t in times if t > _LEFT]
+    return times[0]
+
+
+@functools.cache
+def _with_events(rates, d, place, level, direction):
+    """The integrator without tangents, and the list that it puts the times of crossings into."""
+    state, times = hy.make_vars(*(f"y{k}" for k in range(d))), []
+    motion = list(zip(state, rates(*state, hy.par[0], hy.time), strict=True))
+    way = hy.event_direction.positive if direction > 0 else hy.event_direction.negative
+    event = hy.nt_event(state[place] - REAL(level), lambda ta, t, d: times.append(t), direction=way, fp_type=_LONG)
+    start = np.zeros(d, REAL)
+    ta = hy.taylor_adaptive(motion, start, pars=[REAL(0)], fp_type=_LONG, nt_events=[event], compact_mode=True)
+    return ta, times
 
 
 def determinant(matrix):

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import taylor
 from conftest import ROOT, session_of
-from heyoka_newton import bifurcation, return_map, strobe_map
+from heyoka_newton import bifurcation, section_map, strobe_map
 from measure import twin
 
 import jaxnh
-from jaxnh.config.experiment import Experiment
 from jaxnh.orbits.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
 
@@ -44,6 +43,31 @@ def deeper_wells(x, v, gamma, t):
 def van_der_pol(x, v, force, t):
     """configs/flows/van_der_pol.py at mu = 0.5 and omega = 1.3."""
     return v, (1 - x * x) * v / 2 - x + force * cosine(taylor.REAL(1.3) * t)
+
+
+def peroxidase(a, b, x, y, k8, t):
+    """configs/flows/peroxidase.py."""
+    real = taylor.REAL
+    one, three, two = real(0.1631021) * a * b * x, real(0.046875) * a * b * y, real(2500) * (x * x)
+    return (
+        real(1.5) - real(0.1175) * a - one - three,
+        k8 - one - three,
+        one - two + real(2) * three - real(20) * x + real(0.001),
+        two - three - real(1.104) * y,
+    )
+
+
+def circuit(epsilon, a3, b3):
+    """configs/flows/circuit.py."""
+    real = taylor.REAL
+
+    def rates(x, y, z, nu, t):
+        gap = y - x
+        bent = real(b3) * (gap * gap * gap)
+        first = bent - real(a3) * (x * x * x) + real(0.5) * y - (real(0.5) + nu) * x
+        return first / real(0.6), real(0.5) * x + real(0.1) * y - z - bent, y + real(epsilon)
+
+    return rates
 
 
 @pytest.mark.slow
@@ -129,107 +153,74 @@ def test_pitchfork_of_the_particle():
     assert np.abs(multipliers + 1).min() < 1e-9
 
 
-# ---- cycles of flows without a clock, which other continuation programs are tried on
+@pytest.mark.slow
+def test_fold_and_torus_of_the_peroxidase_reaction():
+    """Steinmetz and Larter's: the fold and the Neimark–Sacker bifurcation that BifurcationKit's tutorial follows.
 
-CIRCUIT = """\
-def system(nu=-0.6, beta=0.5, gamma=-0.6, r=0.6, a3=0.32858, b3=0.93358):
-    def rhs(state, t):
-        x, y, z = state
-        over = b3 * (y - x) ** 3
-        return (-(beta + nu) * x + beta * y - a3 * x**3 + over) / r, beta * x - (beta + gamma) * y - z - over, y
-
-    return {"rhs": rhs, "coordinates": ("x", "y", "z")}
-"""
-
-PEROXIDASE = """\
-def system(k8=0.75, k1=0.1631021, k2=1250.0, k3=0.046875, k4=20.0, k5=1.104, k6=0.001, k7=1.5, back=0.1175):
-    def rhs(state, t):
-        a, b, x, y = state
-        one, two, three = k1 * a * b * x, k2 * x * x, k3 * a * b * y
-        of_x = one - 2.0 * two + 2.0 * three - k4 * x + k6
-        return k7 - one - three - back * a, k8 - one - three, of_x, 2.0 * two - three - k5 * y
-
-    return {"rhs": rhs, "coordinates": ("A", "B", "X", "Y")}
-"""
-
-
-def circuit(x, y, z, nu, t):
-    """CIRCUIT in heyoka's numbers and expressions."""
-    half, over = taylor.REAL(0.5), taylor.REAL(0.93358) * (y - x) * (y - x) * (y - x)
-    of_x = (half * y - (half + nu) * x - taylor.REAL(0.32858) * x * x * x + over) / taylor.REAL(0.6)
-    return of_x, half * x - (half + taylor.REAL(-0.6)) * y - z - over, y
-
-
-def peroxidase(a, b, x, y, k8, t):
-    """PEROXIDASE in heyoka's numbers and expressions."""
-    one, two, three = taylor.REAL(0.1631021) * a * b * x, taylor.REAL(1250) * x * x, taylor.REAL(0.046875) * a * b * y
-    of_x = one - 2 * two + 2 * three - taylor.REAL(20) * x + taylor.REAL(0.001)
-    of_y = 2 * two - three - taylor.REAL(1.104) * y
-    return taylor.REAL(1.5) - one - three - taylor.REAL(0.1175) * a, k8 - one - three, of_x, of_y
-
-
-def of_own_file(folder, file, config):
-    """Bifurcations of a user's system: (kind, parameter, error, number), and all there is of them."""
-    (folder / "own.py").write_text(file)
-    data = session_of(Experiment.from_text(f"system: {{file: {folder / 'own.py'}}}\n{config}")).tree()["bifurcations"]
-    name = data.attrs["along"]
-    columns = (data[k].values.tolist() for k in ("kind", name, f"{name}_error"))
-    return [(KINDS[kind], value, error, k) for k, (kind, value, error) in enumerate(zip(*columns, strict=True))], data
+    It has ns at k8 ≈ 0.82521357 and bp at 0.84391360, in its documentation of version 0.3.2: 1.1e-5 and 1.2e-8 beside
+    heyoka's.
+    """
+    found, data = found_in(
+        "configs/flows/peroxidase.yaml",
+        "k8: {start: 0.79, stop: 0.86, count: 8}",
+        "{limit: 1, transient: 64}",
+    )
+    assert [point[:2] for point in found] == [("neimark_sacker", 1), ("fold", 1)]
+    returns = section_map(peroxidase, 4, 0, 5.9, -1)
+    for (kind, _, value, error, k), known, near in zip(found, (0.82521357, 0.84391360), (2e-5, 2e-8), strict=True):
+        exact, multipliers = bifurcation(returns, kind, value, [float(data[name][k]) for name in ("b", "x", "y")])
+        assert abs(value - exact) < min(1e-8, error + 1e-11)  # of differences in the reference, whose states reach 10
+        assert abs(exact - known) < near
+        critical = np.abs(multipliers - 1) if kind == "fold" else np.abs(np.abs(multipliers) - 1)
+        assert np.sort(critical)[: 1 if kind == "fold" else 2].max() < 1e-6
 
 
 @pytest.mark.slow
-def test_cycles_of_the_torus_circuit(tmp_path):
-    """MatCont's torBPC: a cycle that is its own mirror image folds and loses that, its twins have a torus and double.
+def test_cycles_of_the_circuit():
+    """MatCont's torBPC: a fold, a Neimark–Sacker bifurcation and a doubling of one cycle, as its test run has them.
+
+    -0.584492842, -0.595750404 and -0.614681654 with 25 intervals of four points (`testtorBPC1`, MatCont 7.6): its
+    collocation is good for six digits.
+    """
+    found, data = found_in(
+        "configs/flows/circuit.yaml", "nu: {start: -0.65, stop: -0.58, count: 8}", "{limit: 1, transient: 256}"
+    )
+    assert [point[:2] for point in found] == [("period_doubling", 1), ("neimark_sacker", 1), ("fold", 1)]
+    returns = section_map(circuit(0.001, 0.32858, 0.93358), 3, 2, 0.02, 1)
+    for (kind, _, value, error, k), known in zip(found, (-0.614681654, -0.595750404, -0.584492842), strict=True):
+        exact, multipliers = bifurcation(returns, kind, value, [float(data[name][k]) for name in ("x", "y")])
+        assert abs(value - exact) < min(1e-8, error + 1e-11)
+        assert abs(exact - known) < 1e-6
+        critical = {"fold": np.abs(multipliers - 1).min(), "period_doubling": np.abs(multipliers + 1).min()}
+        assert critical.get(kind, np.abs(np.abs(multipliers) - 1).max()) < 1e-6
+
+
+@pytest.mark.slow
+def test_symmetric_cycles_of_the_circuit():
+    """Without epsilon a cycle that is its own mirror image folds and loses that; both twins have a torus and double.
 
     The map from a crossing to the next one the other way, mirrored, has the first cycle as a fixed point: where it is
     no more its own image, there is a multiplier −1.
     """
-    found, data = of_own_file(
-        tmp_path,
-        CIRCUIT,
-        """\
-initial: {x: 0.1, y: 0.1, z: 0.0}
-sweep: {nu: {start: -0.63, stop: -0.58, count: 6}}
-section: {coordinate: z, value: 0.0, direction: up}
-accuracy: {target: 1.0e-10}
-analyses:
-  branches:
-    {limit: 1, transient: 128, starts: 32, values: 3, seed: 1, box: {x: [-1.2, 1.2], y: [-0.8, 0.8], z: [-0.1, 0.1]}}
-""",
+    found, data = found_in(
+        "configs/flows/circuit.yaml",
+        "nu: {start: -0.63, stop: -0.58, count: 6}",
+        "{limit: 1, transient: 128, starts: 32, values: 3, seed: 1, "
+        "box: {x: [-1.2, 1.2], y: [-0.8, 0.8], z: [-0.1, 0.1]}}",
+        f"system={{file: {ROOT / 'configs/flows/circuit.py'}, epsilon: 0.0}}",
+        "initial={x: 0.1, y: 0.1, z: 0.0}",
+        "section={coordinate: z, value: 0.0, direction: up}",
     )
-    whole, half = return_map(circuit, 3, 2), return_map(circuit, 3, 2, rising=False)
+    whole, half = (section_map(circuit(0.0, 0.32858, 0.93358), 3, 2, 0.0, direction) for direction in (1, -1))
 
     def mirrored(nu, u):
         image, matrix = half(nu, u)
         return -image, -matrix
 
-    kinds = [kind for kind, *_ in found]
-    assert sorted(kinds) == ["branch_point", "fold", "neimark_sacker", "neimark_sacker"] + 2 * ["period_doubling"]
-    for kind, value, error, k in found:
+    kinds = sorted(kind for kind, *_ in found)
+    assert kinds == ["branch_point", "fold", *2 * ["neimark_sacker"], *2 * ["period_doubling"]]
+    for kind, _, value, error, k in found:
         u = [float(data[name][k]) for name in ("x", "y")]
-        at_branch_point = kind == "branch_point"
-        image, which = (mirrored, "period_doubling") if at_branch_point else (whole, kind)
+        image, which = (mirrored, "period_doubling") if kind == "branch_point" else (whole, kind)
         exact, _ = bifurcation(image, which, value, u)
-        assert abs(value - exact) < min(1e-8, error + 1e-12)  # of differences in the reference
-
-
-@pytest.mark.slow
-def test_cycles_of_the_peroxidase_reaction(tmp_path):
-    """The Steinmetz–Larter model, as BifurcationKit's tutorial has it: a torus is born, and then the cycle folds."""
-    found, data = of_own_file(
-        tmp_path,
-        PEROXIDASE,
-        """\
-initial: {A: 5.6, B: 9.0, X: 0.01, Y: 0.02}
-sweep: {k8: {start: 0.8, stop: 0.85, count: 5}}
-section: {coordinate: A, value: 5.6, direction: up}
-accuracy: {target: 1.0e-9}
-analyses:
-  branches: {limit: 1, transient: 128}
-""",
-    )
-    assert [kind for kind, *_ in found] == ["neimark_sacker", "fold"]
-    for kind, value, error, k in found:
-        u = [float(data[name][k]) for name in ("B", "X", "Y")]
-        exact, _ = bifurcation(return_map(peroxidase, 4, 0, 5.6), kind, value, u)
-        assert abs(value - exact) < min(1e-8, error + 1e-12)  # of differences in the reference
+        assert abs(value - exact) < min(1e-8, error + 1e-11)

@@ -84,6 +84,24 @@ def double_pendulum(t, u, ratio):
     return v, w, *np.linalg.solve(mass, force)
 
 
+def circuit(t, u, nu):
+    x, y, z = u
+    cube = (y - x) ** 3
+    first = -0.32858 * x**3 + 0.93358 * cube - (0.5 + nu) * x + 0.5 * y
+    return first / 0.6, 0.5 * x + 0.1 * y - z - 0.93358 * cube, y + 0.001
+
+
+def peroxidase(t, u, k8):
+    a, b, x, y = u
+    first, third, second = 0.1631021 * a * b * x, 0.046875 * a * b * y, 2500 * x * x
+    return (
+        1.5 - 0.1175 * a - first - third,
+        k8 - first - third,
+        0.001 + first + 2 * third - second - 20 * x,
+        second - third - 1.104 * y,
+    )
+
+
 def rolling_disk(t, u, stiffness):
     """Without the angle of rolling: its rate alone moves the disk, by the spring's force along the track."""
     x, y, turn, _, _, roll, rate = u
@@ -104,6 +122,8 @@ NAMES = {
     "chua": chua,
     "henon_heiles": henon_heiles,
     "double_pendulum": double_pendulum,
+    "circuit": circuit,
+    "peroxidase": peroxidase,
     "rolling_disk": rolling_disk,
 }
 MECHANICS = ("henon_heiles", "double_pendulum", "rolling_disk")
