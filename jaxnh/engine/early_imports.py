@@ -25,5 +25,7 @@ def start() -> threading.Thread | None:
 def _import(name: str) -> None:
     try:
         importlib.import_module(name)
-    except ImportError:  # of a Dask without its arrays, which xarray does without as well
+    except (ImportError, RuntimeError):
+        # A Dask without its arrays, which xarray does without as well; or the process ends meanwhile, as one that was
+        # interrupted, and what is imported may register nothing for its end any more.
         return
