@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -110,6 +111,19 @@ def session_of(experiment: Experiment) -> Session:
     found = Session(experiment)
     found._lanes._programs = _PROGRAMS
     return found
+
+
+def peak_memory(process: subprocess.Popen) -> int:
+    """Largest resident memory of a process in bytes, once it has ended.
+
+    It is looked at while the process runs: `ru_maxrss` of a child is not less than that of its parent was.
+    """
+    peak, status = 0, Path(f"/proc/{process.pid}/status")
+    while process.poll() is None:
+        lines = status.read_text().splitlines()
+        peak = max(peak, *(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:")), 0)
+        time.sleep(0.05)
+    return peak
 
 
 _OF_A_RUN = ("history", "wall_seconds", "compile_seconds", "lane_periods", "device")
