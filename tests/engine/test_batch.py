@@ -288,7 +288,7 @@ def test_dask_scheduler_killed(job, whole, by):
     quiet = {"env": environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": job.folder}
     scheduler = subprocess.Popen([*dask, "--scheduler-file", place], **quiet)
     workers = subprocess.Popen(
-        [*worker, "--scheduler-file", place, "--local-directory", "space", "--death-timeout", "5"], **quiet
+        [*worker, "--scheduler-file", place, "--local-directory", "space", "--death-timeout", "60"], **quiet
     )
     try:
         while not place.exists():
