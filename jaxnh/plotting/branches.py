@@ -62,7 +62,8 @@ def branches(
     low, high = (ends.min(), ends.max()) if ends.size else (0.0, 1.0)
     ax.set(xlabel=axis_label(data[parameter]), ylabel=axis_label(drawn), xlim=(low, high))
     ax.set_title("solid: stable, dashed: unstable", fontsize=8, loc="left")
-    ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return ax
 
 
@@ -94,7 +95,8 @@ def bifurcations(data: xr.Dataset, ax: Axes | None = None) -> Axes:
                 label=f"{words}, subcritical" if sign else words,
             )
     ax.set(xlabel=axis_label(data[parameter]), ylabel=axis_label(drawn))
-    ax.legend(fontsize=7, frameon=False)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize=7, frameon=False)
     return ax
 
 
