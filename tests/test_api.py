@@ -300,6 +300,7 @@ OTHERS = {
             "analyses/diagram.py",
             "config/blocks.py",
             "config/experiment.py",
+            "config/fitting.py",
             "config/particle.py",
             "config/user_system.py",
         ),
