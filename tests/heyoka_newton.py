@@ -1,7 +1,7 @@
 """Bifurcations of maps of any flow, by heyoka's Taylor integrator in long double with a Newton of its own.
 
-A map is a function of the parameter and a point (d,): its image (d,) and the derivatives there, (d, d). The rates of a
-flow are a function of all coordinates, of the parameter and of time, of heyoka's expressions as of numbers.
+A map is a function of the parameter, or of several, and a point (d,): its image (d,) and the derivatives there, (d, d).
+The rates of a flow are a function of all coordinates, of the parameters and of time, of heyoka's expressions as of numbers.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ _LONG = float if REAL is np.float64 else REAL
 
 
 @functools.cache
-def _integrator(rates, d):
+def _integrator(rates, d, parameters=1):
     """The integrator with tangents, and its state at time 0."""
     state = hy.make_vars(*(f"y{k}" for k in range(d)))
-    motion = list(zip(state, rates(*state, hy.par[0], hy.time), strict=True))
+    motion = list(zip(state, rates(*state, *(hy.par[k] for k in range(parameters)), hy.time), strict=True))
     equations = hy.var_ode_sys(motion, [*state], order=1)
-    start = np.zeros(d, REAL)
-    ta = hy.taylor_adaptive(equations, start, pars=[REAL(0)], fp_type=_LONG, compact_mode=True)
+    start, pars = np.zeros(d, REAL), np.zeros(parameters, REAL)
+    ta = hy.taylor_adaptive(equations, start, pars=pars, fp_type=_LONG, compact_mode=True)
     return ta, ta.state.copy()
 
 
 def _begun(ta, at_zero, value, y):
-    ta.pars[0], ta.state[:], ta.time = REAL(value), at_zero, REAL(0)
+    ta.pars[:], ta.state[:], ta.time = value, at_zero, REAL(0)
     ta.state[: len(y)] = y
 
 
-def strobe_map(rates, d, period, n=1):
+def strobe_map(rates, d, period, n=1, parameters=1):
     """Pⁿ of a flow with a clock."""
 
     def image(value, u):
-        ta, at_zero = _integrator(rates, d)
+        ta, at_zero = _integrator(rates, d, parameters)
         whole = np.eye(d, dtype=REAL)
         for _ in range(n):
             _begun(ta, at_zero, value, u)
@@ -118,19 +118,29 @@ TESTS = {
 """What is zero at a bifurcation, by its kind."""
 
 
-def bifurcation(image, kind, value, u, wrap=lambda gap: gap):
-    """The parameter and the multipliers at the fixed point of a map with a bifurcation of this kind, near a guess."""
-    at = np.array([value, *u], REAL)
+def newton(mismatch, at):
+    """Where a function of some unknowns, of as many components, is zero; slopes by differences.
 
-    def mismatch(at):
-        end, matrix = image(at[0], at[1:])
-        return np.append(wrap(end - at[1:]), TESTS[kind](matrix))
-
+    Raises:
+        ArithmeticError: the steps do not become small.
+    """
+    at = np.asarray(at, REAL)
     for _ in range(8):
         shifts = _SHIFT * np.eye(len(at), dtype=REAL)
         slopes = np.array([(mismatch(at + h) - mismatch(at - h)) / (2 * _SHIFT) for h in shifts]).T
         step = np.linalg.solve(slopes.astype(float), -mismatch(at).astype(float))
         at = at + step
         if np.abs(step).max() < 1e-12 * max(1.0, float(np.abs(at).max())):
-            return float(at[0]), np.linalg.eigvals(image(at[0], at[1:])[1].astype(float))
-    raise ArithmeticError(f"no {kind} near {value}")
+            return at
+    raise ArithmeticError("Newton's steps do not become small")
+
+
+def bifurcation(image, kind, value, u, wrap=lambda gap: gap):
+    """The parameter and the multipliers at the fixed point of a map with a bifurcation of this kind, near a guess."""
+
+    def mismatch(at):
+        end, matrix = image(at[0], at[1:])
+        return np.append(wrap(end - at[1:]), TESTS[kind](matrix))
+
+    at = newton(mismatch, [value, *u])
+    return float(at[0]), np.linalg.eigvals(image(at[0], at[1:])[1].astype(float))

@@ -1,11 +1,13 @@
-"""Curves of bifurcations over two parameters and what they pass through, against closed forms and against scipy."""
+"""Curves of bifurcations over two parameters and what they pass through, against closed forms and against heyoka."""
 
 from __future__ import annotations
 
+import heyoka as hy
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
+import taylor
+from heyoka_newton import determinant, newton, strobe_map
 from measure import scene_of
 
 from jaxnh.analyses.families import plane_of
@@ -151,40 +153,36 @@ def van_der_pol(force=1.0, omega=1.3):
     return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * np.pi}
 
 
-def by_scipy(force, omega, u, turn=2 * np.pi):
-    """P and ∂P/∂u by DOP853 with variational equations."""
-
-    def rates(t, y):
-        x, v, tangents = y[0], y[1], y[2:].reshape(2, 2)
-        force_ = 0.5 * (1 - x**2) * v - x + force * np.cos(t)
-        change = [tangents[1], (-x * v - 1) * tangents[0] + 0.5 * (1 - x**2) * tangents[1]]
-        return np.concatenate([[v, force_], *change]) / omega
-
-    start = np.concatenate([u, np.eye(2).ravel()])
-    end = scipy.integrate.solve_ivp(rates, (0, turn), start, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-    return end[:2], end[2:].reshape(2, 2)
+def in_heyoka(x, v, force, omega, t):
+    """The same."""
+    cosine = hy.cos if isinstance(x, hy.expression) else np.cos
+    return v / omega, ((1 - x * x) * v / 2 - x + force * cosine(t)) / omega
 
 
-def resonance_by_scipy(force, omega, u, cosine):
-    """(force, ω): Newton on H(u) = u, det ∂H/∂u = 1 and tr ∂H/∂u = 2 cos(θ/2), slopes by differences.
+# With the half of a period and the mirror, H(u) = −P_{1/2}(u), P = H², since (x, v, t) → (−x, −v, t + π) is a symmetry.
+HALF = strobe_map(in_heyoka, 2, taylor.TWO_PI / 2, parameters=2)
 
-    With the half of a period and the mirror, H(u) = −P_{1/2}(u), P = H², since (x, v, t) → (−x, −v, t + π) is a symmetry.
-    """
+
+def by_heyoka(values, u):
+    """P and ∂P/∂u."""
+    image, first = HALF(values, u)
+    image, second = HALF(values, -image)
+    return -image, second @ first
+
+
+def resonance_by_heyoka(values, u, cosine):
+    """(force, ω): Newton on H(u) = u, det ∂H/∂u = 1 and tr ∂H/∂u = 2 cos(θ/2)."""
 
     def mismatch(at):
-        image, matrix = by_scipy(at[0], at[1], at[2:], np.pi)
-        return np.append(-image - at[2:], [np.linalg.det(matrix) - 1, -np.trace(matrix) - 2 * cosine])
+        image, matrix = HALF(at[:2], at[2:])
+        return np.append(-image - at[2:], [determinant(matrix) - 1, -np.trace(matrix) - 2 * cosine])
 
-    at = np.array([force, omega, *u])
-    slopes = np.array([(mismatch(at + h) - mismatch(at - h)) / 2e-5 for h in 1e-5 * np.eye(4)]).T
-    for _ in range(3):
-        at = at - np.linalg.solve(slopes, mismatch(at))
-    return at[:2]
+    return newton(mismatch, [*values, *u])[:2].astype(float)
 
 
 @pytest.mark.slow
 def test_torus_boundary_of_van_der_pol(lanes):
-    """Where the oscillation is no longer entrained: through resonances, to 1e-8 of scipy's Newton.
+    """Where the oscillation is no longer entrained: through resonances, to 1e-8 of heyoka's Newton.
 
     At 1:2 both multipliers are −1 and M is −1, as of a symmetric orbit: the curve goes on."""
     flow = first_order(van_der_pol, {"force": 1.0, "omega": 1.3})
@@ -193,20 +191,20 @@ def test_torus_boundary_of_van_der_pol(lanes):
     forced = plane_of(scene, lanes, scene.strobe(), np.ones(2), ("force", "omega"), low, high)
     u, at = np.array([1.0, 0.0]), np.array([1.09, 1.3])
     for _ in range(20):  # with a stronger force the orbit attracts
-        u = by_scipy(1.3, 1.3, u)[0]
+        u = by_heyoka([1.3, 1.3], u)[0].astype(float)
     for _ in range(6):  # Newton, towards where it no longer does
-        image, matrix = by_scipy(*at, u)
-        u = u - np.linalg.solve(matrix - np.eye(2), image - u)
+        image, matrix = by_heyoka(at, u)
+        u = u - np.linalg.solve((matrix - np.eye(2)).astype(float), (image - u).astype(float))
     [curve] = both_ways(forced, NEIMARK_SACKER, u[None, None], at[None], 0.05)
     found = {POINTS[point.kind]: point for point in special_points(forced, curve)}
     for name, half in (("resonance_1_3", np.pi / 3), ("resonance_1_4", np.pi / 4), ("resonance_1_2", np.pi / 2)):
         point = found[name]
-        _, matrix = by_scipy(*point.values, point.points[0], np.pi)  # which turns by θ/2 or by π + θ/2
+        _, matrix = HALF(point.values, point.points[0])  # which turns by θ/2 or by π + θ/2
         cosine = np.copysign(np.cos(half), -np.trace(matrix))
-        exact = resonance_by_scipy(*point.values, point.points[0], cosine)
+        exact = resonance_by_heyoka(point.values, point.points[0], cosine)
         assert np.abs(point.values - exact).max() < 1e-8
     for k in range(0, len(curve.values), max(1, len(curve.values) // 4)):
-        image, matrix = by_scipy(*curve.values[k], curve.points[k, 0])
+        image, matrix = by_heyoka(curve.values[k], curve.points[k, 0])
         assert np.abs(image - curve.points[k, 0]).max() < 1e-9
-        assert abs(np.linalg.det(matrix) - 1) < 1e-9
+        assert abs(determinant(matrix) - 1) < 1e-9
     assert CLOSED not in curve.ends
