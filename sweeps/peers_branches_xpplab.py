@@ -2,7 +2,8 @@
 
     PYTHON -P peers_branches_xpplab.py CASE
 
-As its documentation goes: equilibria, then the cycles from their Hopf point; it does not go over onto other branches. Tolerances are 1e-7 and 1e-6 where XPPAUT has 1e-4. Nothing of jaxnh is imported.
+As its documentation goes: equilibria, then the cycles from their Hopf point; it does not go over onto other branches.
+Tolerances are 1e-7 and 1e-6 where XPPAUT has 1e-4. Nothing of jaxnh is imported.
 """
 # pyright: reportMissingImports=false
 
