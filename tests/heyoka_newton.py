@@ -34,19 +34,29 @@ def _begun(ta, at_zero, value, y):
     ta.state[: len(y)] = y
 
 
+def iterated(image, n):
+    """Pⁿ of a map."""
+
+    def power(value, u):
+        whole = np.eye(len(u), dtype=REAL)
+        for _ in range(n):
+            u, first = image(value, u)
+            whole = first @ whole
+        return u, whole
+
+    return power
+
+
 def strobe_map(rates, d, period, n=1, parameters=1):
     """Pⁿ of a flow with a clock."""
 
     def image(value, u):
         ta, at_zero = _integrator(rates, d, parameters)
-        whole = np.eye(d, dtype=REAL)
-        for _ in range(n):
-            _begun(ta, at_zero, value, u)
-            assert ta.propagate_until(REAL(period))[0] == hy.taylor_outcome.time_limit
-            u, whole = ta.state[:d].copy(), ta.state[d:].reshape(d, d) @ whole
-        return u, whole
+        _begun(ta, at_zero, value, u)
+        assert ta.propagate_until(REAL(period))[0] == hy.taylor_outcome.time_limit
+        return ta.state[:d].copy(), ta.state[d:].reshape(d, d).copy()
 
-    return image
+    return iterated(image, n)
 
 
 def section_map(rates, d, place, level, direction):

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 import taylor
 from conftest import ROOT, session_of
+from heyoka_newton import bifurcation, iterated, section_map
 
 import jaxnh
+
+DELTA, ALPHA = 4.669201609102990, 2.502907875095892  # Briggs, Math. Comp. 57 (1991) 435
 
 
 def pendulum():
@@ -43,51 +46,10 @@ def test_doublings_of_the_driven_pendulum():
     assert np.all(gaps < errors[:3] + [info.error for _, _, info in exact])
 
 
-def crossing(c, start, count):
-    """Roessler's state and its derivatives in (x, y, z, c) where y passes zero upward for the `count`-th time, (3, 5)."""
-    x, y, z = hy.make_vars("x", "y", "z")
-    motion = [(x, -y - z), (y, x + 0.2 * y), (z, 0.2 + z * (x - hy.par[0]))]
-    equations = hy.var_ode_sys(motion, [x, y, z, hy.par[0]], order=1)
-    times = []
-    event = hy.nt_event(y, lambda ta, t, d: times.append(t), direction=hy.event_direction.positive, fp_type=taylor.REAL)
-    ta = hy.taylor_adaptive(
-        equations,
-        np.asarray(start, taylor.REAL),
-        pars=[taylor.REAL(c)],
-        fp_type=taylor.REAL,
-        nt_events=[event],
-        compact_mode=True,
-    )
-    begun = ta.state.copy()
-    while len([t for t in times if t > 1e-6]) < count:
-        ta.step()
-    end = [t for t in times if t > 1e-6][count - 1]
-    ta = hy.taylor_adaptive(equations, begun[:3], pars=[taylor.REAL(c)], fp_type=taylor.REAL, compact_mode=True)
-    ta.propagate_until(end)
-    state, first = ta.state[:3], ta.state[3:].reshape(3, 4)
-    rate = np.array([-state[1] - state[2], state[0] + 0.2 * state[1], 0.2 + state[2] * (state[0] - taylor.REAL(c))])
-    onto = first - np.outer(rate, first[1]) / rate[1]  # all stay on the section
-    return state, onto
-
-
-def doubled(c, u, n):
-    """(c, u): Newton on Pⁿ(u) = u with det(∂Pⁿ/∂u + 1) = 0, the derivatives of the determinant by differences."""
-
-    def mismatch(unknowns):
-        c, x, z = unknowns
-        state, first = crossing(c, [x, 0.0, z], n)
-        matrix = first[np.ix_([0, 2], [0, 2])] + np.eye(2)
-        return np.array([state[0] - x, state[2] - z, matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]])
-
-    at = np.array([c, *u], dtype=taylor.REAL)
-    for _ in range(6):
-        here = mismatch(at)
-        slopes = np.array([(mismatch(at + h) - mismatch(at - h)) / 2e-6 for h in 1e-6 * np.eye(3)]).T
-        step = np.linalg.solve(slopes.astype(float), -here.astype(float))
-        at = at + step
-        if np.abs(step).max() < 1e-13:
-            break
-    return float(at[0])
+def roessler(x, y, z, c, t):
+    """configs/flows/roessler.py at a = b = 0.2."""
+    fifth = taylor.REAL(0.2)
+    return -y - z, x + fifth * y, fifth + z * (x - c)
 
 
 @pytest.mark.slow
@@ -101,8 +63,22 @@ def test_doublings_of_roessler_on_a_section():
     found = session_of(jaxnh.load(ROOT / "configs/flows/roessler.yaml", settings)).run("doubling")
     ours, errors = found["c"].to_numpy(), found["c_error"].to_numpy()
     assert found["period"].to_numpy().tolist() == [1, 2]
+    image = section_map(roessler, 3, 1, 0.0, 1)
     for value, error, n in zip(ours, errors, (1, 2), strict=True):
-        state, _ = crossing(value - 0.02, [1.0, 1.0, 0.0], 200)
-        exact = doubled(value, [state[0], state[2]], n)
+        u, _ = iterated(image, 200)(
+            value - 0.02, np.array([1.0, 0.0], taylor.REAL)
+        )  # just before it, where it attracts
+        exact, multipliers = bifurcation(iterated(image, n), "period_doubling", value, u)
+        assert np.abs(multipliers + 1).min() < 1e-6
         assert abs(value - exact) < max(1e-9, error)
         assert abs(value - exact) < error + 1e-11
+
+
+@pytest.mark.slow
+def test_limits_of_the_governors_cascade():
+    """Feigenbaum's numbers from a flow by T, Q and f that has nothing to do with a map's formula: ten levels, float64."""
+    settings = ["analyses={doubling: {levels: 10}}", "sweep.drive.start=0.83"]
+    found = session_of(jaxnh.load(ROOT / "configs/governor.yaml", settings)).run("doubling")
+    for name, exact, near in (("delta_limit", DELTA, 1e-6), ("alpha", ALPHA, 1e-4)):
+        assert abs(found.attrs[name] - exact) < min(near, found.attrs[f"{name}_error"])
+        assert found.attrs[f"{name}_error"] < 1e-5
