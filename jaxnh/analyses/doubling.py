@@ -14,7 +14,7 @@ from jaxnh.analyses.along import value_by_value
 from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, Table, variable
 from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade_limits import doublings_limit, widths_limit
-from jaxnh.analyses.extended import ExtendedDoublings, delta_limit, deltas, extended_doublings
+from jaxnh.analyses.extended import ExtendedDoublings, delta_limit, deltas, extended_doublings, see_that_it_can
 from jaxnh.analyses.locating import price_of_orbits
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.systems.flow import Flow
@@ -71,6 +71,8 @@ def check(options: DoublingOptions, setting: Setting) -> None:
 
 def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
+    if scene.precision == "extended":
+        see_that_it_can(scene)
     search = options.search and scene.flow_at is None
     found = follow(scene, value_by_value(scene, lanes), options.levels, search=search)
     data = _dataset(scene.system, scene.line, options.levels, found)

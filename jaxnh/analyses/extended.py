@@ -1,6 +1,6 @@
 """Doublings of a cascade beyond float64, for `accuracy.precision: extended`, and the limit of δ that they give.
 
-The map is that of float64, with the same table of kicks: its cascade is moved by the error of a period, and δ of every
+The map is that of float64, with the same kicks or steps: its cascade is moved by the error of a period, and δ of every
 smooth map is the same. So digits of δ cost no steps, only arithmetic.
 """
 
@@ -12,12 +12,14 @@ from dataclasses import replace
 from decimal import Decimal, localcontext
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.cascade import Cascade
 from jaxnh.analyses.locating import PERIOD_TILE, REFINEMENTS
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.double_double import Double
 from jaxnh.maps.extended_precision import carried
 from jaxnh.maps.iterate import Derivatives, derivatives
@@ -41,6 +43,20 @@ class ExtendedDoublings(NamedTuple):
     fine: tuple[ExtendedPoint, ...]
 
 
+def see_that_it_can(scene: Scene) -> None:
+    """See that extended precision knows all operations of the scene's map, before anything is computed.
+
+    Raises:
+        AccuracyError: it does not.
+    """
+    number, section = (jax.ShapeDtypeStruct(shape, np.float64) for shape in ((), (scene.system.dimension,)))
+    u, p = Double(section, section), dict.fromkeys(scene.p, Double(number, number))
+    try:
+        jax.eval_shape(carried, scene.strobe().shortest(), np.int64(0), u, u, p)
+    except NotImplementedError as error:
+        raise AccuracyError(f"{error}, and the system has it: leave accuracy.precision out") from None
+
+
 def extended_doublings(scene: Scene, lanes: LaneRunner, found: Cascade) -> ExtendedDoublings:
     """The doublings of a cascade in double-double precision, up to the first where Newton does not settle."""
     maps: list[tuple[ExtendedPoint, ...]] = []
@@ -62,6 +78,7 @@ def _located(
 ) -> ExtendedPoint | None:
     name = scene.line.name
     exact, plain = (replace(scene, compensated=sums).strobe(refinement) for sums in (True, False))
+    plain = plain.shortest()
 
     def slopes(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         lane = (u, scene.at(values).p)

@@ -27,7 +27,7 @@ from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Options, rule
 from jaxnh.config.messages import close_match, shown
 from jaxnh.maps.section import LONGEST, SectionedFlow
-from jaxnh.solvers import SOLVERS, SPLITTINGS
+from jaxnh.solvers import NYSTROM, SOLVERS, SPLITTINGS
 from jaxnh.systems.flow import Flow
 
 MOST_LANES = 10_000_000
@@ -264,8 +264,10 @@ class Accuracy(Block):
         if (self.solver is None) != (self.steps is None):
             given, absent = ("solver", "steps") if self.steps is None else ("steps", "solver")
             raise rule(f"solver and steps go together; give {absent} as well", given)
-        if self.precision in ("float32", "extended") and self.solver and self.solver not in SPLITTINGS:
-            raise rule(f"{self.precision} goes with the splittings, and {self.solver} is none", "precision", "solver")
+        if self.precision == "float32" and self.solver and self.solver not in SPLITTINGS:
+            raise rule(f"float32 goes with the splittings, and {self.solver} is none", "precision", "solver")
+        if self.precision == "extended" and self.solver in NYSTROM:
+            raise rule(f"extended goes with all solvers but {self.solver}", "precision", "solver")
         return self
 
 

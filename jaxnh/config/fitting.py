@@ -39,7 +39,7 @@ def check_accuracy(accuracy: Accuracy, requested: Requested, *, prescribed: bool
         raise rule(wrong, "accuracy.solver")
     if precision == "float64":
         return
-    if not prescribed:
+    if precision == "float32" and not prescribed:
         raise rule(f"{precision} is for a particle at a prescribed speed", "accuracy.precision")
     if not clock:
         raise rule(f"{precision} goes with a strobe, and this scene has no clock", "accuracy.precision")

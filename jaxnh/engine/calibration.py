@@ -120,7 +120,8 @@ class Calibration:
         flow = self._flows[0]
         self._way = way = way_of(flow)
         # Without a clock every step starts and ends by itself: no processor around many, no sums over them.
-        self._candidates = tuple(s for s in way.solvers(flow.flow) if not (flow.autonomous and s.processor[1]))
+        solvers = way.solvers(flow.flow, precision)
+        self._candidates = tuple(s for s in solvers if not (flow.autonomous and s.processor[1]))
         self._summations = (False,) if flow.autonomous else way.summations
         self._samples, looked_at = self._take_samples(rows)
         self._left_out = int(_LEFT_OUT * looked_at)

@@ -57,7 +57,7 @@ class Way(Protocol):
     rough_steps: ClassVar[int]
     smooth: ClassVar[bool]
 
-    def solvers(self, flow: Any) -> tuple[Solver, ...]:
+    def solvers(self, flow: Any, precision: str = "float64") -> tuple[Solver, ...]:
         """Those to choose from."""
         ...
 
@@ -88,7 +88,7 @@ class Kicks:
     rough_steps: ClassVar[int] = 32
     smooth: ClassVar[bool] = True
 
-    def solvers(self, flow: Any) -> tuple[Solver, ...]:
+    def solvers(self, flow: Any, precision: str = "float64") -> tuple[Solver, ...]:
         return tuple(SPLITTINGS.values())
 
     def strobe(
@@ -144,9 +144,12 @@ class Steps:
     rough_steps: ClassVar[int] = 16
     smooth: ClassVar[bool] = False
 
-    def solvers(self, flow: Flow) -> tuple[Solver, ...]:
-        # Where Nyström's method goes it needs half the arithmetic of the others, at every accuracy.
-        return (nystrom8,) if second_order(flow) else (tsitouras_papakostas8, verner9, tsit5)
+    def solvers(self, flow: Flow, precision: str = "float64") -> tuple[Solver, ...]:
+        # Where Nyström's method goes it needs half the arithmetic of the others, at every accuracy. It has its stages
+        # written out, and so many operations in extended precision would compile for minutes.
+        if precision != "extended" and second_order(flow):
+            return (nystrom8,)
+        return tsitouras_papakostas8, verner9, tsit5
 
     def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> Strobe:
         return _on_grid(flow, solver, step_grid(flow, steps, span))

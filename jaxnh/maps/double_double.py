@@ -9,6 +9,7 @@ constants errors are 1e-16; tests/maps/test_extended_precision.py holds compiled
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -17,9 +18,15 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from jaxnh.maps.elementary import LN2_164, PI_160, power_of_two
+
 _HALF = 26  # bits of the upper half of a factor
-_HALVINGS = 4  # of an angle before series of sine and cosine
+_HALVINGS = 4  # of an angle before series of sine and cosine, and of an exponent
 _TERMS = 11  # of these: x²²/23! is below 2⁻¹⁰⁸ at x = π/16
+_POWERS = 15  # of an exponent: x¹⁵/16! is below 2⁻¹⁰⁸ at x = ln 2/32
+_TURN, _LN2 = Fraction(PI_160, 1 << 159), Fraction(LN2_164, 1 << 164)  # 2 π, ln 2
+_LEAST_EXPONENT, _LARGEST_EXPONENT = -1022, 1023  # of two
+_ONE_TO_ROUNDING = 40.0  # tanh beyond
 
 
 class Double(NamedTuple):
@@ -66,8 +73,8 @@ class Arithmetic(NamedTuple):
         return self.add(quick_sum(first, second), Double(left.hi / b.hi, None))
 
     def sin_cos(self, a: Double) -> tuple[Double, Double]:
-        """sin a and cos a, |a| ≤ π, by series at a/16 and doublings; 1 − cos keeps its digits in them."""
-        x = Double(a.hi * 0.5**_HALVINGS, None if a.lo is None else a.lo * 0.5**_HALVINGS)
+        """sin a and cos a, by series at a/16, |a| ≤ π, and doublings; 1 − cos keeps its digits in them."""
+        x = scaled(self.rem(a, self.constant(_TURN), jnp.round), 0.5**_HALVINGS)
         square, one = self.mul(x, x), self.constant(1)
         sine = versine = self.constant(0)
         for k in range(_TERMS, 0, -1):  # Horner: 1 − x²/(2k (2k+1)) (…), x²/((2k−1) 2k) (1 − …)
@@ -75,13 +82,52 @@ class Arithmetic(NamedTuple):
             sine = self.mul(self.mul(square, self.constant(of_sine)), self.add(one, negative(sine)))
             versine = self.mul(self.mul(square, self.constant(of_versine)), self.add(one, negative(versine)))
         sine = self.mul(x, self.add(one, negative(sine)))
-        half = Double(0.5 * square.hi, None if square.lo is None else 0.5 * square.lo)
-        versine = self.mul(half, self.add(one, negative(versine)))
+        versine = self.mul(scaled(square, 0.5), self.add(one, negative(versine)))
         for _ in range(_HALVINGS):
             cosine = self.add(one, negative(versine))
-            versine = twice(self.mul(sine, sine))
-            sine = twice(self.mul(sine, cosine))
+            versine = scaled(self.mul(sine, sine), 2.0)
+            sine = scaled(self.mul(sine, cosine), 2.0)
         return sine, self.add(one, negative(versine))
+
+    def rem(self, a: Double, b: Double, whole: Callable[[Array], Array] = jnp.trunc) -> Double:
+        """What a is beyond a whole number of b; a divisor that is 2 π in float64 is 2 π."""
+        turn = self.constant(_TURN)
+        if b.lo is None:
+            b = chosen(b.hi == float(_TURN), turn, b)
+        return self.add(a, negative(self.mul(Double(whole(a.hi / b.hi), None), b)))
+
+    def sqrt(self, a: Double) -> Double:
+        """√a by a step of Newton."""
+        root = Double(jnp.sqrt(a.hi), None)
+        left = self.add(a, negative(self.mul(root, root)))
+        return quick_sum(root.hi, jnp.where(root.hi > 0.0, left.hi / (2.0 * root.hi), 0.0))
+
+    def exp(self, a: Double) -> Double:
+        """exp a."""
+        power, grown = self._grown(a)
+        return scaled(self.add(self.constant(1), grown), power)
+
+    def expm1(self, a: Double) -> Double:
+        """exp a − 1."""
+        power, grown = self._grown(a)
+        return self.add(scaled(grown, power), self.add(Double(power, None), self.constant(-1)))
+
+    def log(self, a: Double) -> Double:
+        """ln a by a step of Newton, of third order."""
+        first = Double(jnp.log(a.hi), None)
+        left = self.add(self.mul(a, self.exp(negative(first))), self.constant(-1))
+        return self.add(first, self.add(left, Double(-0.5 * left.hi * left.hi, None)))
+
+    def tanh(self, a: Double) -> Double:
+        """tanh a."""
+        twice = scaled(Double(jnp.clip(a.hi, -_ONE_TO_ROUNDING, _ONE_TO_ROUNDING), a.lo), 2.0)
+        grown = self.expm1(twice)
+        return self.div(grown, self.add(grown, self.constant(2)))
+
+    def less(self, a: Double, b: Double) -> Array:
+        """Whether a < b."""
+        less, least = (jnp.zeros_like(each.hi) if each.lo is None else each.lo for each in (a, b))
+        return (a.hi < b.hi) | ((a.hi == b.hi) & (less < least))
 
     def atan2(self, y: Double, x: Double) -> Double:
         """The angle of (x, y): that of float64, and the angle left after turning back by it, whose cube is nothing."""
@@ -97,6 +143,17 @@ class Arithmetic(NamedTuple):
             return Double(self._rounded(jnp.asarray(number)), None)
         hi = float(number)
         return Double(self._rounded(jnp.asarray(hi)), self._rounded(jnp.asarray(float(number - Fraction(hi)))))
+
+    def _grown(self, a: Double) -> tuple[Array, Double]:
+        """A power of two 2ⁿ and exp(a − n ln 2) − 1, by a series at a sixteenth and doublings."""
+        n = jnp.clip(jnp.round(a.hi * (1.0 / float(_LN2))), _LEAST_EXPONENT, _LARGEST_EXPONENT)
+        x = scaled(self.add(a, negative(self.mul(Double(n, None), self.constant(_LN2)))), 0.5**_HALVINGS)
+        grown, one, two = self.constant(0), self.constant(1), self.constant(2)
+        for k in range(_POWERS, 0, -1):  # Horner: x (1 + x/2 (1 + x/3 (…)))
+            grown = self.mul(self.mul(x, self.constant(Fraction(1, k))), self.add(one, grown))
+        for _ in range(_HALVINGS):
+            grown = self.mul(grown, self.add(two, grown))
+        return power_of_two(n), grown
 
     def _product(self, a: Array, b: Array) -> tuple[Array, Array]:
         """a b rounded, and what rounding has cut off; products of halves are exact however they are joined to sums."""
@@ -133,9 +190,15 @@ def negative(a: Double) -> Double:
     return Double(-a.hi, None if a.lo is None else -a.lo)
 
 
-def twice(a: Double) -> Double:
-    """2 a."""
-    return Double(2.0 * a.hi, None if a.lo is None else 2.0 * a.lo)
+def scaled(a: Double, power: Any) -> Double:
+    """a times a power of two."""
+    return Double(power * a.hi, None if a.lo is None else power * a.lo)
+
+
+def chosen(which: Array, a: Double, b: Double) -> Double:
+    """a where it is asked for, else b."""
+    less, least = (jnp.zeros_like(each.hi) if each.lo is None else each.lo for each in (a, b))
+    return Double(jnp.where(which, a.hi, b.hi), jnp.where(which, less, least))
 
 
 def _halves(a: Array) -> tuple[Array, Array]:

@@ -44,8 +44,9 @@ def _reduced(x: Array, k: Array, parts: tuple[float, ...]) -> Array:
 
 # ---- sin and cos
 
-_PI = 0x3243F6A8885A308D313198A2E03707344A4093822  # π 2¹⁶⁰
-_HALF_PI = _parts(_PI, 161, 4)
+PI_160 = 0x3243F6A8885A308D313198A2E03707344A4093822
+"""π 2¹⁶⁰."""
+_HALF_PI = _parts(PI_160, 161, 4)
 _SINE = [(-1.0) ** k / math.factorial(2 * k + 1) for k in range(1, 11)]  # the next term is below 2⁻⁵⁹ of the sum at π/2
 
 
@@ -80,7 +81,9 @@ cosine.defjvps(lambda dx, _, x: -sine(x) * dx)
 
 # ---- exp, log and tanh
 
-_LN2 = _parts(0xB17217F7D1CF79ABC9E3B39803F2F6AF40F343267, 164, 3)  # ln 2 · 2¹⁶⁴
+LN2_164 = 0xB17217F7D1CF79ABC9E3B39803F2F6AF40F343267
+"""ln 2 · 2¹⁶⁴."""
+_LN2 = _parts(LN2_164, 164, 3)
 _EXP = [1.0 / math.factorial(k) for k in range(2, 15)]  # the next term is below 2⁻⁶⁰ at ln 2 / 2
 _LOG = [2.0 / (2 * k + 1) for k in range(1, 13)]  # of artanh: the next term is below 2⁻⁶⁰ of the sum at (√2 − 1)²
 _LARGEST, _LEAST = 710.0, -746.0  # exp is infinite beyond, or zero
@@ -90,7 +93,7 @@ _WHOLE, _MAGIC = 1.5 * 2.0**52, 2.0**52  # floats whose last bits are whole numb
 _MAGIC_BITS, _HALF_ROOT = (int(np.float64(x).view(np.int64)) for x in (_MAGIC, math.sqrt(0.5)))
 
 
-def _power_of_two(n: Array) -> Array:
+def power_of_two(n: Array) -> Array:
     """2ⁿ of whole n from −1022 to 1023."""
     bits = lax.bitcast_convert_type(n + _WHOLE, jnp.int64)
     return lax.bitcast_convert_type((bits + _ONE) << _EXPONENT, jnp.float64)
@@ -113,7 +116,7 @@ def exponential(x: Array) -> Array:
         return jnp.exp(x)
     n, grown = _grown(jnp.clip(x, _LEAST, _LARGEST))
     half = jnp.floor(0.5 * n)
-    return (1.0 + grown) * _power_of_two(half) * _power_of_two(n - half)
+    return (1.0 + grown) * power_of_two(half) * power_of_two(n - half)
 
 
 @jax.custom_jvp
@@ -142,7 +145,7 @@ def hyperbolic_tangent(x: Array) -> Array:
     if x.dtype != jnp.float64:
         return jnp.tanh(x)
     n, grown = _grown(2.0 * jnp.minimum(jnp.abs(x), _ONE_TO_ROUNDING))
-    power = _power_of_two(n)
+    power = power_of_two(n)
     less = power * grown + (power - 1.0)  # exp(2|x|) − 1
     return jnp.sign(x) * (less / (less + 2.0))
 

@@ -6,6 +6,7 @@ of 1e-32 in place of 1e-16.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -16,8 +17,10 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.maps.double_double import Arithmetic, Double, negative
-from jaxnh.maps.protocol import Strobe, Tangent
+from jaxnh.maps import elementary
+from jaxnh.maps.double_double import Arithmetic, Double, chosen, negative
+from jaxnh.maps.elementary import cosine, exponential, hyperbolic_tangent, logarithm, sine
+from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Parameters
 
 Value = Double | Array
@@ -26,8 +29,14 @@ Value = Double | Array
 # What puts numbers elsewhere and does no arithmetic.
 _MOVING = {"broadcast_in_dim", "concatenate", "copy", "dynamic_slice", "reshape", "scatter", "select_n", "slice"}
 _MOVING |= {"squeeze", "stack", "transpose"}
-_AS_THEY_ARE = {"reduce_precision", "optimization_barrier"}  # marks for the compiler of float64
+_MOVING |= {"dynamic_update_slice", "expand_dims", "gather", "pad", "rev"}
+_AS_THEY_ARE = {
+    "reduce_precision",
+    "optimization_barrier",
+    "stop_gradient",
+}  # marks for the compiler, or for derivatives
 _CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
+_ELEMENTARY = {sine: "sin", cosine: "cos", exponential: "exp", logarithm: "log", hyperbolic_tangent: "tanh"}
 
 
 def extended(function: Callable[..., Any], hidden: ArrayLike) -> Callable[..., Any]:
@@ -79,9 +88,11 @@ def _apply(arithmetic: Arithmetic, equation: Any, values: list[Value]) -> list[V
     name, params = equation.primitive.name, equation.params
     if name in _CALLS:
         inner = params[_CALLS[name]]
+        if (own := _elementary(inner)) and _real(values[0]):
+            return [_OPERATIONS[own](arithmetic, params, *values)]
         return _evaluate(arithmetic, inner, values)
-    if name == "while":
-        return _loop(arithmetic, params, values)
+    if name in _LOOPS:
+        return _LOOPS[name](arithmetic, params, values)
     if name in _AS_THEY_ARE or (
         name == "convert_element_type" and params["new_dtype"] == jnp.float64 and _real(values[0])
     ):
@@ -110,10 +121,18 @@ def _half(value: Any, number: int) -> Array:
     return value.hi if number == 0 else jnp.zeros_like(value.hi) if value.lo is None else value.lo
 
 
+def _elementary(inner: Any) -> str:
+    """The operation that a call of the package's elementary functions is; "" of any other."""
+    source = str(inner.jaxpr.debug_info.func_src_info)
+    names = (
+        name for own, name in _ELEMENTARY.items() if source.startswith(f"{own.__name__} at {elementary.__file__}:")
+    )
+    return next(names, "")
+
+
 def _loop(arithmetic: Arithmetic, params: Mapping[str, Any], values: list[Value]) -> list[Value]:
     of_condition, of_body = params["cond_nconsts"], params["body_nconsts"]
     before, body = values[:of_condition], values[of_condition : of_condition + of_body]
-    begun = [Double(v.hi, _half(v, 1)) if isinstance(v, Double) else v for v in values[of_condition + of_body :]]
 
     def unfinished(carried: list[Value]) -> Array:
         (left,) = _evaluate(arithmetic, params["cond_jaxpr"], [*before, *carried])
@@ -121,21 +140,56 @@ def _loop(arithmetic: Arithmetic, params: Mapping[str, Any], values: list[Value]
         return left
 
     def turn(carried: list[Value]) -> list[Value]:
-        results = _evaluate(arithmetic, params["body_jaxpr"], [*body, *carried])
-        return [Double(v.hi, _half(v, 1)) if isinstance(v, Double) else v for v in results]
+        return _whole(_evaluate(arithmetic, params["body_jaxpr"], [*body, *carried]))
 
-    return lax.while_loop(unfinished, turn, begun)
+    return lax.while_loop(unfinished, turn, _whole(values[of_condition + of_body :]))
+
+
+def _scan(arithmetic: Arithmetic, params: Mapping[str, Any], values: list[Value]) -> list[Value]:
+    shared, states = params["num_consts"], params["num_consts"] + params["num_carry"]
+
+    def turn(carried: list[Value], row: list[Value]) -> tuple[list[Value], list[Value]]:
+        results = _whole(_evaluate(arithmetic, params["jaxpr"], [*values[:shared], *carried, *row]))
+        return results[: states - shared], results[states - shared :]
+
+    begun, rows = _whole(values[shared:states]), values[states:]
+    ended, stacked = lax.scan(turn, begun, rows, length=params["length"], reverse=params["reverse"])
+    return [*ended, *stacked]
+
+
+_LOOPS: dict[str, Callable[[Arithmetic, Mapping[str, Any], list[Value]], list[Value]]] = {"while": _loop, "scan": _scan}
+
+
+def _whole(values: list[Value]) -> list[Value]:
+    """With both halves of every number, as loops carry them."""
+    return [Double(v.hi, _half(v, 1)) if isinstance(v, Double) else v for v in values]
 
 
 def _power(arithmetic: Arithmetic, params: Mapping[str, Any], a: Double) -> Double:
     result = a
-    for _ in range(params["y"] - 1):
+    for _ in range(abs(params["y"]) - 1):
         result = arithmetic.mul(result, a)
-    return result
+    return result if params["y"] > 0 else arithmetic.div(arithmetic.constant(1), result)
+
+
+def _real_power(arithmetic: Arithmetic, _: Mapping[str, Any], a: Double, b: Double) -> Double:
+    power = arithmetic.exp(arithmetic.mul(b, arithmetic.log(a)))
+    return chosen(a.hi == 0.0, Double(jnp.zeros_like(a.hi), None), power)
 
 
 def _equal(_: Arithmetic, __: Mapping[str, Any], a: Double, b: Double) -> Array:
     return (a.hi == b.hi) & (_half(a, 1) == _half(b, 1))
+
+
+def _sum(arithmetic: Arithmetic, params: Mapping[str, Any], a: Double) -> Double:
+    """Over axes, one after the other."""
+    for axis in sorted(params["axes"], reverse=True):
+        parts = [
+            Double(*(None if half is None else lax.index_in_dim(half, k, axis, keepdims=False) for half in a))
+            for k in range(a.hi.shape[axis])
+        ]
+        a = functools.reduce(arithmetic.add, parts, arithmetic.constant(0))
+    return a
 
 
 _OPERATIONS: dict[str, Callable[..., Value]] = {
@@ -144,13 +198,31 @@ _OPERATIONS: dict[str, Callable[..., Value]] = {
     "sub": lambda arithmetic, _, a, b: arithmetic.add(a, negative(b)),
     "mul": lambda arithmetic, _, a, b: arithmetic.mul(a, b),
     "div": lambda arithmetic, _, a, b: arithmetic.div(a, b),
+    "rem": lambda arithmetic, _, a, b: arithmetic.rem(a, b),
     "neg": lambda _, __, a: negative(a),
+    "abs": lambda _, __, a: chosen(a.hi < 0.0, negative(a), a),
+    "sign": lambda _, __, a: Double(jnp.sign(a.hi), None),
+    "max": lambda arithmetic, _, a, b: chosen(arithmetic.less(a, b), b, a),
+    "min": lambda arithmetic, _, a, b: chosen(arithmetic.less(b, a), b, a),
+    "reduce_sum": _sum,
     "integer_pow": _power,
+    "pow": _real_power,
     "square": lambda arithmetic, _, a: arithmetic.mul(a, a),
+    "sqrt": lambda arithmetic, _, a: arithmetic.sqrt(a),
+    "exp": lambda arithmetic, _, a: arithmetic.exp(a),
+    "expm1": lambda arithmetic, _, a: arithmetic.expm1(a),
+    "log": lambda arithmetic, _, a: arithmetic.log(a),
+    "tanh": lambda arithmetic, _, a: arithmetic.tanh(a),
     "sin": lambda arithmetic, _, a: arithmetic.sin_cos(a)[0],
     "cos": lambda arithmetic, _, a: arithmetic.sin_cos(a)[1],
-    "eq": _equal,
     "atan2": lambda arithmetic, _, a, b: arithmetic.atan2(a, b),
+    "eq": _equal,
+    "ne": lambda arithmetic, params, a, b: ~_equal(arithmetic, params, a, b),
+    "lt": lambda arithmetic, _, a, b: arithmetic.less(a, b),
+    "gt": lambda arithmetic, _, a, b: arithmetic.less(b, a),
+    "le": lambda arithmetic, params, a, b: arithmetic.less(a, b) | _equal(arithmetic, params, a, b),
+    "ge": lambda arithmetic, params, a, b: arithmetic.less(b, a) | _equal(arithmetic, params, a, b),
+    "is_finite": lambda _, __, a: jnp.isfinite(a.hi),
 }
 
 
@@ -171,8 +243,6 @@ def carried(strobe: Strobe, hidden: ArrayLike, u: Double, w: Double, p: Mapping[
     system = strobe.system
 
     def plain(u: Array, w: Array, p: Parameters) -> tuple[Array, Array]:
-        state, along = jax.jvp(system.unchart, (u,), (w,))
-        pushed = strobe.push(state, p, (Tangent(along),))
-        return jax.jvp(system.chart, (pushed.state,), (pushed.tangents[0].state,))
+        return jax.jvp(lambda u: system.chart(strobe(system.unchart(u), p)), (u,), (w,))
 
     return Carried(*extended(plain, hidden)(u, w, p))

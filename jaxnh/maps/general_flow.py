@@ -91,6 +91,9 @@ class GeneralStrobe(Strobe):
             return self.rolled
         return split_of(self.system).size * (1 + tangents) * self.solver.stages > _LARGEST_STEP
 
+    def shortest(self) -> GeneralStrobe:
+        return replace(self, rolled=True) if isinstance(self.solver, WrittenOutRungeKutta) else self
+
     def stretched(self, factor: ArrayLike) -> GeneralStrobe:
         """The map over so many times the time, of a flow without a clock."""
         return replace(self, grid=self.grid * factor, values=())

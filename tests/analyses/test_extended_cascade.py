@@ -11,7 +11,7 @@ from conftest import ROOT
 
 import jaxnh
 from jaxnh.analyses.extended import delta_limit, deltas
-from jaxnh.exceptions import ConfigError
+from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.orbits.extended_doublings import ExtendedPoint
 
 FEIGENBAUM = 4.669201609102990671853  # Briggs, Math. Comp. 57 (1991) 435
@@ -82,13 +82,9 @@ CONFIG = {
 }
 BAD = {
     "without doublings": ({"analyses": {"period": {}}}, "extended is for doubling; ask for it as well"),
-    "without a speed": (
-        {"system": {"constraint": "free"}, "initial": {}},
-        "extended is for a particle at a prescribed",
-    ),
-    "without a table of kicks": (
-        {"accuracy": {"precision": "extended", "solver": "verner9", "steps": 50}},
-        "splittings",
+    "by a method of Nyström's": (
+        {"accuracy": {"precision": "extended", "solver": "nystrom8", "steps": 50}},
+        "extended goes with all solvers but nystrom8",
     ),
     "along what lanes share": ({"sweep": {"c": {"start": 1.0, "stop": 1.1, "count": 64}}}, "lanes have of their own"),
 }
@@ -102,6 +98,35 @@ def test_contradictions_are_refused(name):
         config["system"] = {"constraint": "constant_speed", "b": 5.5}
     with pytest.raises(ConfigError, match=message):
         jaxnh.Experiment.from_dict(config)
+
+
+def test_unknown_operations_are_refused(tmp_path):
+    """Before anything is computed, and by name."""
+    (tmp_path / "bent.py").write_text(
+        "import jax.numpy as jnp\n\n\ndef system(force=0.3):\n    def rhs(y, t):\n"
+        "        return y[1], jnp.arcsin(0.1 * y[0]) - y[1] + force * jnp.cos(t)\n\n"
+        '    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi}\n'
+    )
+    config = {
+        "system": {"file": str(tmp_path / "bent.py")},
+        "initial": {"x": 0.1, "v": 0.0},
+        "sweep": {"force": {"start": 0.1, "stop": 0.2, "count": 4}},
+        "accuracy": {"target": 1e-5, "precision": "extended"},
+        "analyses": {"doubling": {"levels": 2}},
+    }
+    with pytest.raises(AccuracyError, match="asin is not known in extended precision, and the system has it"):
+        jaxnh.Session(jaxnh.Experiment.from_dict(config)).run("doubling")
+
+
+@pytest.mark.slow
+def test_governor_agrees():
+    """A flow that is no particle: ten levels leave what they leave of a map, 1e-7."""
+    asked = ["accuracy.precision=extended", "accuracy.target=1e-5", "sweep.drive.start=0.83"]
+    asked += ["analyses={doubling: {levels: 10}}"]
+    data = jaxnh.Session(jaxnh.load(ROOT / "configs/governor.yaml", asked)).run("doubling")
+    assert data.attrs["levels_found"] == 10
+    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) <= data.attrs["delta_limit_error"] < 1e-6
+    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) < 1e-7
 
 
 @pytest.mark.slow

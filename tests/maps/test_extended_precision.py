@@ -6,11 +6,14 @@ from decimal import Decimal, localcontext
 from fractions import Fraction
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxnh.maps import elementary
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.double_double import Arithmetic, Double, exactly
+from jaxnh.maps.elementary import PI_160
 from jaxnh.maps.extended_precision import carried, extended
 from jaxnh.maps.iterate import derivatives
 from jaxnh.solvers import SPLITTINGS
@@ -20,7 +23,7 @@ UNIT = 2.0**-104  # of double-double: four roundings of 2⁻¹⁰⁶
 HIDDEN = np.int64(0)
 
 
-def total(double, i):
+def total_of(double, i):
     return Fraction(float(double.hi[i])) + Fraction(float(double.lo[i]))
 
 
@@ -49,8 +52,8 @@ def test_arithmetic():
         for _ in range(8):
             a, b = a * b - Fraction(0.3) * a / (Fraction(3, 2) + b * b), b - a * a * Fraction(0.7) + Fraction(0.1)
             a, b = (Fraction(round(number * 2**300), 2**300) for number in (a, b))
-        assert abs(total(found[0], i) - a) < 8 * 10 * 2.2 * UNIT
-        assert abs(total(found[1], i) - b) < 8 * 10 * 2.2 * UNIT
+        assert abs(total_of(found[0], i) - a) < 8 * 10 * 2.2 * UNIT
+        assert abs(total_of(found[1], i) - b) < 8 * 10 * 2.2 * UNIT
 
 
 def test_angles():
@@ -74,9 +77,73 @@ def test_angles():
                 assert abs(value - wanted) < Decimal(64 * UNIT)
 
 
+@pytest.mark.parametrize("turns", [1, 7, 1000])
+def test_angles_of_many_turns(turns):
+    """Whole turns are taken off by 2 π to more digits than two float64 have."""
+    angle = np.random.default_rng(2).uniform(-np.pi, np.pi, 8)
+    turn = Fraction(PI_160, 1 << 159)
+    beyond = [Fraction(a) + turns * turn for a in angle]
+    hi = np.array([float(a) for a in beyond])
+    lo = np.array([float(a - Fraction(b)) for a, b in zip(beyond, hi, strict=True)])
+    run = jax.jit(jax.vmap(lambda hidden, a: Arithmetic(hidden).sin_cos(a), (None, 0)))
+    for far, near in zip(run(HIDDEN, Double(hi, lo)), run(HIDDEN, Double(angle, np.zeros(8))), strict=True):
+        gap = (far.hi - near.hi) + (far.lo - near.lo)
+        assert np.abs(gap).max() < 8 * UNIT + 2 * np.pi * turns * UNIT / 4  # lo of the angle is rounded
+
+
+ELEMENTARY = {
+    "sqrt": (jnp.sqrt, Decimal.sqrt, (0.01, 30.0)),
+    "exp": (jnp.exp, Decimal.exp, (-30.0, 30.0)),
+    "log": (jnp.log, Decimal.ln, (1e-6, 1e6)),
+    "expm1": (jnp.expm1, lambda x: x.exp() - 1, (-2.0, 2.0)),
+    "tanh": (jnp.tanh, lambda x: ((2 * x).exp() - 1) / ((2 * x).exp() + 1), (-3.0, 3.0)),
+    "power": (lambda x: x**2.5, lambda x: x ** Decimal("2.5"), (0.1, 10.0)),
+    "inverse square": (lambda x: x**-2, lambda x: x**-2, (0.1, 10.0)),
+    "exponential of the package": (elementary.exponential, Decimal.exp, (-30.0, 30.0)),
+}
+
+
+@pytest.mark.parametrize("name", ELEMENTARY)
+def test_elementary_functions(name):
+    """Within 64 units: four doublings double errors of a few units; a logarithm's are of what is added to it."""
+    ours, exact, (low, high) = ELEMENTARY[name]
+    x = np.append(np.random.default_rng(3).uniform(low, high, 24), [low, high])
+    found = jax.jit(jax.vmap(lambda hidden, x: extended(ours, hidden)(exactly(x)), (None, 0)))(HIDDEN, x)
+    with localcontext(prec=60):
+        for i, a in enumerate(map(Decimal, x.tolist())):
+            value, wanted = Decimal(float(found.hi[i])) + Decimal(float(found.lo[i])), exact(a)
+            assert abs(value - wanted) < Decimal(64 * UNIT) * max(abs(wanted), Decimal(1) if name == "log" else 0)
+
+
+def test_loops_choices_and_comparisons():
+    """A loop over rows of a table, with what chooses among numbers that differ beyond float64."""
+    small = 2.0**-80
+
+    def function(x, y):
+        def turn(total, row):
+            larger = jnp.maximum(total * row, y)
+            return jnp.where(larger > x, larger - x, jnp.abs(x - larger)), jnp.sign(larger - 1.0)
+
+        total, signs = jax.lax.scan(turn, x, jnp.array([0.5, 1.0, 2.0]))
+        return jnp.minimum(total, y), signs.sum(), (x % y) < 0.25
+
+    at = Double(np.array([1.0, 1.0]), np.array([small, -small])), Double(np.array([1.0, 0.5]), np.zeros(2))
+    run = jax.jit(jax.vmap(lambda hidden, x, y: extended(function, hidden)(x, y), (None, 0, 0)))
+    found, signs, rests = run(HIDDEN, *at)
+    for i in range(2):
+        x, y = (total_of(one, i) for one in at)
+        total, sign = x, 0
+        for row in (Fraction(1, 2), 1, 2):
+            larger = max(total * row, y)
+            total, sign = abs(larger - x), sign + int(np.sign(larger - 1))
+        assert total_of(found, i) == min(total, y)
+        assert signs.hi[i] == sign
+        assert bool(rests[i]) == (x % y < Fraction(1, 4))
+
+
 def test_unknown_operations_are_named():
-    with pytest.raises(NotImplementedError, match="tanh is not known in extended precision"):
-        extended(jax.numpy.tanh, HIDDEN)(exactly(1.0))
+    with pytest.raises(NotImplementedError, match="asin is not known in extended precision"):
+        extended(jnp.arcsin, HIDDEN)(exactly(0.5))
 
 
 @pytest.mark.slow
