@@ -88,6 +88,22 @@ def calibrate_once(
 plan.calibrate = session.calibrate = calibrate_once
 
 
+def run_by_two_workers(text: str, folder: Path, tile: int) -> Path:
+    """A run of a config, in a process of its own, by a local Dask cluster of two workers; its result."""
+    code = "import jaxnh\nif __name__ == '__main__':\n"
+    code += f"    jaxnh.run(jaxnh.load('job.yaml'), 'job.h5', dask='local:2', tile={tile})\n"
+    (folder / "job.yaml").write_text(text)
+    (folder / "script.py").write_text(code)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "script.py"]
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert (done.stdout, done.stderr) == ("", "")
+    return folder / "job.h5"
+
+
 def run_here(*arguments: object, cwd: Path = ROOT, command: str = "sweep") -> subprocess.CompletedProcess:
     """`python -m jaxnh.COMMAND ARGUMENTS` in a folder, without a process of its own: JAX has started already."""
     assert threading.current_thread() is threading.main_thread()  # as signals need it

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
-from conftest import ROOT, lanes_with_kept_programs, run_here, same_tree, session_of
+from conftest import lanes_with_kept_programs, run_by_two_workers, run_here, same_tree, session_of
 from test_basins import experiment, line, oscillator
 
 import jaxnh
@@ -90,21 +86,7 @@ def test_stopped_in_the_last_piece(double_well, in_memory, tmp_path):
 @pytest.mark.slow
 def test_two_workers(double_well, in_memory, tmp_path):
     """Of a local Dask cluster, each on one core."""
-    (tmp_path / "job.yaml").write_text(double_well.text)
-    code = "import sys, jaxnh\nif __name__ == '__main__':\n"
-    code += "    jaxnh.run(jaxnh.load('job.yaml'), 'job.h5', dask='local:2', tile=16)\n"
-    (tmp_path / "script.py").write_text(code)
-    done = subprocess.run(
-        [sys.executable, "script.py"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    same_tree(jaxnh.open_result(tmp_path / "job.h5"), in_memory)
+    same_tree(jaxnh.open_result(run_by_two_workers(double_well.text, tmp_path, 16)), in_memory)
 
 
 def test_rows_of_a_shared_axis(tmp_path):

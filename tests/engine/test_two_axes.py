@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import copy
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from conftest import ROOT, run_here, same_attrs, same_tree, session_of
+from conftest import run_by_two_workers, run_here, same_attrs, same_tree, session_of
 from measure import some_slow
 
 import jaxnh
@@ -287,19 +284,4 @@ def test_stopped_and_resumed(tmp_path, experiment, whole):
 @pytest.mark.slow
 def test_two_workers(tmp_path, experiment, whole):
     """Of a local Dask cluster, each on one core."""
-    code = "import sys, jaxnh\nif __name__ == '__main__':\n"
-    code += "    jaxnh.run(jaxnh.load('job.yaml'), 'job.h5', dask='local:2', tile=4)\n"
-    (tmp_path / "job.yaml").write_text(experiment.text)
-    (tmp_path / "script.py").write_text(code)
-    done = subprocess.run(
-        [sys.executable, "script.py"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert (done.stdout, done.stderr) == ("", "")
-    same_file(tmp_path / "job.h5", whole)
+    same_file(run_by_two_workers(experiment.text, tmp_path, 4), whole)
