@@ -20,6 +20,9 @@ from jaxnh.orbits.curves import Plane
 from jaxnh.systems.flow import Flow, Parameters
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long
+# On a section, whose returns are of many steps, arithmetic decides: of four lanes they take a quarter of the time. With
+# a clock a period of few lanes takes most of the time of many, and one program serves.
+_FEW = 4
 
 
 def orbits_of(
@@ -34,12 +37,13 @@ def orbits_of(
         size: of the motion in each section coordinate.
         ends: of the range of the parameter, the lower one first.
     """
-    name, shared = scene.line.name, (strobe, np.int32(1))
+    name, shared, few = scene.line.name, (strobe, np.int32(1)), _FEW if scene.flow.autonomous else 0
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
-        return lanes(derivatives, shared, (u, scene.at(values).p), tile=_TILE, static=(name,))
+        tile = few if len(u) <= 2 * few else _TILE
+        return lanes(derivatives, shared, (u, scene.at(values).p), tile=tile, static=(name,))
 
     return Family(period, scene.system.wrap, size, *ends)
 

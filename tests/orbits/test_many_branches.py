@@ -12,9 +12,11 @@ from measure import scene_of
 from jaxnh.analyses.branch_seeds import random_wave
 from jaxnh.analyses.families import orbits_of
 from jaxnh.analyses.known_branches import on_branch
+from jaxnh.maps.section import SectionedFlow
 from jaxnh.orbits.arclength import FINE, along_parameter, correct
 from jaxnh.orbits.branches import Steps, both_ways
-from jaxnh.solvers import SPLITTINGS
+from jaxnh.solvers import SPLITTINGS, dopri8
+from jaxnh.systems.first_order import first_order
 from jaxnh.systems.particle import constant_speed
 
 START = ((0.1, 0.1), (0.1, float(np.sqrt(0.99))))
@@ -90,6 +92,23 @@ def test_many_branches_of_periods_up_to_eight(scene, lanes):
     orbits = searched(scene, lanes, [0, 4, 8], 16, 8)
     assert max(len(orbit.points) for orbit in orbits) == 8
     all_agree(scene, lanes, orbits, Steps(most=30), 8)
+
+
+@pytest.mark.slow
+def test_few_lanes_on_a_section(lanes):
+    """Another program serves few lanes there: of each lane its bits are those that it has among many."""
+
+    def roessler(c=3.0):
+        return {"rhs": lambda y, t: (-y[1] - y[2], y[0] + 0.2 * y[1], 0.2 + y[2] * (y[0] - c)), "coordinates": "xyz"}
+
+    flow = SectionedFlow(first_order(roessler, {"c": 3.0}), "y", 1, 0.0, "up")
+    scene = scene_of(flow, flow.start({"x": 2.0, "y": 0.0, "z": 0.1}), [2.9, 3.1], dopri8, 24, name="c")
+    family = orbits_of(scene, lanes, scene.strobe(), np.ones(2), (2.0, 4.0))
+    rng = np.random.default_rng(0)
+    u, c = np.array([2.0, 0.1]) + 0.1 * rng.uniform(size=(20, 2)), rng.uniform(2.5, 3.5, 20)
+    many, few = family.period(u, c), family.period(u[:3], c[:3])
+    assert np.isfinite(many.monodromy).all()
+    assert all(np.array_equal(a[:3], b) for a, b in zip(many, few, strict=True))
 
 
 @pytest.mark.slow
