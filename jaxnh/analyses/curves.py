@@ -23,8 +23,9 @@ from jaxnh.analyses.locating import price_of_orbits, refined
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.analyses.survey import survey_from_start
 from jaxnh.orbits.branches import Steps
-from jaxnh.orbits.codimension_two import POINTS, Special, special_points
-from jaxnh.orbits.curves import ENDS, Curve, Plane, both_ways, unknowns
+from jaxnh.orbits.codimension_two import POINTS, Special, special_errors, special_points
+from jaxnh.orbits.curves import ENDS, Curve, Plane, both_ways, refinement_error, unknowns
+from jaxnh.orbits.curves import refined as curve_of_finer
 from jaxnh.orbits.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
 
 _OWN_NAMES = (
@@ -59,6 +60,14 @@ class _Seed(NamedTuple):
     values: Float[np.ndarray, " 2"]
 
 
+class _Point(NamedTuple):
+    """A point of codimension two, the number of its curve, and errors of both parameters."""
+
+    curve: int
+    point: Special
+    error: Float[np.ndarray, " 2"]
+
+
 def periods(options: CurvesOptions, lanes: int) -> float:
     """Lane-periods of a run: a guess, as nobody knows how many curves there are."""
     return _WORK * options.values * lanes**0.5 * (options.transient + 2 * options.limit)
@@ -80,7 +89,8 @@ def check(options: CurvesOptions, setting: Setting) -> None:
             raise OptionError(f"curves are followed over two parameters, and {axis.name} is {what}")
         if len(np.unique(axis.values)) < 2:
             raise OptionError(f"curves are followed over a range of {axis.name}, and the sweep has one value of it")
-    own = {*_OWN_NAMES, *(f"special_{name}" for name in names)}
+    own = {*_OWN_NAMES, *(f"{name}_error" for name in names)}
+    own |= {f"special_{name}{rest}" for name in names for rest in ("", "_error")}
     for name in {*names, *setting.flow.coordinates} & own:
         raise OptionError(f"{name} is what curves calls a number of its own; rename it")
 
@@ -102,7 +112,8 @@ def whole(options: CurvesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     surveys = [survey_from_start(scene, lanes, options.limit, "curves", options.transient) for scene in scenes]
     sizes = np.concatenate([survey.size[~survey.failed] for survey in surveys])
     size = np.median(sizes, axis=0) if len(sizes) else np.ones(scenes[0].system.dimension)
-    plane = plane_of(scenes[0], lanes, refined(scenes[0])[0], size, (first.name, second.name), low, high)
+    names = (first.name, second.name)
+    plane, *finer = (plane_of(scenes[0], lanes, strobe, size, names, low, high) for strobe in refined(scenes[0]))
     curves = list[Curve]()
     for scene, survey, value in zip(scenes, surveys, chosen.tolist(), strict=True):
         period = np.where(survey.failed, 0, survey.period)
@@ -118,9 +129,19 @@ def whole(options: CurvesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
         with lanes.stage(f"curves: from {len(seeds)} bifurcations at {second.name} = {value:g}", 0):
             curves += _followed(plane, curves, seeds, options)
     curves.sort(key=lambda curve: (curve.period, curve.kind))
+    with lanes.stage(f"curves: errors of {len(curves)}", 0):
+        again = [[curve_of_finer(one, curve) for one in finer] for curve in curves]
+        errors = [
+            refinement_error([curve.values, *(other.values for other in others)])
+            for curve, others in zip(curves, again, strict=True)
+        ]
     with lanes.stage(f"curves: points of codimension two on {len(curves)}", 0):
-        special = [(k, point) for k, curve in enumerate(curves) for point in special_points(plane, curve)]
-    found = _dataset(scenes[0], sweep.axes, curves, special, options.limit)
+        special = [
+            _Point(k, point, special_errors(finer, again[k], point))
+            for k, curve in enumerate(curves)
+            for point in special_points(plane, curve)
+        ]
+    found = _dataset(scenes[0], sweep.axes, curves, errors, special, options.limit)
     return {"curves": found, "codimension_two": _special(scenes[0], sweep.axes, curves, special)}
 
 
@@ -164,7 +185,12 @@ def _passes(plane: Plane, curve: Curve, seed: _Seed) -> bool:
 
 
 def _dataset(
-    scene: Scene, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[tuple[int, Special]], limit: int
+    scene: Scene,
+    axes: Sequence[Axis],
+    curves: Sequence[Curve],
+    errors: Sequence[np.ndarray],
+    special: Sequence[_Point],
+    limit: int,
 ) -> xr.Dataset:
     """Variables over (curve, point), filled up with NaN, and over (special,)."""
     shape = (len(curves), max((len(curve.values) for curve in curves), default=0))
@@ -180,9 +206,10 @@ def _dataset(
     columns: dict[str, Entry] = {}
     for k, axis in enumerate(axes):
         columns[axis.name] = variable(dims, table([curve.values[:, k] for curve in curves]), axis.long_name, axis.units)
-        at = np.array([point.values[k] for _, point in special], float)
+        words = f"error of {axis.name}: a point of the exact curve is as near in both parameters"
+        columns[f"{axis.name}_error"] = variable(dims, table([error[:, k] for error in errors]), words, axis.units)
         words = f"{axis.long_name} at the point of codimension two"
-        columns[f"special_{axis.name}"] = variable("special", at, words, axis.units)
+        columns |= _at_special(f"special_{axis.name}", axis, k, special, words)
     found = {
         **columns,
         "kind": _flagged("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
@@ -197,8 +224,8 @@ def _dataset(
         ),
         "begins": _flagged("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
         "ends": _flagged("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
-        "special_kind": _flagged("special", [point.kind for _, point in special], "point of codimension two", POINTS),
-        "special_curve": variable("special", np.array([k for k, _ in special], np.int32), "number of the curve"),
+        "special_kind": _flagged("special", [one.point.kind for one in special], "point of codimension two", POINTS),
+        "special_curve": variable("special", np.array([one.curve for one in special], np.int32), "number of the curve"),
     }
     names = " ".join(axis.name for axis in axes)
     attrs = {"limit": limit, "over": names, "panel": "bifurcation_curves", "panel_variables": names}
@@ -207,27 +234,34 @@ def _dataset(
     return xr.Dataset(found, attrs=attrs)
 
 
-def _special(
-    scene: Scene, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[tuple[int, Special]]
-) -> xr.Dataset:
+def _special(scene: Scene, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[_Point]) -> xr.Dataset:
     """Variables over (special,): the points of codimension two, each with its curve and its multipliers."""
     multipliers = np.full((len(special), scene.system.dimension, 2), np.nan)
-    for k, (_, point) in enumerate(special):
+    for k, (_, point, _) in enumerate(special):
         multipliers[k] = np.stack([np.real(point.multipliers), np.imag(point.multipliers)], axis=-1)
-    period = np.array([curves[k].period for k, _ in special], np.int32)
+    period = np.array([curves[one.curve].period for one in special], np.int32)
     found = {
-        "kind": _flagged("special", [point.kind for _, point in special], "point of codimension two", POINTS),
-        "curve": variable("special", np.array([k for k, _ in special], np.int32), "number of the curve"),
+        "kind": _flagged("special", [one.point.kind for one in special], "point of codimension two", POINTS),
+        "curve": variable("special", np.array([one.curve for one in special], np.int32), "number of the curve"),
         "period": variable("special", period, "period of the orbit", counted_in(scene.system)),
         "multipliers": variable(
             ("special", "multiplier", "part"), multipliers, "Floquet multipliers, real and imaginary part"
         ),
     }
     for k, axis in enumerate(axes):
-        at = np.array([point.values[k] for _, point in special], float)
-        found[axis.name] = variable("special", at, axis.long_name, axis.units)
+        found |= _at_special(axis.name, axis, k, special, axis.long_name)
     names = " ".join(axis.name for axis in axes)
     return xr.Dataset(found, attrs={"over": names, "panel": "special_points", "panel_variables": names})
+
+
+def _at_special(name: str, axis: Axis, k: int, special: Sequence[_Point], words: str) -> dict[str, Entry]:
+    """The k-th parameter at points of codimension two, with its error."""
+    values = np.array([one.point.values[k] for one in special], float)
+    errors = np.array([one.error[k] for one in special], float)
+    return {
+        name: variable("special", values, words, axis.units, ancillary_variables=f"{name}_error"),
+        f"{name}_error": variable("special", errors, f"error of {name}", axis.units),
+    }
 
 
 def _flagged(dim: str, values: Sequence[int], words: str, meanings: Sequence[str]) -> Entry:
@@ -247,7 +281,10 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     for k in range(data.sizes["special"]):
         curve = int(data["special_curve"][k])
         kind, period = KINDS[int(data["kind"][curve])], int(data["period"][curve])
-        at = (f"{float(data[f'special_{name}'][k]):.9g}" for name in (first, second))
+        at = (
+            f"{float(data[f'special_{name}'][k]):.9g} ± {float(data[f'special_{name}_error'][k]):.1g}"
+            for name in (first, second)
+        )
         rows.append((POINTS[int(data["special_kind"][k])], f"{kind} {period}", *at))
     return Table("Points of codimension two", ("point", "on the curve of", first, second), tuple(rows), left=(0, 1))
 

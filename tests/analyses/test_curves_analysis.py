@@ -52,12 +52,16 @@ def test_what_curves_cannot_do_is_said(tmp_path, sweep, message):
 
 
 @pytest.mark.slow
-def test_doublings_of_the_particle_over_two_parameters():
-    """Points of the first two curves over b and a, each against the Taylor reference at its own a: to 1e-8."""
+@pytest.mark.parametrize("target", [1e-10, 1e-5])
+def test_doublings_of_the_particle_over_two_parameters(target):
+    """Points of the first two curves over b and a, each against the Taylor reference at its own a: to 1e-8.
+
+    Within their errors, of which that of a counts by the slope of the curve there; the reference's own is below 1e-11.
+    """
     settings = [
         "sweep={b: {start: 5.4, stop: 5.7, count: 5}, a: {start: 0.48, stop: 0.52, count: 3}}",
         "analyses={curves: {limit: 2, transient: 256, values: 1, step: 0.05}}",
-        "accuracy.target=1e-10",
+        f"accuracy.target={target}",
     ]
     experiment = jaxnh.load(ROOT / "configs/chart_b_a.yaml", settings)
     data = session_of(experiment).tree()["curves"]
@@ -76,4 +80,8 @@ def test_doublings_of_the_particle_over_two_parameters():
             for _ in range(400):  # above the doubling, where the orbit attracts: that of period 2 has its own at 0.024
                 [start] = taylor.strobe(par, np.array([value + 0.005]), np.array([start]))
             exact = float(taylor.doubling_point(par, n, value, taylor.orbit(par, n, value, start)[0])[0])
-            assert abs(value - exact) < 1e-8
+            assert abs(value - exact) < max(1e-8, 10 * target)
+            beside = known[[max(place - 2, 0), min(place + 2, len(known) - 1)]]
+            slope = abs(np.diff(b[beside])[0] / np.diff(a[beside])[0])
+            errors = [float(data[f"{name}_error"].values[k, place]) for name in ("b", "a")]
+            assert abs(value - exact) <= errors[0] + slope * errors[1] + 1e-11
