@@ -10,7 +10,7 @@ CHARTS := chart_b_d chart_b_a
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows paper effects startup claims docs release-check test check_types check_tests slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows paper effects startup claims docs release-check test browser check_types check_tests slow hard clean
 
 install: $(INSTALLED)
 
@@ -77,7 +77,16 @@ test: $(INSTALLED)
 check_types: $(INSTALLED)
 	$(RUN)/basedpyright --warnings
 
-check_tests: $(INSTALLED)
+# A browser for the tests of the explorer's page, where tests run by themselves (CI is set, as root, on Debian's like) and
+# there is none; elsewhere nothing is installed, and they are skipped.
+BROWSERS := chromium chromium-browser google-chrome
+browser:
+	@if [ -z "$$(command -v $(BROWSERS))" ] && [ "$$CI" ] && [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  { timeout 120 apt-get update && timeout 300 apt-get install --yes --no-install-recommends chromium; } >/dev/null 2>&1 \
+	    || echo "no Chromium could be installed: tests of the explorer in a browser are skipped"; \
+	fi
+
+check_tests: $(INSTALLED) browser
 	$(RUN)/pytest --numprocesses 2 --dist worksteal --durations 20
 
 # The tests marked slow, and no others.
