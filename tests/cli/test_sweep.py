@@ -333,10 +333,12 @@ def started(config, stage):
     run = subprocess.Popen(
         command, cwd=config.parent, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+    said = list[str]()
     for line in run.stderr:
         if line.startswith(stage):
             return run
-    raise AssertionError(f"it ended before the stage {stage}")
+        said.append(line)
+    raise AssertionError(f"it ended with {run.wait()} before the stage {stage}: {''.join(said)}")
 
 
 @pytest.mark.slow
