@@ -52,6 +52,15 @@ def roessler(x, y, z, c, t):
     return -y - z, x + fifth * y, fifth + z * (x - c)
 
 
+def doubling_of_roessler(near, n):
+    """The value of c at which the orbit of n returns doubles, by Newton from where it attracts, just before it."""
+    image = section_map(roessler, 3, 1, 0.0, 1)
+    u, _ = iterated(image, 200)(near - 0.02, np.array([1.0, 0.0], taylor.REAL))
+    exact, multipliers = bifurcation(iterated(image, n), "period_doubling", near, u)
+    assert np.abs(multipliers + 1).min() < 1e-6
+    return exact
+
+
 @pytest.mark.slow
 def test_doublings_of_roessler_on_a_section():
     """The first two over c, to 1e-9 of heyoka's events and variational equations."""
@@ -63,13 +72,8 @@ def test_doublings_of_roessler_on_a_section():
     found = session_of(jaxnh.load(ROOT / "configs/flows/roessler.yaml", settings)).run("doubling")
     ours, errors = found["c"].to_numpy(), found["c_error"].to_numpy()
     assert found["period"].to_numpy().tolist() == [1, 2]
-    image = section_map(roessler, 3, 1, 0.0, 1)
     for value, error, n in zip(ours, errors, (1, 2), strict=True):
-        u, _ = iterated(image, 200)(
-            value - 0.02, np.array([1.0, 0.0], taylor.REAL)
-        )  # just before it, where it attracts
-        exact, multipliers = bifurcation(iterated(image, n), "period_doubling", value, u)
-        assert np.abs(multipliers + 1).min() < 1e-6
+        exact = doubling_of_roessler(value, n)
         assert abs(value - exact) < max(1e-9, error)
         assert abs(value - exact) < error + 1e-11
 
