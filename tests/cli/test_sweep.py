@@ -325,11 +325,15 @@ def test_help(sweep, tmp_path):
 
 
 def started(config, stage):
-    """A run that has come to a stage, and that Control-C reaches, which the workers of pytest-xdist ignore."""
+    """A run that has come to a stage, and that Control-C reaches, which the workers of pytest-xdist ignore.
+
+    It has programs and decisions of its own: with those of a run before it there is no stage of accuracy.
+    """
     code = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
     code += "runpy.run_module('jaxnh.sweep', run_name='__main__')"
     command = [sys.executable, "-c", code, config.name, "--output", "killed.h5"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    kept = config.parent.with_name(f"{config.parent.name}_programs")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": str(kept)}
     run = subprocess.Popen(
         command, cwd=config.parent, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
