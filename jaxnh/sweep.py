@@ -8,13 +8,17 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from jaxnh.cli import completion
 from jaxnh.cli.exit_codes import Stop, run_app
 from jaxnh.exceptions import ArgumentError, BusyError
+
+if TYPE_CHECKING:
+    from jaxnh.config.experiment import Experiment
+    from jaxnh.engine.run import How
 
 _SCHEMA = Path(__file__).parent / "config" / "schema.json"
 
@@ -60,13 +64,9 @@ def sweep(
     from jaxnh.cli.arguments import called, check_text, experiment_of
 
     check_text(config, overrides)
-    from rich.console import Console
-
-    from jaxnh.cli.report import report
-    from jaxnh.cli.terminal import progress
     from jaxnh.engine import dask_workers
     from jaxnh.engine.output import check_output, file_of, is_there
-    from jaxnh.engine.run import How, run_to_file
+    from jaxnh.engine.run import How
     from jaxnh.storage import tiles
 
     if dask:
@@ -79,12 +79,22 @@ def sweep(
             print(f"{path}: the result of this config is there; --fresh runs it again")
         return
     check_output(path)
-    how = How(fresh, share, merge_only, dask, tile, called("jaxnh.sweep"), yes)
+    _run(experiment, path, How(fresh, share, merge_only, dask, tile, called("jaxnh.sweep"), yes), quiet=quiet)
+
+
+def _run(experiment: Experiment, path: Path, how: How, *, quiet: bool) -> None:
+    """Run it, with progress on the terminal, and say what has come of it."""
+    from rich.console import Console
+
+    from jaxnh.cli.report import report
+    from jaxnh.cli.terminal import progress
+    from jaxnh.engine.run import run_to_file
+
     shown = progress(Console(stderr=True), quiet=quiet)
     try:
         with Stop() as stop:
             outcome = run_to_file(experiment, path, how, shown, stop.check)
-            report(experiment, path, outcome, share, quiet=quiet)
+            report(experiment, path, outcome, how.part, quiet=quiet)
     except BusyError as busy:
         raise ArgumentError("output", str(busy)) from None
 

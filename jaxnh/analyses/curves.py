@@ -23,9 +23,9 @@ from jaxnh.analyses.locating import price_of_orbits, refined
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.analyses.survey import survey_from_start
 from jaxnh.orbits.branches import Steps
-from jaxnh.orbits.codimension_two import POINTS, Special, special_errors, special_points
-from jaxnh.orbits.curves import ENDS, Curve, Plane, both_ways, refinement_error, unknowns
-from jaxnh.orbits.curves import refined as curve_of_finer
+from jaxnh.orbits.codimension_two import POINTS, Special, special_points
+from jaxnh.orbits.curve_errors import errors_of_points, errors_of_special, finer
+from jaxnh.orbits.curves import ENDS, Curve, Plane, both_ways, unknowns
 from jaxnh.orbits.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
 
 _OWN_NAMES = (
@@ -113,7 +113,7 @@ def whole(options: CurvesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     sizes = np.concatenate([survey.size[~survey.failed] for survey in surveys])
     size = np.median(sizes, axis=0) if len(sizes) else np.ones(scenes[0].system.dimension)
     names = (first.name, second.name)
-    plane, *finer = (plane_of(scenes[0], lanes, strobe, size, names, low, high) for strobe in refined(scenes[0]))
+    plane, *others = (plane_of(scenes[0], lanes, strobe, size, names, low, high) for strobe in refined(scenes[0]))
     curves = list[Curve]()
     for scene, survey, value in zip(scenes, surveys, chosen.tolist(), strict=True):
         period = np.where(survey.failed, 0, survey.period)
@@ -130,14 +130,11 @@ def whole(options: CurvesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
             curves += _followed(plane, curves, seeds, options)
     curves.sort(key=lambda curve: (curve.period, curve.kind))
     with lanes.stage(f"curves: errors of {len(curves)}", 0):
-        again = [[curve_of_finer(one, curve) for one in finer] for curve in curves]
-        errors = [
-            refinement_error([curve.values, *(other.values for other in others)])
-            for curve, others in zip(curves, again, strict=True)
-        ]
+        again = [[finer(other, curve) for other in others] for curve in curves]
+        errors = [errors_of_points(*both) for both in zip(curves, again, strict=True)]
     with lanes.stage(f"curves: points of codimension two on {len(curves)}", 0):
         special = [
-            _Point(k, point, special_errors(finer, again[k], point))
+            _Point(k, point, errors_of_special(others, again[k], point))
             for k, curve in enumerate(curves)
             for point in special_points(plane, curve)
         ]
@@ -260,7 +257,9 @@ def _at_special(name: str, axis: Axis, k: int, special: Sequence[_Point], words:
     errors = np.array([one.error[k] for one in special], float)
     return {
         name: variable("special", values, words, axis.units, ancillary_variables=f"{name}_error"),
-        f"{name}_error": variable("special", errors, f"error of {name}", axis.units),
+        f"{name}_error": variable(
+            "special", errors, f"error of {name}; NaN where finer maps do not have the point", axis.units
+        ),
     }
 
 

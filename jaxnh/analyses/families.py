@@ -20,8 +20,8 @@ from jaxnh.orbits.curves import Plane
 from jaxnh.systems.flow import Flow, Parameters
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long
-# On a section, whose returns are of many steps, arithmetic decides: of four lanes they take a quarter of the time. With
-# a clock a period of few lanes takes most of the time of many, and one program serves.
+# On a section, whose returns are of many steps, arithmetic decides: four lanes take a half to a quarter of the time of
+# 32. With a clock a period of few lanes takes most of the time of many, and one program serves.
 _FEW = 4
 
 

@@ -16,6 +16,11 @@ from jaxnh.analyses.runs import Line
 from jaxnh.analyses.scene import Axis, Scene, counted_in
 from jaxnh.analyses.window_search import ENDS, End, Window, all_lanes
 
+_NO_LIMIT = "NaN of fewer than four doublings"
+_NO_CRISIS = (
+    "NaN of orbits of period 1, where no limit of doublings is known within the sweep, and where no path was seen "
+    "to leave the bands, or one at once, between the limit and three times as far beyond it as the first doubling is away"
+)
 _DIGITS = 9  # behind the point, in the table
 _WORDS = ("fold", "branch point", "range", "not located", "torus", "doubling")
 
@@ -67,8 +72,8 @@ def dataset(
             ancillary_variables="doubling_error",
         ),
         "doubling_error": variable(("window", "level"), error, "error of the doublings", axis.units),
-        **_place_variables("limit", "where the doublings accumulate", axis, limits),
-        **_place_variables("crisis", "where the bands beyond the doublings grow", axis, crises),
+        **_place_variables("limit", "where the doublings accumulate", axis, limits, _NO_LIMIT),
+        **_place_variables("crisis", "where the bands beyond the doublings grow", axis, crises, _NO_CRISIS),
     }
     attrs = {
         "along": axis.name,
@@ -103,11 +108,14 @@ def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], scene
     }
 
 
-def _place_variables(name: str, words: str, axis: Axis, places: Sequence[Place | End]) -> dict[str, Entry]:
+def _place_variables(
+    name: str, words: str, axis: Axis, places: Sequence[Place | End], comment: str = ""
+) -> dict[str, Entry]:
     """Values of the parameter and their errors."""
     value, error = (np.array([getattr(place, key) for place in places], float) for key in ("value", "error"))
+    attrs = {"ancillary_variables": f"{name}_error", **({"comment": comment} if comment else {})}
     return {
-        name: variable("window", value, f"{axis.long_name} {words}", axis.units, ancillary_variables=f"{name}_error"),
+        name: variable("window", value, f"{axis.long_name} {words}", axis.units, **attrs),
         f"{name}_error": variable("window", error, f"largest error of {name}", axis.units),
     }
 

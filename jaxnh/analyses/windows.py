@@ -21,8 +21,7 @@ from jaxnh.analyses.cascade_limits import doublings_limit
 from jaxnh.analyses.families import orbits_of
 from jaxnh.analyses.family_tree import Orbit
 from jaxnh.analyses.known_branches import orbits_at
-from jaxnh.analyses.locating import PERIOD_TILE, Located, refined, walk
-from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.locating import Located, price_of_orbits, refined, walk
 from jaxnh.analyses.runs import Line
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.survey import survey_from_start
@@ -175,11 +174,6 @@ def _crisis(
     return Place(found.value, found.error + window.end.error) if found else NOWHERE
 
 
-def price(options: WindowsOptions, scene: Scene) -> Price:
-    """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
-    return newton_price(scene, PERIOD_TILE)
-
-
 ANALYSIS = Analysis(
     "windows",
     WindowsOptions,
@@ -190,7 +184,7 @@ ANALYSIS = Analysis(
     count=count,
     check=check,
     table=table,
-    price=price,
+    price=price_of_orbits,
     brief={"transient": 1, "limit": 1, "crisis": 64},
 )
 """The entry of this analysis in the table."""

@@ -7,7 +7,7 @@ strong resonances, is none (Kuznetsov, Elements of Applied Bifurcation Theory, 2
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from jaxtyping import Complex, Float
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.arclength import Family, Orbits, Way
 from jaxnh.orbits.bifurcations import critical
-from jaxnh.orbits.curves import Curve, Plane, Points, angle_cosine, correct, known, refinement_error, tested
+from jaxnh.orbits.curves import Curve, Plane, Points, angle_cosine, correct, known, tested
 from jaxnh.orbits.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.orbits.multipliers import multipliers
 from jaxnh.orbits.normal_forms import cubic
@@ -57,25 +57,6 @@ class Special(NamedTuple):
     place: int
     points: Float[np.ndarray, "n d"]
     multipliers: Complex[np.ndarray, " d"]
-
-
-def special_errors(finer: Sequence[Plane], curves: Sequence[Curve], point: Special) -> Float[np.ndarray, " 2"]:
-    """Errors of the parameters at a point of codimension two of a curve, NaN where it is not on finer maps' curves.
-
-    Args:
-        finer: the map with 2 and 4 times the steps.
-        curves: the same curve of these (`curves.refined`).
-        point: on the curve of the map itself.
-    """
-    near = slice(max(point.place - 1, 0), point.place + 3)
-    values = [point.values]
-    for plane, curve in zip(finer, curves, strict=True):
-        same = [other for other in special_points(plane, curve.part(near)) if other.kind == point.kind]
-        if not same:
-            return np.full(2, np.nan)
-        away = [np.abs((other.values - point.values) / (plane.high - plane.low)).max() for other in same]
-        values.append(same[int(np.argmin(away))].values)
-    return refinement_error(values)
 
 
 def special_points(plane: Plane, curve: Curve) -> list[Special]:

@@ -7,7 +7,6 @@ differences of ∂P/∂u. Folds of the curve in either parameter are points like
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
@@ -268,25 +267,6 @@ def both_ways(
         ends = (CLOSED, CLOSED) if end == CLOSED else (start, end)
         curves[k] = Curve(kind, orbits, both, track, multipliers(track.blocks), ends)
     return curves
-
-
-def refined(plane: Plane, curve: Curve) -> Curve:
-    """The curve of a finer map: of each point the one in the hyperplane across the curve, NaN where there is none."""
-    track = correct(plane, curve.kind, curve.track.z, curve.track.way)
-    track.z[~track.converged] = np.nan
-    points, values = known(plane, track.z)
-    exponents = np.full_like(curve.multipliers, np.nan)
-    exponents[track.converged] = multipliers(track.blocks[track.converged])
-    return replace(curve, points=points, values=values, track=track, multipliers=exponents)
-
-
-def refinement_error(values: Sequence[Float[np.ndarray, " *shape"]]) -> Float[np.ndarray, " *shape"]:
-    """Errors of what maps with 1, 2 and 4 times the steps give, as of the first; rounding of all three is in it.
-
-    What is left beyond the finest is less than how far it is from the one before.
-    """
-    coarse, fine, finest = values
-    return np.abs(coarse - fine) + 2.0 * np.abs(fine - finest) + np.spacing(np.abs(coarse))
 
 
 def angle_cosine(values: Complex[np.ndarray, "lanes d"]) -> Float[np.ndarray, " lanes"]:

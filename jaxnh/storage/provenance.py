@@ -109,16 +109,16 @@ def root_attributes(
     if section:
         attrs["section"] = section
     if user_file:
-        attrs |= {
-            "system_file": user_file.text,
-            "system_file_path": user_file.path,
-            "system_file_sha256": user_file.sha256,
-        }
+        attrs |= _of_user_file(user_file)
     if level:
         attrs |= level._asdict()
     if chosen is not None:
         attrs["chosen"] = json.dumps(chosen)
     return attrs
+
+
+def _of_user_file(file: UserFile) -> dict[str, Any]:
+    return {"system_file": file.text, "system_file_path": file.path, "system_file_sha256": file.sha256}
 
 
 def _of_method(method: Method) -> dict[str, Any]:

@@ -1,0 +1,63 @@
+"""Errors of curves of bifurcations and of what they pass through, by maps with 2 and 4 times the steps. Host code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.orbits.codimension_two import Special, special_points
+from jaxnh.orbits.curves import Curve, Plane, correct, known
+from jaxnh.orbits.multipliers import multipliers
+
+
+def finer(plane: Plane, curve: Curve) -> Curve:
+    """The curve of a finer map: of each point the one in the hyperplane across the curve, NaN where there is none."""
+    track = correct(plane, curve.kind, curve.track.z, curve.track.way)
+    track.z[~track.converged] = np.nan
+    points, values = known(plane, track.z)
+    exponents = np.full_like(curve.multipliers, np.nan)
+    exponents[track.converged] = multipliers(track.blocks[track.converged])
+    return replace(curve, points=points, values=values, track=track, multipliers=exponents)
+
+
+def errors_of_points(curve: Curve, others: Sequence[Curve]) -> Float[np.ndarray, "k 2"]:
+    """Errors of both parameters at all points of a curve, a point of the exact one being as near in both.
+
+    Args:
+        curve: of the map itself.
+        others: the same of maps with 2 and 4 times the steps (`finer`).
+    """
+    return _error(curve.values, *(other.values for other in others))
+
+
+def errors_of_special(planes: Sequence[Plane], others: Sequence[Curve], point: Special) -> Float[np.ndarray, " 2"]:
+    """Errors of both parameters at a point of codimension two, NaN where it is not on the curves of finer maps.
+
+    Args:
+        planes, others: maps with 2 and 4 times the steps, and the same curve of these (`finer`).
+        point: on the curve of the map itself.
+    """
+    near = slice(max(point.place - 1, 0), point.place + 3)
+    values = list[np.ndarray]()
+    for plane, curve in zip(planes, others, strict=True):
+        part = curve.part(near)
+        found = special_points(plane, part) if part.track.converged.all() else []
+        same = [other.values for other in found if other.kind == point.kind]
+        if not same:
+            return np.full(2, np.nan)
+        away = [np.abs((value - point.values) / (plane.high - plane.low)).max() for value in same]
+        values.append(same[int(np.argmin(away))])
+    return _error(point.values, *values)
+
+
+def _error(
+    coarse: Float[np.ndarray, " *shape"], fine: Float[np.ndarray, " *shape"], finest: Float[np.ndarray, " *shape"]
+) -> Float[np.ndarray, " *shape"]:
+    """Of the first; rounding of all three is in it.
+
+    What is left beyond the finest is less than how far it is from the one before.
+    """
+    return np.abs(coarse - fine) + 2.0 * np.abs(fine - finest) + np.spacing(np.abs(coarse))
