@@ -18,8 +18,8 @@ from jaxnh.analyses.window_search import ENDS, End, Window, all_lanes
 
 _NO_LIMIT = "NaN of fewer than four doublings"
 _NO_CRISIS = (
-    "NaN of orbits of period 1, where no limit of doublings is known within the sweep, and where no path was seen "
-    "to leave the bands, or one at once, between the limit and three times as far beyond it as the first doubling is away"
+    "NaN of orbits of period 1, where no limit of doublings is known within the sweep, and where no path was seen to "
+    "leave the bands, or one at once, from the limit to three times as far beyond as the first doubling is before it"
 )
 _DIGITS = 9  # behind the point, in the table
 _WORDS = ("fold", "branch point", "range", "not located", "torus", "doubling")
