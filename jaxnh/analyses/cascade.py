@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.daughter import FEIGENBAUM, daughters, long_daughter, window
+from jaxnh.analyses.daughter import daughters, long_daughter, window
 from jaxnh.analyses.lane_orbits import apart
 from jaxnh.analyses.locating import Located, locate, period_map, refined
 from jaxnh.analyses.runs import Line, Start, seen, starts
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.survey import first_points, survey
-from jaxnh.orbits.doubling_points import DoublingPoint
+from jaxnh.orbits.doubling_points import FEIGENBAUM, DoublingPoint
 
 TRANSIENT = 512
 """Periods before the last look at the strobe points."""

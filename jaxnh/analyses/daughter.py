@@ -17,11 +17,8 @@ from jaxtyping import Float
 from jaxnh.analyses.lane_orbits import CONVERGED, apart, largest_multiplier, least_period, orbits
 from jaxnh.analyses.runs import Line
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
-from jaxnh.orbits.doubling_points import DoublingPoint, doubling_function
+from jaxnh.orbits.doubling_points import DoublingPoint, doubling_function, halves
 from jaxnh.orbits.shooting import Orbits, Period, Wrap, close_orbits
-
-FEIGENBAUM = 4.669201609102990
-"""Ratio of successive distances between doublings, far down a cascade; here it only says where to look."""
 
 _NEAR, _FAR = 1 / 16, 2.0  # distances beyond a doubling to look at first, in units of that expected to the next one
 
@@ -87,21 +84,16 @@ def long_daughter(
         size: of the motion in each section coordinate.
         wrap: of differences of section coordinates.
     """
-    before = np.linalg.norm(_halves(born.orbit, wrap) / size, axis=-1).max()
+    before = np.linalg.norm(halves(born.orbit, wrap) / size, axis=-1).max()
     vector = born.vector / np.linalg.norm(born.vector / size, axis=1).max()
     expected = 0.5 * before / _RATIO * np.sqrt(distance / gap)
     moved = expected * _AROUND[:, None, None] * vector
     starts = np.concatenate([born.orbit + moved, born.orbit - moved], axis=1)
     orbits = close_orbits(period, starts, np.full(len(starts), born.value + distance), wrap)
-    apart = np.linalg.norm(_halves(orbits.points, wrap) / size, axis=-1).max(axis=-1)
+    apart = np.linalg.norm(halves(orbits.points, wrap) / size, axis=-1).max(axis=-1)
     found = orbits.converged & (apart > expected * _AROUND[0]) & (apart < before)
     found[found] &= doubling_function(Orbits(*(leaf[found] for leaf in orbits))) > 0.0
     return orbits.points[np.argmax(found)] if found.any() else None
-
-
-def _halves(points: Float[np.ndarray, "... n d"], wrap: Wrap) -> Float[np.ndarray, "... n d"]:
-    """Differences of points of an orbit from those half its period later."""
-    return wrap(points - np.roll(points, points.shape[-2] // 2, axis=-2))
 
 
 def window(expected: float, number: int, end: float) -> Float[np.ndarray, " distances"]:

@@ -14,7 +14,16 @@ from jaxnh.analyses.along import value_by_value
 from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, Table, variable
 from jaxnh.analyses.cascade import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade_limits import doublings_limit, widths_limit
-from jaxnh.analyses.extended import ExtendedDoublings, delta_limit, deltas, extended_doublings, see_that_it_can
+from jaxnh.analyses.extended import (
+    FLOAT64_LEVELS,
+    ExtendedDoublings,
+    alpha_limit,
+    beyond_float64,
+    delta_limit,
+    deltas,
+    extended_doublings,
+    see_that_it_can,
+)
 from jaxnh.analyses.locating import price_of_orbits
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.systems.flow import Flow
@@ -26,12 +35,13 @@ _OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
 _MOST_SHOWN = 16  # cascades in a table of many
 _ROUNDING = 1e-14  # of points of an orbit, in sizes of the motion
 _DIGITS = 4  # of a limit in words, at least
+_LEVELS = 12  # of float64, of which the distances of doublings are then 1e-9 of the first
 
 
 class DoublingOptions(Options):
     """Options of `doubling`."""
 
-    levels: int = Field(default=6, ge=1, le=12, description="Number of period doublings to find")
+    levels: int = Field(default=6, ge=1, le=16, description="Number of period doublings to find: 12 at most in float64")
     search: bool = Field(
         default=True, description="Where the sweep has fewer, look as far as it is wide beyond either end of it as well"
     )
@@ -50,6 +60,9 @@ def independent(options: DoublingOptions) -> bool:
 def check(options: DoublingOptions, setting: Setting) -> None:
     """See that the first axis is a parameter, and one that there is something of between two values of it."""
     first = setting.axes[0]
+    if options.levels > _LEVELS and setting.precision != "extended":
+        message = f"float64 tells {_LEVELS} doublings of a cascade apart; more need accuracy.precision: extended"
+        raise OptionError(message, "levels")
     if first.kind == "shared" and setting.precision == "extended":
         raise OptionError(f"extended precision is along a parameter that lanes have of their own{setting.advice}")
     if taken := [axis.name for axis in setting.axes if axis.name in _OWN_NAMES]:
@@ -74,9 +87,15 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     if scene.precision == "extended":
         see_that_it_can(scene)
     search = options.search and scene.flow_at is None
-    found = follow(scene, value_by_value(scene, lanes), options.levels, search=search)
-    data = _dataset(scene.system, scene.line, options.levels, found)
-    return _extended(data, extended_doublings(scene, lanes, found)) if scene.precision == "extended" else data
+    extended, levels = scene.precision == "extended", options.levels
+    in_float64 = min(levels, FLOAT64_LEVELS) if extended else levels
+    found = follow(scene, value_by_value(scene, lanes), in_float64, search=search)
+    if not extended:
+        return _dataset(scene.system, scene.line, levels, found)
+    beyond = extended_doublings(scene, lanes, found, levels)
+    whole = beyond_float64(scene, found, beyond, levels)
+    limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, found.size, scene.system.wrap)
+    return _extended(_dataset(scene.system, scene.line, levels, whole), beyond, *limits)
 
 
 def _dataset(system: Flow, axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
@@ -132,8 +151,10 @@ def _dataset(system: Flow, axis: Axis, levels: int, found: Cascade) -> xr.Datase
     return xr.Dataset(variables, attrs=attrs)
 
 
-def _extended(data: xr.Dataset, found: ExtendedDoublings) -> xr.Dataset:
-    """The dataset with what double-double precision knows of its doublings: their other digits, δ and its limit."""
+def _extended(
+    data: xr.Dataset, found: ExtendedDoublings, of_delta: tuple[float, float], of_alpha: tuple[float, float]
+) -> xr.Dataset:
+    """The dataset with what double-double precision knows of its doublings: their other digits, δ, and limits."""
     name, levels = str(data.attrs["along"]), data.sizes["level"]
     count = min(len(found.coarse), len(found.fine))
     value, rest, delta, error = (np.full(levels, np.nan) for _ in range(4))
@@ -141,9 +162,9 @@ def _extended(data: xr.Dataset, found: ExtendedDoublings) -> xr.Dataset:
     if count > 2:
         (coarse, _), (fine, rounding) = deltas(found.coarse[:count]), deltas(found.fine[:count])
         delta[1 : count - 1], error[1 : count - 1] = fine, np.abs(np.subtract(fine, coarse)) + rounding
-    limit, limit_error = delta_limit(found.fine)
     new = {name: np.where(np.isnan(value), data[name], value), "delta": delta, "delta_error": error}
-    new |= {"delta_limit": limit, "delta_limit_error": limit_error} if np.isfinite(limit) else {}
+    for limit, numbers in (("delta_limit", of_delta), ("alpha", of_alpha)):
+        new |= dict(zip((limit, f"{limit}_error"), numbers, strict=True)) if np.isfinite(numbers).all() else {}
     data = data.assign({key: (data[key].dims, numbers, data[key].attrs) for key, numbers in new.items()})
     words = f"what is to be added to {name} for its digits beyond float64, of the map as it is computed"
     return data.assign({f"{name}_rest": variable("level", rest, words, str(data[name].attrs["units"]))})

@@ -1,13 +1,14 @@
 """Doublings of a cascade beyond float64, for `accuracy.precision: extended`, and the limit of δ that they give.
 
 The map is that of float64, with the same kicks or steps: its cascade is moved by the error of a period, and δ of every
-smooth map is the same. So digits of δ cost no steps, only arithmetic.
+smooth map is the same. So digits of δ cost no steps, only arithmetic. float64 finds the first doublings, and those that
+follow are where the last two put them.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from decimal import Decimal, localcontext
 from typing import NamedTuple
@@ -17,30 +18,46 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.cascade import Cascade
-from jaxnh.analyses.locating import PERIOD_TILE, REFINEMENTS
+from jaxnh.analyses.locating import PERIOD_TILE, REFINEMENTS, Located, refined
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.double_double import Double
 from jaxnh.maps.extended_precision import carried
 from jaxnh.maps.iterate import Derivatives, derivatives
+from jaxnh.maps.protocol import Strobe
 from jaxnh.orbits.doubling_points import DoublingPoint
-from jaxnh.orbits.extended_doublings import ExtendedPoint, Sum, extended_doubling
+from jaxnh.orbits.extended_doublings import (
+    ExtendedPeriod,
+    ExtendedPoint,
+    Slopes,
+    Sum,
+    difference,
+    exactly,
+    extended_doubling,
+    next_doubling,
+    of_finer_map,
+)
+from jaxnh.orbits.shooting import Wrap
+
+FLOAT64_LEVELS = 6
+"""Doublings that float64 finds first: by then they have been seen to follow the law."""
 
 _DIGITS = 60  # of the arithmetic of limits, which loses some
-_FEWEST = 9  # doublings that are extrapolated: shorter sequences then still have two columns of the table
-_MAPS = 2  # the first of the refinements
+_FEWEST = 7  # ratios that are extrapolated: shorter sequences then still have two columns of the table
+_ROUNDING = Decimal(2) ** -50  # of a width: of its norm, in float64
 _TILE = 128  # lanes: a double-double operation is some twenty kernels
 
 
 class ExtendedDoublings(NamedTuple):
-    """Doublings of maps with the steps that the accuracy asks for and with twice as many.
+    """Doublings of maps with the steps that the accuracy asks for and with twice and four times as many.
 
     Attributes:
-        coarse, fine: as many as were found one after the other.
+        coarse, fine, finest: as many as were found one after the other.
     """
 
     coarse: tuple[ExtendedPoint, ...]
     fine: tuple[ExtendedPoint, ...]
+    finest: tuple[ExtendedPoint, ...]
 
 
 def see_that_it_can(scene: Scene) -> None:
@@ -57,32 +74,63 @@ def see_that_it_can(scene: Scene) -> None:
         raise AccuracyError(f"{error}, and the system has it: leave accuracy.precision out") from None
 
 
-def extended_doublings(scene: Scene, lanes: LaneRunner, found: Cascade) -> ExtendedDoublings:
-    """The doublings of a cascade in double-double precision, up to the first where Newton does not settle."""
-    maps: list[tuple[ExtendedPoint, ...]] = []
-    for number, refinement in enumerate(REFINEMENTS[:_MAPS]):
-        points: list[ExtendedPoint] = []
-        for level in found.found:
-            at = level.refined[number]
-            with lanes.stage(f"doubling: period {len(at.orbit)} in extended precision", 0):
-                point = _located(scene, lanes, refinement, found, at)
-            if point is None:
-                break
-            points.append(point)
-        maps.append(tuple(points))
-    return ExtendedDoublings(*maps)
+def extended_doublings(scene: Scene, lanes: LaneRunner, found: Cascade, levels: int) -> ExtendedDoublings:
+    """So many doublings of a cascade in double-double precision, up to the first where Newton does not settle.
+
+    Args:
+        scene: lanes along the first axis.
+        lanes: runs lanes.
+        found: the first of them in float64.
+        levels: how many are looked for.
+    """
+    maps = _maps(scene, lanes)
+    known: list[tuple[ExtendedPoint, ...]] = []
+    while len(known) < levels:
+        with lanes.stage(f"doubling: period {found.period << len(known)} in extended precision", 0):
+            located = _located(maps, scene, found, known)
+        if located is None:
+            break
+        known.append(located)
+    return ExtendedDoublings(*zip(*known, strict=True)) if known else ExtendedDoublings((), (), ())
 
 
-def _located(
-    scene: Scene, lanes: LaneRunner, refinement: int, found: Cascade, at: DoublingPoint
-) -> ExtendedPoint | None:
+def beyond_float64(scene: Scene, found: Cascade, extended: ExtendedDoublings, levels: int) -> Cascade:
+    """The cascade with the doublings, rounded, that extended precision has found beyond those of float64."""
+    count = len(found.found)
+    more = [Located((_rounded(a), _rounded(b), _rounded(c))) for a, b, c in zip(*extended, strict=True)][count:]
+    end = found.end
+    if len(extended.fine) > count:
+        n, last = found.period << len(extended.fine), extended.fine[-1].value[0]
+        lost = f"{n} → {2 * n} was not located in extended precision beyond {scene.line.name} = {last:.9g}"
+        end = lost if len(extended.fine) < levels else ""
+    low, high = scene.line.values.min(), scene.line.values.max()
+    outside = found.outside or any(not low <= located.point.value <= high for located in more)
+    return found._replace(found=(*found.found, *more), end=end, outside=outside)
+
+
+class _Map(NamedTuple):
+    """One map of a scene, a period of it.
+
+    Attributes:
+        period: in double-double precision.
+        slopes: of it, in float64.
+    """
+
+    period: ExtendedPeriod
+    slopes: Slopes
+
+
+def _maps(scene: Scene, lanes: LaneRunner) -> list[_Map]:
+    """The map with the steps of each refinement, all through one program."""
+    plain = [replace(scene, compensated=False).strobe(refinement).shortest() for refinement in REFINEMENTS]
+    return [
+        _map(scene, lanes, strobe.with_room_of(plain[-1]), exact)
+        for strobe, exact in zip(plain, refined(scene), strict=True)
+    ]
+
+
+def _map(scene: Scene, lanes: LaneRunner, plain: Strobe, exact: Strobe) -> _Map:
     name = scene.line.name
-    exact, plain = (replace(scene, compensated=sums).strobe(refinement) for sums in (True, False))
-    plain = plain.shortest()
-
-    def slopes(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
-        lane = (u, scene.at(values).p)
-        return lanes(derivatives, (exact, np.int32(1)), lane, tile=PERIOD_TILE, static=(name,))
 
     def period(u: Sum, w: Sum, value: tuple[float, float]) -> tuple[Sum, Sum]:
         n = len(u[0])
@@ -91,7 +139,34 @@ def _located(
         moved = lanes(carried, (plain, np.int64(0)), (Double(*u), Double(*w), p), tile=_TILE)
         return tuple(moved.image), tuple(moved.vector)
 
-    return extended_doubling(period, slopes, at, found.size, scene.system.wrap)
+    def slopes(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
+        lane = (u, scene.at(values).p)
+        return lanes(derivatives, (exact, np.int32(1)), lane, tile=PERIOD_TILE, static=(name,))
+
+    return _Map(period, slopes)
+
+
+def _located(
+    maps: Sequence[_Map], scene: Scene, found: Cascade, known: Sequence[tuple[ExtendedPoint, ...]]
+) -> tuple[ExtendedPoint, ...] | None:
+    """The doubling after those known, of each map."""
+    size, wrap, level = found.size, scene.system.wrap, len(known)
+    points: list[ExtendedPoint | None] = []
+    if level < len(found.found):
+        starts = [exactly(at.value, at.orbit, at.vector) for at in found.found[level].refined]
+    elif level > 1 and (first := next_doubling(*maps[0], [known[0] for known in known], size, wrap)) is not None:
+        points, starts = [first], [of_finer_map(first, known[-1][0], before, wrap) for before in known[-1][1:]]
+    else:
+        return None
+    points += [
+        extended_doubling(*of, start, size, wrap) for of, start in zip(maps[-len(starts) :], starts, strict=True)
+    ]
+    settled = tuple(point for point in points if point is not None)
+    return settled if len(settled) == len(maps) else None
+
+
+def _rounded(point: ExtendedPoint) -> DoublingPoint:
+    return DoublingPoint(point.value[0], point.orbit[0], point.vector[0], float(np.spacing(point.value[0])), np.nan)
 
 
 def deltas(points: Sequence[ExtendedPoint]) -> tuple[list[float], list[float]]:
@@ -108,22 +183,46 @@ def deltas(points: Sequence[ExtendedPoint]) -> tuple[list[float], list[float]]:
 
 
 def delta_limit(points: Sequence[ExtendedPoint]) -> tuple[float, float]:
-    """δ's limit and an error that covers it, of nine doublings or more; else NaN.
-
-    Corrections to δ_k are sums of geometric sequences of unknown ratios, as many as there are; Wynn's epsilon algorithm
-    (MTAC 10 (1956) 91) takes out one with every second level. Its error is the largest that leaving out the first,
-    the last or both moves it by, and what errors of the doublings do.
-    """
+    """δ's limit and an error that covers it, of nine doublings or more; else NaN."""
     with localcontext(prec=_DIGITS):
         values, errors = [_decimal(point) for point in points], [Decimal(point.error) for point in points]
-        if len(values) < _FEWEST:
-            return np.nan, np.nan
-        limit = _extrapolated(values)
-        moved = max(abs(limit - _extrapolated(fewer)) for fewer in (values[:-1], values[1:], values[1:-1]))
-        rounding = Decimal(0)
-        for k, error in enumerate(errors):
-            rounding += abs(_extrapolated([*values[:k], values[k] + error, *values[k + 1 :]]) - limit)
-        return float(limit), float(moved + rounding) + float(np.spacing(float(limit)))
+        return _limit(values, errors, _ratios)
+
+
+def alpha_limit(points: Sequence[ExtendedPoint], size: Float[np.ndarray, " d"], wrap: Wrap) -> tuple[float, float]:
+    """α's limit and an error that covers it, of eight orbits of even period or more; else NaN.
+
+    Widths are those of `doubling` in float64, of orbits known beyond it: the largest distance of two points that are
+    half a period apart, in sizes of the motion, the one that falls by α a level.
+    """
+    with localcontext(prec=_DIGITS):
+        even = [point.orbit for point in points if len(point.orbit[0]) % 2 == 0]
+        apart = [difference(orbit, [np.roll(half, len(half) // 2, axis=0) for half in orbit], wrap) for orbit in even]
+        widths = [Decimal(float(np.linalg.norm(each / size, axis=1).max())) for each in apart]
+        return _limit(widths, [_ROUNDING * width for width in widths], _quotients)
+
+
+def _limit(
+    sequence: Sequence[Decimal], errors: Sequence[Decimal], ratios: Callable[[Sequence[Decimal]], list[Decimal]]
+) -> tuple[float, float]:
+    """The limit of the ratios of a sequence, and an error that covers it; NaN where there are too few.
+
+    Corrections to them are sums of geometric sequences of unknown ratios, as many as there are; the epsilon algorithm
+    (Wynn, MTAC 10 (1956) 91) takes out one with every second term. The error is the most that leaving out the first,
+    the last or both moves it by, and what errors of the sequence do.
+    """
+    if len(ratios(sequence)) < _FEWEST:
+        return np.nan, np.nan
+
+    def extrapolated(values: Sequence[Decimal]) -> Decimal:
+        return _extrapolated(ratios(values))
+
+    limit = extrapolated(sequence)
+    moved = max(abs(limit - extrapolated(fewer)) for fewer in (sequence[:-1], sequence[1:], sequence[1:-1]))
+    rounding = Decimal(0)
+    for k, error in enumerate(errors):
+        rounding += abs(extrapolated([*sequence[:k], sequence[k] + error, *sequence[k + 1 :]]) - limit)
+    return float(limit), float(moved + rounding) + float(np.spacing(float(limit)))
 
 
 def _decimal(point: ExtendedPoint) -> Decimal:
@@ -131,13 +230,16 @@ def _decimal(point: ExtendedPoint) -> Decimal:
 
 
 def _ratios(values: Sequence[Decimal]) -> list[Decimal]:
-    gaps = [after - before for before, after in itertools.pairwise(values)]
-    return [before / after for before, after in itertools.pairwise(gaps)]
+    return _quotients([after - before for before, after in itertools.pairwise(values)])
 
 
-def _extrapolated(values: Sequence[Decimal]) -> Decimal:
-    """The last entry of the last column of the epsilon table of δ that has a limit."""
-    before, column = [Decimal(0)] * (len(values) - 1), _ratios(values)
+def _quotients(values: Sequence[Decimal]) -> list[Decimal]:
+    return [before / after for before, after in itertools.pairwise(values)]
+
+
+def _extrapolated(column: list[Decimal]) -> Decimal:
+    """The last entry of the last column of the epsilon table that has a limit."""
+    before = [Decimal(0)] * (len(column) + 1)
     limit = column[-1]
     for order in range(1, len(column)):
         steps = [after - here for here, after in itertools.pairwise(column)]

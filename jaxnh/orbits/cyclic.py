@@ -1,8 +1,9 @@
 """Linear systems of blocks around a cycle, as orbits by multiple shooting need them. Host code; no product is formed.
 
-Structured orthogonal elimination (Wright, SIAM J. Sci. Stat. Comput. 13 (1992) 742): points are eliminated one after
-the other by a QR step of the two equations they stand in, which is stable where multiplying the blocks out is not.
-Small LAPACK calls only: results do not depend on the number of threads.
+Structured orthogonal elimination (Wright, SIAM J. Sci. Stat. Comput. 13 (1992) 742): a point is eliminated by a QR step
+of the two equations it stands in, which is stable where multiplying the blocks out is not. Every second point goes at
+once, then every second of those left, so that n points take log₂ n rounds. Small LAPACK calls only: results do not
+depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -13,37 +14,47 @@ import numpy as np
 from jaxtyping import Float
 
 
+class Round(NamedTuple):
+    """The elimination of every second one of k points, the second, the fourth, …, half = k // 2 in all.
+
+    Attributes:
+        turns: the orthogonal matrix of each, (half, ..., 2m, 2m).
+        upper: the triangle before the point in the equation that is kept for it, (half, ..., m, m).
+        rows: what stands before its neighbours there, (half, ..., m, 2m).
+    """
+
+    turns: np.ndarray
+    upper: np.ndarray
+    rows: np.ndarray
+
+
 class Cyclic(NamedTuple):
     """A_i y_i + B_i y_{i+1} = r_i around a cycle (y_n = y_0), eliminated; several of them side by side (...).
 
     Attributes:
-        turns: the orthogonal matrix of each step, (n − 1) of (..., 2m, 2m).
-        upper: the triangle of each step, which stands before the point eliminated, (n − 1) of (..., m, m).
-        rows: what stands before y_0 and before the next point in that equation, (n − 1) of (..., m, 2m).
+        rounds: until y_0 alone is left.
         closed: the matrix of what is left for y_0, (..., m, m).
     """
 
-    turns: list[np.ndarray]
-    upper: list[np.ndarray]
-    rows: list[np.ndarray]
+    rounds: list[Round]
     closed: np.ndarray
 
 
 def eliminate(here: Float[np.ndarray, "... n m m"], there: Float[np.ndarray, "... n m m"]) -> Cyclic:
     """The elimination of all points but the first, of A and B."""
-    n, m = here.shape[-3], here.shape[-1]
-    first, last = here[..., 0, :, :], there[..., 0, :, :]  # first y_0 + last y_i = r
-    found = Cyclic([], [], [], np.empty(0))
-    for i in range(1, n):
-        turn, upper = np.linalg.qr(np.concatenate([last, here[..., i, :, :]], axis=-2), mode="complete")
-        rows = np.zeros((*first.shape[:-2], 2 * m, 2 * m))
-        rows[..., :m, :m], rows[..., m:, m:] = first, there[..., i, :, :]
-        rows = np.swapaxes(turn, -1, -2) @ rows
-        found.turns.append(turn)
-        found.upper.append(upper[..., :m, :])
-        found.rows.append(rows[..., :m, :])
-        first, last = rows[..., m:, :m], rows[..., m:, m:]
-    return found._replace(closed=first + last)
+    m, rounds = here.shape[-1], []
+    here, there = np.moveaxis(here, -3, 0), np.moveaxis(there, -3, 0)
+    while len(here) > 1:
+        (first, of_left), (of_right, last) = _pairs(here), _pairs(there)
+        turns, upper = np.linalg.qr(np.concatenate([of_right, of_left], axis=-2), mode="complete")
+        rows = np.zeros_like(turns)
+        rows[..., :m, :m], rows[..., m:, m:] = first, last
+        rows = np.swapaxes(turns, -1, -2) @ rows
+        rounds.append(Round(turns, upper[..., :m, :], rows[..., :m, :]))
+        odd = 2 * len(turns)
+        here = np.concatenate([rows[..., m:, :m], here[odd:]])
+        there = np.concatenate([rows[..., m:, m:], there[odd:]])
+    return Cyclic(rounds, here[0] + there[0])
 
 
 def solve(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> Float[np.ndarray, "... n m"]:
@@ -96,39 +107,47 @@ def underdetermined(
 def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:
     """y of r = 0, of length one at the first point, where there is one; elsewhere that of the nearest `closed`."""
     first = np.linalg.svd(cycle.closed)[2][..., -1, :]
-    return _back(cycle, first, [np.zeros_like(first)] * len(cycle.turns))
+    return _back(cycle, first, [np.zeros(1)] * len(cycle.rounds))
 
 
 def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
     """Determinant of the whole system; with B_i = −1 but for the last, which is +1, that of M_{n−1}…M_0 + 1."""
-    steps = len(cycle.turns)
-    m = cycle.upper[0].shape[-1] if steps else cycle.closed.shape[-1]
+    m, eliminated = cycle.closed.shape[-1], 0
     sign, logarithm = np.linalg.slogdet(cycle.closed)
-    for turn, upper in zip(cycle.turns, cycle.upper, strict=True):
+    for turns, upper, _ in cycle.rounds:
         diagonal = np.diagonal(upper, axis1=-2, axis2=-1)
-        sign = sign * np.linalg.slogdet(turn)[0] * np.prod(np.sign(diagonal), axis=-1)
-        logarithm = logarithm + np.sum(np.log(np.abs(diagonal)), axis=-1)
+        sign = sign * np.prod(np.linalg.slogdet(turns)[0] * np.prod(np.sign(diagonal), axis=-1), axis=0)
+        logarithm = logarithm + np.sum(np.log(np.abs(diagonal)), axis=(0, -1))
+        eliminated += len(turns)
     # The equations that are left stand in another order than the points.
-    return (-1.0) ** (m * steps) * sign * np.exp(logarithm)
+    return (-1.0) ** (m * eliminated) * sign * np.exp(logarithm)
+
+
+def _pairs(each: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first and the second of all pairs along the first axis; an odd one at the end has none."""
+    return each[: len(each) // 2 * 2 : 2], each[1::2]
 
 
 def _carried(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> tuple[np.ndarray, list[np.ndarray]]:
     """What stands on the right of the equation left for y_0, and of those of the points eliminated."""
-    m = right.shape[-1]
-    carried, known = right[..., 0, :], []
-    for i, turn in enumerate(cycle.turns, 1):
-        both = np.concatenate([carried, right[..., i, :]], axis=-1)
-        both = (np.swapaxes(turn, -1, -2) @ both[..., None])[..., 0]
+    m, known = right.shape[-1], []
+    carried = np.moveaxis(right, -2, 0)
+    for turns, _, _ in cycle.rounds:
+        both = np.concatenate(_pairs(carried), axis=-1)
+        both = (np.swapaxes(turns, -1, -2) @ both[..., None])[..., 0]
         known.append(both[..., :m])
-        carried = both[..., m:]
-    return carried, known
+        carried = np.concatenate([both[..., m:], carried[2 * len(turns) :]])
+    return carried[0], known
 
 
 def _back(cycle: Cyclic, first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:
     """All y, from y_0 and from what stands on the right of the points' equations after their elimination."""
-    m = first.shape[-1]
-    y = [first]
-    for upper, rows, right in zip(cycle.upper[::-1], cycle.rows[::-1], known[::-1], strict=True):
-        both = rows[..., :m] @ first[..., None] + rows[..., m:] @ y[-1][..., None]
-        y.append(np.linalg.solve(upper, right[..., None] - both)[..., 0])
-    return np.stack([first, *y[:0:-1]], axis=-2)
+    y = first[None]
+    for (_, upper, rows), right in zip(cycle.rounds[::-1], known[::-1], strict=True):
+        half = len(rows)
+        neighbours = np.concatenate([y[:half], np.roll(y, -1, axis=0)[:half]], axis=-1)
+        missing = right[..., None] - rows @ neighbours[..., None]
+        whole = np.empty((len(y) + half, *y.shape[1:]))
+        whole[::2], whole[1::2] = y, np.linalg.solve(upper, missing)[..., 0]
+        y = whole
+    return np.moveaxis(y, 0, -2)

@@ -19,6 +19,9 @@ from jaxnh.orbits import cyclic
 from jaxnh.orbits.shooting import Orbits, Period, Wrap, close_orbits
 from jaxnh.systems.particle import wrap as planar_wrap
 
+FEIGENBAUM = 4.669201609102990
+"""Ratio δ of successive distances between doublings, far down a cascade; here it only says where to look."""
+
 _NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)  # Chebyshev nodes of [−1, 1]
 _DEGREE = 3  # two less than what would go through all nodes: the rest shows truncation and rounding
 _NARROWER = 64  # from round to round
@@ -168,6 +171,11 @@ def moved_doubling(period: Period, point: DoublingPoint, wrap: Wrap = planar_wra
 def doubling_function(orbits: Orbits) -> Float[np.ndarray, " nodes"]:
     """det(M + 1) of every orbit, M = M_{n−1}…M_0: positive where it is stable, negative once it has doubled."""
     return cyclic.determinant(_reversed(orbits))
+
+
+def halves(points: Float[np.ndarray, "... n d"], wrap: Wrap) -> Float[np.ndarray, "... n d"]:
+    """Differences of points of an orbit from those half its period later."""
+    return wrap(points - np.roll(points, points.shape[-2] // 2, axis=-2))
 
 
 def _reversed(orbits: Orbits) -> cyclic.Cyclic:

@@ -1,12 +1,17 @@
-"""A doubling in double-double precision: Newton on the orbit and its vector of −1 from where float64 has found them.
+"""Doublings in double-double precision: Newton on the orbit and its vector of −1, from those of float64 or before.
 
 Unknowns are the points u_i of the orbit, a vector w_i at each, and the parameter, with P(u_i) = u_{i+1} around the
 orbit and ∂P/∂u w_i = w_{i+1}, reversed once around. Only what these equations miss by has to be precise: slopes are
-those of float64 at the start, second derivatives differences of first ones, and steps are small corrections. Host code.
+those of float64, second derivatives differences of first ones, and steps are corrections. Slopes are computed again as
+long as steps do not shrink as they do near the doubling.
+
+The next doubling of a cascade is looked for where its law puts it (Feigenbaum, J. Stat. Phys. 19 (1978) 25): at the
+last distance over δ, with an orbit that leaves the last one along ± w by the last width over α. Host code.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -15,15 +20,19 @@ from jaxtyping import Float
 from jaxnh.maps.double_double import two_sum
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.doubling_points import DoublingPoint
+from jaxnh.orbits.doubling_points import FEIGENBAUM, halves
 from jaxnh.orbits.shooting import Wrap
 
 Sum = tuple[np.ndarray, np.ndarray]
 """Arrays that are summed without error: hi and lo."""
 
-_STEPS = 12
+_WIDTHS = 2.5  # ratio α of successive widths far down a cascade; here it only says where to look
+_SHARES = (0.4, 0.6, 0.3)  # of half a width, tried one after the other: the orbit at its doubling is no longer straight
+_BEYOND, _UP_TO = 0.5, 1.5  # shares of the expected distance within which a doubling is the next one
+_STEPS = 16
 _DIFFERENCE = 1e-5  # in sizes of the motion, of differences of slopes: what they miss is 1e-8 of them
 _FALLING = 0.25  # of the step before, at most, or rounding rules
+_STEADY = 1e-5  # of the step before, at most, or slopes are computed again
 _SPACING = 2.0**-104
 _TURN = (2.0 * np.pi, 2.4492935982947064e-16)  # 2 π as a sum
 
@@ -50,39 +59,98 @@ class ExtendedPoint(NamedTuple):
     Attributes:
         value: of the parameter, as a sum of two.
         error: by rounding: the last step of Newton, which made it no smaller.
+        orbit: its n points, (n, d) each.
+        vector: of −1 at each, of any length.
     """
 
     value: tuple[float, float]
     error: float
+    orbit: Sum
+    vector: Sum
+
+
+def exactly(value: float, orbit: Float[np.ndarray, "n d"], vector: Float[np.ndarray, "n d"]) -> ExtendedPoint:
+    """A doubling of float64."""
+    return ExtendedPoint((value, 0.0), np.inf, (orbit, np.zeros_like(orbit)), (vector, np.zeros_like(vector)))
 
 
 def extended_doubling(
-    period: ExtendedPeriod, slopes: Slopes, point: DoublingPoint, size: Float[np.ndarray, " d"], wrap: Wrap
+    period: ExtendedPeriod, slopes: Slopes, start: ExtendedPoint, size: Float[np.ndarray, " d"], wrap: Wrap
 ) -> ExtendedPoint | None:
-    """The doubling of the same map near one in float64; None where Newton does not settle.
+    """The doubling near a point, one of float64 or of nearly the same map; None where Newton does not settle.
 
     Args:
         period: the map in double-double precision.
         slopes: the map in float64.
-        point: the doubling in float64.
+        start: the point; its error is how far the doubling may be where the slopes there are of no use, else infinite.
         size: of the motion in each section coordinate.
         wrap: of differences of section coordinates.
     """
-    linear = _linearised(slopes, point, size)
-    u, w = (point.orbit, np.zeros_like(point.orbit)), (point.vector, np.zeros_like(point.vector))
-    value, last = (point.value, 0.0), np.inf
+    (value, last, u, w), linear = start, None
     for _ in range(_STEPS):
+        linear = linear or _linearised(slopes, value[0], u[0], w[0], size)
         image, vector = period(u, w, value)
-        of_orbit = _difference(_next(u), image, wrap)
-        of_vector = _difference(_next(w, -1.0), vector)
+        of_orbit = difference(_next(u), image, wrap)
+        of_vector = difference(_next(w, -1.0), vector)
         du, dw, step = _step(linear, of_orbit, of_vector)
         if not np.isfinite(step) or not np.isfinite(du).all():
             return None
         u, w, value = _moved(u, du), _moved(w, dw), _shifted(value, step)
-        if abs(step) <= _SPACING * abs(value[0]) or (abs(step) >= _FALLING * last and last < np.spacing(point.value)):
-            return ExtendedPoint(value, max(abs(step), _SPACING * abs(value[0])))
-        last = abs(step)
+        size_of_step, least = abs(step), _SPACING * abs(value[0])
+        if size_of_step <= least or (size_of_step >= _FALLING * last and last < np.spacing(abs(value[0]))):
+            return ExtendedPoint(value, max(size_of_step, least), u, w)
+        if size_of_step > _STEADY * last:
+            linear = None
+        last = size_of_step
     return None
+
+
+def next_doubling(
+    period: ExtendedPeriod, slopes: Slopes, known: Sequence[ExtendedPoint], size: Float[np.ndarray, " d"], wrap: Wrap
+) -> ExtendedPoint | None:
+    """The doubling that follows two or more; None where it is not found. The last orbit has more than one point.
+
+    Args:
+        period, slopes, size, wrap: as in `extended_doubling`.
+        known: doublings of the cascade, each of twice the period of the one before.
+    """
+    before, last = known[-2:]
+    gap = _distance(before, last) / FEIGENBAUM
+    value, (points, _), (along, _) = last.value[0] + gap, last.orbit, last.vector
+    along = along / np.linalg.norm(along / size, axis=1).max()
+    width = np.linalg.norm(halves(points, wrap) / size, axis=1).max()
+    for share in _SHARES:
+        moved = 0.5 * share / _SHARES[0] / _WIDTHS * width * along
+        orbit = np.concatenate([points + moved, points - moved])
+        vector = _null_vector(slopes, value, orbit)
+        guess = exactly(value, orbit, vector)._replace(error=abs(gap))
+        found = extended_doubling(period, slopes, guess, size, wrap)
+        if found is not None and _BEYOND < _distance(last, found) / gap < _UP_TO:
+            return found
+    return None
+
+
+def of_finer_map(point: ExtendedPoint, coarse: ExtendedPoint, fine: ExtendedPoint, wrap: Wrap) -> ExtendedPoint:
+    """About where a finer map has a doubling of a map, from the doubling before of both: points move together.
+
+    Args:
+        point: the doubling of the map.
+        coarse, fine: the one before, of half the period, of this map and of the finer one.
+        wrap: of differences of section coordinates.
+    """
+    shift = difference(fine.orbit, coarse.orbit, wrap)
+    orbit = _moved(point.orbit, np.concatenate([shift, shift]))
+    return point._replace(value=_shifted(point.value, _distance(coarse, fine)), error=np.inf, orbit=orbit)
+
+
+def difference(a: Sum, b: Sum, wrap: Wrap | None = None) -> np.ndarray:
+    """a − b in float64, of which the upper halves, and whole turns of angles, are subtracted without error."""
+    (high, low), rest = two_sum(a[0], -b[0]), a[1] - b[1]
+    if wrap is not None:
+        turns = np.round((high - wrap(high)) / _TURN[0])
+        high, less = two_sum(high, -turns * _TURN[0])
+        rest = rest + (less - turns * _TURN[1])
+    return high + (low + rest)
 
 
 class _Linear(NamedTuple):
@@ -102,23 +170,41 @@ class _Linear(NamedTuple):
     column: np.ndarray
 
 
-def _linearised(slopes: Slopes, point: DoublingPoint, size: Float[np.ndarray, " d"]) -> _Linear:
-    n, d = point.orbit.shape
-    values = np.full(n, point.value)
-    away = _DIFFERENCE / np.linalg.norm(point.vector / size, axis=1)[:, None]
-    here, ahead, behind = (slopes(point.orbit + sign * away * point.vector, values) for sign in (0.0, 1.0, -1.0))
+def _linearised(
+    slopes: Slopes,
+    value: float,
+    orbit: Float[np.ndarray, "n d"],
+    vector: Float[np.ndarray, "n d"],
+    size: Float[np.ndarray, " d"],
+) -> _Linear:
+    n, d = orbit.shape
+    values = np.full(n, value)
+    away = _DIFFERENCE / np.linalg.norm(vector / size, axis=1)[:, None]
+    here, ahead, behind = (slopes(orbit + sign * away * vector, values) for sign in (0.0, 1.0, -1.0))
     assert here.by_parameter is not None
     assert ahead.by_parameter is not None
     assert behind.by_parameter is not None
     blocks = np.asarray(here.monodromy)
     second = (np.asarray(ahead.monodromy) - np.asarray(behind.monodromy)) / (2.0 * away[:, :, None])
     mixed = (np.asarray(ahead.by_parameter) - np.asarray(behind.by_parameter)) / (2.0 * away)
-    there = np.tile(-np.eye(d), (n, 1, 1))
-    orbit = cyclic.eliminate(blocks, there)
-    there[-1] *= -1.0
-    by_value = cyclic.solve(orbit, -np.asarray(here.by_parameter))
+    closed = cyclic.eliminate(blocks, np.tile(-np.eye(d), (n, 1, 1)))
+    by_value = cyclic.solve(closed, -np.asarray(here.by_parameter))
     column = np.einsum("nij,nj->ni", second, by_value) + mixed
-    return _Linear(orbit, cyclic.eliminate(blocks, there), by_value, second, column)
+    return _Linear(closed, _reversed(blocks), by_value, second, column)
+
+
+def _reversed(blocks: Float[np.ndarray, "n d d"]) -> cyclic.Cyclic:
+    """The equations of the vector of −1."""
+    there = np.tile(-np.eye(blocks.shape[-1]), (len(blocks), 1, 1))
+    there[-1] *= -1.0
+    return cyclic.eliminate(blocks, there)
+
+
+def _null_vector(slopes: Slopes, value: float, orbit: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
+    """The vector of −1 nearly, around an orbit that nearly has one, of length one where it is longest."""
+    blocks = np.asarray(slopes(orbit, np.full(len(orbit), value)).monodromy)
+    vector = cyclic.null_vector(_reversed(blocks))
+    return vector / np.abs(vector).max()
 
 
 def _step(linear: _Linear, of_orbit: np.ndarray, of_vector: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -138,19 +224,14 @@ def _next(points: Sum, sign: float = 1.0) -> Sum:
     return hi, lo
 
 
-def _difference(a: Sum, b: Sum, wrap: Wrap | None = None) -> np.ndarray:
-    """a − b in float64, of which the upper halves, and whole turns of angles, are subtracted without error."""
-    (high, low), rest = two_sum(a[0], -b[0]), a[1] - b[1]
-    if wrap is not None:
-        turns = np.round((high - wrap(high)) / _TURN[0])
-        high, less = two_sum(high, -turns * _TURN[0])
-        rest = rest + (less - turns * _TURN[1])
-    return high + (low + rest)
-
-
 def _moved(points: Sum, step: np.ndarray) -> Sum:
     high, low = two_sum(points[0], step)
     return two_sum(high, low + points[1])
+
+
+def _distance(a: ExtendedPoint, b: ExtendedPoint) -> float:
+    """Of the values of b from a."""
+    return (b.value[0] - a.value[0]) + (b.value[1] - a.value[1])
 
 
 def _shifted(value: tuple[float, float], step: float) -> tuple[float, float]:

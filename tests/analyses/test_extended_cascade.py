@@ -5,22 +5,28 @@ from __future__ import annotations
 import itertools
 from decimal import Decimal, localcontext
 
+import jax
 import numpy as np
 import pytest
 from conftest import ROOT
 
 import jaxnh
-from jaxnh.analyses.extended import delta_limit, deltas
+from jaxnh.analyses.extended import alpha_limit, delta_limit, deltas
 from jaxnh.exceptions import AccuracyError, ConfigError
-from jaxnh.orbits.extended_doublings import ExtendedPoint
+from jaxnh.maps.double_double import Double
+from jaxnh.maps.extended_precision import extended
+from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.extended_doublings import ExtendedPoint, exactly, extended_doubling, next_doubling
 
 FEIGENBAUM = 4.669201609102990671853  # Briggs, Math. Comp. 57 (1991) 435
+ALPHA = 2.502907875095892822284  # the same
 LEVELS = 10
+PLACE = np.ones(1)
 
 
 def logistic(levels):
-    """Doublings of x → a x (1 − x) by Newton on fⁿ(x) = x, (fⁿ)′ = −1 in forty digits."""
-    x, a, values, gap = Decimal("0.66"), Decimal("2.99"), [], Decimal("0.45")
+    """Doublings of x → a x (1 − x) by Newton on fⁿ(x) = x, (fⁿ)′ = −1 in forty digits, and points of their orbits."""
+    x, a, found, gap = Decimal("0.66"), Decimal("2.99"), [], Decimal("0.45")
     for k in range(levels):
         for _ in range(30):
             y, yx, ya, yxx, yxa = x, Decimal(1), Decimal(0), Decimal(0), Decimal(0)
@@ -34,18 +40,32 @@ def logistic(levels):
             a += step
             if abs(step) < Decimal("1e-32"):
                 break
-        values.append(a)
-        gap = (values[-1] - values[-2]) / Decimal("4.669") if k else gap
+        orbit = [x]
+        for _ in range(2**k - 1):
+            orbit.append(a * orbit[-1] * (1 - orbit[-1]))
+        found.append((a, orbit))
+        gap = (a - found[-2][0]) / Decimal("4.669") if k else gap
         a, x = a + gap * Decimal("0.95"), x + Decimal("1e-3") * Decimal("0.4") ** k
         for _ in range(2 ** (k + 1) * max(6, 600 // 2**k)):
             x = a * x * (1 - x)
-    return values
+    return found
+
+
+def halves(number):
+    return float(number), float(number - Decimal(float(number)))
 
 
 @pytest.fixture(scope="module")
 def points():
+    """The doublings, with a vector of −1 that has grown by the slopes from one at the first point."""
     with localcontext(prec=44):
-        return [ExtendedPoint((float(v), float(v - Decimal(float(v)))), 1e-30) for v in logistic(LEVELS)]
+        found = []
+        for a, orbit in logistic(LEVELS):
+            slopes = [float(a * (1 - 2 * x)) for x in orbit]
+            vector = np.cumprod([1.0, *slopes[:-1]])[:, None]
+            x = np.array([halves(x) for x in orbit])[:, :, None]
+            found.append(ExtendedPoint(halves(a), 1e-30, (x[:, 0], x[:, 1]), (vector, np.zeros_like(vector))))
+        return found
 
 
 def test_limit_of_a_map(points):
@@ -56,6 +76,48 @@ def test_limit_of_a_map(points):
     for first in (0, 1):
         limit, error = delta_limit(points[first:])
         assert abs(limit - FEIGENBAUM) <= error < 1e-7
+
+
+def test_widths_of_a_map(points):
+    """α likewise; its corrections are α⁻¹⁰ and δ⁻¹⁰, 1e-4 and 2e-7 of it."""
+    for first in (0, 1):
+        limit, error = alpha_limit(points[first:], PLACE, np.asarray)
+        assert abs(limit - ALPHA) <= error < 1e-5
+
+
+def test_next_doublings(points):
+    """Each doubling of the map from the two before it, to what double-double precision leaves.
+
+    Rounding moves a period by 2⁻¹⁰⁴, and the value by that times what noise of a period grows to at the end of a
+    cascade, 6.6 a level (Crutchfield, Nauenberg, Rudnick, Phys. Rev. Lett. 46 (1981) 933) while distances fall by δ.
+    """
+
+    def plain(u, w, p):
+        return jax.jvp(lambda u: p["a"] * u * (1.0 - u), (u,), (w,))
+
+    compiled = jax.jit(lambda hidden, u, w, p: extended(plain, hidden)(u, w, p))
+
+    def period(u, w, value):
+        a = Double(*(np.full_like(u[0], half) for half in value))
+        return tuple(map(tuple, compiled(np.int64(0), Double(*u), Double(*w), {"a": a})))
+
+    def slopes(u, values):
+        a = values[:, None]
+        return Derivatives(a * u * (1.0 - u), (a * (1.0 - 2.0 * u))[:, :, None], u * (1.0 - u))
+
+    known = [
+        extended_doubling(period, slopes, exactly(at.value[0], at.orbit[0], at.vector[0]), PLACE, np.asarray)
+        for at in points[1:3]
+    ]
+    while len(known) < LEVELS - 1:
+        known.append(next_doubling(period, slopes, known, PLACE, np.asarray))
+    gap, noise = points[1].value[0] - points[0].value[0], 2.0**-104
+    for level, (found, wanted) in enumerate(zip(known, points[1:], strict=True), 1):
+        with localcontext(prec=44):
+            missed = float(sum(map(Decimal, found.value)) - sum(map(Decimal, wanted.value)))
+        assert len(found.orbit[0]) == 2**level
+        assert abs(missed) < 100 * noise * (6.619 / FEIGENBAUM) ** level
+        assert abs(missed) < 1e-16 * gap / FEIGENBAUM**level
 
 
 def test_deltas_of_a_map(points):
@@ -97,6 +159,12 @@ def test_contradictions_are_refused(name):
     if name == "along what lanes share":
         config["system"] = {"constraint": "constant_speed", "b": 5.5}
     with pytest.raises(ConfigError, match=message):
+        jaxnh.Experiment.from_dict(config)
+
+
+def test_levels_beyond_float64_are_refused_in_it():
+    config = {**CONFIG, "accuracy": {"target": 1e-5}, "analyses": {"doubling": {"levels": 13}}}
+    with pytest.raises(ConfigError, match=r"doubling.levels: float64 tells 12 doublings .* need accuracy.precision"):
         jaxnh.Experiment.from_dict(config)
 
 

@@ -537,7 +537,7 @@ FAULTS = {
     "target beyond reach": (("1e-8", "1e-15"), "FILE:17: accuracy.target: must be at least 1e-13, not 1e-15"),
     "target too loose": (("1e-8", "0.5"), "FILE:17: accuracy.target: must be at most 0.01, not 0.5"),
     "levels too few": (("levels: 3", "levels: 0"), "FILE:20: analyses.doubling.levels: must be at least 1, not 0"),
-    "levels too many": (("levels: 3", "levels: 99"), "FILE:20: analyses.doubling.levels: must be at most 12, not 99"),
+    "levels too many": (("levels: 3", "levels: 99"), "FILE:20: analyses.doubling.levels: must be at most 16, not 99"),
     "no analysis": (
         ("\n  doubling:\n    levels: 3", ""),
         "FILE:18: analyses: at least one analysis is needed; known are",
