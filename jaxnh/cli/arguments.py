@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from jaxnh.config.known_keys import check_keys
+from jaxnh.config.schema_check import check_by_schema
 from jaxnh.config.yaml_source import read
 from jaxnh.exceptions import InputError
 
@@ -25,13 +25,13 @@ def check_text(config: Path | None, overrides: Sequence[str] | None) -> None:
     """See that a config can be read, and a user's file is there and is Python: before JAX, which starts in seconds.
 
     Raises:
-        InputError: none is named, it is not YAML, an override has no place in it, a key is not known, or the user's
+        InputError: none is named, it is not YAML, an override has no place in it, its schema refuses it, or the user's
             file is no Python.
     """
     if config is None:
         raise InputError("command line: CONFIG: name a YAML file")
     source = read(config, overrides or [])
-    check_keys(source)
+    check_by_schema(source)
     system = source.data.get("system")
     file = system.get("file") if isinstance(system, dict) else None
     if not isinstance(file, str):

@@ -186,42 +186,24 @@ def test_unknown_operations_are_refused(tmp_path):
         jaxnh.Session(jaxnh.Experiment.from_dict(config)).run("doubling")
 
 
-@pytest.mark.slow
-def test_governor_agrees():
-    """A flow that is no particle: ten levels leave what they leave of a map, 1e-7."""
-    asked = ["accuracy.precision=extended", "accuracy.target=1e-5", "sweep.drive.start=0.83"]
-    asked += ["analyses={doubling: {levels: 10}}"]
-    data = jaxnh.Session(jaxnh.load(ROOT / "configs/governor.yaml", asked)).run("doubling")
-    assert data.attrs["levels_found"] == 10
-    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) <= data.attrs["delta_limit_error"] < 1e-6
-    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) < 1e-7
+GOVERNOR = {"sweep.drive.start": 0.83, "accuracy.target": 1e-5}
+TABLES = {"accuracy.target": 1e-6}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "changed",
-    [{}, {"system": {"constraint": "disturbed_speed"}, "sweep": {"b": {"start": 5.9, "stop": 5.72, "count": 64}}}],
-    ids=["constant speed", "disturbed speed"],
-)
-def test_two_flows_agree(changed):
-    """δ of two flows covers Feigenbaum's, far closer than float64 could tell: in nine levels to 1e-5."""
-    data = jaxnh.Session(jaxnh.Experiment.from_dict({**CONFIG, **changed})).run("doubling")
-    assert data.attrs["levels_found"] == 9
-    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) <= data.attrs["delta_limit_error"] < 1e-2
-    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) < 1e-5
-    # The other digits are beyond float64, and of δ rounding leaves nothing but what steps do.
-    assert np.all(np.abs(data["b_rest"]) <= np.spacing(data["b"]) / 2)
+@pytest.mark.parametrize(("flow", "changed"), [("table1", TABLES), ("table2", TABLES), ("governor", GOVERNOR)])
+def test_sixteen_levels_of_flows(flow, changed):
+    """δ and α to ten digits from cascades up to period 65536, each with an error that covers.
 
-
-@pytest.mark.slow
-@pytest.mark.parametrize("table", ["table1", "table2"])
-def test_twelve_levels_of_the_tables(table):
-    """δ to ten digits from both tables' cascades up to period 4096, and an error that covers.
-
-    Rounding leaves δ_11 at 1e-14 of it; its correction of δ⁻¹² is 1e-8, of which extrapolation takes out two terms.
+    Doublings are known to 1e-28 and the last distance is 1e-12 of the range, so that rounding leaves δ_15 at 1e-14 of
+    it. Its correction of δ⁻¹⁶ is 1e-11, and of widths that of α⁻¹⁶ is 4e-7; extrapolation takes out these and more.
     """
-    asked = ["accuracy.precision=extended", "accuracy.target=1e-8", "analyses={doubling: {levels: 12, search: false}}"]
-    data = jaxnh.Session(jaxnh.load(ROOT / f"configs/{table}.yaml", asked)).run("doubling")
-    assert data.attrs["levels_found"] == 12
-    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) <= data.attrs["delta_limit_error"] < 1e-8
-    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) < 1e-10
+    asked = [f"{key}={value}" for key, value in changed.items()]
+    asked += ["accuracy.precision=extended", "analyses={doubling: {levels: 16}}"]
+    data = jaxnh.Session(jaxnh.load(ROOT / f"configs/{flow}.yaml", asked)).run("doubling")
+    assert data.attrs["levels_found"] == 16
+    assert abs(data.attrs["delta_limit"] - FEIGENBAUM) <= data.attrs["delta_limit_error"] < 1e-10
+    assert abs(data.attrs["alpha"] - ALPHA) <= data.attrs["alpha_error"] < 1e-6
+    # The other digits are beyond float64, and of δ rounding leaves nothing but what steps do.
+    name = data.attrs["along"]
+    assert np.all(np.abs(data[f"{name}_rest"]) <= np.spacing(data[name]) / 2)

@@ -55,10 +55,18 @@ def test_the_saved_config_gives_the_same_numbers(plane):
 def test_quantities_are_those_that_go_with_the_system_those_asked_for_first():
     asked = jaxnh.Experiment.from_dict({**CONFIG, "analyses": {"period": {}, "verdict": {}}})
     assert list(live(asked, Silent(), COLUMNS).variables) == ["period", "verdict", "lyapunov", "chaos01"]
+
+
+def test_a_flow_without_clock_and_section_has_exponents_and_a_portrait():
+    """A click gives what goes without strobe points; exponents add up to the divergence of Lorenz' flow, a constant."""
     sweep = "sweep={rho: {start: 20, stop: 30, count: 4}, sigma: {start: 9, stop: 11, count: 4}}"
-    nowhere = ["system={file: lorenz.py}", sweep, "section=null", "analyses={lyapunov: {}}"]  # no clock and no section
-    lorenz = jaxnh.load(ROOT / "configs/flows/lorenz.yaml", nowhere)
-    assert list(live(lorenz, Silent(), COLUMNS).variables) == ["lyapunov"]
+    nowhere = ["system={file: lorenz.py}", sweep, "section=null", "analyses={lyapunov: {periods: 200}}"]
+    plane = live(jaxnh.load(ROOT / "configs/flows/lorenz.yaml", nowhere), Silent(), COLUMNS)
+    assert list(plane.variables) == ["lyapunov"]
+    first, last = plane.lane(plane.first, {"rho": 28.0, "sigma": 10.0})
+    assert list(first.groups) == ["portrait"]
+    assert list(last.groups) == ["portrait", "lyapunov"]
+    assert float(last.groups["lyapunov"]["exponents"].sum()) == pytest.approx(-(10.0 + 1.0 + 8.0 / 3.0), abs=1e-6)
 
 
 def test_a_diagram_of_two_axes_becomes_a_plane_and_says_so():
