@@ -58,7 +58,7 @@ def test_quantities_are_those_that_go_with_the_system_those_asked_for_first():
 
 
 def test_a_flow_without_clock_and_section_has_exponents_and_a_portrait():
-    """A click gives what goes without strobe points; exponents add up to the divergence of Lorenz' flow, a constant."""
+    """A click gives what goes without strobe points; exponents add up to the divergence, a constant."""
     sweep = "sweep={rho: {start: 20, stop: 30, count: 4}, sigma: {start: 9, stop: 11, count: 4}}"
     nowhere = ["system={file: lorenz.py}", sweep, "section=null", "analyses={lyapunov: {periods: 200}}"]
     plane = live(jaxnh.load(ROOT / "configs/flows/lorenz.yaml", nowhere), Silent(), COLUMNS)
@@ -66,7 +66,10 @@ def test_a_flow_without_clock_and_section_has_exponents_and_a_portrait():
     first, last = plane.lane(plane.first, {"rho": 28.0, "sigma": 10.0})
     assert list(first.groups) == ["portrait"]
     assert list(last.groups) == ["portrait", "lyapunov"]
-    assert float(last.groups["lyapunov"]["exponents"].sum()) == pytest.approx(-(10.0 + 1.0 + 8.0 / 3.0), abs=1e-6)
+    spectrum = last.groups["lyapunov"]
+    within = float(spectrum["exponents_error"].sum())
+    assert within < 0.1
+    assert float(spectrum["exponents"].sum()) == pytest.approx(-(10.0 + 1.0 + 8.0 / 3.0), abs=within)
 
 
 def test_a_diagram_of_two_axes_becomes_a_plane_and_says_so():
