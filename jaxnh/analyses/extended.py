@@ -45,19 +45,19 @@ FLOAT64_LEVELS = 6
 _DIGITS = 60  # of the arithmetic of limits, which loses some
 _FEWEST = 7  # ratios that are extrapolated: shorter sequences then still have two columns of the table
 _ROUNDING = Decimal(2) ** -50  # of a width: of its norm, in float64
+_MAPS = 2  # the first of the refinements
 _TILE = 128  # lanes: a double-double operation is some twenty kernels
 
 
 class ExtendedDoublings(NamedTuple):
-    """Doublings of maps with the steps that the accuracy asks for and with twice and four times as many.
+    """Doublings of maps with the steps that the accuracy asks for and with twice as many.
 
     Attributes:
-        coarse, fine, finest: as many as were found one after the other.
+        coarse, fine: as many as were found one after the other.
     """
 
     coarse: tuple[ExtendedPoint, ...]
     fine: tuple[ExtendedPoint, ...]
-    finest: tuple[ExtendedPoint, ...]
 
 
 def see_that_it_can(scene: Scene) -> None:
@@ -91,13 +91,19 @@ def extended_doublings(scene: Scene, lanes: LaneRunner, found: Cascade, levels: 
         if located is None:
             break
         known.append(located)
-    return ExtendedDoublings(*zip(*known, strict=True)) if known else ExtendedDoublings((), (), ())
+    return ExtendedDoublings(*zip(*known, strict=True)) if known else ExtendedDoublings((), ())
 
 
 def beyond_float64(scene: Scene, found: Cascade, extended: ExtendedDoublings, levels: int) -> Cascade:
-    """The cascade with the doublings, rounded, that extended precision has found beyond those of float64."""
+    """The cascade with the doublings, rounded, that extended precision has found beyond those of float64.
+
+    How far four times the steps move them is what they move the last one of float64 by: from one doubling to the next
+    this changes by as much as they are apart, of which there is less and less.
+    """
     count = len(found.found)
-    more = [Located((_rounded(a), _rounded(b), _rounded(c))) for a, b, c in zip(*extended, strict=True)][count:]
+    pairs = [(_rounded(coarse), _rounded(fine)) for coarse, fine in zip(*extended, strict=True)][count:]
+    shift = found.found[-1].refined[2].value - found.found[-1].refined[1].value if pairs else 0.0
+    more = [Located((coarse, fine, fine._replace(value=fine.value + shift))) for coarse, fine in pairs]
     end = found.end
     if len(extended.fine) > count:
         n, last = found.period << len(extended.fine), extended.fine[-1].value[0]
@@ -121,12 +127,10 @@ class _Map(NamedTuple):
 
 
 def _maps(scene: Scene, lanes: LaneRunner) -> list[_Map]:
-    """The map with the steps of each refinement, all through one program."""
-    plain = [replace(scene, compensated=False).strobe(refinement).shortest() for refinement in REFINEMENTS]
-    return [
-        _map(scene, lanes, strobe.with_room_of(plain[-1]), exact)
-        for strobe, exact in zip(plain, refined(scene), strict=True)
-    ]
+    """The maps, all through one program."""
+    plain = [replace(scene, compensated=False).strobe(refinement).shortest() for refinement in REFINEMENTS[:_MAPS]]
+    exact = refined(scene)[:_MAPS]
+    return [_map(scene, lanes, one.with_room_of(plain[-1]), same) for one, same in zip(plain, exact, strict=True)]
 
 
 def _map(scene: Scene, lanes: LaneRunner, plain: Strobe, exact: Strobe) -> _Map:
@@ -153,7 +157,7 @@ def _located(
     size, wrap, level = found.size, scene.system.wrap, len(known)
     points: list[ExtendedPoint | None] = []
     if level < len(found.found):
-        starts = [exactly(at.value, at.orbit, at.vector) for at in found.found[level].refined]
+        starts = [exactly(at.value, at.orbit, at.vector) for at in found.found[level].refined[:_MAPS]]
     elif level > 1 and (first := next_doubling(*maps[0], [known[0] for known in known], size, wrap)) is not None:
         points, starts = [first], [of_finer_map(first, known[-1][0], before, wrap) for before in known[-1][1:]]
     else:
