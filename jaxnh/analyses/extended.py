@@ -155,11 +155,12 @@ def _located(
 ) -> tuple[ExtendedPoint, ...] | None:
     """The doubling after those known, of each map."""
     size, wrap, level = found.size, scene.system.wrap, len(known)
-    points: list[ExtendedPoint | None] = []
+    points: list[ExtendedPoint | None] = []  # of the first maps, where the others start from them
     if level < len(found.found):
         starts = [exactly(at.value, at.orbit, at.vector) for at in found.found[level].refined[:_MAPS]]
     elif level > 1 and (first := next_doubling(*maps[0], [known[0] for known in known], size, wrap)) is not None:
-        points, starts = [first], [of_finer_map(first, known[-1][0], before, wrap) for before in known[-1][1:]]
+        points.append(first)
+        starts = [of_finer_map(first, known[-1][0], before, wrap) for before in known[-1][1:]]
     else:
         return None
     points += [
@@ -201,9 +202,13 @@ def alpha_limit(points: Sequence[ExtendedPoint], size: Float[np.ndarray, " d"], 
     """
     with localcontext(prec=_DIGITS):
         even = [point.orbit for point in points if len(point.orbit[0]) % 2 == 0]
-        apart = [difference(orbit, [np.roll(half, len(half) // 2, axis=0) for half in orbit], wrap) for orbit in even]
+        apart = [difference((hi, lo), (_half_on(hi), _half_on(lo)), wrap) for hi, lo in even]
         widths = [Decimal(float(np.linalg.norm(each / size, axis=1).max())) for each in apart]
         return _limit(widths, [_ROUNDING * width for width in widths], _quotients)
+
+
+def _half_on(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
+    return np.roll(points, len(points) // 2, axis=0)
 
 
 def _limit(
