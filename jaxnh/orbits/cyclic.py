@@ -8,6 +8,7 @@ depend on the number of threads.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +44,7 @@ class Cyclic(NamedTuple):
 def eliminate(here: Float[np.ndarray, "... n m m"], there: Float[np.ndarray, "... n m m"]) -> Cyclic:
     """The elimination of all points but the first, of A and B."""
     m, rounds = here.shape[-1], []
-    here, there = np.moveaxis(here, -3, 0), np.moveaxis(there, -3, 0)
+    here, there = _points_first(here, -3), _points_first(there, -3)
     while len(here) > 1:
         (first, of_left), (of_right, last) = _pairs(here), _pairs(there)
         turns, upper = np.linalg.qr(np.concatenate([of_right, of_left], axis=-2), mode="complete")
@@ -115,12 +116,19 @@ def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
     m, eliminated = cycle.closed.shape[-1], 0
     sign, logarithm = np.linalg.slogdet(cycle.closed)
     for turns, upper, _ in cycle.rounds:
-        diagonal = np.diagonal(upper, axis1=-2, axis2=-1)
-        sign = sign * np.prod(np.linalg.slogdet(turns)[0] * np.prod(np.sign(diagonal), axis=-1), axis=0)
-        logarithm = logarithm + np.sum(np.log(np.abs(diagonal)), axis=(0, -1))
+        diagonal = np.moveaxis(np.diagonal(upper, axis1=-2, axis2=-1), 0, -2)
+        signs = np.moveaxis(np.linalg.slogdet(turns)[0], 0, -1) * np.prod(np.sign(diagonal), axis=-1)
+        logs = np.log(np.abs(diagonal)).reshape(*diagonal.shape[:-2], math.prod(diagonal.shape[-2:]))
+        sign = sign * np.prod(signs, axis=-1)
+        logarithm = logarithm + np.cumsum(logs, axis=-1)[..., -1]  # one after the other, however many lie side by side
         eliminated += len(turns)
     # The equations that are left stand in another order than the points.
     return (-1.0) ** (m * eliminated) * sign * np.exp(logarithm)
+
+
+def _points_first(each: np.ndarray, axis: int) -> np.ndarray:
+    """In one order in memory: the last bits of products depend on it."""
+    return np.ascontiguousarray(np.moveaxis(each, axis, 0))
 
 
 def _pairs(each: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -131,7 +139,7 @@ def _pairs(each: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _carried(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> tuple[np.ndarray, list[np.ndarray]]:
     """What stands on the right of the equation left for y_0, and of those of the points eliminated."""
     m, known = right.shape[-1], []
-    carried = np.moveaxis(right, -2, 0)
+    carried = _points_first(right, -2)
     for turns, _, _ in cycle.rounds:
         both = np.concatenate(_pairs(carried), axis=-1)
         both = (np.swapaxes(turns, -1, -2) @ both[..., None])[..., 0]
@@ -142,7 +150,7 @@ def _carried(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> tuple[np.nda
 
 def _back(cycle: Cyclic, first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:
     """All y, from y_0 and from what stands on the right of the points' equations after their elimination."""
-    y = first[None]
+    y = np.ascontiguousarray(first)[None]
     for (_, upper, rows), right in zip(cycle.rounds[::-1], known[::-1], strict=True):
         half = len(rows)
         neighbours = np.concatenate([y[:half], np.roll(y, -1, axis=0)[:half]], axis=-1)
@@ -150,4 +158,4 @@ def _back(cycle: Cyclic, first: np.ndarray, known: list[np.ndarray]) -> np.ndarr
         whole = np.empty((len(y) + half, *y.shape[1:]))
         whole[::2], whole[1::2] = y, np.linalg.solve(upper, missing)[..., 0]
         y = whole
-    return np.moveaxis(y, 0, -2)
+    return np.ascontiguousarray(np.moveaxis(y, 0, -2))
