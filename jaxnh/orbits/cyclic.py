@@ -113,7 +113,7 @@ def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:
 
 def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
     """Determinant of the whole system; with B_i = −1 but for the last, which is +1, that of M_{n−1}…M_0 + 1."""
-    m, eliminated = cycle.closed.shape[-1], 0
+    eliminated = 0  # rows of all points that were
     sign, logarithm = np.linalg.slogdet(cycle.closed)
     for turns, upper, _ in cycle.rounds:
         diagonal = np.moveaxis(np.diagonal(upper, axis1=-2, axis2=-1), 0, -2)
@@ -121,9 +121,9 @@ def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
         logs = np.log(np.abs(diagonal)).reshape(*diagonal.shape[:-2], math.prod(diagonal.shape[-2:]))
         sign = sign * np.prod(signs, axis=-1)
         logarithm = logarithm + np.cumsum(logs, axis=-1)[..., -1]  # one after the other, however many lie side by side
-        eliminated += len(turns)
+        eliminated += len(turns) * upper.shape[-1]
     # The equations that are left stand in another order than the points.
-    return (-1.0) ** (m * eliminated) * sign * np.exp(logarithm)
+    return (-1.0) ** eliminated * sign * np.exp(logarithm)
 
 
 def _points_first(each: np.ndarray, axis: int) -> np.ndarray:
