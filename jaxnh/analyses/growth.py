@@ -22,6 +22,7 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.build import between, cut_strobe
 from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Strobe, Tangent
+from jaxnh.maps.rows import Stacked, stack
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS
@@ -72,12 +73,14 @@ class Quadrature(NamedTuple):
     weights: np.ndarray
 
 
-def quadrature(scene: Scene) -> Quadrature:
-    """Nodes in panels of twelve, in number with the kicks of a period, denser where the flow is faster.
+def quadrature(scene: Scene) -> Quadrature | Stacked:
+    """Nodes in panels of twelve, in number with the kicks of a period, denser where the flow is faster; of every row.
 
     Their states are those of another map, a step of order six from node to node, so that neither determinants nor
     errors of the map's own kicks are part of the result.
     """
+    if scene.rows is not None:
+        return stack([quadrature(scene.of_row(flow)) for flow in scene.rows.flows])
     flow, kicks = scene.flow, scene.solver.total_kicks(scene.steps)
     panels, span = -(-kicks // (_KICKS_A_NODE * len(_PANEL_NODES))), (0.0, flow.period)
     edges = np.linspace(*span, panels + 1) if flow.autonomous else step_grid(flow, panels, span)
@@ -89,6 +92,8 @@ def quadrature(scene: Scene) -> Quadrature:
 
 def parts_of(scene: Scene, parts: int, refinement: int = 1) -> Strobe:
     """The maps between orthonormalisations, so many a period, stacked, with `refinement` times the steps."""
+    if scene.rows is not None:
+        return scene.rows.maps((parts, refinement), lambda flow: parts_of(scene.of_row(flow), parts, refinement))
     steps = refinement * scene.steps
     strobe = cut_strobe(scene.flow, scene.solver, steps, parts, compensated=scene.compensated)
     return in_precision(strobe, scene.precision)
@@ -113,7 +118,7 @@ def average(
     p: Parameters,
     count: int,
     begun: float = 0.0,
-    quadrature: Quadrature | None = None,
+    quadrature: Quadrature | Stacked | None = None,
     tile: int | None = None,
 ) -> tuple[Growth, Float[np.ndarray, "lanes sums"]]:
     """Lanes `count` periods on, and growth a period of each tangent, of volume, and by quadrature of volume.

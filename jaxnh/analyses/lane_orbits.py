@@ -37,7 +37,7 @@ def orbits(
 ) -> Orbit:
     """`find_orbits` of period n over lanes, whose parameters are (lanes,) and whose motions have these sizes, or 1.
 
-    Lanes of like periods wait least for each other where they are neighbours.
+    Lanes of like periods are neighbours, and wait least for each other.
     """
     n = np.broadcast_to(np.asarray(n, np.int32), len(u))
 
@@ -49,7 +49,8 @@ def orbits(
 
         return find_orbits(look_at, u[lane])
 
-    short, long = np.flatnonzero(n <= _SHORT), np.flatnonzero(n > _SHORT)
+    order = np.argsort(n, kind="stable")
+    short, long = order[n[order] <= _SHORT], order[n[order] > _SHORT]
     groups = [(lane, tile) for lane, tile in ((short, ORBIT_TILE), (long, _LONG_TILE)) if len(lane)]
     found = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(of(*group) for group in groups))
     return picked(found, np.argsort(np.concatenate([lane for lane, _ in groups])))

@@ -375,6 +375,7 @@ ANALYSIS = Analysis(
     periods,
     run,
     in_time=True,
+    rows=True,
     choose=choose,
     classes=classes,
     smooth=("exponents", "exponents_error"),

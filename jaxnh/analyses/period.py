@@ -70,6 +70,7 @@ ANALYSIS = Analysis(
     periods,
     run,
     newton=True,
+    rows=True,
     numbers=numbers,
     classes=classes,
     price=price,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from jaxnh.maps.along import StrobeAlong
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.rows import StrobeRows, strobe_rows
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
 from jaxnh.systems.flow import Flow, State
@@ -40,6 +41,24 @@ class Axis:
     units: str = "1"
 
 
+class Rows:
+    """The flows of lanes that are at several values of what lanes share: p names the row of each (`maps.rows.ROW`).
+
+    Attributes:
+        flows: of all rows.
+    """
+
+    def __init__(self, flows: Sequence[Flow]) -> None:
+        self.flows = tuple(flows)
+        self._maps: dict[Any, StrobeRows] = {}
+
+    def maps(self, name: Any, of_row: Callable[[Flow], Strobe]) -> StrobeRows:
+        """Maps of all rows, made once under each name."""
+        if name not in self._maps:
+            self._maps[name] = strobe_rows([of_row(flow) for flow in self.flows])
+        return self._maps[name]
+
+
 @dataclass(frozen=True)
 class Scene:
     """Lanes of one system, and the solver that meets the accuracy asked for.
@@ -53,6 +72,7 @@ class Scene:
         place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
         along: the first axis, where the lanes are those along it, at one point of all others.
         flow_at: where all lanes share the parameter that is this axis, the system at a value of it; else None.
+        rows: where lanes are at several values of what lanes share, the flows at these; the system is the first one.
         chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
         precision: "float64" or, where asked for, "float32" or "extended", of the arithmetic within a period.
     """
@@ -67,6 +87,7 @@ class Scene:
     place: Int[np.ndarray, " lanes"] | None = None
     along: Axis | None = None
     flow_at: Callable[[float], Flow] | None = None
+    rows: Rows | None = None
     chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     precision: str = "float64"
 
@@ -131,6 +152,10 @@ class Scene:
         assert self.flow_at is not None
         return replace(self, system=self.flow_at(value), flow_at=None)
 
+    def of_row(self, flow: Flow) -> Scene:
+        """The scene under the flow of one of its rows."""
+        return replace(self, system=flow, rows=None)
+
     def strobe(self, refinement: float = 1) -> Strobe:
         """P with `refinement` times the steps that the accuracy asks for; of a shared axis, one for each value."""
         if self.flow_at is not None:
@@ -140,6 +165,8 @@ class Scene:
                 return self.moved(value).strobe(refinement)
 
             return StrobeAlong(self.system, self.line.name, at)
+        if self.rows is not None:
+            return self.rows.maps(("period", refinement), lambda flow: self.of_row(flow).strobe(refinement))
         steps = round(self.steps * refinement)
         strobe = make_strobe(self.system, self.solver, steps, compensated=self.compensated)
         return in_precision(strobe, self.precision)

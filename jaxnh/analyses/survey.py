@@ -29,6 +29,7 @@ from jaxnh.analyses.lane_orbits import (
 from jaxnh.analyses.scene import LaneRunner, Scene, picked, section_points
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.rows import row_by_row
 from jaxnh.orbits.newton import find_doubled
 from jaxnh.systems.flow import Flow, Parameters, State
 
@@ -265,14 +266,16 @@ def beyond_doublings(lanes: LaneRunner, strobe: Strobe, p: Parameters, found: Su
     period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in found)
     system = strobe.system
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
-    for n in np.unique(period[near]):
-        here = np.flatnonzero(near & (period == n))
-        arguments = (u[here], picked(p, here), *sizes(system, size[here]))
-        orbit = lanes(find_doubled, (strobe, np.int32(n // 2)), arguments, tile=ORBIT_TILE)
-        settled = (orbit.residual < CONVERGED) & (apart(system, orbit.u, u[here], size[here]) < 2 * _CLOSE)
-        part = here[settled]
-        u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
-        multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]
+    for of_row, own, own_p in row_by_row(strobe, p):
+        for n in np.unique(period[of_row][near[of_row]]):
+            some = np.flatnonzero(near[of_row] & (period[of_row] == n))
+            here = of_row[some]
+            arguments = (u[here], picked(own_p, some), *sizes(system, size[here]))
+            orbit = lanes(find_doubled, (own, np.int32(n // 2)), arguments, tile=ORBIT_TILE)
+            settled = (orbit.residual < CONVERGED) & (apart(system, orbit.u, u[here], size[here]) < 2 * _CLOSE)
+            part = here[settled]
+            u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
+            multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]
     return Survey(period, u, residual, multiplier, monodromy, failed, size)
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
@@ -13,6 +14,7 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.base import LANE, variable
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
+from jaxnh.maps.rows import ROW
 from jaxnh.storage.pieces import Piece
 from jaxnh.systems.flow import Flow, State
 
@@ -20,19 +22,21 @@ _MOST_ROWS = 8  # values of shared axes that samples of a sweep are taken at
 
 
 class Points(NamedTuple):
-    """Lanes at points of a sweep that share one flow.
+    """Lanes at points of a sweep.
 
     Attributes:
-        system: the flow, on its section where it has no clock.
+        system: the flow, on its section where it has no clock; that of the first row where there are several.
         start: start states, components (lanes,).
-        p: parameters that lanes have of their own, by name, each (lanes,).
+        p: parameters that lanes have of their own, by name, each (lanes,); of rows the lane's row as well (`ROW`).
         where: the value of every axis, by name, each (lanes,).
+        flows: of rows, those at all values of the shared axes that lanes are at; else none.
     """
 
     system: Flow
     start: State
     p: Mapping[str, Float[np.ndarray, " lanes"]]
     where: Mapping[str, Float[np.ndarray, " lanes"]]
+    flows: tuple[Flow, ...] = ()
 
 
 def points(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np.ndarray, " lanes"]]) -> Points:
@@ -41,6 +45,21 @@ def points(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np
     shared = {axis.name: float(where[axis.name][0]) for axis in axes if axis.kind == "shared"}
     own, begun = ({a.name: where[a.name] for a in axes if a.kind == kind} for kind in ("lane", "start"))
     return Points(experiment.flow(shared), experiment.start(begun, len(places[0]), shared, own), own, where)
+
+
+def points_in_rows(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np.ndarray, " lanes"]]) -> Points:
+    """The lanes at places along each axis, a row for each point of the shared axes that some of them are at."""
+    shared = [place for axis, place in zip(axes, places, strict=True) if axis.kind == "shared"]
+    row = np.unique(np.stack(shared), axis=1, return_inverse=True)[1].ravel()
+    of_row = [np.flatnonzero(row == k) for k in range(int(row.max()) + 1)]
+    found = [points(experiment, axes, [place[some] for place in places]) for some in of_row]
+    back = np.argsort(np.concatenate(of_row), kind="stable")
+
+    def joined(*leaves: np.ndarray) -> np.ndarray:
+        return np.concatenate(leaves)[back]
+
+    start, p, where = jax.tree.map(joined, *((one.start, dict(one.p), dict(one.where)) for one in found))
+    return Points(found[0].system, start, {**p, ROW: row.astype(np.int32)}, where, tuple(one.system for one in found))
 
 
 def places_of(piece: Piece) -> tuple[Int[np.ndarray, " lanes"], ...]:

@@ -22,6 +22,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxnh.engine import kept_programs
 from jaxnh.engine.progress import Progress, Silent
+from jaxnh.engine.row_blocks import has_rows, in_blocks, of_block
 from jaxnh.engine.xla_options import machine
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import Strobe
@@ -158,6 +159,8 @@ class Lanes:
         tile = self._tile(shared, tile)
         if function is iterate and int(shared[1]) > (longest := max(1, _LONGEST // tile)):
             return self._iterates(longest, shared, lanes, tile=tile)
+        if has_rows(shared) and function is not of_block:
+            return self._rows(function, shared, lanes, periods, tile, static)
         call, digest = self._calls, _digest(function, shared, lanes, static, tile) if self._kept else ""
         self._calls += 1
         chunk, count = tile * len(self.devices), len(jax.tree.leaves(lanes)[0])
@@ -190,6 +193,22 @@ class Lanes:
             state = self(iterate, (strobe, np.int32(some)), (state, p), periods=some, tile=tile)
             left -= some
         return state
+
+    def _rows(
+        self,
+        function: Callable[..., Any],
+        shared: tuple[Any, ...],
+        lanes: tuple[Any, ...],
+        periods: float,
+        tile: int,
+        static: tuple[Any, ...],
+    ) -> Any:
+        """Lanes that are in several rows, block by block."""
+        blocks = in_blocks(lanes, tile)
+        each = periods * len(blocks.back) / len(blocks.rows)
+        arguments, static = (blocks.rows, blocks.lanes), ((function, static),)
+        found = self(of_block, shared, arguments, periods=each, tile=blocks.a_tile, static=static)
+        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[blocks.back], found)
 
     def _on_devices(self, shared: tuple[Any, ...]) -> list[Any]:
         """What all lanes see alike, its arrays on all devices: tables of a map go there once, and not in every call."""

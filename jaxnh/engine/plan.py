@@ -13,15 +13,16 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import LANE, Analysis, Options, Sweep
-from jaxnh.analyses.scene import Axis, Scene
+from jaxnh.analyses.base import LANE, Sweep
+from jaxnh.analyses.scene import Axis, Rows, Scene
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import kept_decisions
-from jaxnh.engine.axes import Points, on_axes, places_of, points, sampled, whole_on_axes
+from jaxnh.engine.axes import Points, on_axes, places_of, points, points_in_rows, sampled, whole_on_axes
+from jaxnh.engine.batches import Requested, in_rows, lanes_of
 from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan
 from jaxnh.engine.kept_decisions import Decision
-from jaxnh.engine.lanes import TILE, Lanes, turns_of
+from jaxnh.engine.lanes import Lanes, turns_of
 from jaxnh.engine.levels import Level, filled, with_computed
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe
@@ -30,9 +31,6 @@ from jaxnh.storage.pieces import Job, Piece, tile_lanes
 from jaxnh.storage.provenance import versions
 from jaxnh.storage.tiles import Spent
 
-Requested = Sequence[tuple[Analysis, Options]]
-
-_BATCH_BYTES = 1 << 28  # of results that are computed at once
 _MOST_CHOOSING = 1 << 16  # lanes of a sweep with more than are run unasked that analyses choose by
 _LONGEST_RUN = 86400.0  # seconds that a sweep may take unasked: what takes days is a slip, or work for a cluster
 _UNITS = ((172800.0, 86400.0, "days"), (7200.0, 3600.0, "hours"), (0.0, 60.0, "minutes"))  # from what time on
@@ -228,11 +226,6 @@ def work_of(analyses: Requested, lanes: int) -> float:
     return sum(analysis.periods(options, lanes) for analysis, options in analyses) / lanes
 
 
-def lanes_of(piece: Piece, level: Level | None) -> int:
-    """How many lanes of a piece are computed."""
-    return piece.lanes if level is None else int(level.wanted_in(piece).sum())
-
-
 def work_of_pieces(
     requested: Requested, job: Job, pieces: Sequence[Piece], level: Level | None = None
 ) -> dict[int, float]:
@@ -262,7 +255,9 @@ def scene_of(
     along: Axis | None = None,
 ) -> Scene:
     """Lanes with the solver and steps that were decided on."""
-    return Scene(at.system, at.start, at.p, *plan, place=place, along=along, chosen=chosen or {}, precision=precision)
+    rows = Rows(at.flows) if at.flows else None
+    more = {"place": place, "along": along, "rows": rows, "chosen": chosen or {}, "precision": precision}
+    return Scene(at.system, at.start, at.p, *plan, **more)
 
 
 def plan_of_job(job: Job) -> Plan:
@@ -271,32 +266,6 @@ def plan_of_job(job: Job) -> Plan:
 
 
 # ---- pieces
-
-
-def batches(
-    requested: Requested, job: Job, pieces: Sequence[Piece], devices: int, level: Level | None = None
-) -> list[list[Piece]]:
-    """Pieces that are computed together: tiles in a row, of the same shared values, enough for all devices."""
-    numbers = max(1, numbers_of([(a, options) for a, options in requested if a.name in job.independent]))
-    most, held = max(job.tile, devices * TILE), max(job.tile, _BATCH_BYTES // (8 * numbers))
-    found: list[list[Piece]] = []
-    computed, there = 0, 0  # lanes of the last batch
-    for piece in pieces:
-        last = found[-1] if found else []
-        follows = bool(last) and piece.number == last[-1].number + 1 and _shared(piece, job) == _shared(last[-1], job)
-        fits = computed + lanes_of(piece, level) <= most and there + piece.lanes <= held
-        if follows and fits and piece.names == job.independent == last[-1].names:
-            last.append(piece)
-        else:
-            found.append([piece])
-            computed, there = 0, 0
-        computed, there = computed + lanes_of(piece, level), there + piece.lanes
-    return found
-
-
-def _shared(piece: Piece, job: Job) -> tuple[int, ...]:
-    """Places of a piece along the shared axes."""
-    return tuple(begin for begin, (_, _, shared) in zip(piece.begin, job.axes, strict=True) if shared)
 
 
 def compute(
@@ -309,7 +278,7 @@ def compute(
     gathered: Callable[[str], xr.Dataset],
     level: Level | None = None,
 ) -> list[Done]:
-    """The datasets of pieces of the same analyses and shared values, each what it is if computed alone, bit for bit.
+    """The datasets of pieces of a batch, each what it is if computed alone, bit for bit.
 
     Args:
         axes: of the sweep, or of a level of it with the values that this has.
@@ -360,7 +329,8 @@ def _groups(
     """The datasets of analyses of the lanes at some places along the axes; none where there are no lanes."""
     if not len(places[0]):
         return {}
-    at = points(experiment, axes, places)
+    rows = not line and in_rows(experiment, axes, requested, job)
+    at = (points_in_rows if rows else points)(experiment, axes, places)
     place = places[0] * job.step
     scene = scene_of(at, plan_of_job(job), experiment.precision, job.chosen, place, axes[0] if line else None)
     if line and axes[0].kind == "shared":

@@ -15,17 +15,11 @@ from typing import Any, NamedTuple
 
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers, early_imports, level_files
+from jaxnh.engine.batches import batches
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.levels import Level, axes_of
 from jaxnh.engine.output import other_than
-from jaxnh.engine.plan import (
-    Done,
-    batches,
-    compute,
-    decide,
-    spent,
-    work_of_pieces,
-)
+from jaxnh.engine.plan import Done, compute, decide, spent, work_of_pieces
 from jaxnh.engine.progress import Heeding, Progress, Silent
 from jaxnh.engine.result_attributes import attributes, extras_of
 from jaxnh.engine.side_by_side import side_by_side
@@ -313,7 +307,8 @@ class _Run:
         for numbers in left(self._folder, job):
             if rest.keys() >= set(numbers):  # those of another part are not ours to go on with
                 begun.append([rest.pop(number) for number in numbers])
-        return begun + batches(self._requested, job, list(rest.values()), devices, self._level)
+        axes = axes_of(self._experiment.axes, job)
+        return begun + batches(self._experiment, axes, self._requested, job, list(rest.values()), devices, self._level)
 
     def _over(self, job: Job, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""

@@ -19,21 +19,12 @@ from jaxnh.analyses.scene import Axis
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers, early_imports
+from jaxnh.engine.batches import Requested, batches
 from jaxnh.engine.calibration import Plan
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.levels import Level, axes_of, level_of
 from jaxnh.engine.output import check_output, file_of, is_there
-from jaxnh.engine.plan import (
-    Requested,
-    batches,
-    calibrate,
-    choose,
-    compute,
-    count_warnings,
-    job_of,
-    plan_of,
-    spent,
-)
+from jaxnh.engine.plan import calibrate, choose, compute, count_warnings, job_of, plan_of, spent
 from jaxnh.engine.progress import Calling, Progress, Silent
 from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.run import How, run_to_file
@@ -212,7 +203,7 @@ class Session:
             of_lanes[name] = assemble(parts.pop((name, False)), job)
             return of_lanes[name]
 
-        for batch in batches(requested, job, job.pieces(), len(lanes.devices), level):
+        for batch in batches(experiment, axes, requested, job, job.pieces(), len(lanes.devices), level):
             for done in compute(experiment, axes, requested, job, batch, lanes, gathered, level):
                 for name, data in done.groups.items():
                     parts.setdefault((name, job.is_whole(done.piece)), []).append((done.piece, data))

@@ -50,12 +50,14 @@ class Way(Protocol):
         summations: whether sums may be plain, compensated, or both.
         rough_steps: of the reference, for a first look at a flow.
         smooth: whether its flows are known to have neither jumps nor corners.
+        stacked: whether all that lanes share is in tables, so that maps of several values of it go into one program.
     """
 
     reference: ClassVar[Solver]
     summations: ClassVar[tuple[bool, ...]]
     rough_steps: ClassVar[int]
     smooth: ClassVar[bool]
+    stacked: ClassVar[bool]
 
     def solvers(self, flow: Any, precision: str = "float64") -> tuple[Solver, ...]:
         """Those to choose from."""
@@ -87,6 +89,7 @@ class Kicks:
     summations: ClassVar[tuple[bool, ...]] = (False, True)
     rough_steps: ClassVar[int] = 32
     smooth: ClassVar[bool] = True
+    stacked: ClassVar[bool] = True
 
     def solvers(self, flow: Any, precision: str = "float64") -> tuple[Solver, ...]:
         return tuple(SPLITTINGS.values())
@@ -143,6 +146,7 @@ class Steps:
     summations: ClassVar[tuple[bool, ...]] = (False,)
     rough_steps: ClassVar[int] = 16
     smooth: ClassVar[bool] = False
+    stacked: ClassVar[bool] = False
 
     def solvers(self, flow: Flow, precision: str = "float64") -> tuple[Solver, ...]:
         # Where Nyström's method goes it needs half the arithmetic of the others, at every accuracy. It has its stages

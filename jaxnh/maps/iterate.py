@@ -67,6 +67,6 @@ def derivatives(
         return pushed.state, pushed.tangents
 
     state, moved = lax.fori_loop(0, n, period, of_lane((system.unchart(u), tuple(tangents)), u[0]))
-    columns = [jax.jvp(system.chart, (state,), (t.state,))[1] for t in moved]
+    columns = [jnp.stack(system.lower(state, t.state)) for t in moved]
     by_parameter = jnp.stack(columns[d:], axis=-1) if isinstance(name, tuple) else columns[d] if name else None
     return Derivatives(system.chart(state), jnp.stack(columns[:d], axis=-1), by_parameter)

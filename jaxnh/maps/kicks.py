@@ -151,6 +151,10 @@ class KickStrobe(Strobe):
         """The map over so many times the time, of a system without a clock."""
         return KickStrobe(self.system, self.table * factor, self.kicks, self.rest * factor, self.compensated)
 
+    def compact(self) -> KickStrobe:
+        table, most = np.asarray(self.table), int(np.max(self.kicks))
+        return replace(self, table=table[..., : 1 << (most - 1).bit_length(), :])
+
     def with_room_of(self, other: Strobe) -> KickStrobe:
         assert isinstance(other, KickStrobe)
         table = np.asarray(self.table)

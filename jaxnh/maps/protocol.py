@@ -81,6 +81,10 @@ class Strobe(eqx.Module):
         """The map over so many times the time, of a flow without a clock; of maps of one step alone."""
         raise NotImplementedError
 
+    def compact(self) -> Strobe:
+        """The same map in tables no larger than it needs."""
+        return self
+
     def with_room_of(self, other: Strobe) -> Strobe:
         """The same map in tables as large as another's, which has more steps: both then run through one program."""
         return self

@@ -1,0 +1,94 @@
+"""Which pieces of a sweep are computed together, and whether they may be of several rows (`maps.rows`)."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+
+from jaxnh.analyses.base import Analysis, Options
+from jaxnh.analyses.scene import Axis
+from jaxnh.config.experiment import Experiment
+from jaxnh.engine.lanes import TILE
+from jaxnh.engine.levels import Level
+from jaxnh.maps.build import way_of
+from jaxnh.maps.rows import ROWS
+from jaxnh.solvers import SOLVERS
+from jaxnh.storage.pieces import Job, Piece
+
+Requested = Sequence[tuple[Analysis, Options]]
+
+_BYTES = 1 << 28  # of results that are computed at once
+_LANES_IN_ROWS = 8192  # that are computed at once: enough to fill the tiles of programs that few of them need
+_BATCHES = 4  # a device at least, so that none waits long for the last
+
+
+def batches(
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    requested: Requested,
+    job: Job,
+    pieces: Sequence[Piece],
+    devices: int,
+    level: Level | None = None,
+) -> list[list[Piece]]:
+    """Pieces that are computed together: tiles in a row, enough for all devices.
+
+    They are of the same values of the axes that lanes share, or where it can be of several that have the same period.
+    """
+    numbers = sum(a.numbers(options) for a, options in requested if a.name in job.independent)
+    most, held = max(job.tile, devices * TILE), max(job.tile, _BYTES // (8 * max(1, numbers)))
+    rows = 1
+    if in_rows(experiment, axes, requested, job):
+        most, rows = max(most, _LANES_IN_ROWS), max(1, min(ROWS, len(pieces) // (_BATCHES * devices)))
+    alike = _alike(experiment, axes)
+    found: list[list[Piece]] = []
+    computed, there, places = 0, 0, set[tuple[int, ...]]()  # lanes and rows of the last batch
+    for piece in pieces:
+        last, place = found[-1] if found else [], _shared(piece, job)
+        follows = bool(last) and piece.number == last[-1].number + 1
+        fits = computed + lanes_of(piece, level) <= most and there + piece.lanes <= held
+        near = place in places or (len(places) < rows and alike(place, next(iter(places), place)))
+        if follows and fits and near and piece.names == job.independent == last[-1].names:
+            last.append(piece)
+        else:
+            found.append([piece])
+            computed, there, places = 0, 0, set()
+        computed, there = computed + lanes_of(piece, level), there + piece.lanes
+        places.add(place)
+    return found
+
+
+def in_rows(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> bool:
+    """Whether lanes at several values of the axes that lanes share can go through one program.
+
+    All that such an axis changes has to be in the tables of maps with a clock.
+    """
+    shared = {axis.name: float(axis.values[0]) for axis in axes if axis.kind == "shared"}
+    if not shared or experiment.precision != "float64":
+        return False
+    if not all(analysis.rows for analysis, _ in requested if analysis.name in job.independent):
+        return False
+    flow = experiment.flow(shared)
+    return not flow.autonomous and way_of(flow, SOLVERS[job.solver]).stacked
+
+
+def lanes_of(piece: Piece, level: Level | None) -> int:
+    """How many lanes of a piece are computed."""
+    return piece.lanes if level is None else int(level.wanted_in(piece).sum())
+
+
+def _alike(experiment: Experiment, axes: Sequence[Axis]) -> Callable[[tuple[int, ...], tuple[int, ...]], bool]:
+    """Whether flows at two places along the shared axes have the same period."""
+    shared = [axis for axis in axes if axis.kind == "shared"]
+
+    @functools.cache
+    def period(place: tuple[int, ...]) -> float:
+        values = {axis.name: float(axis.values[k]) for axis, k in zip(shared, place, strict=True)}
+        return experiment.flow(values).period
+
+    return lambda one, other: period(one) == period(other)
+
+
+def _shared(piece: Piece, job: Job) -> tuple[int, ...]:
+    """Places of a piece along the shared axes."""
+    return tuple(begin for begin, (_, _, shared) in zip(piece.begin, job.axes, strict=True) if shared)
