@@ -5,8 +5,9 @@
 - chaotic: the largest exponent, that along the flow aside, is positive as `verdict` asks for.
 - limit_cycle: without a clock that exponent is negative, and the motion has gone to and fro.
 - quasiperiodic: that exponent is zero within its error, and the look was long enough for the motion to leave what it
-  nearly repeats: a slow passage, as beyond a fold, would have left. In a plane without a clock there is none: what
-  looks so is a cycle whose exponent is not resolved, or the ghost of one, and nothing is said of it.
+  nearly repeats: a slow passage, as beyond a fold, would have left. Without a clock what counts is how far the motion
+  has come across itself, after whatever time it repeats itself best. In a plane without a clock there is no such
+  motion: what looks so is a cycle whose exponent is not resolved, or the ghost of one, and nothing is said of it.
 
 Every one of them has to stay: of a lane that had settled, the means over a look sixteen times as long are those that it
 had; what is chaotic has not begun to repeat itself thousands of periods later.
@@ -48,6 +49,8 @@ FOLLOWED = 4
 _CLOUD = 4096  # points that others' ends are held against
 _AVERAGED = 1024  # periods that exponents are averages over
 _LAGS = 64
+_EVERY = 4  # point of a cloud without a clock is held against those after it
+_NEAREST = 3  # steps of Gauss and Newton to the nearest point of a path
 _NEAR_ORBIT = 0.01  # sizes: what ends so near to an orbit may be on it
 _BOXED = 6  # coordinates
 _WIDER = 1.5  # than the largest distance of a point of a cloud from another half of it
@@ -122,7 +125,9 @@ def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int) -> Jud
         kind[left], exponent[left] = _by_exponents(moved_on.take(left), lanes, picked(seen, left), LONGER * look[left])
         cloud = recorded(moved_on.take(left), lanes, _CLOUD)
         drift = _drift(scene.system, cloud[:, -POINTS:], size[left])
-        passing = (kind[left] == QUASIPERIODIC) & (drift * LONGER * look[left] < 1.0) & (not scene.flow.autonomous)
+        passing = kind[left] == QUASIPERIODIC
+        across = _drift_across(scene, picked((cloud, size[left]), passing)) if scene.flow.autonomous else drift[passing]
+        passing[passing] = across * LONGER * look[left][passing] < 1.0
         kind[left[passing | ((kind[left] == CHAOTIC) & (drift <= _REPEATS))]] = NONE
         near[left] = [_spacing(scene.system, one, size[k]) for one, k in zip(cloud, left, strict=True)]
         points = filled_up(points, _CLOUD)
@@ -270,6 +275,35 @@ def _drift(
         moved = np.abs(system.wrap(points[:, lag:] - points[:, :-lag])) / scale
         drift = np.fmin(drift, moved.max(axis=(1, 2)) / lag)
     return drift
+
+
+def _drift_across(
+    scene: Scene, motion: tuple[Float[np.ndarray, "lanes points d"], Float[np.ndarray, "lanes d"]]
+) -> Float[np.ndarray, " lanes"]:
+    """The same of motions without a clock: across the flow, after the time at which they repeat themselves best.
+
+    Paths between points are parabolas, through a point and those beside it.
+    """
+    drift, wrap = np.full(len(motion[0]), np.inf), scene.system.wrap
+    for k, (points, size) in enumerate(zip(*motion, strict=True)):
+        scale = np.where(size > 0.0, size, 1.0)
+        steps = wrap(np.diff(points, axis=0)) / scale
+        velocity, bend = 0.5 * (steps[1:] + steps[:-1]), 0.5 * (steps[1:] - steps[:-1])  # of all but both ends
+        first = np.arange(1, len(points) // 2, _EVERY)
+        for lag in range(2, len(points) // 2 - 1):  # the path at a lag of one begins with the point itself
+            away = wrap(points[first + lag] - points[first]) / scale
+            v, c = velocity[first + lag - 1], bend[first + lag - 1]
+            if np.max(np.abs(away) - np.abs(v) - np.abs(c)) >= lag * drift[k]:  # however near the paths come
+                continue
+            at = np.zeros(len(first))
+            for _ in range(_NEAREST):
+                slope = v + 2.0 * at[:, None] * c
+                there = away + at[:, None] * (v + at[:, None] * c)
+                along = np.sum(slope * slope, axis=1)
+                at = np.clip(at - np.sum(slope * there, axis=1) / np.where(along > 0.0, along, 1.0), -1.0, 1.0)
+            there = away + at[:, None] * (v + at[:, None] * c)
+            drift[k] = min(drift[k], np.abs(there).max() / lag)
+    return drift * points_a_unit(scene)
 
 
 def recorded(scene: Scene, lanes: LaneRunner, count: int) -> Float[np.ndarray, "lanes points d"]:

@@ -266,7 +266,7 @@ def beyond_doublings(lanes: LaneRunner, strobe: Strobe, p: Parameters, found: Su
     period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in found)
     system = strobe.system
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
-    for of_row, own, own_p in row_by_row(strobe, p):
+    for of_row, own, own_p in row_by_row(strobe, p, len(u)):
         for n in np.unique(period[of_row][near[of_row]]):
             some = np.flatnonzero(near[of_row] & (period[of_row] == n))
             here = of_row[some]

@@ -90,13 +90,13 @@ def strobe_rows(strobes: Sequence[Strobe]) -> StrobeRows:
     return StrobeRows(strobes[0].system, stack([strobe.compact() for strobe in strobes]))
 
 
-def row_by_row(strobe: Strobe, p: Parameters) -> Iterator[tuple[np.ndarray, Strobe, Parameters]]:
-    """The numbers of the lanes of each row, its map and their parameters; of a map that is not in rows all of them.
+def row_by_row(strobe: Strobe, p: Parameters, count: int) -> Iterator[tuple[np.ndarray, Strobe, Parameters]]:
+    """Of `count` lanes the numbers of those of each row, its map and their parameters; without rows, of all lanes.
 
     For programs whose bits depend on the shape of a tile.
     """
     if not isinstance(strobe, StrobeRows):
-        yield np.arange(len(jax.tree.leaves(p)[0])), strobe, p
+        yield np.arange(count), strobe, p
         return
     row, own = np.asarray(p[ROW]), {name: np.asarray(values) for name, values in p.items() if name != ROW}
     for k in np.unique(row).tolist():

@@ -210,6 +210,37 @@ def test_the_ghost_of_a_cycle_is_no_attractor(tmp_path, mu):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("mu", [-1e-6, -1e-9])
+def test_the_ghost_of_a_cycle_in_space_is_no_attractor(tmp_path, mu):
+    """The same about a cycle in three dimensions, tilted by z' = x − z: there a motion whose exponents are near zero may
+    be a torus, and this one is none, as it comes back nearer than any torus does in the time that it was looked at."""
+    growth = "(mu - (jnp.sqrt(x**2 + y**2) - 1.0)**2)"
+    more = {"system": {"file": str(tmp_path / "flow.py"), "mu": mu}, **STEPS}
+    sweep, rates = {"x": {"values": [1.2, 2.0]}}, f"x * {growth} - y, y * {growth} + x, x - z"
+    asked = experiment(tmp_path, ("x", "y", "z"), rates, sweep, {"longest": 512}, "", "mu=0.0", **more)
+    tree = session_of(asked).tree()
+    assert kinds(tree["attractors"]) == []
+    assert np.all(tree["basins"]["attractor"].values == 0)
+
+
+@pytest.mark.slow
+def test_a_torus_without_a_clock(tmp_path):
+    """About the circle of radius 2 by angle t, and about that at a distance of 1 by angle t (1 + √5)/2, in 3 dimensions.
+
+    With u = √(x² + y²) − 2: u' = u (1 − u² − z²) − γ z, z' = z (1 − u² − z²) + γ u. Exponents 0, 0, −2.
+    """
+    u, square = "(jnp.sqrt(x**2 + y**2) - 2.0)", "(1.0 - (jnp.sqrt(x**2 + y**2) - 2.0)**2 - z**2)"
+    out = f"({u} * {square} - gamma * z) / jnp.sqrt(x**2 + y**2)"
+    rates = f"x * {out} - y, y * {out} + x, z * {square} + gamma * {u}"
+    sweep = {"x": {"values": [1.5, 2.2, 3.5]}, "z": {"values": [0.1, -0.8]}}
+    golden = f"gamma={(1 + math.sqrt(5)) / 2}"
+    tree = session_of(experiment(tmp_path, ("x", "y", "z"), rates, sweep, {}, "", golden, **STEPS)).tree()
+    assert kinds(tree["attractors"]) == ["quasiperiodic"]
+    assert np.all(tree["basins"]["attractor"].values == 1)
+    assert abs(tree["attractors"]["exponent"].item()) < 1e-3
+
+
+@pytest.mark.slow
 def test_a_bottleneck_beside_an_attractor(tmp_path):
     """x'' + 2 x' = x − x³ + c, with c beyond the fold at 2/(3√3) by 10⁻⁶, and a drive so weak that it only keeps time.
 
