@@ -24,7 +24,7 @@ from jaxnh.analyses.poincare import recording, strobe_states
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.settling import points_at, states_at
-from jaxnh.analyses.states import check_transient, count, section_attrs, settled, state_variables
+from jaxnh.analyses.states import check_transient, count, section_attrs, settled, state_variables, statistics
 from jaxnh.analyses.survey import beyond_doublings, survey
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
@@ -55,6 +55,10 @@ class DiagramOptions(Options):
         le=64,
         description="Strobes of lanes that settle on a periodic orbit up to this period are those of the orbit itself, "
         "found by Newton; nothing: of none",
+    )
+    statistics: bool = Field(
+        default=False,
+        description="Of the strobes of each trajectory keep the largest, smallest, mean and standard deviation alone",
     )
     phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
     starts: int = Field(default=16, ge=1, description="Number of random start states a lane")
@@ -108,6 +112,8 @@ def check(options: DiagramOptions, setting: Setting) -> None:
 def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """States at `strobes` strobes after the transient, dimensions (lane, strobe), or (lane, start, strobe) if random.
 
+    With `statistics` those of the strobes take their place, (lane,) or (lane, start).
+
     With `start: up` or `down` the last state at a value of the first axis is the start state at the next.
     """
     dims = (LANE, "strobe")
@@ -132,7 +138,12 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
         "panel": "density",
         "panel_variables": scene.system.plane[0],
     }
-    return xr.Dataset(state_variables(scene.system, states, t, dims), attrs=attrs)
+    variables, first = state_variables(scene.system, states, t, dims), scene.system.plane[0]
+    if options.statistics:
+        variables = statistics(variables, "strobe")
+        shown = " ".join(name for name in (f"{first}_{kind}" for kind in ("max", "mean", "min")) if name in variables)
+        attrs |= {"panel": "curves", "panel_variables": shown, "panel_label": f"{first} at the strobes"}
+    return xr.Dataset(variables, attrs=attrs)
 
 
 def random_starts(options: DiagramOptions, scene: Scene) -> tuple[State, Parameters]:

@@ -55,6 +55,32 @@ def state_variables(
     return named | reports
 
 
+_STATISTICS = (
+    ("max", "largest", np.max),
+    ("min", "smallest", np.min),
+    ("mean", "mean", np.mean),
+    ("std", "standard deviation of", np.std),
+)
+_OF_ANGLES = ("max", "min")  # in [−π, π), where it has neither a mean nor a deviation
+
+
+def statistics(variables: Mapping[str, Entry], dim: str) -> dict[str, Entry]:
+    """Variables over a last dimension reduced to NAME_max, NAME_min, NAME_mean and NAME_std; others as they are.
+
+    Those of a trajectory that does not stay finite are NaN. Of an angle there are the first two.
+    """
+    found = dict[str, Entry]()
+    for name, (dims, values, attrs) in variables.items():
+        if dims[-1:] != (dim,):
+            found[name] = dims, values, attrs
+            continue
+        for ending, words, of in _STATISTICS:
+            if ending in _OF_ANGLES or attrs.get("units") != "rad":
+                kept = {**attrs, "long_name": f"{words} {attrs['long_name']} at the {dim}s"}
+                found[f"{name}_{ending}"] = dims[:-1], of(values, axis=-1), kept
+    return found
+
+
 def section_attrs(scene: Scene) -> dict[str, str]:
     """Attributes of a group of crossings: which section they cross; none of a group of strobes."""
     if scene.flow is scene.system:
@@ -66,7 +92,9 @@ def section_attrs(scene: Scene) -> dict[str, str]:
 def count(data: xr.Dataset) -> dict[str, int]:
     """Number of trajectories, and of those that are not finite at their end."""
     paths = [v.to_numpy() for v in data.variables.values() if len(v.dims) > 1 and v.dims[-1] in ("strobe", "time")]
-    finite = np.all([np.isfinite(path[..., -1]) for path in paths], axis=0)
+    ends = [path[..., -1] for path in paths]
+    ends = ends or [v.to_numpy() for name, v in data.data_vars.items() if str(name).endswith(f"_{_OF_ANGLES[0]}")]
+    finite = np.all([np.isfinite(end) for end in ends], axis=0)
     return {"trajectories": finite.size, "not_finite": int(np.count_nonzero(~finite))}
 
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from jaxnh.plotting.bifurcation_curves import draw_curves
 from jaxnh.plotting.frame import cell_edges, legend_above, new_axes
-from jaxnh.plotting.groups import declared_axes, kind_of, label_of, needed, shown
+from jaxnh.plotting.groups import declared_axes, kind_of, label_of_first, needed, shown
 from jaxnh.plotting.labels import axis_label, symbol_of, title_of, words_of
 from jaxnh.plotting.pixels import Pixels, Plane, flag_pixels, integer_pixels, number_pixels
 
@@ -31,7 +31,7 @@ def numbers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr
     pixels = number_pixels(data)
     image, variable = image_of(pixels, ax), pixels.plane.variable
     symbol = symbol_of(str(variable.name), "1") if variable.ndim > 2 else ""
-    label = axis_label(variable, label_of(data) or words_of(variable), symbol)
+    label = axis_label(variable, label_of_first(data) or words_of(variable), symbol)
     ax.figure.colorbar(image, ax=ax, label=label, pad=0.01, fraction=0.04, extend="both")
     return _with_curves(over, pixels.plane, framed(data, pixels.plane, ax))
 
@@ -48,7 +48,7 @@ def integers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[x
     """
     ax = new_axes(ax)
     pixels = integer_pixels(data)
-    label = label_of(data) or words_of(pixels.plane.variable)
+    label = label_of_first(data) or words_of(pixels.plane.variable)
     bar = ax.figure.colorbar(image_of(pixels, ax), ax=ax, label=label, pad=0.01, fraction=0.04)
     names = [entry.words for entry in pixels.entries]
     bar.set_ticks(list(range(len(names))), labels=names)

@@ -52,6 +52,11 @@ def label_of(data: xr.Dataset) -> str:
     return str(data.attrs.get("panel_label", ""))
 
 
+def label_of_first(data: xr.Dataset) -> str:
+    """What the first of the variables is in words, where one alone is shown; "" as of `label_of`."""
+    return label_of(data) if len(shown(data)) == 1 else ""
+
+
 def declared_axes(data: xr.Dataset) -> tuple[str, ...]:
     """The axes of the sweep in their order, as the attribute `axes` has them; without it nothing."""
     return tuple(str(data.attrs.get("axes", "")).split())

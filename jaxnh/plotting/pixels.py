@@ -15,7 +15,7 @@ from matplotlib import colormaps
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize, TwoSlopeNorm
 
 from jaxnh.exceptions import ResultError
-from jaxnh.plotting.groups import axes_of, label_of, long_axes, shown
+from jaxnh.plotting.groups import axes_of, label_of_first, long_axes, shown
 from jaxnh.plotting.labels import with_units, words_of
 from jaxnh.plotting.meanings import FAILED, NONE, meanings
 from jaxnh.plotting.style import MANY, Colour
@@ -141,7 +141,7 @@ def coloured(
 ) -> Pixels:
     """Pixels of a plane; those that are not finite, or masked, are black."""
     masked = np.ma.masked_invalid(places) if np.issubdtype(places.dtype, np.floating) else places
-    words = label_of(data) or words_of(plane.variable)
+    words = label_of_first(data) or words_of(plane.variable)
     words = words if entries else with_units(words, plane.variable)
     return Pixels(plane, masked, colours.with_extremes(bad=FAILED), norm, words, entries)
 

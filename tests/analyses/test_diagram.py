@@ -11,6 +11,7 @@ import taylor
 from conftest import ROOT, peak_memory
 from measure import SYSTEMS, apart, scene_of, twin
 
+import jaxnh
 from jaxnh.analyses import diagram, portrait
 from jaxnh.analyses.base import LANE
 from jaxnh.analyses.diagram import DiagramOptions, random_starts, run
@@ -197,3 +198,39 @@ def test_orbits_go_with_starts_side_by_side():
     for other in ({"start": "up"}, {"phase": 0.5}):
         with pytest.raises(ValueError, match="side by side and strobes at phase 0"):
             DiagramOptions(orbits=4, **other)
+
+
+@pytest.mark.parametrize("start", ["fixed", "random", "down"])
+def test_statistics_are_those_of_the_strobes(start):
+    """Of every trajectory, to the bit of NumPy's over the strobes that a diagram without them keeps."""
+    options = {"transient": 5, "strobes": 9, "start": start, **({"starts": 3} if start == "random" else {})}
+    lanes = Lanes()
+    whole = run(DiagramOptions(**options), coarse(), lanes)
+    ours = run(DiagramOptions(**options, statistics=True), coarse(), lanes)
+    assert "strobe" not in ours.dims
+    reductions = {"max": np.max, "min": np.min, "mean": np.mean, "std": np.std}
+    assert {str(name) for name in ours.data_vars} == {f"{name}_{kind}" for name in NAMES for kind in reductions}
+    for name in NAMES:
+        for kind, of in reductions.items():
+            assert np.array_equal(ours[f"{name}_{kind}"].to_numpy(), of(whole[name].to_numpy(), axis=-1))
+    assert diagram.ANALYSIS.count(ours) == diagram.ANALYSIS.count(whole)
+
+
+def test_statistics_of_an_angle(tmp_path):
+    """It has no mean; where a motion is lost, nothing has a number."""
+    (tmp_path / "p.py").write_text(
+        "def system(push=0.0):\n"
+        "    import jax.numpy as jnp\n"
+        "    def rhs(y, t):\n"
+        "        theta, z = y\n"
+        "        return 1.0 + 0.1 * jnp.cos(t), z * z * push - z\n"
+        '    return {"rhs": rhs, "coordinates": ("theta", "z"), "angles": ("theta",), "period": 6.283185307179586}\n'
+    )
+    (tmp_path / "p.yaml").write_text(
+        "system: {file: p.py}\ninitial: {z: 1.0}\nsweep: {push: {values: [0.0, 9.0]}}\n"
+        "accuracy: {solver: tsit5, steps: 16}\nanalyses: {diagram: {transient: 2, strobes: 4, statistics: true}}\n"
+    )
+    found = jaxnh.run(load(tmp_path / "p.yaml"))["diagram"].to_dataset()
+    assert {str(name) for name in found.data_vars if str(name).startswith("theta")} == {"theta_max", "theta_min"}
+    assert np.array_equal(np.isfinite(found["z_std"].to_numpy()), [True, False])
+    assert (found.attrs["trajectories"], found.attrs["not_finite"]) == (2, 1)
