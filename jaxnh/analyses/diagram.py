@@ -56,8 +56,8 @@ class DiagramOptions(Options):
         description="Strobes of lanes that settle on a periodic orbit up to this period are those of the orbit itself, "
         "found by Newton; nothing: of none",
     )
-    statistics: bool = Field(
-        default=False,
+    statistics: bool | None = Field(
+        default=None,
         description="Of the strobes of each trajectory keep the largest, smallest, mean and standard deviation alone",
     )
     phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
@@ -143,6 +143,7 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
         variables = statistics(variables, "strobe")
         shown = " ".join(name for name in (f"{first}_{kind}" for kind in ("max", "mean", "min")) if name in variables)
         attrs |= {"panel": "curves", "panel_variables": shown, "panel_label": f"{first} at the strobes"}
+        attrs |= {"panel_levels": "none"}
     return xr.Dataset(variables, attrs=attrs)
 
 

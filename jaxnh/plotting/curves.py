@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import cell_edges, legend_above, new_axes, over_axis
-from jaxnh.plotting.groups import along, label_of, shown
+from jaxnh.plotting.groups import along, label_of, levels_of, shown
 from jaxnh.plotting.labels import axis_label, is_symbol, symbol_of, words_of
 from jaxnh.plotting.meanings import NONE, meanings
 from jaxnh.plotting.style import BLUE, CURVES
@@ -36,7 +36,7 @@ class Curve(NamedTuple):
 def curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """Curves over one axis, with a band where the variable has its error as `ancillary_variables`.
 
-    A line is drawn at each of the group's `panel_levels`, numbers separated by blanks; without the attribute at zero.
+    A line is drawn at each of the group's levels (`groups.levels_of`).
 
     Args:
         data: the variables (axis,) or (axis, k), of which each k is a curve; other axes have one point.
@@ -46,8 +46,8 @@ def curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """
     ax = new_axes(ax)
     variables = shown(data)
-    for level in str(data.attrs.get("panel_levels", "0")).split():
-        ax.axhline(float(level), color="black", linewidth=0.6)
+    for level in levels_of(data):
+        ax.axhline(level, color="black", linewidth=0.6)
     drawn = [curve for variable in variables for curve in curves_of(data, variable)]
     bands: dict[str, Artist] = {}
     lines: list[Artist] = []

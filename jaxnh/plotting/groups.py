@@ -52,6 +52,12 @@ def label_of(data: xr.Dataset) -> str:
     return str(data.attrs.get("panel_label", ""))
 
 
+def levels_of(data: xr.Dataset) -> list[float]:
+    """Levels that its numbers are held against: those of `panel_levels`, separated by blanks, or zero; "none": none."""
+    words = str(data.attrs.get("panel_levels", "0")).split()
+    return [] if words == ["none"] else [float(word) for word in words]
+
+
 def label_of_first(data: xr.Dataset) -> str:
     """What the first of the variables is in words, where one alone is shown; "" as of `label_of`."""
     return label_of(data) if len(shown(data)) == 1 else ""

@@ -15,7 +15,7 @@ from matplotlib import colormaps
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize, TwoSlopeNorm
 
 from jaxnh.exceptions import ResultError
-from jaxnh.plotting.groups import axes_of, label_of_first, long_axes, shown
+from jaxnh.plotting.groups import axes_of, label_of_first, levels_of, long_axes, shown
 from jaxnh.plotting.labels import with_units, words_of
 from jaxnh.plotting.meanings import FAILED, NONE, meanings
 from jaxnh.plotting.style import MANY, Colour
@@ -78,17 +78,18 @@ Colourer = Callable[[xr.Dataset], Pixels]
 def number_pixels(data: xr.Dataset) -> Pixels:
     """A number over two axes, its colours parted at zero; of several at each point, as exponents, the first.
 
-    Where the group has two `panel_levels`, colours go from one to the other. A pixel without a number is black.
+    Where the group has two levels (`groups.levels_of`), colours go from one to the other, where it has none from the
+    least to the largest. A pixel without a number is black.
 
     Raises:
         ResultError: a variable is missing, or there are not two axes of more than one point.
     """
     plane = plane_of(data)
-    levels = [float(level) for level in str(data.attrs.get("panel_levels", "0")).split()]
+    levels = levels_of(data)
     finite = plane.values[np.isfinite(plane.values)]
     low, high = np.percentile(finite, _SPREAD) if finite.size else (0.0, 1.0)
-    if len(levels) == 2:
-        colours, norm = colormaps["cividis"], Normalize(levels[0], levels[1])
+    if len(levels) != 1:
+        colours, norm = colormaps["cividis"], Normalize(*(levels or (low, max(high, low + 1e-9))))
     else:
         at = levels[0]
         width = max(abs(at), abs(high - low), 1e-9) * 1e-3

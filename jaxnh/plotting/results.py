@@ -39,6 +39,7 @@ from jaxnh.plotting.planes import together
 from jaxnh.plotting.reading import load_result
 from jaxnh.plotting.style import PAGE, Size, styled
 
+_COORDINATES = {"density": 1, "curves": 1, "trajectories": 2, "points": 2}  # that a panel is of, by its kind
 _MOST_LANES = 12  # that get a panel each
 _MOST_TOGETHER = 240  # that one panel shows in colours
 _MOST_POINTS = 6  # of the axes beside the first, that get a panel each
@@ -151,7 +152,7 @@ def _named(
 
 def _chosen(data: xr.Dataset, choice: Choice) -> xr.Dataset:
     """A group as a panel of the coordinates that were chosen, where it has them."""
-    wanted = {"density": 1, "trajectories": 2, "points": 2}.get(kind_of(data), 0)
+    wanted = _COORDINATES.get(kind_of(data), 0)
     for names in choice.coordinates:
         if len(names) == wanted and all(name in data.data_vars or f"{name}_state" in data for name in names):
             return showing(data, names)
@@ -167,7 +168,7 @@ def _check_chosen(groups: _Groups, choice: Choice) -> None:
     drawn = [[str(v.name).removesuffix("_state") for v in shown(data)] for data in groups.values() if kind_of(data)]
     for names in choice.coordinates:
         if list(names) not in drawn:
-            of_states = [data for data in groups.values() if kind_of(data) in ("density", "trajectories", "points")]
+            of_states = [data for data in groups.values() if kind_of(data) in _COORDINATES]
             there = dict.fromkeys(str(name) for data in of_states for name in data.data_vars)
             what = "no portrait or map" if len(names) == 2 else "no diagram"
             raise ArgumentError(

@@ -9,6 +9,7 @@ from hand_made import exponents, growth_rates, periods, verdicts
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.panels import PANELS
+from jaxnh.plotting.results import figure
 
 B = np.array([5.8, 2.5, 4.1, 5.3])  # in no order
 D = np.linspace(0.3, 0.1, 9)  # falling
@@ -103,3 +104,35 @@ def test_what_is_no_number_is_black():
 def test_a_chart_has_two_axes():
     with pytest.raises(ResultError, match="over two axes, not over b"):
         chart(periods(B).assign_attrs(axes="b"))
+
+
+def test_statistics_of_a_diagram_are_charts():
+    """The first of those that the group names, in its own words, or one of one's choice; over one axis all of them."""
+    b, d = np.linspace(5.2, 5.6, 6), np.linspace(0.0, 0.2, 9)
+    said = {
+        f"x1_{kind}": f"{words} position x1 at the strobes" for kind, words in (("max", "largest"), ("std", "rough"))
+    }
+    data = xr.Dataset(
+        {
+            name: (("b", "d"), np.add.outer(b, d) * (k + 1), {"long_name": words})
+            for k, (name, words) in enumerate(said.items())
+        },
+        {"b": b, "d": d},
+        {
+            "axes": "b d",
+            "panel": "curves",
+            "panel_variables": "x1_max x1_std",
+            "panel_label": "x1 at the strobes",
+            "panel_levels": "none",
+        },
+    )
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"axes": "b d"}), "diagram": data})
+    for choice, name in (((), "x1_max"), ((("x1_std",),), "x1_std")):
+        axes = figure(tree, coordinates=choice).axes
+        assert any(said[name] in ax.get_ylabel().replace("\n", " ") for ax in axes)
+        [image] = axes[0].get_images()
+        assert np.allclose(image.get_array(), data[name].to_numpy().T)
+        assert image.norm.vmin >= data[name].min()  # no half of the colours for a sign that nothing has
+    over_b = figure(data.isel(d=0))
+    assert "x1 at the strobes" in over_b.axes[0].get_ylabel()
+    assert len([line for line in over_b.axes[0].get_lines() if len(line.get_xdata()) == len(b)]) == 2
