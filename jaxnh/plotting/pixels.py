@@ -89,7 +89,8 @@ def number_pixels(data: xr.Dataset) -> Pixels:
     finite = plane.values[np.isfinite(plane.values)]
     low, high = np.percentile(finite, _SPREAD) if finite.size else (0.0, 1.0)
     if len(levels) != 1:
-        colours, norm = colormaps["cividis"], Normalize(*(levels or (low, max(high, low + 1e-9))))
+        least, largest = levels or (float(low), max(float(high), float(low) + 1e-9))
+        colours, norm = colormaps["cividis"], Normalize(least, largest)
     else:
         at = levels[0]
         width = max(abs(at), abs(high - low), 1e-9) * 1e-3
