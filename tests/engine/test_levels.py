@@ -7,9 +7,11 @@ import pytest
 from conftest import session_of
 from measure import some_slow
 
+from jaxnh.analyses import ANALYSES as KINDS
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.levels import near_changes
 from jaxnh.exceptions import ConfigError
+from sweeps.adaptive_charts import refined
 
 UNCALIBRATED = True
 LANE_AXES = {"b": {"start": 4.6, "stop": 5.6, "count": 20}, "a": {"start": 0.45, "stop": 0.55, "count": 9}}
@@ -69,6 +71,11 @@ def test_boundary_alone():
     for place in np.argwhere(~computed):
         low = [slice(max(0, k - 2), k + 3) for k in place]
         assert period["period"].to_numpy()[tuple(place)] in period["period"].to_numpy()[*low][computed[*low]]
+    # The study of what levels make of a full chart says the same of it, without computing anything.
+    kinds = [KINDS[name].classes(plain[name].to_dataset())[..., None] for name in ANALYSES]
+    ours = [KINDS[name].classes(near[name].to_dataset())[..., None] for name in ANALYSES]
+    other = [np.any(one != kind, axis=-1) for kind, one in zip(kinds, ours, strict=True)]
+    assert refined(kinds, 3) == (computed.mean(), np.any(other, axis=0).mean(), tuple(one.mean() for one in other))
 
 
 def test_what_is_near_a_change():
