@@ -20,7 +20,7 @@ from jaxnh.engine.levels import near_changes
 
 
 class Refined(NamedTuple):
-    """Shares of the places of a chart: those computed, and those of another kind than in full, of all and by analysis."""
+    """Shares of the places of a chart: computed, and of another kind than in full, of all analyses and of each."""
 
     computed: float
     differ: float
