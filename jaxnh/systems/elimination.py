@@ -25,8 +25,8 @@ def eliminate(
         ordered: number of leading columns whose pivots are good as they stand, as those of a mass matrix are.
 
     Returns:
-        The solutions, and the smallest pivot in units of the matrix's largest entry, zero where all entries are. At zero
-        the solutions are not finite.
+        The solutions, and the smallest pivot in units of the matrix's largest entry; zero where all entries are zero.
+        At zero the solutions are not finite.
     """
     n = len(matrix)
     rows = [[*row, *(right[i] for right in rights)] for i, row in enumerate(matrix)]
