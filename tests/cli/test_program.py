@@ -56,6 +56,8 @@ def test_it_runs_them(program, tmp_path):
         ("jaxnh sweep a.yaml analyses.chaos01.p", ["periods="]),
         ("jaxnh sweep a.yaml system.constraint=f", ["free"]),
         ("jaxnh sweep a.yaml sweep.b.st", ["start=", "stop="]),
+        ("jaxnh plot a.h5 --colour a", ["attractor"]),
+        ("jaxnh plot a.h5 --size c", ["column"]),
         ("jaxnh sweep a.yaml nothing.", []),
     ],
 )

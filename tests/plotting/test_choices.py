@@ -72,6 +72,13 @@ def test_portraits_by_their_start():
     assert [text.get_text() for text in ax.get_legend().get_texts()] == [f"$b$ = {b:.4g}" for b in UP[:3]]
 
 
+def test_many_portraits_by_their_start():
+    """More lanes than colours with a name each are numbered on a scale."""
+    ax, bar = figure(tree({"portrait": states(UP[:12], 9, "time", "trajectories")}), colour="start").axes
+    assert len({line.get_color() for line in ax.lines}) == 12
+    assert bar.get_ylabel() == "number of the start"
+
+
 def test_diagrams_by_their_starts_and_by_their_kind():
     """A dimension of starts has a colour each; a flag of another group the colours of its meanings."""
     b, starts = UP, np.random.default_rng(1).normal(size=(30, 3, 4))
