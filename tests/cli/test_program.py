@@ -75,6 +75,26 @@ def test_the_shell_completes(monkeypatch, capsys, words, offered):
     assert bool(said) == bool(offered)
 
 
+@pytest.mark.parametrize(
+    ("word", "offered"),
+    [
+        ("system.", ["system.file=", "system.rate="]),
+        ("initial.x", ["initial.x=", "initial.x_dot="]),
+        ("sweep.rate.v", ["sweep.rate.values="]),
+        ("sweep.b", []),
+    ],
+)
+def test_the_shell_completes_names_of_a_users_file(tmp_path, monkeypatch, capsys, word, offered):
+    """Parameters and coordinates as its text has them, and no keys of the particle."""
+    (tmp_path / "own.py").write_text("def system(rate=1.0):\n    return dict(T=T, Q=Q, coordinates='x')\n")
+    (tmp_path / "own.yaml").write_text("system: {file: own.py}\n")
+    test_the_shell_completes(monkeypatch, capsys, f"jaxnh sweep {tmp_path}/own.yaml {word}", offered)
+    monkeypatch.setattr(sys, "argv", ["jaxnh"])
+    with pytest.raises(SystemExit):
+        main()
+    assert capsys.readouterr().out.split() == offered
+
+
 def test_a_release_says_the_same_everywhere():
     """The version is that of the package alone; the citation has it, and the scripts lead to functions that are there."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
