@@ -130,8 +130,8 @@ def _picture(result: xr.DataTree | xr.Dataset) -> str:
     try:
         drawing, more = figure(result, size=Size(_WIDTH)), ""
         if drawing.get_figheight() > _TALLEST and isinstance(result, xr.DataTree) and result.children:
-            name = next(name for name, node in result.children.items() if node.attrs.get("panel"))
-            drawing = figure(result[name], size=Size(_WIDTH))
+            name, group = next(item for item in result.children.items() if item[1].attrs.get("panel"))
+            drawing = figure(group, size=Size(_WIDTH))
             more = f"<br>{escape(name)} alone; jaxnh.figure draws all of it"
         picture = png(drawing)
     except JaxnhError:
