@@ -27,9 +27,21 @@ def plot(
         typer.Option(metavar="NAME[,NAME]", help="Draw planes of two coordinates, or diagrams of one; may be repeated"),
     ] = None,
     colour: Annotated[
-        str, typer.Option(metavar="NAME", help="Colour by start, attractor, kind, or an axis: all lanes in one panel")
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Colour by start, attractor, kind, or an axis: all lanes in one panel",
+            autocompletion=lambda: ["start", "attractor", "kind"],
+        ),
     ] = "",
-    size: Annotated[str, typer.Option(metavar="SIZE", help="column, page, or millimetres: 120 or 120x80")] = "page",
+    size: Annotated[
+        str,
+        typer.Option(
+            metavar="SIZE",
+            help="column, page, or millimetres: 120 or 120x80",
+            autocompletion=lambda: ["column", "page"],
+        ),
+    ] = "page",
     label: Annotated[
         list[str] | None, typer.Option(metavar="TEXT", help="Name of each FILE in the legend; may be repeated")
     ] = None,

@@ -12,6 +12,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from jaxnh.config.schema_check import check_by_schema
+from jaxnh.config.user_names import names_in, users_file
 from jaxnh.config.yaml_source import read
 from jaxnh.exceptions import InputError
 
@@ -31,12 +32,10 @@ def check_text(config: Path | None, overrides: Sequence[str] | None) -> None:
     if config is None:
         raise InputError("command line: CONFIG: name a YAML file")
     source = read(config, overrides or [])
-    check_by_schema(source)
-    system = source.data.get("system")
-    file = system.get("file") if isinstance(system, dict) else None
-    if not isinstance(file, str):
+    path = users_file(config, source.data)
+    check_by_schema(source, names_in(path) if path else None)
+    if path is None:
         return
-    path = config.parent / file
     if not path.is_file():
         raise source.error(("system", "file"), f"there is no file {path}")
     try:

@@ -10,6 +10,9 @@ from typing import Any
 
 import typer
 
+from jaxnh.config.user_names import Names, names_in, users_file
+from jaxnh.exceptions import InputError
+
 _SCHEMA = Path(__file__).parents[1] / "config" / "schema.json"
 _USERS_OWN = ("UserInitial", "UserSweep", "UserSystem")  # their keys are the names of a user's file
 
@@ -28,11 +31,38 @@ def complete(commands: list[str]) -> int:
     return 0
 
 
-def overrides(incomplete: str) -> list[str]:
-    """What `KEY=VALUE` can begin with: dotted keys of a config, as its schema has them, or values of a key."""
+def overrides(ctx: typer.Context, incomplete: str) -> list[str]:
+    """What `KEY=VALUE` can begin with: dotted keys of a config, as its schema has them, or values of a key.
+
+    Where the config is there and names a user's file, its names are among them, and keys of the particle are not.
+    """
     schema = json.loads(_SCHEMA.read_text(encoding="utf-8"))
-    found = dict.fromkeys(_keys(schema, schema, ""))
+    names = _names(ctx.params.get("config"))
+    if names is not None:
+        del schema["else"], schema["properties"]["system"]
+    found = dict.fromkeys([*_keys(schema, schema, ""), *(_users_keys(names, schema) if names else ())])
     return [text for text in found if text.startswith(incomplete)]
+
+
+def _names(config: Path | str | None) -> Names | None:
+    """Names of the user's file of a config; None where it has none, or is not there yet."""
+    from jaxnh.config.yaml_source import read
+
+    try:
+        file = config and users_file(Path(config), read(Path(config), []).data)
+    except InputError:
+        return None
+    return names_in(file) if file else None
+
+
+def _users_keys(names: Names, schema: dict[str, Any]) -> Iterator[str]:
+    """Keys of the blocks whose keys a user's file names."""
+    parameters, states = names.parameters or (), names.states or ()
+    yield from (f"system.{name}=" for name in ("file", *parameters))
+    yield from (f"initial.{name}=" for name in ("project", *states))
+    axis = schema["$defs"]["UserSweep"]["additionalProperties"]
+    for name in (*parameters, *states):
+        yield from _keys(axis, schema, f"sweep.{name}")
 
 
 def _keys(node: dict[str, Any], schema: dict[str, Any], path: str) -> Iterator[str]:

@@ -31,9 +31,10 @@ def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int
             print(f"warning: {warning}", file=sys.stderr)
     if quiet:
         return
+    unit = "unit of time" if experiment.autonomous else "period"
     print(
-        f"{job.solver} in {experiment.precision}, {job.steps} steps a period, "
-        f"error of one {'return' if experiment.sectioned else 'period'} {job.error_estimate:.1e}; "
+        f"{job.solver} in {experiment.precision}, {job.steps} step{'s' if job.steps > 1 else ''} a {unit}, "
+        f"error of one {'return' if experiment.sectioned else unit} {job.error_estimate:.1e}; "
         f"{total.lane_periods:,.0f} lane-periods"
     )
     if job.levels > 1:

@@ -1,7 +1,8 @@
 """What a config's schema refuses, said before JAX is imported, which takes seconds. The models know the rest.
 
-A value is looked at where the schema has one form for it: unknown keys, wrong types, numbers out of bounds. Which keys
-go with which constraint, or with a user's file, and what goes together, is left to the models.
+A value is looked at where the schema has one form for it: unknown keys, wrong types, numbers out of bounds; also keys
+that a user's file does not name, where its text says which it does. Which keys go with which constraint, and what goes
+together, is left to the models.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxnh.config.messages import not_a, not_one_of, not_within, unknown
+from jaxnh.config.user_names import Names
 from jaxnh.config.yaml_source import Source
 from jaxnh.config.yaml_tree import KeyPath
 
@@ -35,8 +37,12 @@ _BOUNDS = {
 }
 
 
-def check_by_schema(source: Source) -> None:
+def check_by_schema(source: Source, names: Names | None = None) -> None:
     """See that a config has no key and no value that its schema refuses.
+
+    Args:
+        source: the config.
+        names: of its user's file.
 
     Raises:
         ConfigError: it has; the first in the file, in the words of the models.
@@ -46,8 +52,11 @@ def check_by_schema(source: Source) -> None:
     if not isinstance(system, Mapping):
         return
     chosen = schema["then" if "file" in system else "else"]["properties"]
+    if isinstance(system.get("file"), str):
+        chosen = {**chosen, "system": {"$ref": "#/$defs/UserSystem"}}
     root = {**schema, "properties": {**schema["properties"], **chosen}}
-    faults = [(source.blame([path]), message) for path, message in _faults(root, source.data, (), schema["$defs"])]
+    found = [*_faults(root, source.data, (), schema["$defs"]), *_unnamed(source.data, names or Names())]
+    faults = [(source.blame([path]), message) for path, message in found]
     if faults:
         path, message = min(faults, key=lambda fault: source.order(fault[0]))
         raise source.error(path, message)
@@ -71,6 +80,21 @@ def _faults(
                 yield from _faults(others, content, (*path, key), models)
             elif known and not others:
                 yield (*path, key), unknown(str(key), known)
+
+
+def _unnamed(data: Mapping[str, Any], names: Names) -> Iterator[tuple[KeyPath, str]]:
+    """Keys that a user's file does not name."""
+    parameters, states = names
+    known = {
+        "system": parameters is not None and ("file", *parameters),
+        "initial": states and ("project", *states),
+        "sweep": parameters is not None and states and (*parameters, *states),
+    }
+    for block, there in known.items():
+        given = data.get(block)
+        for key in given if there and isinstance(given, Mapping) else ():
+            if key not in there:
+                yield (block, key), unknown(str(key), there)
 
 
 def _form(node: Mapping[str, Any], value: Any, models: Mapping[str, Any]) -> Mapping[str, Any] | None:

@@ -17,13 +17,14 @@ def bokeh_figure(result: xr.DataTree, quantity: str | None = None) -> figure:
 
     Args:
         result: of `open_result` or `run`.
-        quantity: of planes the group, of a diagram the coordinate; None: the first.
+        quantity: of planes the group, of a diagram the coordinate; None, or "diagram" of a diagram: the first.
 
     Raises:
         ResultError: there is neither a plane nor a diagram, or not this quantity.
     """
     source = source_of(result, str(result.attrs.get("title") or "the result"))
-    view = source.first if quantity is None else replace(source.first, variable=quantity)
+    first = quantity is None or (quantity == "diagram" and not source.first.second)
+    view = source.first if first else replace(source.first, variable=quantity)
     if view.variable not in source.variables:
         raise ResultError(f"there is no {view.variable} to be drawn; there are {', '.join(source.variables)}")
     upward = source.axis_words[view.second] if view.second else source.variables[view.variable]

@@ -146,7 +146,7 @@ def _loop(arithmetic: Arithmetic, params: Mapping[str, Any], values: list[Value]
 
 
 def _scan(arithmetic: Arithmetic, params: Mapping[str, Any], values: list[Value]) -> list[Value]:
-    shared, states = params["num_consts"], params["num_consts"] + params["num_carry"]
+    shared, states = _counts(params)
 
     def turn(carried: list[Value], row: list[Value]) -> tuple[list[Value], list[Value]]:
         results = _whole(_evaluate(arithmetic, params["jaxpr"], [*values[:shared], *carried, *row]))
@@ -155,6 +155,14 @@ def _scan(arithmetic: Arithmetic, params: Mapping[str, Any], values: list[Value]
     begun, rows = _whole(values[shared:states]), values[states:]
     ended, stacked = lax.scan(turn, begun, rows, length=params["length"], reverse=params["reverse"])
     return [*ended, *stacked]
+
+
+def _counts(params: Mapping[str, Any]) -> tuple[int, int]:
+    """Values of a scan that all its turns share, and these with those that are carried."""
+    if "num_consts" in params:
+        return params["num_consts"], params["num_consts"] + params["num_carry"]
+    shared, carried, _ = params["ft_in"].unpack()  # since JAX 0.11
+    return len(shared), len(shared) + len(carried)
 
 
 _LOOPS: dict[str, Callable[[Arithmetic, Mapping[str, Any], list[Value]], list[Value]]] = {"while": _loop, "scan": _scan}

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from jaxnh.exceptions import ArgumentError
 from jaxnh.plotting.frame import legend_above
 from jaxnh.plotting.groups import axes_of, shown
-from jaxnh.plotting.labels import axis_label, symbol_of, words_of
+from jaxnh.plotting.labels import axis_label, symbol_of
 from jaxnh.plotting.meanings import NONE, meanings
 from jaxnh.plotting.style import CURVES, MANY, Colour
 
@@ -42,7 +42,8 @@ class Colouring(NamedTuple):
     @property
     def scale(self) -> ScalarMappable:
         """Colours of numbers."""
-        finite = self.values.to_numpy()[np.isfinite(self.values.to_numpy())]
+        values = self.values.to_numpy().astype(float)
+        finite = values[np.isfinite(values)]
         return ScalarMappable(Normalize(finite.min(initial=np.inf), finite.max(initial=-np.inf)), colormaps["cividis"])
 
     def colour(self, value: float) -> Colour:
@@ -116,18 +117,11 @@ def _of(values: xr.DataArray, words: str) -> Colouring:
     if "flag_meanings" in values.attrs:
         return Colouring(values, words, {value: (colour, said) for value, (said, colour) in meanings(values).items()})
     distinct = np.unique(values.to_numpy()[np.isfinite(values.to_numpy())]).tolist()
+    counts = values.dtype.kind != "f"
+    short, joined = (str(values.name), " ") if counts else (symbol_of(str(values.name)), " = ")
+    words = short if counts else words
     if len(distinct) > _MANY:
         return Colouring(values, words, {})
-    if str(values.attrs.get("long_name", "")).startswith("index along"):
-        words = str(values.name)
-    short = (
-        symbol_of(str(values.name))
-        if values.dtype.kind == "f"
-        else words
-        if words == str(values.name)
-        else words_of(values) or words
-    )
-    joined = " = " if values.dtype.kind == "f" else " "
     palette = _palette(len(distinct))
     named = {value: (palette[k], f"{short}{joined}{value:.6g}") for k, value in enumerate(distinct)}
     return Colouring(values, words, named)

@@ -69,11 +69,15 @@ def declared_axes(data: xr.Dataset) -> tuple[str, ...]:
 
 
 def axes_of(data: xr.Dataset) -> tuple[str, ...]:
-    """Dimensions that are axes of the sweep; where none are declared, the leading one of what is shown."""
+    """Dimensions that are axes of the sweep; where none are declared, the leading one of what is shown.
+
+    A trajectory, or points, of one lane that has been taken out of a group are over none.
+    """
     first = shown(data)[0]
     declared = declared_axes(data)
     if not declared:
-        return tuple(map(str, first.dims[:1]))
+        alone = first.ndim == 1 and kind_of(data) in ("trajectories", "points")
+        return () if alone else tuple(map(str, first.dims[:1]))
     return tuple(name for name in declared if name in first.dims)
 
 

@@ -46,9 +46,9 @@ def is_symbol(name: str) -> bool:
 
 
 def with_units(label: str, variable: xr.DataArray) -> str:
-    """A label with the units of a variable, where it has any and they are known."""
+    """A label with the units of a variable, where it has any and they are known; a number that counts has none."""
     units = str(variable.attrs.get("units", ""))
-    said = {"": "", _UNSAID: "", "1": " (dimensionless)"}
+    said = {"": "", _UNSAID: "", "1": "" if variable.dtype.kind in "iu" else " (dimensionless)"}
     return label + said.get(units, f" ({units})")
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WIDTH = 4.6  # inches
+_TALLEST = 12.0  # inches
 _DOTS = 90  # an inch
 _LARGEST = 1 << 26  # bytes of a result that is still drawn unasked
 _MOST_ROWS = 12
@@ -120,14 +121,19 @@ def _largest(error: xr.DataArray) -> str:
 
 
 def _picture(result: xr.DataTree | xr.Dataset) -> str:
-    """A small picture as an element of a page; "" where there is nothing to draw."""
+    """A small picture as an element of a page, of the first group alone where all make a tall one; or ""."""
     if result.nbytes > _LARGEST:
         return f"<p>{result.nbytes >> 20} MiB: jaxnh.figure draws it</p>"
     from jaxnh.plotting.results import figure
     from jaxnh.plotting.style import Size
 
     try:
-        picture = png(figure(result, size=Size(_WIDTH)))
+        drawing, more = figure(result, size=Size(_WIDTH)), ""
+        if drawing.get_figheight() > _TALLEST and isinstance(result, xr.DataTree) and result.children:
+            name, group = next(item for item in result.children.items() if item[1].attrs.get("panel"))
+            drawing = figure(group, size=Size(_WIDTH))
+            more = f"<br>{escape(name)} alone; jaxnh.figure draws all of it"
+        picture = png(drawing)
     except JaxnhError:
         return ""
-    return f"<br><img alt='picture' src='data:image/png;base64,{base64.b64encode(picture).decode()}'>"
+    return f"<br><img alt='picture' src='data:image/png;base64,{base64.b64encode(picture).decode()}'>{more}"

@@ -169,7 +169,9 @@ def _check_chosen(groups: _Groups, choice: Choice) -> None:
     for names in choice.coordinates:
         if list(names) not in drawn:
             of_states = [data for data in groups.values() if kind_of(data) in _COORDINATES]
-            there = dict.fromkeys(str(name) for data in of_states for name in data.data_vars)
+            there = dict.fromkeys(
+                str(v.name) for data in of_states for v in data.data_vars.values() if v.dtype.kind == "f"
+            )
             what = "no portrait or map" if len(names) == 2 else "no diagram"
             raise ArgumentError(
                 "coordinates", f"{what} of {', '.join(names)} can be drawn; there are {', '.join(there)}"

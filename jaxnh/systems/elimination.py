@@ -25,7 +25,8 @@ def eliminate(
         ordered: number of leading columns whose pivots are good as they stand, as those of a mass matrix are.
 
     Returns:
-        The solutions, and the smallest pivot in units of the matrix's largest entry. At zero they are not finite.
+        The solutions, and the smallest pivot in units of the matrix's largest entry; zero where all entries are zero.
+        At zero the solutions are not finite.
     """
     n = len(matrix)
     rows = [[*row, *(right[i] for right in rights)] for i, row in enumerate(matrix)]
@@ -55,9 +56,9 @@ def eliminate(
                 solution[c] = minus(solution[c], times(rows[c][j], solution[j]))
         solutions.append(solution)
     smallest = jnp.abs(pivots[0])
-    for pivot in pivots[1:]:
-        smallest = jnp.minimum(smallest, jnp.abs(pivot))
-    return solutions, smallest / largest
+    for pivot in pivots[1:]:  # what follows a pivot of zero is not a number, and leaves it the smallest
+        smallest = jnp.where(jnp.abs(pivot) < smallest, jnp.abs(pivot), smallest)
+    return solutions, smallest / jnp.where(largest == 0.0, 1.0, largest)
 
 
 def known(x: Number) -> Number:

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from jaxnh.systems.defined import Defined, Definition, marked
 from jaxnh.systems.elimination import definite, eliminate, largest_of
 from jaxnh.systems.explicit import Explicit, all_velocities, explicit_velocities, free_accelerations
-from jaxnh.systems.flow import FAULTS, Number, Output, Parameters, Vector, turned
+from jaxnh.systems.flow import FAULTS, UNSAID, Number, Output, Parameters, Vector, turned
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
     Equations,
@@ -320,7 +320,7 @@ class Lagrangian(Defined):
         drift, reason = (component[..., -1] for component in y.watch)
         flags = {"flag_values": np.arange(len(FAULTS), dtype=np.int8), "flag_meanings": " ".join(FAULTS)}
         return {
-            "drift": Output(drift, "largest |f| that a step left before its projection"),
+            "drift": Output(drift, "largest |f| that a step left before its projection", {"units": UNSAID}),
             "failure": Output(reason.astype(np.int8), "why the trajectory has failed", flags),
         }
 

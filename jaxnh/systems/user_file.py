@@ -12,8 +12,8 @@
 
 `y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. One number or one name
 stands for the tuple of it. What depends on t has a `period`; what does not may have a `time_unit`. Results and pictures
-take words and units of parameters and coordinates from labels={"x": "displacement"} and units={"x": "m"}. Whatever is
-wrong with the file is said in one line with its place.
+take words and units of parameters and coordinates, and units of t, from labels={"x": "displacement"} and
+units={"x": "m"}. Whatever is wrong with the file is said in one line with its place.
 """
 
 from __future__ import annotations
@@ -211,8 +211,9 @@ class UserFile:
                 raise self._fault(
                     line, f'{kind} must be words by name, as in {kind}={{"{every[0]}": "{_AS_IN[kind]}"}}'
                 )
+            more = ("t",) if kind == "units" else ()
             for name in said:
-                if name not in (*every, *inspect.signature(self._define).parameters):
+                if name not in (*every, *more, *inspect.signature(self._define).parameters):
                     raise self._fault(line, f"{kind} names {name!r}, which is no parameter, coordinate or velocity")
         for kind in ("angles", "ignorable"):
             for name in definition.get(kind, ()):

@@ -56,6 +56,8 @@ def test_it_runs_them(program, tmp_path):
         ("jaxnh sweep a.yaml analyses.chaos01.p", ["periods="]),
         ("jaxnh sweep a.yaml system.constraint=f", ["free"]),
         ("jaxnh sweep a.yaml sweep.b.st", ["start=", "stop="]),
+        ("jaxnh plot a.h5 --colour a", ["attractor"]),
+        ("jaxnh plot a.h5 --size c", ["column"]),
         ("jaxnh sweep a.yaml nothing.", []),
     ],
 )
@@ -71,6 +73,26 @@ def test_the_shell_completes(monkeypatch, capsys, words, offered):
     said = capsys.readouterr().out.split()
     assert all(any(line.endswith(word) for line in said) for word in offered)
     assert bool(said) == bool(offered)
+
+
+@pytest.mark.parametrize(
+    ("word", "offered"),
+    [
+        ("system.", ["system.file=", "system.rate="]),
+        ("initial.x", ["initial.x=", "initial.x_dot="]),
+        ("sweep.rate.v", ["sweep.rate.values="]),
+        ("sweep.b", []),
+    ],
+)
+def test_the_shell_completes_names_of_a_users_file(tmp_path, monkeypatch, capsys, word, offered):
+    """Parameters and coordinates as its text has them, and no keys of the particle."""
+    (tmp_path / "own.py").write_text("def system(rate=1.0):\n    return dict(T=T, Q=Q, coordinates='x')\n")
+    (tmp_path / "own.yaml").write_text("system: {file: own.py}\n")
+    test_the_shell_completes(monkeypatch, capsys, f"jaxnh sweep {tmp_path}/own.yaml {word}", offered)
+    monkeypatch.setattr(sys, "argv", ["jaxnh"])
+    with pytest.raises(SystemExit):
+        main()
+    assert capsys.readouterr().out.split() == offered
 
 
 def test_a_release_says_the_same_everywhere():

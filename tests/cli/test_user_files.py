@@ -50,6 +50,16 @@ def test_why_no_lane_has_a_period(tmp_path, system, reason):
     assert reason in run.stderr
 
 
+def test_without_a_clock_accuracy_is_that_of_a_unit_of_time(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "def system(rate=1.0):\n    return dict(rhs=lambda y, t: (y[1], -rate * y[0]), coordinates=('x', 'v'))\n"
+    )
+    (tmp_path / "own.yaml").write_text(CONFIG)
+    run = run_here("own.yaml", "accuracy={solver: verner9, steps: 400}", cwd=tmp_path)
+    assert run.returncode == 0
+    assert "verner9 in float64, 400 steps a unit of time, error of one unit of time " in run.stdout
+
+
 def test_order_that_refinements_show():
     """Errors of a field with a jump fall with the first power of the steps, those of a smooth one with the method's.
 

@@ -39,6 +39,28 @@ def test_labels_and_units(tmp_path, monkeypatch):
     assert ax.get_ylabel() == r"velocity $\dot{\theta}$ (rad/s)"
 
 
+PLANE = """def system(rate=1.0):
+    return dict(rhs=lambda y, t: (y[1], y[0] - y[0] ** 3 - rate * y[1]), coordinates=("x", "v"), units={"x": "m"%s})
+"""
+
+
+@pytest.mark.parametrize(("more", "time"), [("", "unknown"), (', "t": "s"', "s")])
+def test_units_of_attractors_and_of_time(tmp_path, more, time):
+    """Points of attractors, random starts and times are in the user's units, or in none that anybody has said."""
+    (tmp_path / "own.py").write_text(PLANE % more)
+    box = {"x": [-1.0, 1.0], "v": [-1.0, 1.0]}
+    config = {
+        "system": {"file": str(tmp_path / "own.py")},
+        "sweep": {"rate": {"values": [1.0]}},
+        "accuracy": {"solver": "dopri8", "steps": 10},
+        "analyses": {"portrait": {"periods": 1, "samples": 2}, "basins": {"starts": 4, "seed": 1, "box": box}},
+    }
+    tree = jaxnh.run(jaxnh.Experiment.from_dict(config))
+    assert tree["portrait"]["t"].attrs["units"] == time
+    for group, names in (("basins", ("x", "v")), ("attractors", ("x", "v")), ("attractors", ("x_points", "v_points"))):
+        assert [tree[group][name].attrs["units"] for name in names] == ["m", "unknown"]
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
@@ -46,6 +68,7 @@ def test_labels_and_units(tmp_path, monkeypatch):
             ('{"drive": "torque"', '{"drove": "torque"'),
             "own.py:2: labels names 'drove', which is no parameter, coordinate or",
         ),
+        (('labels={"drive": "torque"', 'labels={"t": "time"'), "own.py:2: labels names 't', which is no parameter"),
         (('units={"drive": "N m"', 'units={"drive": 1'), "own.py:2: units must be words by name, as in units={"),
         (('{"drive": "N m", "theta_dot": "rad/s"}', '"m"'), "own.py:2: units must be words by name, as in units={"),
     ],

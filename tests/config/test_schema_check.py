@@ -11,8 +11,10 @@ from conftest import ROOT
 
 from jaxnh.config.experiment import load
 from jaxnh.config.schema_check import check_by_schema
+from jaxnh.config.user_names import names_in, users_file
 from jaxnh.config.yaml_source import read
 from jaxnh.exceptions import ConfigError
+from jaxnh.systems.user_file import UserFile
 
 OVERRIDES = [
     "titel=A",
@@ -74,7 +76,39 @@ def test_nothing_else_is_said(config):
 
 def test_every_config_passes():
     for path in sorted((ROOT / "configs").rglob("*.yaml")):
-        check_by_schema(read(path))
+        file = users_file(path, read(path).data)
+        check_by_schema(read(path), names_in(file) if file else None)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "configs").rglob("*.py")), ids=lambda path: path.stem)
+def test_names_of_a_users_file_are_those_that_it_has(path):
+    """What the text says is what the function says when it is run; where it says nothing, nothing is refused."""
+    names, made = names_in(path), UserFile(path)
+    assert names.parameters == tuple(made.parameters)
+    assert names.states in (None, made.states)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def system(**more): return dict(rhs=rhs, coordinates=('x',))",
+        "@traced\ndef system(a=1.0): return dict(rhs=rhs, coordinates=('x',))",
+        "if 1:\n    def system(a=1.0): return dict(rhs=rhs, coordinates=('x',))",
+        "def system(a=1.0: return",
+        "system = make()",
+    ],
+)
+def test_names_that_the_text_does_not_say(tmp_path, text):
+    (tmp_path / "own.py").write_text(text)
+    assert names_in(tmp_path / "own.py") == (None, None)
+    assert names_in(tmp_path / "none.py") == (None, None)
+
+
+@pytest.mark.parametrize("override", ["system.drove=1", "initial.z=1", "sweep.omega={values: [1.0]}", "system.rate=a"])
+def test_keys_that_a_users_file_does_not_name(override):
+    path = ROOT / "configs" / "governor.yaml"
+    names = names_in(ROOT / "configs" / "governor.py")
+    assert said(lambda: check_by_schema(read(path, [override]), names)) == said(load, path, [override])
 
 
 def test_jax_is_not_imported(tmp_path):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from hand_made import states, tree
 
 import jaxnh
 from jaxnh.exceptions import InputError, ResultError
@@ -127,6 +128,12 @@ def test_a_file_without_planes_is_refused(tmp_path):
     write(path, {"jaxnh_version": "0", "axes": "b d"}, {"other": group("exponents", np.zeros((6, 3)), "")})
     with pytest.raises(InputError, match="has other, and no diagram and no plane of two axes"):
         recorded(path)
+
+
+def test_a_diagram_as_a_figure_of_bokeh_by_its_group_or_its_coordinate():
+    made = tree({"diagram": states(np.linspace(1.0, 6.0, 5), 8)})
+    drawn = [jaxnh.bokeh_figure(made, name).yaxis[0].axis_label for name in (None, "diagram", "x2")]
+    assert drawn == ["position x1", "position x1", "velocity x2 = dx1/dt"]
 
 
 def test_a_figure_of_bokeh_has_the_same_pixels(file):

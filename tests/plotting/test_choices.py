@@ -59,7 +59,8 @@ def test_other_coordinates():
     assert np.array_equal(points.get_ydata(), made["poincare"]["y1"][0])
     assert drawing.axes[2].get_ylabel() == "velocity $y_2$ (dimensionless)"
     assert np.array_equal(np.unique(drawing.axes[2].lines[0].get_ydata()), np.unique(made["diagram"]["y2"]))
-    with pytest.raises(ArgumentError, match="no diagram of z can be drawn; there are x1, x2, y1, y2"):
+    made["diagram"]["failure"] = ("b", np.zeros(len(made["diagram"]["b"]), np.int8))
+    with pytest.raises(ArgumentError, match=r"no diagram of z can be drawn; there are x1, x2, y1, y2$"):
         figure(made, coordinates=[("z",)])
 
 
@@ -69,6 +70,13 @@ def test_portraits_by_their_start():
     (ax,) = figure(made, colour="start").axes
     assert [to_hex(line.get_color()) for line in ax.lines] == [c.lower() for c in style.CURVES[:3] for _ in range(2)]
     assert [text.get_text() for text in ax.get_legend().get_texts()] == [f"$b$ = {b:.4g}" for b in UP[:3]]
+
+
+def test_many_portraits_by_their_start():
+    """More lanes than colours with a name each are numbered on a scale."""
+    ax, bar = figure(tree({"portrait": states(UP[:12], 9, "time", "trajectories")}), colour="start").axes
+    assert len({line.get_color() for line in ax.lines}) == 12
+    assert bar.get_ylabel() == "number of the start"
 
 
 def test_diagrams_by_their_starts_and_by_their_kind():
@@ -163,8 +171,10 @@ def test_a_colour_by_the_attractor():
         np.array([1, 2, 1], np.int32), dims="b", attrs={"long_name": "number of the attractor", "units": "1"}
     )
     basins = xr.Dataset({"attractor": starts}, {"b": UP[:3]}, {"panel": "basins", "panel_variables": "attractor"})
-    (ax, *_) = figure(
+    ax, below = figure(
         tree({"portrait": states(UP[:3], 9, "time", "trajectories"), "basins": basins}), colour="attractor"
     ).axes
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["attractor 1", "attractor 2"]
+    assert "dimensionless" not in below.get_ylabel()  # a number that counts has no units
     colours = [to_hex(line.get_color()) for line in ax.lines]
     assert colours[0] == colours[2] != colours[1]

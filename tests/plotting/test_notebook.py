@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import re
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from jaxnh.plotting.notebook import html
 
 UNCALIBRATED = True
 FEW = np.array([5.8, 2.5, 4.1, 5.3])
+UP = np.linspace(1.0, 6.0, 30)
 
 
 def words(text):
@@ -46,6 +48,17 @@ def test_a_group_and_a_dataset_of_it():
     assert "<img" in html(result["values"].to_dataset())
     kinds = result["kinds"].to_dataset()["kind"]
     assert kinds.attrs["flag_meanings"].split()[int(kinds.min())] in words(html(result["kinds"]))
+
+
+def test_the_picture_stays_small():
+    """Of a result whose panels would fill a column of 12 inches and more the first group is drawn, and this is said."""
+    groups = {"values": states(UP, 8), "paths": states(UP[:12], 9, "time", "trajectories")}
+    text = html(tree(groups))
+    assert "values alone; jaxnh.figure draws all of it" in words(text)
+    assert "alone" not in words(html(tree({"values": groups["values"]})))
+    picture = base64.b64decode(re.search(r"data:image/png;base64,([^']+)'", text)[1])
+    height = int.from_bytes(picture[20:24])  # of the header of a PNG, after its width
+    assert height < 12 * 90
 
 
 def test_others_are_shown_as_before():

@@ -131,6 +131,16 @@ def test_lanes_that_are_too_many_are_named(panel):
     assert below(drawing)[1:] == ["12 of the 20 values of b are drawn"]
 
 
+def test_a_lane_taken_out_of_a_group():
+    """By its place or as a group of one lane: one panel, of its points and no others."""
+    data = states(np.linspace(1.0, 6.0, 30), 9, "time", "trajectories")
+    data = data.assign_coords(time=np.arange(9))  # as in a file
+    for one in (data.isel(b=3), data.isel(b=[3])):
+        (ax,) = figure(one).axes
+        [line] = ax.lines
+        np.testing.assert_array_equal(line.get_xdata(), data["x1"][3])
+
+
 def test_lanes_of_two_axes_have_a_panel_each():
     groups = {
         "flow": over_masses(states(FEW, 64, "time", "trajectories")),

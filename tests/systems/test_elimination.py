@@ -23,3 +23,11 @@ def test_elimination(n):
     condition = np.linalg.cond(matrix)[:, None, None]
     assert np.all(np.abs(found - np.linalg.solve(matrix, right)) < 100 * UNIT * condition * np.abs(found).max())
     assert np.all(np.asarray(smallest) > 0)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_matrix_of_zeros_is_singular_and_one_that_is_not_a_number_is_not(n):
+    """Known while a program is traced or not; where nothing is a number the reason is another one."""
+    for entry, smallest in ((0.0, 0.0), (np.zeros(3), 0.0), (np.full(3, np.nan), np.nan)):
+        _, found = eliminate([[entry] * n for _ in range(n)], [[1.0] * n])
+        np.testing.assert_array_equal(found, smallest)
