@@ -5,7 +5,7 @@ What the keys mean (experiment.py) and how a wrong value is put in words (messag
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -57,6 +57,19 @@ class Source:
                 if wanted(key):
                     return key
         return keys[0]
+
+    def drop_nulls(self, blocks: Sequence[str], known: tuple[str, Collection[str]]) -> None:
+        """Leave out what overrides say is null; in a file null stands for all defaults, or is refused.
+
+        Args:
+            blocks: in these, keys that the file has.
+            known: in another one, keys of these names.
+        """
+        for block, *names in self.overridden:
+            keys, name = self.data.get(block), names[-1] if len(names) == 1 else None
+            there = name in known[1] if block == known[0] else block in blocks and (block, name) in self.positions
+            if there and isinstance(keys, dict) and keys.get(name, ...) is None:
+                del keys[name], self.tree[block][name]
 
     def position(self, key: KeyPath) -> tuple[int, int]:
         """Line and column of a key, or of the nearest key above it that the file has."""
@@ -167,6 +180,8 @@ def _override(tree: CommentedMap, override: str, where: str) -> KeyPath:
     steps = name.split(".")
     if not all(steps):
         raise _config_error(where, override, "an override is KEY=VALUE, KEY as in system.d; this key is empty")
+    if not literal.strip():
+        raise _config_error(where, name, "an override is KEY=VALUE; this one has no value (null leaves a key out)")
     try:
         scan(literal)
         value = parse(literal)
