@@ -391,7 +391,7 @@ def _validated(
         user_text: what that file says, in place of reading it.
         user_file: the file, where it has been read and tried out before.
     """
-    source.drop_nulls(("system", "initial", "sweep"), ("analyses", ANALYSES))
+    _drop_analyses(source)
     system, sweep = source.data.get("system"), source.data.get("sweep")
     file = system.get("file") if isinstance(system, dict) else None
     axes = sweep if isinstance(sweep, dict) else ()
@@ -410,14 +410,22 @@ def _validated(
     return experiment
 
 
+def _drop_analyses(source: Source) -> None:
+    """Leave out the analyses that overrides say are null; in a file null stands for all defaults."""
+    asked = source.data.get("analyses")
+    for *block, name in source.overridden:
+        if block == ["analyses"] and name in ANALYSES and isinstance(asked, dict) and asked.get(name, ...) is None:
+            del asked[name], source.tree["analyses"][name]
+
+
 def load(path: str | Path, overrides: Sequence[str] = (), user_text: str | None = None) -> Experiment:
     """Read, override and validate a config.
 
     Args:
         path: the YAML file.
         overrides: KEY=VALUE, KEY a dotted path into the YAML (a number for an item of a list), VALUE as in YAML;
-            analyses.NAME=null drops an analysis, as system.c=null drops what the file says of c; analyses.NAME={} asks
-            for one.
+            analyses.NAME=null drops an analysis, analyses.NAME={} asks for one; null leaves out what the file says of
+            a parameter, a start or an axis.
         user_text: what the user's file says that the config names, in place of reading it.
 
     Raises:

@@ -5,7 +5,7 @@ What the keys mean (experiment.py) and how a wrong value is put in words (messag
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +17,7 @@ from jaxnh.config.yaml_tree import Fault, KeyPath, dump, parse, plain, scan, tre
 from jaxnh.exceptions import ConfigError
 
 _NAMELESS = "experiment"  # in messages, where there is no file
+_WITH_DEFAULTS = ("system", "initial", "sweep")  # blocks whose keys can be left out by KEY=null
 
 
 @dataclass(frozen=True)
@@ -57,19 +58,6 @@ class Source:
                 if wanted(key):
                     return key
         return keys[0]
-
-    def drop_nulls(self, blocks: Sequence[str], known: tuple[str, Collection[str]]) -> None:
-        """Leave out what overrides say is null; in a file null stands for all defaults, or is refused.
-
-        Args:
-            blocks: in these, keys that the file has.
-            known: in another one, keys of these names.
-        """
-        for block, *names in self.overridden:
-            keys, name = self.data.get(block), names[-1] if len(names) == 1 else None
-            there = name in known[1] if block == known[0] else block in blocks and (block, name) in self.positions
-            if there and isinstance(keys, dict) and keys.get(name, ...) is None:
-                del keys[name], self.tree[block][name]
 
     def position(self, key: KeyPath) -> tuple[int, int]:
         """Line and column of a key, or of the nearest key above it that the file has."""
@@ -121,6 +109,7 @@ def from_dict(content: Mapping[str, Any], overrides: Sequence[str] = ()) -> Sour
     except Fault as fault:
         raise _config_error(_NAMELESS, fault.key, fault.message) from None
     roots = [_override(tree, override, _NAMELESS) for override in overrides]
+    _drop_nulls(tree, roots, positions)
     return Source(None, plain(tree), positions, roots, False, None, tree)
 
 
@@ -135,6 +124,7 @@ def _of_text(text: str, path: Path | None, overrides: Sequence[str]) -> Source:
     except Fault as fault:
         raise _config_error(f"{path or _NAMELESS}:{fault.line}", fault.key, fault.message) from None
     roots = [_override(tree, override, "command line") for override in overrides]
+    _drop_nulls(tree, roots, positions)
     return Source(path, plain(tree), positions, roots, True, None if overrides else text, tree)
 
 
@@ -189,6 +179,15 @@ def _override(tree: CommentedMap, override: str, where: str) -> KeyPath:
         return _assign(tree, steps, value)
     except Fault as fault:
         raise _config_error(where, name, fault.message) from None
+
+
+def _drop_nulls(tree: CommentedMap, overridden: Sequence[KeyPath], positions: Mapping[KeyPath, object]) -> None:
+    """Leave out the parameters, starts and axes that the text has and overrides say are null."""
+    for path in overridden:
+        if len(path) == 2 and path[0] in _WITH_DEFAULTS and path in positions:
+            block, name = tree.get(path[0]), path[1]
+            if isinstance(block, CommentedMap) and block.get(name, ...) is None:
+                del block[name]
 
 
 def _assign(tree: CommentedMap, steps: Sequence[str], value: Any) -> KeyPath:

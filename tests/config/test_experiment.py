@@ -214,7 +214,9 @@ def test_null_leaves_out_what_is_swept_instead(tmp_path):
     over_a_start = ["analyses={period: {}}", "sweep={x1: {values: [0.1, 0.2]}}", "system.b=5.5", "initial.x1=null"]
     assert list(load(path, over_a_start).sweep.grids) == ["x1"]
     assert load(path, ["system.a=null"]).system.a == 0.5
-    assert list(load(path, ["sweep.a={values: [0.4, 0.5]}", "sweep.b=null", "system.b=5.5"]).sweep.grids) == ["a"]
+    assert list(
+        load(path, ["sweep.a={values: [0.4, 0.5]}", "system.a=null", "sweep.b=null", "system.b=5.5"]).sweep.grids
+    ) == ["a"]
     assert fault(path, "initial.x9=null").startswith("command line: initial.x9: unknown key")
 
 
