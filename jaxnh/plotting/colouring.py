@@ -42,7 +42,8 @@ class Colouring(NamedTuple):
     @property
     def scale(self) -> ScalarMappable:
         """Colours of numbers."""
-        finite = self.values.to_numpy()[np.isfinite(self.values.to_numpy())]
+        values = self.values.to_numpy().astype(float)  # of whole numbers, as starts are, there is no infinite one
+        finite = values[np.isfinite(values)]
         return ScalarMappable(Normalize(finite.min(initial=np.inf), finite.max(initial=-np.inf)), colormaps["cividis"])
 
     def colour(self, value: float) -> Colour:

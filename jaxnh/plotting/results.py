@@ -170,9 +170,8 @@ def _check_chosen(groups: _Groups, choice: Choice) -> None:
             of_states = [data for data in groups.values() if kind_of(data) in ("density", "trajectories", "points")]
             there = dict.fromkeys(str(name) for data in of_states for name in data.data_vars)
             what = "no portrait or map" if len(names) == 2 else "no diagram"
-            raise ArgumentError(
-                "coordinates", f"{what} of {', '.join(names)} can be drawn; there are {', '.join(there)}"
-            )
+            known = f"there are {', '.join(there)}" if there else f"there is none in {', '.join(groups)}"
+            raise ArgumentError("coordinates", f"{what} of {', '.join(names)} can be drawn; {known}")
 
 
 def _of_groups(groups: _Groups, choice: Choice, more: Mapping[str, _Groups]) -> tuple[list[Panel], list[str]]:

@@ -61,6 +61,8 @@ def test_other_coordinates():
     assert np.array_equal(np.unique(drawing.axes[2].lines[0].get_ydata()), np.unique(made["diagram"]["y2"]))
     with pytest.raises(ArgumentError, match="no diagram of z can be drawn; there are x1, x2, y1, y2"):
         figure(made, coordinates=[("z",)])
+    with pytest.raises(ArgumentError, match=r"no portrait or map of x1, x2 can be drawn; there is none in period$"):
+        figure(tree({"period": periods(UP)}), coordinates=[("x1", "x2")])
 
 
 def test_portraits_by_their_start():
@@ -69,6 +71,14 @@ def test_portraits_by_their_start():
     (ax,) = figure(made, colour="start").axes
     assert [to_hex(line.get_color()) for line in ax.lines] == [c.lower() for c in style.CURVES[:3] for _ in range(2)]
     assert [text.get_text() for text in ax.get_legend().get_texts()] == [f"$b$ = {b:.4g}" for b in UP[:3]]
+
+
+def test_many_lanes_have_a_scale_of_colours():
+    """Every lane is a start of its own; more than have a colour each are numbered on a colour bar."""
+    ax, bar = figure(tree({"diagram": states(UP, 4)}), colour="start").axes
+    assert bar.get_ylabel() == "number of the start"
+    assert bar.get_ylim() == (0, len(UP) - 1)
+    assert len(np.unique(ax.collections[0].get_facecolors(), axis=0)) == len(UP)
 
 
 def test_diagrams_by_their_starts_and_by_their_kind():
@@ -105,6 +115,17 @@ def test_legends_are_off_the_data():
     assert with_legend
     for ax in with_legend:
         assert not ax.get_window_extent().overlaps(ax.get_legend().get_window_extent().padded(-1.0))
+
+
+def test_words_below_are_within_a_column():
+    """What a result is from takes more lines in a narrow figure; none is cut off at its edges."""
+    attrs = {"solver": "tsitouras_papakostas8", "section": "y = 0, up", "jaxnh_version": "0.2.0.dev0"}
+    drawing = figure(tree({"period": periods(UP)}, **attrs), size=style.COLUMN)
+    with style.styled():
+        drawing.draw_without_rendering()
+    [words] = [text for text in drawing.texts if "tsitouras_papakostas8" in text.get_text()]
+    assert " ".join(words.get_text().split()).endswith("in a time of 6.283, error of one return 1e-05")
+    assert 0.0 < words.get_window_extent().x0 < words.get_window_extent().x1 < drawing.bbox.x1
 
 
 @pytest.mark.parametrize(
