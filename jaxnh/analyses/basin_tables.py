@@ -76,7 +76,7 @@ def basins_group(
         "time": variable(dims, lot.time.astype(np.int32).reshape(shape), "time until it was known", unit),
         "failure": variable(dims, lot.reason.reshape(shape), "why the lane has failed", **flags),
         **{
-            name: variable(dims, values.reshape(shape), f"{flow.words(name)} of the start state")
+            name: variable(dims, values.reshape(shape), f"{flow.words(name)} of the start state", flow.units(name))
             for name, values in drawn.items()
         },
     }
@@ -132,7 +132,7 @@ def attractors_group(known: Known, axes: Sequence[Axis], hits: tuple[np.ndarray,
         every = name.endswith("_points")
         said = f"{output.long_name} of {'points' if every else 'a point'} of the attractor"
         values = output.data[:, :points] if every else output.data
-        variables[name] = variable((*dims, "point") if every else dims, table(values, np.nan), said)
+        variables[name] = variable((*dims, "point") if every else dims, table(values, np.nan), said, **output.attrs)
     if math.prod(sizes) > 1:
         variables |= _changes(known.changes, axes, sizes)
     return xr.Dataset(variables, attrs={"panel": "shares", "panel_variables": "fraction"})

@@ -38,6 +38,7 @@ from jaxnh.plotting.panels import PANELS, Kind
 from jaxnh.plotting.planes import together
 from jaxnh.plotting.reading import load_result
 from jaxnh.plotting.style import PAGE, Size, styled
+from jaxnh.storage.provenance import steps_in_words
 
 _MOST_LANES = 12  # that get a panel each
 _MOST_TOGETHER = 240  # that one panel shows in colours
@@ -340,14 +341,12 @@ def _provenance(attrs: Mapping[str, object]) -> list[str]:
     if "jaxnh_version" not in attrs:
         return []
     try:
-        version, solver, steps = attrs["jaxnh_version"], attrs["solver"], attrs["steps_per_period"]
+        version, solver, steps = attrs["jaxnh_version"], attrs["solver"], steps_in_words(attrs)
         error = float(str(attrs["error_estimate"]))
-        turn, time = "period", "a period"
-        if "section" in attrs:
-            turn, time = "return", f"in a time of {float(str(attrs['strobe_period'])):.4g}"
+        turn = "return" if "section" in attrs else "period"
     except (KeyError, ValueError) as missing:
         raise ResultError(f"its attributes are not as jaxnh writes them: {missing}") from missing
-    return [f"jaxnh {version}, {solver}, {steps} steps {time}, error of one {turn} {error:.1g}"]
+    return [f"jaxnh {version}, {solver}, {steps}, error of one {turn} {error:.1g}"]
 
 
 def _of_level(attrs: Mapping[str, object], groups: _Groups) -> list[str]:
