@@ -18,12 +18,13 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from jaxnh.explorer.raster import ROWS
-from jaxnh.explorer.source import LaneReport, Picture
+from jaxnh.explorer.source import LaneReport, Picture, measured
 from jaxnh.explorer.view import View
 from jaxnh.plotting.style import LINE, MARK, POINT
 
 _MOST_POINTS = 1 << 14
 _PLANE_HEIGHT = 560  # pixels
+_NARROWEST = 960  # pixels: with the controls beside it, it is whole in a window of 1280
 
 # Ticks are told apart down to the last bit of a double, whatever the range.
 _TICKS = """
@@ -49,7 +50,7 @@ class Drawing:
             tools="pan,wheel_zoom,tap",
             active_scroll="wheel_zoom",
             sizing_mode="stretch_width",
-            min_width=1100,
+            min_width=_NARROWEST,
             frame_height=_PLANE_HEIGHT if view.second else ROWS,
             output_backend="canvas",
             x_axis_label=x_label,
@@ -117,7 +118,8 @@ class Portrait:
             source.data = {"x": across, "y": up}
             if data is not None:
                 self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = (
-                    str(data[name].attrs.get("long_name", name)) for name in _names(data)
+                    measured(str(data[name].attrs.get("long_name", name)), str(data[name].attrs.get("units", "")))
+                    for name in _names(data)
                 )
 
 
