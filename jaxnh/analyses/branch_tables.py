@@ -175,8 +175,10 @@ def bifurcations_table(data: xr.Dataset) -> Table:
     rows = []
     for k in range(data.sizes["bifurcation"]):
         of = str(period[k]) if period[k] else "equilibrium"
-        born = CRITICALITIES[int(criticality[k]) + 1].replace("_", " ")
-        rows.append((KINDS[int(kind[k])].replace("_", " "), of, f"{value[k]:.9g} ± {error[k]:.1g}", born))
+        born = CRITICALITIES[int(criticality[k]) + 1] if criticality[k] else "–"
+        decimals = int(np.clip(-np.floor(np.log10(error[k])), 0, 15)) if error[k] > 0 else 15
+        at = f"{value[k]:.{decimals}f} ± {error[k]:.1g}"
+        rows.append((KINDS[int(kind[k])].replace("_", " "), of, at, born))
     return Table("Bifurcations", ("bifurcation", "period", name, "criticality"), tuple(rows), left=(0, 3))
 
 

@@ -27,14 +27,16 @@ def pitchfork(folder, sweep="mu: {start: -0.5, stop: 0.7, count: 12}", options="
 def test_table_of_bifurcations():
     """A row each in the order of the file, with the words of the flags and as many digits as the error has."""
     n = np.array
-    columns = {"kind": n([KINDS.index("hopf"), KINDS.index("period_doubling")]), "period": n([0, 2]),
-               "mu": n([0.25, 1.5]), "mu_error": n([2e-9, 1e-7]), "criticality": n([1, -1])}  # fmt: skip
+    kinds = [KINDS.index(kind) for kind in ("hopf", "period_doubling", "fold")]
+    columns = {"kind": n(kinds), "period": n([0, 2, 1]), "mu": n([0.25, 1.5, 2.123456]),
+               "mu_error": n([2e-4, 1e-7, 3.0]), "criticality": n([1, -1, 0])}  # fmt: skip
     data = xr.Dataset({name: ("bifurcation", v) for name, v in columns.items()}, attrs={"along": "mu"})
     found = ANALYSIS.other_tables["bifurcations"](data)
     assert found.heads == ("bifurcation", "period", "mu", "criticality")
     assert found.rows == (
-        ("hopf", "equilibrium", "0.25 ± 2e-09", "supercritical"),
-        ("period doubling", "2", "1.5 ± 1e-07", "subcritical"),
+        ("hopf", "equilibrium", "0.2500 ± 0.0002", "supercritical"),
+        ("period doubling", "2", "1.5000000 ± 1e-07", "subcritical"),
+        ("fold", "1", "2 ± 3", "–"),
     )
 
 

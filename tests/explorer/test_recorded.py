@@ -19,7 +19,10 @@ from jaxnh.plotting.style import MANY
 from jaxnh.storage.hdf5 import write
 
 B, D = np.linspace(0.0, 5.0, 6), np.array([3.0, 1.0, 2.0])  # the second axis is not in order
-COORDINATES = {"b": ("b", B, {"long_name": "coupling b", "units": "1"}), "d": ("d", D, {"long_name": "depth d", "units": "m"})}
+COORDINATES = {
+    "b": ("b", B, {"long_name": "coupling b", "units": "1"}),
+    "d": ("d", D, {"long_name": "depth d", "units": "m"}),
+}
 
 
 def number(b, d):
