@@ -140,7 +140,7 @@ def _of_cost(spent: Spent) -> dict[str, Any]:
     }
 
 
-def steps_in_words(attrs: Mapping[str, object]) -> str:
+def steps_in_words(attrs: Mapping[Any, object]) -> str:
     """Steps of the solver, from attributes of a result: "60 steps a period", on a section "6 steps in a time of 1".
 
     Raises:
