@@ -55,7 +55,7 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     variables = {}
     if scene.flow is scene.system:  # else every crossing has its own time
         time = scene.system.period * (options.transient + np.arange(options.strobes))
-        variables["t"] = variable("strobe", time, "time since the start")
+        variables["t"] = variable("strobe", time, "time since the start", scene.system.units("t"))
     variables |= state_variables(scene.system, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
     panel = {"panel": "points", "panel_variables": " ".join(scene.system.plane)}
     return xr.Dataset(variables, attrs={**section_attrs(scene), **panel})

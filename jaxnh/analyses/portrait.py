@@ -56,7 +56,7 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     elapsed = np.arange(options.periods * options.samples) / options.samples
     time = scene.system.period * (options.transient + elapsed)
     variables = {
-        "t": variable("time", time, "time since the start"),
+        "t": variable("time", time, "time since the start", scene.system.units("t")),
         **state_variables(scene.system, states, in_period, (LANE, "time"), {"coordinates": "t"}),
     }
     return xr.Dataset(variables, attrs={"panel": "trajectories", "panel_variables": " ".join(scene.system.plane)})

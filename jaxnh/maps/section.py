@@ -218,7 +218,10 @@ class SectionedFlow(Flow):
     def outputs(self, y: Crossing, t: np.ndarray) -> dict[str, Output]:
         """Coordinates and velocities of states by name, and when they are met."""
         del t
-        return {**self.inner.outputs(y.state, np.zeros(1)), "t": Output(y.t, "time since the start")}
+        return {
+            **self.inner.outputs(y.state, np.zeros(1)),
+            "t": Output(y.t, "time since the start", {"units": self.units("t")}),
+        }
 
     def reports(self, y: Crossing) -> dict[str, Output]:
         """What the flow reports, and why a trajectory has failed: the section may be one more reason."""
