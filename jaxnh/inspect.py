@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from jaxnh.cli.exit_codes import run_app
+from jaxnh.cli.result_files import check_result
 from jaxnh.exceptions import DamagedError, InputError, ResultError
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -31,8 +32,7 @@ def inspect(
     ] = None,
 ) -> None:
     """Body of the command; the words above are what --help shows."""
-    if not file.is_file():
-        raise InputError(f"command line: FILE: {file} is {'a folder' if file.is_dir() else 'not there'}")
+    check_result(file)
     import h5py
 
     from jaxnh.cli.inspection import check_file, run_again, show, write_csv

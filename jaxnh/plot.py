@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from jaxnh.cli.exit_codes import run_app
+from jaxnh.cli.result_files import check_result
 from jaxnh.exceptions import ArgumentError, InputError, ResultError
 
 _FORMATS = (".png", ".pdf", ".svg")
@@ -51,8 +52,7 @@ def plot(
     if path.suffix.lower() not in _FORMATS:
         raise InputError(f"command line: --output: {path} must end in one of {', '.join(_FORMATS)}")
     for file in files:
-        if not file.is_file():
-            raise InputError(f"command line: FILE: {file} is {'a folder' if file.is_dir() else 'not there'}")
+        check_result(file)
     if label and len(label) != len(files):
         raise ArgumentError("label", f"{len(files)} files need as many labels, and there are {len(label)}")
     chosen = [tuple(name.strip() for name in names.split(",")) for names in coordinates or []]

@@ -190,6 +190,7 @@ class Analysis:
         smooth: variables that a level of a sweep interpolates where it leaves lanes out; others are a neighbour's.
         check: (options, setting) raises `OptionError` where they do not go together.
         table: (dataset, published values by name, their source) to a table for the terminal.
+        other_tables: name of a group of `whole` to its table for the terminal, of the group's dataset.
         price: (options, scene) to what a period of it costs; without, it is not measured.
         brief: options that make a run short and leave as many numbers a lane.
     """
@@ -212,5 +213,8 @@ class Analysis:
     smooth: tuple[str, ...] = ()
     check: Callable[[Any, Setting], None] = _all_right
     table: Callable[[xr.Dataset, Mapping[str, np.ndarray], str], Table] | None = None
+    other_tables: Mapping[str, Callable[[xr.Dataset], Table]] = field(
+        default_factory=dict[str, Callable[[xr.Dataset], Table]]
+    )
     price: Callable[[Any, Scene], Price] | None = None
     brief: Mapping[str, int] = field(default_factory=dict[str, int])

@@ -132,8 +132,7 @@ def attractors_group(known: Known, axes: Sequence[Axis], hits: tuple[np.ndarray,
         every = name.endswith("_points")
         said = f"{output.long_name} of {'points' if every else 'a point'} of the attractor"
         values = output.data[:, :points] if every else output.data
-        where = (*dims, "point") if every else dims
-        variables[name] = variable(where, table(values, np.nan), said, output.attrs.get("units", "1"))
+        variables[name] = variable((*dims, "point") if every else dims, table(values, np.nan), said, **output.attrs)
     if math.prod(sizes) > 1:
         variables |= _changes(known.changes, axes, sizes)
     return xr.Dataset(variables, attrs={"panel": "shares", "panel_variables": "fraction"})

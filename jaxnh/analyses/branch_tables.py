@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, variable
+from jaxnh.analyses.base import Entry, Table, variable
 from jaxnh.analyses.family_tree import Bifurcation, Tree
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.analyses.settling import states_at
@@ -164,6 +164,22 @@ def _bifurcations(
         **_coordinates(lanes, grown, [(of, point.points[None]) for of, point in found], rows, dim),
         "multipliers": variable((*dim, "multiplier", "part"), multipliers, _of_multipliers(grown)),
     }
+
+
+def bifurcations_table(data: xr.Dataset) -> Table:
+    """A row a bifurcation, in the order of the parameter: what it is, of which orbit, where, and what is born there."""
+    name = str(data.attrs["along"])
+    kind, period, value, error, criticality = (
+        data[key].to_numpy() for key in ("kind", "period", name, f"{name}_error", "criticality")
+    )
+    rows = []
+    for k in range(data.sizes["bifurcation"]):
+        of = str(period[k]) if period[k] else "equilibrium"
+        born = CRITICALITIES[int(criticality[k]) + 1] if criticality[k] else "–"
+        decimals = int(np.clip(-np.floor(np.log10(error[k])), 0, 15)) if error[k] > 0 else 15
+        at = f"{value[k]:.{decimals}f} ± {error[k]:.1g}"
+        rows.append((KINDS[int(kind[k])].replace("_", " "), of, at, born))
+    return Table("Bifurcations", ("bifurcation", "period", name, "criticality"), tuple(rows), left=(0, 3))
 
 
 def _dimension(grown: Sequence[Grown]) -> int:

@@ -28,7 +28,7 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.branch_seeds import random_wave, settled_waves
-from jaxnh.analyses.branch_tables import OWN_NAMES, Grown, datasets
+from jaxnh.analyses.branch_tables import OWN_NAMES, Grown, bifurcations_table, datasets
 from jaxnh.analyses.equilibria import equilibria
 from jaxnh.analyses.families import orbits_of
 from jaxnh.analyses.family_tree import grow
@@ -183,6 +183,7 @@ ANALYSIS = Analysis(
     count=count,
     check=check,
     table=table,
+    other_tables={"bifurcations": bifurcations_table},
     price=price_of_orbits,
     brief={"transient": 1, "limit": 1},
 )

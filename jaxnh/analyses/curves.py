@@ -170,9 +170,11 @@ def _passes(plane: Plane, curve: Curve, seed: _Seed) -> bool:
         return False
     track = curve.track.z
     begun, chord = track[:-1], np.diff(track, axis=0)
+    length = np.sum(chord**2, axis=1)
+    length = np.where(length > 0, length, 1.0)  # two equal points of a track are one
     for m in range(curve.period):
         [z] = unknowns(plane, np.roll(seed.points, m, 0)[None], seed.values[None])
-        share = np.clip(np.sum((z - begun) * chord, axis=1) / np.sum(chord**2, axis=1), 0.0, 1.0)
+        share = np.clip(np.sum((z - begun) * chord, axis=1) / length, 0.0, 1.0)
         if np.linalg.norm(begun + share[:, None] * chord - z, axis=1).min(initial=np.inf) <= _NEAR:
             return True
     return False

@@ -15,7 +15,7 @@ import typer
 
 from jaxnh.exceptions import ArgumentError, InputError, JaxnhError, Stopped
 
-GO_ON = "run the same command again to go on"
+GO_ON = "run the same command again to go on where it stopped"
 
 RESUME = 75
 """Exit code of a run that was stopped and can go on: the temporary failure of sysexits.h."""

@@ -20,6 +20,7 @@ from rich.table import Table
 
 from jaxnh.exceptions import ArgumentError, ConfigError, InputError, ResultError
 from jaxnh.storage import hdf5 as store
+from jaxnh.storage.provenance import steps_in_words
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -92,7 +93,7 @@ def _facts(path: Path, attrs: store.Attributes, axes: dict[str, np.ndarray]) -> 
     if "solver" in attrs:
         yield (
             "accuracy",
-            f"{attrs['solver']}, {attrs['steps_per_period']} steps a period, {attrs.get('summation', 'plain')} sums, "
+            f"{attrs['solver']}, {steps_in_words(attrs)}, {attrs.get('summation', 'plain')} sums, "
             f"error of one {'return' if 'section' in attrs else 'period'} {attrs['error_estimate']:.1e}",
         )
     wall, work = float(attrs.get("wall_seconds", math.nan)), float(attrs.get("lane_periods", math.nan))
@@ -147,7 +148,14 @@ def _notes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:
         words = {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in attrs.items()}
         yield ", ".join(f"{key} {value}" for key, value in words.items())
     yield from _failed_lanes(group, axes)
-    yield from filter(None, warnings.split("\n"))
+    head = f"{str(group.name).strip('/')}: "  # warnings begin with it, as do these lines where they are shown
+    yield from (line.removeprefix(head) for line in warnings.split("\n") if line)
+
+
+def failed_in(path: Path, group: str) -> list[str]:
+    """Lanes of a group of a result that have failed, and why, a line a reason."""
+    with h5py.File(path, "r") as file:
+        return list(_failed_lanes(store.groups(file)[group], str(store.attributes(file).get("axes", "")).split()))
 
 
 def _failed_lanes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:

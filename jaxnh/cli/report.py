@@ -8,11 +8,13 @@ from pathlib import Path
 from rich.console import Console
 
 from jaxnh.analyses import GROUPS
+from jaxnh.cli.inspection import failed_in
 from jaxnh.cli.terminal import show
 from jaxnh.config.experiment import Experiment
 from jaxnh.config.messages import listed
 from jaxnh.engine.run import Outcome
 from jaxnh.storage.hdf5 import read_attrs, read_group
+from jaxnh.storage.provenance import steps_in_words
 
 _LOG_WIDTH = 100  # columns of a table that goes to a file
 
@@ -27,13 +29,14 @@ def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int
     for name in job.groups:
         if not quiet:
             _show_table(experiment, path, name)
-        for warning in filter(None, str(read_attrs(path, name).get("warnings", "")).split("\n")):
+        warnings = list(filter(None, str(read_attrs(path, name).get("warnings", "")).split("\n")))
+        for warning in [*warnings, *(f"{name}: {line}" for line in (failed_in(path, name) if warnings else ()))]:
             print(f"warning: {warning}", file=sys.stderr)
     if quiet:
         return
     unit = "unit of time" if experiment.autonomous else "period"
     print(
-        f"{job.solver} in {experiment.precision}, {job.steps} step{'s' if job.steps > 1 else ''} a {unit}, "
+        f"{job.solver} in {experiment.precision}, {steps_in_words(read_attrs(path))}, "
         f"error of one {'return' if experiment.sectioned else unit} {job.error_estimate:.1e}; "
         f"{total.lane_periods:,.0f} lane-periods"
     )
@@ -51,11 +54,13 @@ def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int
 
 def _show_table(experiment: Experiment, path: Path, name: str) -> None:
     """The table of an analysis that has one, beside published values."""
+    console = Console()
+    console = console if console.is_terminal else Console(width=_LOG_WIDTH)
+    if name in GROUPS[name].other_tables:
+        console.print(show(GROUPS[name].other_tables[name](read_group(path, name))))
     draw = GROUPS[name].table if GROUPS[name].name == name else None
     if draw is None:
         return
-    console = Console()
-    console = console if console.is_terminal else Console(width=_LOG_WIDTH)
     published = (experiment.compare or {}).get(name)
     unlike = experiment.unlike(published) if published else []
     columns, source = (published.columns(), published.source) if published and not unlike else ({}, "")

@@ -69,7 +69,7 @@ class Evenly(Block):
     @model_validator(mode="after")
     def _check(self) -> Evenly:
         if self.start == self.stop:
-            raise rule(f"must differ from start, and both are {self.start:g}", "stop", "start")
+            raise rule(f"start and stop must differ, and both are {self.start:g}", "stop", "start")
         if not math.isfinite(self.stop - self.start):
             raise rule("start and stop are further apart than a double can say", "stop", "start")
         return self

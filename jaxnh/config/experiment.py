@@ -424,7 +424,8 @@ def load(path: str | Path, overrides: Sequence[str] = (), user_text: str | None 
     Args:
         path: the YAML file.
         overrides: KEY=VALUE, KEY a dotted path into the YAML (a number for an item of a list), VALUE as in YAML;
-            analyses.NAME=null drops an analysis, analyses.NAME={} asks for one.
+            analyses.NAME=null drops an analysis, analyses.NAME={} asks for one; null leaves out what the file says of
+            a parameter, a start or an axis.
         user_text: what the user's file says that the config names, in place of reading it.
 
     Raises:

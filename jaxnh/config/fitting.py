@@ -61,7 +61,7 @@ def check_analysis(analysis: Analysis, options: Options, setting: Setting) -> No
         analysis.check(options, setting)
     except OptionError as error:
         key = f"analyses.{name}.{error.key}".rstrip(".")
-        axes = (f"sweep.{axis.name}" for axis in setting.axes)
+        axes = () if error.key in options.model_fields_set else (f"sweep.{axis.name}" for axis in setting.axes)
         raise rule(str(error), key, f"analyses.{name}", *axes) from None
 
 

@@ -226,8 +226,10 @@ def _check_constraints(system: UserSystem, initial: UserInitial, sweep: SweepBlo
     message = f"f[{number}] is {residuals[number, lane]:.3g} at the start with {where}, and must be 0"
     if np.all(np.isfinite(np.array(near.v))):
         nearest = ", ".join(f"{key}: {float(v):.10g}" for key, v in zip(keys, near.v, strict=True))
-        message += f"; the nearest velocities that make it so are {nearest}"
-    raise rule(message, *(f"initial.{key}" for key in (*keys, *flow.names)), *swept, "initial", "system")
+        message += f"; the nearest velocities that make it so are {nearest} (initial.project: true moves starts there)"
+    swept_velocities = [key for key in swept if key.endswith("_dot")]
+    given = [f"initial.{key}" for key in (*keys, *flow.names)]
+    raise rule(message, *swept_velocities, *given, *swept, "initial", "system")
 
 
 def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.ndarray, np.ndarray]:

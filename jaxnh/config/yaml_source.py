@@ -17,6 +17,7 @@ from jaxnh.config.yaml_tree import Fault, KeyPath, dump, parse, plain, scan, tre
 from jaxnh.exceptions import ConfigError
 
 _NAMELESS = "experiment"  # in messages, where there is no file
+_WITH_DEFAULTS = ("system", "initial", "sweep")  # blocks whose keys can be left out by KEY=null
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,7 @@ def from_dict(content: Mapping[str, Any], overrides: Sequence[str] = ()) -> Sour
     except Fault as fault:
         raise _config_error(_NAMELESS, fault.key, fault.message) from None
     roots = [_override(tree, override, _NAMELESS) for override in overrides]
+    _drop_nulls(tree, roots, positions)
     return Source(None, plain(tree), positions, roots, False, None, tree)
 
 
@@ -122,6 +124,7 @@ def _of_text(text: str, path: Path | None, overrides: Sequence[str]) -> Source:
     except Fault as fault:
         raise _config_error(f"{path or _NAMELESS}:{fault.line}", fault.key, fault.message) from None
     roots = [_override(tree, override, "command line") for override in overrides]
+    _drop_nulls(tree, roots, positions)
     return Source(path, plain(tree), positions, roots, True, None if overrides else text, tree)
 
 
@@ -167,6 +170,8 @@ def _override(tree: CommentedMap, override: str, where: str) -> KeyPath:
     steps = name.split(".")
     if not all(steps):
         raise _config_error(where, override, "an override is KEY=VALUE, KEY as in system.d; this key is empty")
+    if not literal.strip():
+        raise _config_error(where, name, "an override is KEY=VALUE; this one has no value (null leaves a key out)")
     try:
         scan(literal)
         value = parse(literal)
@@ -174,6 +179,15 @@ def _override(tree: CommentedMap, override: str, where: str) -> KeyPath:
         return _assign(tree, steps, value)
     except Fault as fault:
         raise _config_error(where, name, fault.message) from None
+
+
+def _drop_nulls(tree: CommentedMap, overridden: Sequence[KeyPath], positions: Mapping[KeyPath, object]) -> None:
+    """Leave out the parameters, starts and axes that the text has and overrides say are null."""
+    for path in overridden:
+        if len(path) == 2 and path[0] in _WITH_DEFAULTS and path in positions:
+            block, name = tree.get(path[0]), path[1]
+            if isinstance(block, CommentedMap) and block.get(name, ...) is None:
+                del block[name]
 
 
 def _assign(tree: CommentedMap, steps: Sequence[str], value: Any) -> KeyPath:

@@ -362,7 +362,8 @@ class Calibration:
             found = self._lanes(function, maps(int(k)), (part.states, part.p), periods=periods, static=static)
             if len(here) == len(samples.row):
                 return found
-            whole = whole or jax.tree.map(lambda leaf: np.empty((len(samples.row), *leaf.shape[1:]), leaf.dtype), found)
+            if whole is None:
+                whole = jax.tree.map(lambda leaf: np.empty((len(samples.row), *leaf.shape[1:]), leaf.dtype), found)
             for leaf, new in zip(jax.tree.leaves(whole), jax.tree.leaves(found), strict=True):
                 leaf[here] = new
         return whole

@@ -33,7 +33,7 @@ from jaxnh.storage.pieces import Job, Piece, share
 from jaxnh.storage.provenance import versions
 from jaxnh.storage.tiles import Receipt, Spent
 
-GO_ON = "run the same command again to go on"
+GO_ON = "run the same command again to go on where it stopped"
 
 
 class How(NamedTuple):

@@ -73,14 +73,25 @@ class Session:
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: its experiment, and what calibration has chosen so far; nothing is computed."""
+        title, *facts = map(escape, self._said())
+        return "<br>".join([f"<b>{title}</b>", *facts])
+
+    def __repr__(self) -> str:
+        """The same in one line."""
+        return f"<{', '.join(self._said())}>"
+
+    def _said(self) -> list[str]:
+        """Title, axes, and what calibration has chosen so far."""
         experiment = self.experiment
         axes = ", ".join(f"{axis.name} ({len(axis.values):,})" for axis in experiment.axes)
-        lines = [f"<b>{escape(experiment.title or experiment.label)}</b>", f"a session over {escape(axes)}"]
-        for _, _, plan in self._plans:
-            lines.append(
-                f"{plan.solver.name}, {plan.steps} steps a period, error of one period {plan.error_estimate:.1g}"
-            )
-        return "<br>".join(lines if self._plans else [*lines, "not calibrated yet"])
+        turn, time = "return" if experiment.sectioned else "period", "a period"
+        if experiment.sectioned:
+            time = f"in a time of {experiment.flow().period:.4g}"
+        chosen = [
+            f"{plan.solver.name}, {plan.steps} steps {time}, error of one {turn} {plan.error_estimate:.1g}"
+            for _, _, plan in self._plans
+        ]
+        return [experiment.title or experiment.label, f"a session over {axes}", *(chosen or ["not calibrated yet"])]
 
     @property
     def devices(self) -> int:

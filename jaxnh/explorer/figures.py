@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
@@ -18,12 +18,13 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from jaxnh.explorer.raster import ROWS
-from jaxnh.explorer.source import LaneReport, Picture
+from jaxnh.explorer.source import LaneReport, Picture, measured
 from jaxnh.explorer.view import View
 from jaxnh.plotting.style import LINE, MARK, POINT
 
 _MOST_POINTS = 1 << 14
 _PLANE_HEIGHT = 560  # pixels
+_NARROWEST = 960  # pixels: with the controls beside it, it is whole in a window of 1280
 
 # Ticks are told apart down to the last bit of a double, whatever the range.
 _TICKS = """
@@ -49,7 +50,7 @@ class Drawing:
             tools="pan,wheel_zoom,tap",
             active_scroll="wheel_zoom",
             sizing_mode="stretch_width",
-            min_width=1100,
+            min_width=_NARROWEST,
             frame_height=_PLANE_HEIGHT if view.second else ROWS,
             output_backend="canvas",
             x_axis_label=x_label,
@@ -110,15 +111,18 @@ class Portrait:
         self.figure.add_layout(legend, "above")  # off the data
 
     def show(self, report: LaneReport) -> None:
-        """Draw what a report has."""
+        """Draw what a report has: points in the plane of the trajectory where there is one, those of a section too."""
+        there = [report.groups[name] for name in ("portrait", "poincare") if name in report.groups]
+        names = _names(there[0]) if there else ()
         for name, source in (("portrait", self._path), ("poincare", self._points)):
             data = report.groups.get(name)
-            across, up = _plane(data) if data is not None else (np.zeros(0), np.zeros(0))
+            across, up = _values(data, names) if data is not None else (np.zeros(0), np.zeros(0))
             source.data = {"x": across, "y": up}
-            if data is not None:
-                self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = (
-                    str(data[name].attrs.get("long_name", name)) for name in _names(data)
-                )
+        if there:
+            self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = (
+                measured(str(there[0][name].attrs.get("long_name", name)), str(there[0][name].attrs.get("units", "")))
+                for name in names
+            )
 
 
 def _names(data: xr.Dataset) -> tuple[str, str]:
@@ -126,6 +130,6 @@ def _names(data: xr.Dataset) -> tuple[str, str]:
     return across, up
 
 
-def _plane(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    across, up = (data[name].to_numpy().ravel()[:_MOST_POINTS] for name in _names(data))
+def _values(data: xr.Dataset, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    across, up = (data[name].to_numpy().ravel()[:_MOST_POINTS] for name in names)
     return across, up

@@ -18,7 +18,7 @@ from jaxnh.exceptions import InputError
 from jaxnh.explorer.live_plane import LivePlane
 from jaxnh.explorer.raster import raster, values_of
 from jaxnh.explorer.sessions import Sessions
-from jaxnh.explorer.source import LaneReport, Picture, Source
+from jaxnh.explorer.source import LaneReport, Picture, Source, measured
 from jaxnh.explorer.view import View
 
 _COARSE_SECONDS = 0.15  # that a coarse picture may be computed in
@@ -73,8 +73,8 @@ class LiveDiagram:
             strobes=options.get("strobes", 128),
             columns=columns,
         )
-        self.axis_words = {axis.name: axis.long_name}
-        self.variables = {name: flow.words(name) for name in flow.coordinates}
+        self.axis_words = {axis.name: measured(axis.long_name, axis.units)}
+        self.variables = {name: measured(flow.words(name), flow.units(name)) for name in flow.coordinates}
         self._seconds: dict[int, float] = {}  # a lane-period, by session
 
     def passes(self, view: View) -> Iterator[Picture]:

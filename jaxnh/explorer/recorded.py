@@ -11,7 +11,7 @@ import xarray as xr
 
 from jaxnh.exceptions import InputError, JaxnhError, ResultError
 from jaxnh.explorer.raster import plane_raster, raster, values_of
-from jaxnh.explorer.source import LaneReport, Parameter, Picture, Source
+from jaxnh.explorer.source import LaneReport, Parameter, Picture, Source, measured
 from jaxnh.explorer.view import View
 from jaxnh.plotting.groups import label_of, shown
 from jaxnh.plotting.labels import words_of
@@ -72,7 +72,7 @@ class _Recorded:
     def __init__(self, groups: _Groups, first: xr.Dataset, axes: tuple[str, ...], attrs: _Attrs, name: str) -> None:
         self._groups = {key: groups[key] for key in _OF_A_LANE if key in groups}
         self._attrs, self.title = attrs, attrs["title"]
-        self.axis_words = {axis: str(first[axis].attrs.get("long_name", axis)) for axis in axes}
+        self.axis_words = {axis: _words(first[axis]) for axis in axes}
         others = [
             axis for axis in str(first.attrs["axes"]).split() if axis not in axes and first.sizes.get(axis, 1) > 1
         ]
@@ -108,7 +108,7 @@ class RecordedDiagram(_Recorded):
         self._data = _at(groups["diagram"], {}, keep=(axis,)).sortby(axis).load()
         values = self._data[axis].to_numpy()
         self.variables = {
-            str(key).removesuffix("_state"): str(v.attrs.get("long_name", key))
+            str(key).removesuffix("_state"): _words(v)
             for key, v in self._data.data_vars.items()
             if v.dims[:1] == (axis,) and len(v.dims) > 1 and v.dtype.kind == "f"
         }
@@ -163,6 +163,11 @@ class RecordedPlane(_Recorded):
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """What the file has of the lane that is nearest to values of the axes."""
         return super().lane(view, _nearest(self._planes[view.variable], where))
+
+
+def _words(variable: xr.DataArray) -> str:
+    attrs = variable.attrs
+    return measured(str(attrs.get("long_name", variable.name)), str(attrs.get("units", "")))
 
 
 def _at(data: xr.Dataset, where: Mapping[str, float], keep: tuple[str, ...] = ()) -> xr.Dataset:

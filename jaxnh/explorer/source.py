@@ -12,6 +12,11 @@ from jaxnh.explorer.view import View
 from jaxnh.plotting.pixels import Pixels
 
 
+def measured(words: str, units: str) -> str:
+    """What an axis of a drawing is called: words, and units where there are some and the user has said them."""
+    return f"{words} ({units})" if units not in ("", "1", "unknown") else words
+
+
 class Picture(NamedTuple):
     """A view as far as it is known.
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
 
-from jaxnh.plotting.frame import new_axes
+from jaxnh.plotting.frame import narrow, new_axes
 from jaxnh.plotting.groups import needed, shown
 from jaxnh.plotting.labels import axis_label
 from jaxnh.plotting.meanings import meanings
 from jaxnh.plotting.style import CURVES
 
 _DASHES = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (4, 1, 1, 1)))
+_EDGE = [withStroke(linewidth=2.0, foreground="white")]  # names stand on whatever colour a chart has
 _SHORT = {
     "cusp": "CP",
     "generalised doubling": "GPD",
@@ -68,7 +70,8 @@ def draw_curves(data: xr.Dataset, ax: Axes, background: bool = False) -> None:
     x, y, what = needed(data, f"special_{across.name}", f"special_{up.name}", "special_kind")
     _dots(x, y, what, ax)
     if seen:
-        ax.legend(fontsize=7, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(3, len(seen)))
+        columns = 1 if narrow(ax) else min(3, len(seen))
+        ax.legend(fontsize=7, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
 
 
 def special_points(data: xr.Dataset, ax: Axes | None = None) -> Axes:
@@ -89,4 +92,4 @@ def _dots(x: xr.DataArray, y: xr.DataArray, kind: xr.DataArray, ax: Axes) -> Non
     for across, up, what in zip(x.to_numpy(), y.to_numpy(), kind.to_numpy(), strict=True):
         ax.plot(across, up, "o", color="black", markerfacecolor="white", markersize=4, zorder=5)
         label = _SHORT.get(words[int(what)], words[int(what)])
-        ax.annotate(label, (across, up), (4, 4), textcoords="offset points", fontsize=7, zorder=5)
+        ax.annotate(label, (across, up), (4, 4), textcoords="offset points", fontsize=7, zorder=5, path_effects=_EDGE)

@@ -11,9 +11,9 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.density import column_shares
-from jaxnh.plotting.frame import new_axes
+from jaxnh.plotting.frame import narrow, new_axes
 from jaxnh.plotting.groups import along, declared_axes, needed, shown
-from jaxnh.plotting.labels import axis_label
+from jaxnh.plotting.labels import axis_label, is_symbol, symbol_of, words_of
 from jaxnh.plotting.meanings import meanings
 from jaxnh.plotting.style import CURVES
 
@@ -45,12 +45,15 @@ def branches(
     stable, period = (variable.to_numpy() for variable in needed(data, "stable", "period"))
     edges = [_below(group, str(drawn.name).removesuffix("_points"), parameter, ax) for group in under]
     x, y = data[parameter].to_numpy(), drawn.transpose("branch", "point", "iterate").to_numpy()
+    marks = list(marks)
+    turns = _turns(marks, parameter, len(x))
     every = np.unique(period).tolist()
     for k, n in enumerate(every):
         colour = CURVES[k % len(CURVES)]
         here = np.flatnonzero(period == n)
         for attracts, style in ((True, "-"), (False, (0, (4, 2)))):
-            lines = [_stretches(x[b], y[b, :, i], (stable[b] == 1) == attracts) for b in here for i in range(n)]
+            orbits = [(b, i) for b in here for i in range(max(n, 1))]
+            lines = [_stretches(*_turned(x[b], y[b, :, i], stable[b] == 1, turns[b]), attracts) for b, i in orbits]
             if lines:
                 points = np.concatenate(lines)
                 words = f"period {n}" if n else "equilibria"
@@ -60,10 +63,8 @@ def branches(
         bifurcations(group, ax)
     ends = np.concatenate([x[np.isfinite(x)], *edges])
     low, high = (ends.min(), ends.max()) if ends.size else (0.0, 1.0)
-    ax.set(xlabel=axis_label(data[parameter]), ylabel=axis_label(drawn), xlim=(low, high))
-    ax.set_title("solid: stable, dashed: unstable", fontsize=8, loc="left")
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    ax.set(xlabel=axis_label(data[parameter]), ylabel=_label(drawn), xlim=(low, high))
+    _explained(ax)
     return ax
 
 
@@ -94,7 +95,7 @@ def bifurcations(data: xr.Dataset, ax: Axes | None = None) -> Axes:
                 zorder=4,
                 label=f"{words}, subcritical" if sign else words,
             )
-    ax.set(xlabel=axis_label(data[parameter]), ylabel=axis_label(drawn))
+    ax.set(xlabel=axis_label(data[parameter]), ylabel=_label(drawn))
     if ax.get_legend_handles_labels()[0]:
         ax.legend(fontsize=7, frameon=False)
     return ax
@@ -122,9 +123,64 @@ def _below(group: xr.Dataset, name: str, parameter: str, ax: Axes) -> np.ndarray
     return across[[0, -1]]
 
 
-def _stretches(x: np.ndarray, y: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """Points (some, 2) of a curve where it is of one kind, to the next point beyond, with gaps between stretches."""
+def _label(drawn: xr.DataArray) -> str:
+    """What the points of an orbit are, the coordinate's name within the words as a symbol where it is one."""
+    name = str(drawn.name).removesuffix("_points")
+    words = words_of(drawn)
+    return axis_label(drawn, words.replace(f" {name} ", f" {symbol_of(name)} ", 1) if is_symbol(name) else words)
+
+
+def _explained(ax: Axes) -> None:
+    """The legend, beside the axes or in a column above them, and what the lines are."""
+    words, said = "solid: stable, dashed: unstable", bool(ax.get_legend_handles_labels()[0])
+    if said and narrow(ax):
+        place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 2}
+        ax.legend(fontsize=7, frameon=False, title=words, title_fontsize=8, **place)
+        return
+    ax.set_title(words, fontsize=8, loc="left")
+    if said:
+        ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def _turns(marks: Iterable[xr.Dataset], parameter: str, count: int) -> list[list[tuple[float, np.ndarray]]]:
+    """Of each branch the bifurcations on it: the parameter there, and the coordinate of the orbit's points."""
+    found: list[list[tuple[float, np.ndarray]]] = [[] for _ in range(count)]
+    for group in marks:
+        if parameter in group and "branch" in group:
+            points = shown(group)[0].transpose("bifurcation", "iterate").to_numpy()
+            for b, value, row in zip(group["branch"].to_numpy(), group[parameter].to_numpy(), points, strict=True):
+                if 0 <= b < count:
+                    found[int(b)].append((float(value), row[np.isfinite(row)]))
+    return found
+
+
+def _turned(
+    x: np.ndarray, y: np.ndarray, attracts: np.ndarray, turns: Iterable[tuple[float, np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A curve with the bifurcations put in between whose neighbours it changes; which points attract, which are new."""
+    finite = np.isfinite(x) & np.isfinite(y)
+    whole = [float(np.ptp(values[finite])) or 1.0 if finite.any() else 1.0 for values in (x, y)]
+    places, more = list[int](), list[tuple[float, float]]()
+    for k in np.flatnonzero((attracts[1:] != attracts[:-1]) & finite[1:] & finite[:-1]):
+        ends = np.array([[x[k], y[k]], [x[k + 1], y[k + 1]]]) / whole
+        near = [(value, up) for value, row in turns for up in row]
+        far = [float(np.linalg.norm(np.array(point) / whole - ends.mean(axis=0))) for point in near]
+        if far and min(far) <= np.linalg.norm(ends[1] - ends[0]):
+            places.append(int(k) + 1)
+            more.append(near[int(np.argmin(far))])
+    new = np.insert(np.zeros(len(x), bool), places, True)
+    across, up = (np.insert(old, places, [one[k] for one in more]) for k, old in enumerate((x, y)))
+    return across, up, np.insert(attracts, places, False), new
+
+
+def _stretches(x: np.ndarray, y: np.ndarray, stable: np.ndarray, new: np.ndarray, attracts: bool) -> np.ndarray:
+    """Points (some, 2) of a curve where it is of one kind, with gaps between stretches.
+
+    A stretch ends at the bifurcation that has been put in, or where there is none at the next point beyond.
+    """
+    which = (stable == attracts) & ~new
     here = which.copy()
     here[1:] |= which[:-1]
+    here[:-1] |= which[1:] & new[:-1]
     points = np.column_stack([np.where(here, x, np.nan), np.where(here, y, np.nan)])
     return np.concatenate([points, np.full((1, 2), np.nan)])

@@ -42,7 +42,7 @@ class Colouring(NamedTuple):
     @property
     def scale(self) -> ScalarMappable:
         """Colours of numbers."""
-        values = self.values.to_numpy().astype(float)
+        values = self.values.to_numpy().astype(float)  # of whole numbers, as starts are, there is no infinite one
         finite = values[np.isfinite(values)]
         return ScalarMappable(Normalize(finite.min(initial=np.inf), finite.max(initial=-np.inf)), colormaps["cividis"])
 

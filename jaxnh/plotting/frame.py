@@ -40,6 +40,8 @@ def over_axis(data: xr.Dataset, coordinate: xr.DataArray, ax: Axes, ylabel: str)
     """
     edges = cell_edges(np.unique(coordinate.to_numpy()))
     ax.set(xlabel=axis_label(coordinate), ylabel=ylabel, xlim=(edges[0], edges[-1]))
+    if narrow(ax):
+        ax.locator_params(axis="x", nbins=6)  # numbers of the axis stand apart
     # y: else it would stand above the colour bar of a density.
     ax.set_title(title_of(data, fixed_axes(data, str(coordinate.name))), loc="left", y=1.0)
     return ax

@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.exceptions import JaxnhError
+from jaxnh.storage.provenance import steps_in_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,8 +64,8 @@ def html(result: xr.DataTree | xr.Dataset) -> str:
     axes = " and ".join(f"{axis} ({size:,})" for axis, size in _axes(groups, str(about.get("axes", ""))).items())
     lines = [f"<b>{escape(title)}</b>{f', over {escape(axes)}' if axes else ''}"]
     if "error_estimate" in about:
-        solver, steps, error = about["solver"], about["steps_per_period"], float(about["error_estimate"])
-        lines.append(f"{escape(str(solver))}, {steps} steps a period, error of one period {error:.1g}")
+        turn, error = "return" if "section" in about else "period", float(about["error_estimate"])
+        lines.append(f"{escape(str(about['solver']))}, {steps_in_words(about)}, error of one {turn} {error:.1g}")
     rows = [row for name, data in groups.items() for row in _rows(name, data)]
     more = f"<br>… and {len(rows) - _MOST_ROWS} more" if len(rows) > _MOST_ROWS else ""
     heads = "".join(f"<th {_CELL}>{head}</th>" for head in ("", "values", "largest error", "units"))

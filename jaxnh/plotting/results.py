@@ -38,6 +38,7 @@ from jaxnh.plotting.panels import PANELS, Kind
 from jaxnh.plotting.planes import together
 from jaxnh.plotting.reading import load_result
 from jaxnh.plotting.style import PAGE, Size, styled
+from jaxnh.storage.provenance import steps_in_words
 
 _COORDINATES = {"density": 1, "curves": 1, "trajectories": 2, "points": 2}  # that a panel is of, by its kind
 _MOST_LANES = 12  # that get a panel each
@@ -173,9 +174,8 @@ def _check_chosen(groups: _Groups, choice: Choice) -> None:
                 str(v.name) for data in of_states for v in data.data_vars.values() if v.dtype.kind == "f"
             )
             what = "no portrait or map" if len(names) == 2 else "no diagram"
-            raise ArgumentError(
-                "coordinates", f"{what} of {', '.join(names)} can be drawn; there are {', '.join(there)}"
-            )
+            known = f"there are {', '.join(there)}" if there else f"there is none in {', '.join(groups)}"
+            raise ArgumentError("coordinates", f"{what} of {', '.join(names)} can be drawn; {known}")
 
 
 def _of_groups(groups: _Groups, choice: Choice, more: Mapping[str, _Groups]) -> tuple[list[Panel], list[str]]:
@@ -344,14 +344,12 @@ def _provenance(attrs: Mapping[str, object]) -> list[str]:
     if "jaxnh_version" not in attrs:
         return []
     try:
-        version, solver, steps = attrs["jaxnh_version"], attrs["solver"], attrs["steps_per_period"]
+        version, solver, steps = attrs["jaxnh_version"], attrs["solver"], steps_in_words(attrs)
         error = float(str(attrs["error_estimate"]))
-        turn, time = "period", "a period"
-        if "section" in attrs:
-            turn, time = "return", f"in a time of {float(str(attrs['strobe_period'])):.4g}"
+        turn = "return" if "section" in attrs else "period"
     except (KeyError, ValueError) as missing:
         raise ResultError(f"its attributes are not as jaxnh writes them: {missing}") from missing
-    return [f"jaxnh {version}, {solver}, {steps} steps {time}, error of one {turn} {error:.1g}"]
+    return [f"jaxnh {version}, {solver}, {steps}, error of one {turn} {error:.1g}"]
 
 
 def _of_level(attrs: Mapping[str, object], groups: _Groups) -> list[str]:

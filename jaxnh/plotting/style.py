@@ -95,4 +95,4 @@ def save(figure: Figure, path: Path) -> None:
             figure.savefig(path)
         except UserWarning:
             path.unlink(missing_ok=True)
-            raise ArgumentError("size", "the panels do not fit into it; leave the height out, or give more") from None
+            raise ArgumentError("size", "the panels do not fit into it; give more, or leave a height out") from None

@@ -138,3 +138,17 @@ def _of_cost(spent: Spent) -> dict[str, Any]:
         "lane_periods": spent.lane_periods,
         "device": spent.device,
     }
+
+
+def steps_in_words(attrs: Mapping[Any, object]) -> str:
+    """Steps of the solver, from attributes of a result: "60 steps a period", on a section "6 steps in a time of 1".
+
+    Raises:
+        KeyError: they have none.
+        ValueError: a length of time is no number.
+    """
+    steps = attrs["steps_per_period"]
+    if "section" not in attrs:
+        return f"{steps} steps a period"
+    units = np.unique(np.asarray(attrs["strobe_period"], dtype=float))
+    return f"{steps} steps in a {f'time of {units[0]:.4g}' if len(units) == 1 else 'unit of time'}"

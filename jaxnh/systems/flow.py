@@ -75,7 +75,7 @@ class Flow(eqx.Module):
         """What a parameter or coordinate is called in results, its name included: "coupling b"."""
 
     def units(self, name: str) -> str:
-        """Units of a parameter, a coordinate or t: "1" where it has none, `UNSAID` where nobody has said which."""
+        """Units of a parameter, a coordinate or the time t: "1" where it has none, `UNSAID` where nobody says which."""
         return "1"
 
     @property

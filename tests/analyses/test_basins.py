@@ -265,8 +265,10 @@ def test_beyond_the_bottleneck_there_is_rotation(tmp_path):
 def test_escape(tmp_path):
     """x' = x³ − x: within (−1, 1) to rest, exponent −1; beyond, to infinity in finite time."""
     sweep = {"x": {"values": [-1.2, -0.9, 0.3, 0.9, 1.2]}}
-    tree = session_of(experiment(tmp_path, ("x",), "x**3 - x,", sweep, **STEPS)).tree()
+    said = '"units": {"x": "m"}'
+    tree = session_of(experiment(tmp_path, ("x",), "x**3 - x,", sweep, rest=said, **STEPS)).tree()
     assert tree["basins"]["attractor"].values.tolist() == [-1, 1, 1, 1, -1]
+    assert [tree["attractors"][name].attrs["units"] for name in ("x", "x_points", "fraction")] == ["m", "m", "1"]
     reasons = [REASONS[k] for k in tree["basins"]["failure"].values]
     assert reasons == ["not_finite", "none", "none", "none", "not_finite"]
     assert tree["attractors"]["exponent"].values.tolist() == pytest.approx([-1.0])

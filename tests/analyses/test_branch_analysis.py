@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import taylor
+import xarray as xr
 from conftest import ROOT, session_of
 from measure import twin
 from normal_form import normal_form
 from test_known_doublings import doubling_of_roessler
 
 import jaxnh
+from jaxnh.analyses.branches import ANALYSIS
 from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.branches import ENDS
 from jaxnh.orbits.kinds import KINDS
@@ -20,6 +22,22 @@ from jaxnh.systems.particle import constant_speed
 def pitchfork(folder, sweep="mu: {start: -0.5, stop: 0.7, count: 12}", options="{limit: 2, transient: 64}"):
     initial = f"{{x: 0.3{'' if 'z:' in sweep else ', z: 0.1'}}}"
     return normal_form(folder, "mu * x - x**3", "mu=0.0", initial, sweep, f"branches: {options}")
+
+
+def test_table_of_bifurcations():
+    """A row each in the order of the file, with the words of the flags and as many digits as the error has."""
+    n = np.array
+    kinds = [KINDS.index(kind) for kind in ("hopf", "period_doubling", "fold")]
+    columns = {"kind": n(kinds), "period": n([0, 2, 1]), "mu": n([0.25, 1.5, 2.123456]),
+               "mu_error": n([2e-4, 1e-7, 3.0]), "criticality": n([1, -1, 0])}  # fmt: skip
+    data = xr.Dataset({name: ("bifurcation", v) for name, v in columns.items()}, attrs={"along": "mu"})
+    found = ANALYSIS.other_tables["bifurcations"](data)
+    assert found.heads == ("bifurcation", "period", "mu", "criticality")
+    assert found.rows == (
+        ("hopf", "equilibrium", "0.2500 ± 0.0002", "supercritical"),
+        ("period doubling", "2", "1.5000000 ± 1e-07", "subcritical"),
+        ("fold", "1", "2 ± 3", "–"),
+    )
 
 
 @pytest.mark.slow

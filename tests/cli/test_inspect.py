@@ -15,6 +15,7 @@ import xarray as xr
 from conftest import ROOT, run_here
 
 from jaxnh.storage import hdf5 as store
+from jaxnh.storage.tiles import folder_of
 
 UNCALIBRATED = True
 CONFIG = """\
@@ -233,7 +234,9 @@ def test_what_is_no_result(made, tmp_path):
     content = bytearray(made.read_bytes())
     content[place + 9] ^= 1
     bad.write_bytes(content)
+    folder_of(tmp_path / "begun.h5").mkdir()
     for arguments, said in (
+        ([tmp_path / "begun.h5"], "is not there; a run of it was begun and is not at its end"),
         ([tmp_path / "absent.h5"], "is not there"),
         ([tmp_path], "is a folder"),
         ([text], "is not a readable HDF5 file"),

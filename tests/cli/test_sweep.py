@@ -368,6 +368,6 @@ def test_interrupted_run_says_so(config, number):
     out, err = run.communicate(timeout=120)
     assert run.returncode == 75
     assert out == ""
-    assert err.splitlines()[-1] == f"stopped by {number.name}; run the same command again to go on"
+    assert err.splitlines()[-1] == f"stopped by {number.name}; run the same command again to go on where it stopped"
     assert "Traceback" not in err
     assert tree(config.parent) == {config: CONFIG.encode()}

@@ -208,6 +208,24 @@ def test_null_drops_an_analysis(tmp_path):
     assert "at least one analysis is needed" in fault(path, *every)
 
 
+def test_null_leaves_out_what_is_swept_instead(tmp_path):
+    """A start or parameter of the file makes way for an axis; a key that is unknown still is."""
+    path = write(tmp_path, EXAMPLE)
+    over_a_start = ["analyses={period: {}}", "sweep={x1: {values: [0.1, 0.2]}}", "system.b=5.5", "initial.x1=null"]
+    assert list(load(path, over_a_start).sweep.grids) == ["x1"]
+    assert load(path, ["system.a=null"]).system.a == 0.5
+    assert list(
+        load(path, ["sweep.a={values: [0.4, 0.5]}", "system.a=null", "sweep.b=null", "system.b=5.5"]).sweep.grids
+    ) == ["a"]
+    assert fault(path, "initial.x9=null").startswith("command line: initial.x9: unknown key")
+
+
+def test_a_fault_of_an_option_is_not_an_axis_on_the_command_line(tmp_path):
+    path = write(tmp_path, EXAMPLE + "  lyapunov: {exponents: 7}\n")
+    said = fault(path, "sweep={b: {values: [5.5]}}")
+    assert said == "FILE:8: analyses.lyapunov.exponents: must be at most 3, not 7"
+
+
 def test_last_override_wins(tmp_path):
     assert load(write(tmp_path, CONFIG), ["system.d=0.2", "system.d=0.05"]).system.d == 0.05
 
@@ -493,7 +511,7 @@ FAULTS = {
         ("c: 1.0\n  d: 0.1\n  omega: 1.0\ninitial:\n  x2: 0.1", "c: 0.0025\n  d: 0"),
         "FILE:6: system.c: the speed at t = 0 is 0.05, and |x2| cannot be above it; x2 is 0.1",
     ),
-    "no interval": (("stop: 5.0", "stop: 6"), "FILE:14: sweep.b.stop: must differ from start, and both are 6"),
+    "no interval": (("stop: 5.0", "stop: 6"), "FILE:14: sweep.b.stop: start and stop must differ, and both are 6"),
     "infinite interval": (
         ("6.0\n    stop: 5.0", "1e308\n    stop: -1e308"),
         "FILE:14: sweep.b.stop: start and stop are",
@@ -648,7 +666,7 @@ OVERRIDE_FAULTS = [
     ("system.c=0.05", "system.c: the speed vanishes: |d| must be below c, and d is 0.1, c is 0.05"),
     ("system.d='0.05'", "system.d: must be a number, not the text '0.05'"),
     ("system.d=true", "system.d: must be a number, not true"),
-    ("system.d=", "system.d: must be a number, not nothing"),
+    ("system.d=", "system.d: an override is KEY=VALUE; this one has no value (null leaves a key out)"),
     ("system.omega=1.234567891", "system.omega: sin(1.23457 t) and the disturbance sin t have no common period"),
     ("initial.x2=3", "initial.x2: the speed at t = 0 is 1"),
     ("sytem.d=0.05", "sytem: unknown key (did you mean system?)"),
@@ -662,8 +680,8 @@ OVERRIDE_FAULTS = [
     ),
     ("sweep.b={start: 1, stop: 2}", "sweep.b.count: this key is missing"),
     ("sweep.b.count=1", "sweep.b.count: must be at least 2, not 1"),
-    ("sweep.b.stop=6", "sweep.b.stop: must differ from start"),
-    ("sweep.b.start=5", "sweep.b.start: must differ"),
+    ("sweep.b.stop=6", "sweep.b.stop: start and stop must differ, and both are 6"),
+    ("sweep.b.start=5", "sweep.b.start: start and stop must differ, and both are 5"),
     ("accuracy.solver=dopri8", "accuracy.solver: solver and steps go together; give steps as well"),
     ("accuracy.target=-1", "accuracy.target: must be at least 1e-13, not -1"),
     ("analyses={}", "analyses: at least one analysis is needed"),

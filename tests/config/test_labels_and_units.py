@@ -34,6 +34,7 @@ def test_labels_and_units(tmp_path, monkeypatch):
     assert found["theta"] == ("angle of the arm theta", "rad")
     assert found["theta_dot"] == ("velocity theta_dot = dtheta/dt", "rad/s")
     assert found["k"] == ("parameter k", "unknown")
+    assert found["t"] == ("time since the start", "unknown")
     ax = jaxnh.figure(tree).axes[0]
     assert ax.get_xlabel() == r"angle of the arm $\theta$ (rad)"
     assert ax.get_ylabel() == r"velocity $\dot{\theta}$ (rad/s)"

@@ -382,7 +382,7 @@ def test_a_plane_of_starts_that_are_all_off_the_constraint(tmp_path):
         load(path)
     message = str(caught.value).removeprefix(str(path))
     assert message.startswith(
-        ":2: initial.theta_dot: f[0] is -0.959 at the start with theta = 0.5 and x_dot = 2, and must be 0; "
+        ":5: sweep.x_dot: f[0] is -0.959 at the start with theta = 0.5 and x_dot = 2, and must be 0; "
         "the nearest velocities that make it so are x_dot: 1.540302306, y_dot: 0.8414709848"
     )
 

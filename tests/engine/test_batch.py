@@ -39,7 +39,7 @@ analyses:
   chaos01: {transient: 0, periods: 100}
 """
 TILES = 12
-GO_ON = "run the same command again to go on"
+GO_ON = "run the same command again to go on where it stopped"
 
 
 class Job:

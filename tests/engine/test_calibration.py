@@ -11,6 +11,7 @@ import taylor
 from conftest import lanes_with_kept_programs
 from measure import SYSTEMS, UNIT, apart, calibrated, twin
 
+import jaxnh
 from jaxnh.analyses.scene import spread
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe
@@ -134,3 +135,21 @@ def test_reference_that_converges_unevenly(lanes):
     start = system.start({"x1": 0.1, "x2": 0.1, "y1": 0.1})
     found = calibrated(system, start, np.linspace(0.1, 6.0, 48)[[46]], lanes)
     assert found.floor < 1e-11
+
+
+def test_a_section_over_an_axis_that_lanes_share():
+    """Both speeds are calibrated, on the lanes of each: at every crossing y1 = 0, rising, and the speed is its own."""
+    found = jaxnh.run(
+        jaxnh.Experiment.from_dict(
+            {
+                "system": {"constraint": "constant_speed", "b": 0.9, "without": ["forcing"]},
+                "sweep": {"a": {"start": 0.4, "stop": 0.8, "count": 4}, "c": {"values": [1.0, 1.2]}},
+                "section": {"coordinate": "y1"},
+                "accuracy": {"target": 1e-4},
+                "analyses": {"poincare": {"transient": 1, "strobes": 2}},
+            }
+        )
+    )["poincare"]
+    assert float(abs(found["y1"]).max()) < 1e-12
+    assert float(found["y2"].min()) > 0.0
+    assert float(abs(found["x2"] ** 2 + found["y2"] ** 2 - found["c"]).max()) < 1e-12  # splittings turn a unit vector

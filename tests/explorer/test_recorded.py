@@ -20,7 +20,10 @@ from jaxnh.plotting.style import MANY
 from jaxnh.storage.hdf5 import write
 
 B, D = np.linspace(0.0, 5.0, 6), np.array([3.0, 1.0, 2.0])  # the second axis is not in order
-COORDINATES = {"b": ("b", B, {"long_name": "coupling b", "units": "1"}), "d": ("d", D, {"long_name": "depth d"})}
+COORDINATES = {
+    "b": ("b", B, {"long_name": "coupling b", "units": "1"}),
+    "d": ("d", D, {"long_name": "depth d", "units": "m"}),
+}
 
 
 def number(b, d):
@@ -54,7 +57,7 @@ def test_planes_are_the_groups_over_two_axes(file):
     source = recorded(file)
     assert source.variables == {"lyapunov": "label of exponents", "period": "label of period"}
     assert source.first.ranges == {"b": (0.0, 5.0), "d": (1.0, 3.0)}
-    assert source.axis_words == {"b": "coupling b", "d": "depth d"}
+    assert source.axis_words == {"b": "coupling b", "d": "depth d (m)"}
 
 
 def test_a_zoomed_plane_has_the_lanes_and_colours_of_its_range(file):
@@ -143,6 +146,6 @@ def test_a_figure_of_bokeh_has_the_same_pixels(file):
     source_of_file = recorded(file)
     *_, picture = source_of_file.passes(replace(source_of_file.first, variable="period"))
     np.testing.assert_array_equal(source.data["image"][0], picture.raster.cells)
-    assert (drawn.xaxis[0].axis_label, drawn.yaxis[0].axis_label) == ("coupling b", "depth d")
+    assert (drawn.xaxis[0].axis_label, drawn.yaxis[0].axis_label) == ("coupling b", "depth d (m)")
     with pytest.raises(ResultError, match="no speed to be drawn; there are lyapunov, period"):
         jaxnh.bokeh_figure(tree, "speed")

@@ -62,6 +62,8 @@ def test_other_coordinates():
     made["diagram"]["failure"] = ("b", np.zeros(len(made["diagram"]["b"]), np.int8))
     with pytest.raises(ArgumentError, match=r"no diagram of z can be drawn; there are x1, x2, y1, y2$"):
         figure(made, coordinates=[("z",)])
+    with pytest.raises(ArgumentError, match=r"no portrait or map of x1, x2 can be drawn; there is none in period$"):
+        figure(tree({"period": periods(UP)}), coordinates=[("x1", "x2")])
 
 
 def test_portraits_by_their_start():
@@ -77,6 +79,14 @@ def test_many_portraits_by_their_start():
     ax, bar = figure(tree({"portrait": states(UP[:12], 9, "time", "trajectories")}), colour="start").axes
     assert len({line.get_color() for line in ax.lines}) == 12
     assert bar.get_ylabel() == "number of the start"
+
+
+def test_many_lanes_have_a_scale_of_colours():
+    """Every lane is a start of its own; more than have a colour each are numbered on a colour bar."""
+    ax, bar = figure(tree({"diagram": states(UP, 4)}), colour="start").axes
+    assert bar.get_ylabel() == "number of the start"
+    assert bar.get_ylim() == (0, len(UP) - 1)
+    assert len(np.unique(ax.collections[0].get_facecolors(), axis=0)) == len(UP)
 
 
 def test_diagrams_by_their_starts_and_by_their_kind():
@@ -113,6 +123,17 @@ def test_legends_are_off_the_data():
     assert with_legend
     for ax in with_legend:
         assert not ax.get_window_extent().overlaps(ax.get_legend().get_window_extent().padded(-1.0))
+
+
+def test_words_below_are_within_a_column():
+    """What a result is from takes more lines in a narrow figure; none is cut off at its edges."""
+    attrs = {"solver": "tsitouras_papakostas8", "section": "y = 0, up", "jaxnh_version": "0.2.0.dev0"}
+    drawing = figure(tree({"period": periods(UP)}, **attrs), size=style.COLUMN)
+    with style.styled():
+        drawing.draw_without_rendering()
+    [words] = [text for text in drawing.texts if "tsitouras_papakostas8" in text.get_text()]
+    assert " ".join(words.get_text().split()).endswith("in a time of 6.283, error of one return 1e-05")
+    assert 0.0 < words.get_window_extent().x0 < words.get_window_extent().x1 < drawing.bbox.x1
 
 
 @pytest.mark.parametrize(

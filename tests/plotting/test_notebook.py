@@ -110,6 +110,7 @@ def test_experiments_and_sessions():
     assert "strang2" in experiment._repr_html_()
     session = jaxnh.Session(experiment)
     assert session._repr_html_() == "<b>Less &lt; more</b><br>a session over b (2)<br>not calibrated yet"
+    assert repr(session) == "<Less < more, a session over b (2), not calibrated yet>"
     session.run("poincare", {"transient": 0, "strobes": 2})
     assert "<br>strang2, 40 steps a period, error of one period " in session._repr_html_()
 

@@ -406,6 +406,30 @@ def test_branches_are_solid_where_they_attract():
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["period 1", "period 2"]
 
 
+def test_branches_change_where_their_bifurcation_is():
+    """With the doublings given, solid ends and dashed begins in them, to the last digit, on every point of the orbit."""
+    marks_of = cascade_marks().assign(branch=("bifurcation", np.array([0, 1, 0])))
+    ax = branches(cascade_branches(), marks=[marks_of])
+    lines = [line for line in ax.lines if len(line.get_xdata()) > 10]
+    solid, dashed = ([line for line in lines if (line.get_linestyle() == "-") == which] for which in (True, False))
+    for here, there, b in zip(solid, dashed, (3.0, 1 + np.sqrt(6)), strict=True):
+        assert np.nanmax(here.get_xdata()) == np.nanmin(there.get_xdata()) == b
+        tips = [line.get_ydata()[line.get_xdata() == b] for line in (here, there)]
+        assert np.array_equal(*tips)
+    assert np.sort(tips[0]) == pytest.approx([0.4399, 0.8499])
+
+
+def test_equilibria_are_drawn():
+    """Their period is 0, and each has one point, the first; in a column the legend is above."""
+    data = cascade_branches().isel(branch=[0])
+    data["period"][:] = 0
+    ax = branches(data, Figure(figsize=(3.4, 2.6), layout="constrained").subplots())
+    drawn = np.concatenate([line.get_xydata() for line in ax.lines])
+    assert len(np.unique(drawn[np.isfinite(drawn[:, 0])], axis=0)) == 40
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["equilibria"]
+    assert ax.get_legend().get_title().get_text() == "solid: stable, dashed: unstable"
+
+
 def test_marks_are_on_branches_and_open_where_subcritical():
     ax = marks(cascade_marks())
     fold, doubling = ax.lines
@@ -420,6 +444,7 @@ def test_curves_of_bifurcations_are_named_and_drawn_over_charts():
     named = [text.get_text() for text in ax.get_legend().get_texts()]
     assert named == ["fold, period 1", "period doubling, period 2"]
     assert [note.get_text() for note in ax.texts] == ["CP"]
+
     fold, doubling = (line for line in ax.lines if len(line.get_xdata()) > 1)
     assert fold.get_color() != doubling.get_color()
     assert fold.get_linestyle() != doubling.get_linestyle()

@@ -12,7 +12,7 @@ import pytest
 from conftest import ROOT
 
 from jaxnh.storage import hdf5 as store
-from jaxnh.storage.provenance import Method, UserFile, root_attributes, versions
+from jaxnh.storage.provenance import Method, UserFile, root_attributes, steps_in_words, versions
 from jaxnh.storage.tiles import Spent
 
 METHOD = Method("processed6", 252, False, "float64", 9.7e-11)
@@ -78,6 +78,14 @@ def test_what_is_there_only_for_some():
     assert "chosen" not in attributes(chosen=None)
     assert json.loads(attributes(chosen={"lyapunov": {"parts": 4}})["chosen"]) == {"lyapunov": {"parts": 4}}
     assert attributes(command="")["history"].endswith("+00:00 a call from Python")
+
+
+def test_steps_are_of_a_period_or_of_a_time():
+    steps = METHOD.steps
+    assert steps_in_words(attributes()) == f"{steps} steps a period"
+    assert steps_in_words(attributes(section="y = 0, up")) == f"{steps} steps in a time of 6.283"
+    several = attributes(section="y = 0, up", strobe_period=np.array([1.0, 2.0]))
+    assert steps_in_words(several) == f"{steps} steps in a unit of time"
 
 
 def test_versions():
