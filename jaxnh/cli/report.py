@@ -36,7 +36,7 @@ def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int
         return
     unit = "unit of time" if experiment.autonomous else "period"
     print(
-        f"{job.solver} in {experiment.precision}, {steps_in_words(read_attrs(path))}, "
+        f"{job.solver} in {experiment.precision}, {steps_in_words(read_attrs(path), unit)}, "
         f"error of one {'return' if experiment.sectioned else unit} {job.error_estimate:.1e}; "
         f"{total.lane_periods:,.0f} lane-periods"
     )

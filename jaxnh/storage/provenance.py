@@ -140,8 +140,11 @@ def _of_cost(spent: Spent) -> dict[str, Any]:
     }
 
 
-def steps_in_words(attrs: Mapping[Any, object]) -> str:
+def steps_in_words(attrs: Mapping[Any, object], unit: str = "period") -> str:
     """Steps of the solver, from attributes of a result: "60 steps a period", on a section "6 steps in a time of 1".
+
+    Args:
+        unit: what they are in where there is no section.
 
     Raises:
         KeyError: they have none.
@@ -149,6 +152,6 @@ def steps_in_words(attrs: Mapping[Any, object]) -> str:
     """
     steps = attrs["steps_per_period"]
     if "section" not in attrs:
-        return f"{steps} steps a period"
+        return f"{steps} steps a {unit}"
     units = np.unique(np.asarray(attrs["strobe_period"], dtype=float))
     return f"{steps} steps in a {f'time of {units[0]:.4g}' if len(units) == 1 else 'unit of time'}"
