@@ -32,7 +32,8 @@ _XLA_OPTIONS = {
 # Two vectors in flight hide the latency of a kick's division; four no more leave registers enough for tangents. LLVM
 # ends the process at an option that it does not know, so this one is kept to releases it was tried with. Without it the
 # loop takes one vector a turn, and JAX 0.12 was 8 % slower than 0.10 in maps and 26 % in spectra; with it the loops of
-# both have the same vector instructions. `make release-check` sees, of all options, whether they still act.
+# both have as many vector instructions (objdump of the object code; not timed). `make release-check` sees, of all
+# options, whether they still act.
 _LLVM_OPTION, _LLVM_TRIED = "-force-vector-interleave=2", ("0.10.", "0.11.", "0.12.")
 _WIDTH = "--xla_cpu_prefer_vector_width"
 _VECTORS = re.compile(r"avx2?|avx512(f|dq|vl|bw)|fma|asimd|sve2?")  # what arithmetic in float64 is compiled to
