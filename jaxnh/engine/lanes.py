@@ -38,7 +38,6 @@ They take a tenth of a second of the fast maps and some seconds of slow ones, an
 no measured rate that decides, so that a later run makes the same calls.
 """
 
-_RUNNERS_A_CORE = 2
 _PLACED = 256  # arrays on the devices, at most
 _COMPILING = threading.Lock()  # one program at a time: JAX's cache is switched off for it
 
@@ -68,15 +67,15 @@ class Lanes:
         self._calls = 0
 
     def apart(self) -> list[Lanes]:
-        """Runners to be used side by side, each with accounts of its own: one for each device, of cores two.
+        """A runner for each device, to be used side by side; each has accounts of its own.
 
         CPU devices are the cores, on which the programs of one device run side by side as well if threads call them:
-        none has to be compiled twice, and a core computes for one runner while another is between two calls.
+        none has to be compiled twice.
         """
         cores = self.devices[0].platform == "cpu"
         programs: dict[Any, Any] = {}
         runners = []
-        for device in self.devices * (_RUNNERS_A_CORE if cores else 1):
+        for device in self.devices:
             runner = Lanes(self._progress, self.devices[:1] if cores else [device], self.tile)
             runner._programs = programs if cores else {}
             runners.append(runner)
