@@ -18,7 +18,7 @@ from jaxnh.storage.pieces import Job, Piece
 Requested = Sequence[tuple[Analysis, Options]]
 
 _BYTES = 1 << 28  # of results that are computed at once
-_LANES_IN_ROWS = 8192  # that are computed at once: enough to fill the tiles of programs that few of them need
+_LANES = 8192  # that are computed at once: enough to fill the tiles of programs that few of them need
 _BATCHES = 4  # a device at least, so that none waits long for the last
 
 
@@ -36,10 +36,11 @@ def batches(
     They are of the same values of the axes that lanes share, or where it can be of several that have the same period.
     """
     numbers = sum(a.numbers(options) for a, options in requested if a.name in job.independent)
-    most, held = max(job.tile, devices * TILE), max(job.tile, _BYTES // (8 * max(1, numbers)))
+    share = sum(lanes_of(piece, level) for piece in pieces) // (_BATCHES * devices)
+    most, held = max(job.tile, devices * TILE, min(_LANES, share)), max(job.tile, _BYTES // (8 * max(1, numbers)))
     rows = 1
     if in_rows(experiment, axes, requested, job):
-        most, rows = max(most, _LANES_IN_ROWS), max(1, min(ROWS, len(pieces) // (_BATCHES * devices)))
+        rows = max(1, min(ROWS, len(pieces) // (_BATCHES * devices)))
     alike = _alike(experiment, axes)
     found: list[list[Piece]] = []
     computed, there, places = 0, 0, set[tuple[int, ...]]()  # lanes and rows of the last batch

@@ -316,9 +316,13 @@ class IsokineticParticle(Flow):
         return (dx, dy), (-n[1] * dtheta, n[0] * dtheta)
 
     def lower(self, y: State, tangent: State) -> Vector:
-        """δ(x1, y1, θ) of a tangent δ(q, n) at a state."""
+        """δ(x1, y1, θ) of a tangent δ(q, n) at a state.
+
+        Of n × δn the compiler may fuse either product with the difference: which one, it decides by the shape of a
+        tile. One quotient has one rounding.
+        """
         n, dn = y[1], tangent[1]
-        return *tangent[0], n[0] * dn[1] - n[1] * dn[0]
+        return *tangent[0], jnp.where(jnp.abs(n[0]) > jnp.abs(n[1]), dn[1] / n[0], -dn[0] / n[1])
 
     # ---- host: start states and results
 

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 import taylor
+from conftest import lanes_with_kept_programs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from measure import SYSTEMS, UNIT, apart, twin
@@ -355,3 +356,17 @@ def test_newton_in_sizes_of_the_motion(lanes, strobes):
     assert np.isfinite(plain.residual).all() == np.isfinite(sized.residual).all()
     assert np.abs(plain.u - sized.u).max() < 1e-11
     assert np.abs(plain.monodromy - sized.monodromy).max() < 1e-9 * np.abs(plain.monodromy).max()
+
+
+@pytest.mark.parametrize("tile", [8, 16, 64])
+def test_place_in_a_tile_changes_no_bit(tile):
+    """Of Newton's step: whatever the compiler makes of what comes after the loop over periods, for the lanes of a tile."""
+    runner, rng, count = lanes_with_kept_programs(None, jax.devices()[:1]), np.random.default_rng(0), 8 * tile
+    strobe = make_strobe(SYSTEMS["constant"], SPLITTINGS["processed6"], 60)
+    n, order = rng.integers(1, 17, count).astype(np.int32), rng.permutation(count)
+    u, p = rng.uniform(-1, 1, (count, 3)), {"b": rng.uniform(4, 6, count), "a": rng.uniform(0.4, 0.6, count)}
+    here = runner(look, (strobe,), (n, u, p), tile=tile)
+    moved = {name: values[order] for name, values in p.items()}
+    there = runner(look, (strobe,), (n[order], u[order], moved), tile=tile)
+    for one, other in zip(here, there, strict=True):
+        assert one[order].tobytes() == other.tobytes()
