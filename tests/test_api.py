@@ -291,6 +291,7 @@ OTHERS = {
         "config/user_system.py": "a method for subclasses",
         "maps/protocol.py": "likewise",
         "maps/along.py": "a map that is for the host alone",
+        "maps/rows.py": "likewise",
         "maps/extended_precision.py": "an operation that no flow with a table of kicks has",
     },
     "PydanticCustomError": dict.fromkeys(
@@ -316,6 +317,7 @@ OTHERS = {
     "ValueError": {
         "analyses/scene.py": "a scene without a line: an error of the caller's program",
         "maps/general_flow.py": "lanes with a parameter that the flow does not know of: likewise",
+        "maps/rows.py": "maps that do not go into one program: likewise",
         "systems/particle.py": "no common period: an argument of a constructor; caught by the config",
     },
 }
