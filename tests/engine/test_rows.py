@@ -118,4 +118,3 @@ def test_what_is_computed_together():
     assert rows_of_batches({"b": B, "d": d}, {**QUICK, "poincare": {}}) == [1] * 16
     omega = {"values": [0.5, *(1.0 + k for k in range(15))]}  # periods 4π, then 2π
     assert rows_of_batches({"b": B, "omega": omega}, QUICK) == [1, *[2] * 7, 1]
-    assert rows_of_batches({"b": B, "a": {"start": 0.4, "stop": 0.5, "count": 16}}, QUICK) != [2] * 8
