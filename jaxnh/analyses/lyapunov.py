@@ -196,7 +196,9 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
     source = np.zeros(scene.count, np.int8)
     if options.plain:
         return Spectrum(mean, error, source)
-    last = np.array([found.rates[i, n - max(n // 4, 1) : n, lead].mean() for i, n in enumerate(found.blocks)])
+    number = np.arange(BLOCKS)
+    late = (number < found.blocks[:, None]) & (number >= (found.blocks - np.maximum(found.blocks // 4, 1))[:, None])
+    last = np.mean(found.rates[:, :, lead], axis=1, where=late)
     open_ = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
     open_ &= np.all(np.isfinite(mean), axis=1)
     whole = np.flatnonzero(open_ & (found.blocks == BLOCKS))

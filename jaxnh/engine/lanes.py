@@ -7,9 +7,7 @@ number of lanes, tiles or devices.
 
 from __future__ import annotations
 
-import hashlib
 import math
-import re
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +19,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxnh.engine import kept_programs
+from jaxnh.engine.call_names import CallNames
 from jaxnh.engine.progress import Progress, Silent
 from jaxnh.engine.row_blocks import has_rows, in_blocks, of_block
 from jaxnh.engine.xla_options import machine
@@ -64,6 +63,7 @@ class Lanes:
         self._progress = progress or Silent()
         self._programs: dict[Any, Any] = {}
         self._placed: dict[int, tuple[Any, Any]] = {}  # by the address of what is on the devices
+        self._names = CallNames()
         self._kept: Calls | None = None
         self._calls = 0
 
@@ -162,10 +162,10 @@ class Lanes:
             return self._iterates(longest, shared, lanes, tile=tile)
         if has_rows(shared) and function is not of_block:
             return self._rows(function, shared, lanes, periods, tile, static)
-        call, digest = self._calls, _digest(function, shared, lanes, static, tile) if self._kept else ""
+        call, name = self._calls, self._names.of(function, shared, lanes, static, tile) if self._kept else ""
         self._calls += 1
         chunk, count = tile * len(self.devices), len(jax.tree.leaves(lanes)[0])
-        results = self._found(call, digest, function, shared, lanes, static)
+        results = self._found(call, name, function, shared, lanes, static)
         start = sum(len(jax.tree.leaves(result)[0]) for result in results)
         if start:
             self._account(periods * start)
@@ -181,7 +181,7 @@ class Lanes:
             some = min(chunk, count - first)
             results.append(jax.tree.map(lambda leaf, some=some: leaf[:some], result))
             if self._kept:
-                self._kept.add(Part(call, first, digest, tuple(jax.tree.leaves(results[-1]))))
+                self._kept.add(Part(call, first, name, tuple(jax.tree.leaves(results[-1]))))
             self._account(periods * some)
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
@@ -231,14 +231,14 @@ class Lanes:
     def _found(
         self,
         call: int,
-        digest: str,
+        name: str,
         function: Callable[..., Any],
         shared: tuple[Any, ...],
         lanes: tuple[Any, ...],
         static: tuple[Any, ...],
     ) -> list[Any]:
         """Results of the first lanes of a call that a stopped run has left."""
-        parts = self._kept.found(call, digest) if self._kept else []
+        parts = self._kept.found(call, name) if self._kept else []
         if not parts:
             return []
         lane = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), lanes)
@@ -308,15 +308,3 @@ def _padded(leaf: np.ndarray, length: int) -> np.ndarray:
     """The leaf with its last row repeated up to a length."""
     missing = length - len(leaf)
     return leaf if not missing else np.concatenate([leaf, np.repeat(leaf[-1:], missing, axis=0)])
-
-
-def _digest(function: Callable[..., Any], *arguments: Any) -> str:
-    """What a call is, the same in every process: its function and all arguments, numbers bit for bit."""
-    leaves, structure = jax.tree.flatten(arguments)
-    words = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', function)} {structure}"
-    found = hashlib.sha256(re.sub(r" at 0x[0-9a-f]+", "", words).encode())  # addresses of a user's functions
-    for leaf in leaves:
-        data = np.asarray(leaf)
-        found.update(f"{data.dtype} {data.shape}".encode() if data.dtype.kind != "U" else str(data).encode())
-        found.update(np.ascontiguousarray(data).tobytes())
-    return found.hexdigest()

@@ -6,7 +6,7 @@ Nothing is printed here: what a user should know goes to `Progress`, and what ca
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -288,12 +288,9 @@ class _Run:
             found = [batch for batch in found if batch[0].names != job.independent]
             pieces = [piece for batch in cut for piece in batch]
 
-            def one(batch: Sequence[Piece], runner: Lanes) -> None:
-                self._in_turn(job, [batch], runner, cost)
-
             def all_of_them() -> None:
                 if len(lanes.devices) > 1:
-                    side_by_side(lanes, cut, one)
+                    side_by_side(lanes, cut, lambda some, runner: self._in_turn(job, some, runner, cost))
                 else:
                     self._in_turn(job, cut, lanes, cost)
 
@@ -322,7 +319,7 @@ class _Run:
             self._progress.shown = self._shown
             self._shown.finish()
 
-    def _in_turn(self, job: Job, found: Sequence[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
+    def _in_turn(self, job: Job, found: Iterable[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
         """Compute batches one after the other; each is written while the next is computed."""
         written: list[Future[list[Receipt]]] = []
         axes = axes_of(self._experiment.axes, job)

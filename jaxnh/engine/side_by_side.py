@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from queue import SimpleQueue
 from typing import TypeVar
 
 from jaxnh.engine.lanes import Lanes
@@ -12,25 +12,28 @@ from jaxnh.engine.lanes import Lanes
 Batch = TypeVar("Batch")
 
 
-def side_by_side(lanes: Lanes, batches: Sequence[Batch], one: Callable[[Batch, Lanes], object]) -> None:
-    """Call `one` for each of some batches, with a runner that no other is using, and add up what the runners did."""
-    runners, idle = lanes.apart(), SimpleQueue[Lanes]()
-    for runner in runners:
-        idle.put(runner)
+def side_by_side(lanes: Lanes, batches: Sequence[Batch], in_turn: Callable[[Iterator[Batch], Lanes], object]) -> None:
+    """Have some batches done by runners side by side, each of which takes the next when it has done one.
 
-    def next_one(batch: Batch) -> None:
-        runner = idle.get()
-        try:
-            one(batch, runner)
-        finally:
-            idle.put(runner)
+    Args:
+        lanes: of which the runners are, and which what they did is added up in.
+        in_turn: called for every runner with the batches that come to it; where one fails, the others get no more.
+    """
+    runners, left = lanes.apart(), deque(batches)
+
+    def taken() -> Iterator[Batch]:
+        while True:
+            try:
+                batch = left.popleft()
+            except IndexError:
+                return
+            yield batch
 
     with ThreadPoolExecutor(len(runners)) as workers:
-        begun = [workers.submit(next_one, batch) for batch in batches]
+        begun = [workers.submit(in_turn, taken(), runner) for runner in runners]
         try:
             for end in as_completed(begun):
                 end.result()
         finally:
-            for batch in begun:
-                batch.cancel()
+            left.clear()
     lanes.add(runners)

@@ -45,8 +45,8 @@ _in_effect: list[str] = []  # XLA_FLAGS as JAX has read them, once it is known
 def configure(devices: int | None = None) -> None:
     """Prepare JAX: double precision, one CPU device a core, fast loops, and compiled programs kept from run to run.
 
-    `JAX_NUM_CPU_DEVICES`, `JAX_COMPILATION_CACHE_DIR` and options of XLA named here, where set, are left as
-    they are.
+    `JAX_NUM_CPU_DEVICES`, `JAX_CPU_ENABLE_ASYNC_DISPATCH`, `JAX_COMPILATION_CACHE_DIR` and options of XLA named here,
+    where set, are left as they are.
 
     Args:
         devices: CPU devices, by default one a core.
@@ -66,6 +66,10 @@ def configure(devices: int | None = None) -> None:
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(root / "jaxnh" / "programs"))
+    if "JAX_CPU_ENABLE_ASYNC_DISPATCH" not in os.environ:
+        # A program runs in the thread that calls it: handing it over took 4 % of a chart's seconds, four runners on two
+        # cores, and gained nothing, as all wait for what they call.
+        jax.config.update("jax_cpu_enable_async_dispatch", False)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     if late:
         warnings.warn(

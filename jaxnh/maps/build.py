@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxnh.maps.crossings import EventStrobe, SteppedStrobe
 from jaxnh.maps.general_flow import general_strobe, stacked, unit_step
-from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table
+from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table, whole_period
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.maps.nystrom import nystrom_strobe, nystrom_unit_step
 from jaxnh.maps.protocol import Strobe
@@ -77,8 +77,8 @@ class Way(Protocol):
         """Maps between ends (parts + 1,) of `each` steps on a grid (parts, each + 1), stacked."""
         ...
 
-    def cut(self, flow: Any, solver: Any, each: int, grid: np.ndarray, *, compensated: bool) -> Strobe:
-        """The map of a period cut into parts of `each` steps on a grid (parts, each + 1), stacked."""
+    def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> Strobe:
+        """The map of a period cut into so many parts of `each` steps, stacked."""
         ...
 
 
@@ -103,7 +103,9 @@ class Kicks:
         *,
         compensated: bool,
     ) -> Strobe:
-        if solver.processed:
+        if solver.processed and span == (0.0, flow.period):
+            table = whole_period(flow, solver, steps, smallest=_SMALLEST_TABLE)
+        elif solver.processed:
             table = processed_table(flow, solver, steps, span, smallest=_SMALLEST_TABLE)
         else:
             table = kick_table(flow, solver, step_grid(flow, steps, span), smallest=_SMALLEST_TABLE)
@@ -129,13 +131,12 @@ class Kicks:
             table = kick_table(flow, solver, grid, smallest=_SMALLEST_TABLE // len(grid))
         return KickStrobe(stacked(flow.tabulated(), (len(grid),)), *table, compensated)
 
-    def cut(self, flow: Any, solver: Any, each: int, grid: np.ndarray, *, compensated: bool) -> Strobe:
-        parts = len(grid)
+    def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> Strobe:
         if solver.processed:
-            whole = processed_table(flow, solver, each * parts, (0.0, flow.period))
+            whole = whole_period(flow, solver, each * parts)
             table = cut_table(whole, parts, each * solver.stages, smallest=_SMALLEST_TABLE // parts)
         else:
-            table = kick_table(flow, solver, grid, smallest=_SMALLEST_TABLE // parts)
+            table = kick_table(flow, solver, _in_parts(flow, each, parts), smallest=_SMALLEST_TABLE // parts)
         return KickStrobe(stacked(flow.tabulated(), (parts,)), *table, compensated)
 
 
@@ -173,8 +174,14 @@ class Steps:
     ) -> Strobe:
         return _on_grid(flow, solver, grid)
 
-    def cut(self, flow: Any, solver: Any, each: int, grid: np.ndarray, *, compensated: bool) -> Strobe:
-        return _on_grid(flow, solver, grid)
+    def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> Strobe:
+        return _on_grid(flow, solver, _in_parts(flow, each, parts))
+
+
+def _in_parts(flow: Flow, each: int, parts: int) -> np.ndarray:
+    """The step grid of a period in parts of `each` steps, (parts, each + 1)."""
+    ends = step_grid(flow, each * parts, (0.0, flow.period))
+    return ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
 
 
 def _on_grid(flow: Flow, solver: Any, grid: np.ndarray) -> Strobe:
@@ -269,9 +276,7 @@ def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     each = -(-steps // parts)
     if system.autonomous:
         return _equal_steps(system, solver, each, system.period / parts, parts)
-    ends = step_grid(system, each * parts, (0.0, system.period))
-    grid = ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
-    return way_of(system, solver).cut(system, solver, each, grid, compensated=compensated)
+    return way_of(system, solver).cut(system, solver, each, parts, compensated=compensated)
 
 
 def _unit_step(flow: Flow, solver: Solver) -> Strobe:

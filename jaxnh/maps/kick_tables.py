@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 
 import numpy as np
@@ -13,6 +14,8 @@ from jaxnh.systems.particle import IsokineticParticle
 
 Table = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Rows (..., capacity, 3, without forcing 2) for `KickStrobe`, how many are in use, and the last drift (...,)."""
+
+_KEPT = 256  # tables of whole periods, some 10 KiB each: those of the rows of all batches in hand
 
 
 def kick_table(
@@ -40,7 +43,7 @@ def processed_table(
     Every node is on the smooth grid: the steps are then of one constant length in its time, and what the processor
     reaches beyond the ends is there as well.
     """
-    grid, (t0, t1) = SmoothGrid(system), map(np.asarray, ends)
+    grid, (t0, t1) = _smooth_grid(_clock_of(system)), map(np.asarray, ends)
     at, length = solver.sequence(steps)
     start = grid.share(t0)
     step = (grid.share(t1) - start) / steps
@@ -50,6 +53,32 @@ def processed_table(
     drift = np.asarray(system.path_length(nodes[..., :-1], nodes[..., 1:]))
     kicks = np.stack([drift[..., :-1], weight, *([system.forcing(t) * weight] if system.forced else [])], axis=-1)
     return _table(kicks, drift[..., -1], max(smallest, kicks.shape[-2]))
+
+
+def whole_period(system: IsokineticParticle, solver: IsokineticSplitting, steps: int, *, smallest: int = 1) -> Table:
+    """`processed_table` of the period from 0, made once for the maps of a period and of its parts."""
+    rows, count, rest = _whole_period(_clock_of(system), solver, steps)
+    missing = (1 << (smallest - 1).bit_length()) - len(rows)
+    return (np.pad(rows, [(0, missing), (0, 0)]) if missing > 0 else rows), count, rest
+
+
+@functools.lru_cache(_KEPT)
+def _whole_period(clock: IsokineticParticle, solver: IsokineticSplitting, steps: int) -> Table:
+    table = processed_table(clock, solver, steps, (0.0, clock.period))
+    for leaf in table:
+        leaf.flags.writeable = False
+    return table
+
+
+@functools.lru_cache(_KEPT)
+def _smooth_grid(clock: IsokineticParticle) -> SmoothGrid:
+    return SmoothGrid(clock)
+
+
+def _clock_of(system: IsokineticParticle) -> IsokineticParticle:
+    """The system as far as tables go: its speed and forcing alone, whatever its lanes are."""
+    c, d, omega = (float(value) for value in (system.c, system.d, system.omega))
+    return IsokineticParticle(0.0, c, d, omega, None, system.without)
 
 
 def cut_table(whole: Table, parts: int, kicks: int, *, smallest: int = 1) -> Table:

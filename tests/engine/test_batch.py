@@ -536,8 +536,11 @@ def test_folder_taken_away(job, whole, how):
     away, calls = job.folder / "away", iter(range(TILES))
 
     def take_away(*arguments):
-        if next(calls) == 4:  # that of a runner which has written a batch: two cores have two runners each
-            assert job.done()
+        if next(calls) == 4:  # that of a runner which has done a batch: two cores have two runners each
+            waited = time.monotonic() + 60
+            while not job.done():  # the batch is written meanwhile
+                assert time.monotonic() < waited
+                time.sleep(0.01)
             if how == "read-only":
                 forbid(job.tiles, True)
             else:

@@ -85,7 +85,8 @@ def test_stopped_within_a_piece(tmp_path, text, tile, number, at):
         assert err.splitlines()[-1].startswith(f"stopped by {number.name} with 0 of ")
         assert err.splitlines()[-1].endswith(f"tiles done; {GO_ON}")
     assert stopped.done() == []
-    assert calls_of(stopped) == every - at - 1
+    others = len(Lanes().apart()) - 1  # may each have kept a call that was not counted yet
+    assert every - at - 1 - others <= calls_of(stopped) <= every - at - 1
     assert content(stopped.output) == content(whole.output)
 
 
@@ -181,7 +182,8 @@ import sys
 import numpy as np
 from jaxnh.config.experiment import load
 from jaxnh.engine.axes import points
-from jaxnh.engine.lanes import _digest
+from jaxnh.engine.call_names import CallNames
+from jaxnh.engine.row_blocks import of_block
 from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
@@ -191,15 +193,16 @@ experiment = load(sys.argv[1], [])
 at = points(experiment, experiment.axes, tuple(np.arange(4) for _ in experiment.axes))
 for steps in (40, 80):
     strobe = make_strobe(at.system, SOLVERS[sys.argv[2]], steps)
-    print(_digest(iterate, (strobe, np.int32(3)), (at.start, at.p), (), 8))
+    print(CallNames().of(iterate, (strobe, np.int32(3)), (at.start, at.p), (), 8))
+    print(CallNames().of(of_block, (strobe, np.int32(3)), (at.start, at.p), ((iterate, ()),), 8))
 """
 
 
 @pytest.mark.slow  # in make test a process is stopped and this one goes on
 @pytest.mark.parametrize(("config", "solver"), [("table1.yaml", "processed6"), ("governor.yaml", "dopri8")])
 def test_call_is_known_in_another_process(config, solver):
-    """With a user's own functions in it, whatever their addresses and the order of hashes are; other steps are another
-    call."""
+    """With a user's own functions in it, and functions among its arguments, whatever their addresses and the order of
+    hashes are; other steps are another call."""
     said = []
     for seed in ("1", "2"):
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed}
@@ -208,4 +211,4 @@ def test_call_is_known_in_another_process(config, solver):
         assert run.returncode == 0, run.stderr
         said.append(run.stdout.split())
     assert said[0] == said[1]
-    assert said[0][0] != said[0][1]
+    assert len(set(said[0])) == 4

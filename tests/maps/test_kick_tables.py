@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import pytest
 from measure import SYSTEMS, UNIT
 
+from jaxnh.maps import kick_tables
 from jaxnh.maps.build import cut_strobe, make_parts, make_strobe
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
@@ -63,3 +66,21 @@ def test_cut_table_is_the_whole_one(system, name, parts):
     drifts[first] += np.asarray(cut.rest)[:-1]
     np.testing.assert_allclose(drifts, expected[:, 0], rtol=0, atol=4 * UNIT * np.abs(expected).max())
     assert abs(float(np.asarray(cut.rest)[-1]) - float(whole.rest)) < 4 * UNIT
+
+
+@pytest.mark.parametrize("d", [0.0, 0.37])
+def test_period_and_its_parts_have_one_table(d):
+    """Made once for a clock, whatever the stiffness and coupling are, and not to be written to."""
+    solver = SPLITTINGS["processed6"]
+    with mock.patch.object(kick_tables, "processed_table", wraps=kick_tables.processed_table) as made:
+        for a in (0.5, 0.25):
+            system = disturbed_speed(a=a, d=d, omega=2.0)
+            whole, cut = make_strobe(system, solver, 84), cut_strobe(system, solver, 84, 1)
+            np.testing.assert_array_equal(np.asarray(cut.table)[0], whole.table)
+            make_strobe(disturbed_speed(a=a, d=d, omega=4.0), solver, 84)
+    assert made.call_count == 2
+    alone = kick_tables.processed_table(system, solver, 84, (0.0, system.period), smallest=8192)
+    for part, found in zip(alone, (whole.table, whole.kicks, whole.rest), strict=True):
+        np.testing.assert_array_equal(part, found)
+    with pytest.raises(ValueError, match="read-only"):
+        kick_tables.whole_period(system, solver, 84)[0][0, 0] = 1.0
