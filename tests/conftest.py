@@ -73,15 +73,20 @@ _uncalibrated = False
 
 
 def calibrate_once(
-    experiment: Experiment, axes: Sequence[Axis], lanes: Lanes, target: float | None = None
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    lanes: Lanes,
+    target: float | None = None,
+    requested: plan.Requested | None = None,
 ) -> Calibration:
     """`calibrate`, once in this process for equal experiments and lanes, whose errors are equal to the bit."""
     if _uncalibrated and experiment.accuracy.solver:
         return cast(Calibration, SimpleNamespace(error=lambda *_: 1e-6))
     grids = tuple((axis.name, axis.kind, axis.values.tobytes()) for axis in axes)
-    key = (experiment.sha256, experiment.sectioned, grids, target, len(lanes.devices), lanes.tile)
+    drawn = frozenset(plan.draws(requested or ()))
+    key = (experiment.sha256, experiment.sectioned, grids, target, drawn, len(lanes.devices), lanes.tile)
     if key not in _CALIBRATIONS:
-        _CALIBRATIONS[key] = _calibrate(experiment, axes, lanes, target)
+        _CALIBRATIONS[key] = _calibrate(experiment, axes, lanes, target, requested)
     return _CALIBRATIONS[key]
 
 

@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 from jaxnh.analyses.price import Price
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene
 from jaxnh.exceptions import InputError
-from jaxnh.systems.flow import Flow
+from jaxnh.systems.flow import Flow, State
 
 LANE = "lane"
 """Dimension of lanes side by side."""
@@ -144,12 +144,20 @@ class Whole(NamedTuple):
     run: Callable[[Any, Sweep, LaneRunner, xr.Dataset], Mapping[str, xr.Dataset]]
 
 
+Starts = Callable[[Scene], tuple[State, Int[np.ndarray, " starts"]]]
+"""Scene to random start states of its lanes, and the number of the lane of each."""
+
+
 def _always(options: Any) -> bool:
     return True
 
 
 def _few(options: Any) -> int:
     return 64
+
+
+def _no_starts(_: Any) -> None:
+    return None
 
 
 def _nothing(data: xr.Dataset) -> Mapping[str, int]:
@@ -184,6 +192,8 @@ class Analysis:
         numbers: options to about how many numbers a lane leaves.
         choose: (options, scene, lane runner) to whole numbers that hold for all lanes of a sweep; of several scenes
             that sample one, the largest count. `run` finds them in `Scene.chosen`.
+        starts: options to where its lanes start at random in place of the scene's start states: scene to their states
+            and the number of the lane of each; None where they do not.
         count: dataset to the number of lanes of each kind: attributes of the group, that add up over parts.
         classes: dataset over the axes to whole numbers over them, which differ where the kind of motion does; without
             it all lanes are of one kind.
@@ -208,6 +218,7 @@ class Analysis:
     rows: bool = False
     numbers: Callable[[Any], int] = _few
     choose: Callable[[Any, Scene, LaneRunner], Mapping[str, int]] | None = None
+    starts: Callable[[Any], Starts | None] = _no_starts
     count: Callable[[xr.Dataset], Mapping[str, int]] = _nothing
     classes: Callable[[xr.Dataset], Int[np.ndarray, ...]] | None = None
     smooth: tuple[str, ...] = ()

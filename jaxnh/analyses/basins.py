@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -16,19 +17,22 @@ from jaxtyping import Int
 from pydantic import Field, model_validator
 
 from jaxnh.analyses.attractors import POINTS, Judged, recorded, scene_from
-from jaxnh.analyses.base import LANE, Analysis, Options, Setting, Sweep, Whole, rule, variable
+from jaxnh.analyses.base import LANE, Analysis, Options, Setting, Starts, Sweep, Whole, rule, variable
 from jaxnh.analyses.basin_tables import Known, attractors_group, basins_group, shares
 from jaxnh.analyses.boundary import boundary_variables, check_plane
 from jaxnh.analyses.growth import BLOCKS
-from jaxnh.analyses.looks import look, maps
+from jaxnh.analyses.looks import look, look_at, maps
 from jaxnh.analyses.matching import find, joined
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.random_starts import Side, check_box, started
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
+from jaxnh.analyses.settled_steps import settled_steps
 from jaxnh.analyses.settling import FAILED, Lot, settle, states_at
 from jaxnh.analyses.tracking import Grid, Tracked, track
 from jaxnh.systems.flow import Output
 
+_SAMPLED = 1024  # lanes by which steps are chosen
+_MANY = 16 * _SAMPLED  # lanes of a sweep that are worth it
 _USUAL = 2.0  # looks as long as the transient that most lanes take, the transient among them
 
 
@@ -88,6 +92,18 @@ def check(options: BasinsOptions, setting: Setting) -> None:
         check_plane(setting, "boundary")
 
 
+def choose(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> dict[str, int]:
+    """Steps of a period after the first look, the same for all lanes of a sweep: fewer where that is worth it."""
+    scene = scene.in_time()
+    if scene.count * max(1, options.starts) < _MANY:
+        return {"steps": scene.steps}
+    some = np.unique(np.linspace(0, scene.count - 1, min(scene.count, _SAMPLED)).round().astype(int))
+    started = _started(options, scene.take(some))[0]
+    few = started.take(np.unique(np.linspace(0, started.count - 1, _SAMPLED).round().astype(int)))
+    begun = look_at(few, lanes, few.start, options.transient // 2)
+    return {"steps": settled_steps(few, lanes, begun.state)}
+
+
 def run(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """What every lane has come to by itself (`settling.Lot`), each (lane,), (lane, mean) or (lane, component).
 
@@ -96,7 +112,8 @@ def run(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     scene = scene.in_time()
     rows = (scene.count, options.starts) if options.starts else (scene.count,)
     with lanes.stage(f"basins: {math.prod(rows):,} lanes to their attractors", periods(options, scene.count)):
-        lot = settle(_started(options, scene)[0], lanes, options.transient, options.longest)
+        starting, steps = _started(options, scene)[0], _settled(scene).steps
+        lot = settle(starting, lanes, options.transient, options.longest, steps)
     dims = (LANE, "start")[: len(rows)]
     second = {"means": "lane_mean", "unit": "lane_mean", "u": "lane_component", "size": "lane_component"}
     return xr.Dataset(
@@ -127,7 +144,7 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     drawn: dict[str, np.ndarray] = {name: np.zeros(count) for name in options.box}
     for row, at_row in sweep.rows:
         some = (row[:, None] * each + np.arange(each)).ravel()
-        scene, here = _started(options, at_row.in_time())
+        scene, here = _started(options, _settled(at_row))
         part = picked(lot, some)
         for name, values in here.items():
             drawn[name][some] = values
@@ -162,9 +179,21 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     }
 
 
+def _settled(scene: Scene) -> Scene:
+    """The scene in time, with as many steps as its lanes need once they have come near their attractors."""
+    return replace(scene.in_time(), steps=scene.chosen.get("basins", {}).get("steps", scene.steps))
+
+
 def _started(options: BasinsOptions, scene: Scene) -> tuple[Scene, dict[str, np.ndarray]]:
     """The lanes with their random starts, and what was drawn, where there are some."""
     return started(scene, options.starts, options.seed, options.box) if options.starts else (scene, {})
+
+
+def starts(options: BasinsOptions) -> Starts | None:
+    """Where lanes start at random, if they do."""
+    if not options.starts:
+        return None
+    return lambda scene: (_started(options, scene)[0].start, np.repeat(np.arange(scene.count), options.starts))
 
 
 def _grid(sweep: Sweep, own: Sequence[int], point: Int[np.ndarray, " lanes"]) -> Grid:
@@ -175,7 +204,7 @@ def _grid(sweep: Sweep, own: Sequence[int], point: Int[np.ndarray, " lanes"]) ->
         here = np.isin(first, some)
         row[here], lane[here] = number, np.searchsorted(some, first[here])
     values = tuple(sweep.axes[k].values for k in own)
-    return Grid(values, [scene.in_time() for _, scene in sweep.rows], row, lane)
+    return Grid(values, [_settled(scene) for _, scene in sweep.rows], row, lane)
 
 
 def _known(
@@ -266,6 +295,8 @@ ANALYSIS = Analysis(
     newton=True,
     in_time=True,
     numbers=numbers,
+    choose=choose,
+    starts=starts,
     count=count,
     classes=classes,
     check=check,

@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Int
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, rule
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, Starts, rule
 from jaxnh.analyses.poincare import recording, strobe_states
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
@@ -162,6 +162,13 @@ def random_starts(options: DiagramOptions, scene: Scene) -> tuple[State, Paramet
     return scene.system.random_states(draws.reshape(-1, d), options.box, p), p
 
 
+def starts(options: DiagramOptions) -> Starts | None:
+    """Where lanes start at random, if they do."""
+    if options.start != "random":
+        return None
+    return lambda scene: (random_starts(options, scene)[0], np.repeat(np.arange(scene.count), options.starts))
+
+
 def _side_by_side(options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, p: Parameters) -> State:
     """A lane for each start state and its parameters: components (lanes, strobes)."""
     state, strobe = _at_phase(options, scene, lanes, start, p)
@@ -278,6 +285,7 @@ ANALYSIS = Analysis(
     run,
     independent=independent,
     numbers=numbers,
+    starts=starts,
     count=count,
     check=check,
     price=price,

@@ -75,6 +75,7 @@ class Scene:
         rows: where lanes are at several values of what lanes share, the flows at these; the system is the first one.
         chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
         precision: "float64" or, where asked for, "float32" or "extended", of the arithmetic within a period.
+        target: the error asked for, while analyses choose by it steps of their own; 0 where they are to have none.
     """
 
     system: Flow
@@ -90,6 +91,7 @@ class Scene:
     rows: Rows | None = None
     chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     precision: str = "float64"
+    target: float = 0.0
 
     @property
     def count(self) -> int:

@@ -7,6 +7,7 @@ whole sweep will say. Neither depends on other lanes.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -54,8 +55,11 @@ class Lot(NamedTuple):
     size: Float[np.ndarray, "lanes d"]
 
 
-def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int) -> Lot:
-    """Lanes from their start states: looked at from `transient` periods on, until `longest` are over at most."""
+def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps: int | None = None) -> Lot:
+    """Lanes from their start states: looked at from `transient` periods on, until `longest` are over at most.
+
+    After half of the transient a period has `steps` steps (`settled_steps`), or as many as before.
+    """
     start, count, d = scene.start, scene.count, scene.system.dimension
     width = units(angles(scene.system), np.ones((1, d))).shape[1]
     lot = Lot(
@@ -73,6 +77,7 @@ def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int) -> Lot
     begun = look_at(here, lanes, here.start, transient // 2) if len(some) else None
     if begun is None:
         return lot
+    scene, here = (replace(one, steps=steps or one.steps) for one in (scene, here))
     seen = look_at(here, lanes, begun.state, transient // 2)
     lot.size[some], lot.time[some], lot.u[some] = seen.largest, transient, points_at(scene, lanes, seen.state)
     lot.gap[some] = _gap(seen, units(angles(scene.system), np.fmax(begun.largest, seen.largest)))

@@ -22,9 +22,10 @@ from jaxnh.costs import STUDIES, solvers, tables
 from jaxnh.costs import effects as costs_of_effects
 from jaxnh.engine.axes import points
 from jaxnh.engine.calibration import Calibration, Plan
+from jaxnh.engine.compute import scene_of, spent
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.output import check_output
-from jaxnh.engine.plan import calibrate, job_of, plan_of, scene_of, spent, work_of
+from jaxnh.engine.plan import calibrate, job_of, plan_of, work_of
 from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ArgumentError, ConfigError, ResultError

@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import level_files, xla_options
+from jaxnh.engine.compute import compute
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.levels import Level, axes_of
-from jaxnh.engine.plan import compute
 from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
 from jaxnh.storage import tiles
 from jaxnh.storage.calls import Calls

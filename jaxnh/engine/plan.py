@@ -1,35 +1,33 @@
-"""What is decided once for a sweep, and pieces of it computed. No files, no processes."""
+"""What is decided once for a sweep. No files, no processes."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import numpy as np
-import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import LANE, Sweep
-from jaxnh.analyses.scene import Axis, Rows, Scene
+from jaxnh.analyses.base import Starts
+from jaxnh.analyses.scene import Axis, Scene, picked
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import kept_decisions
-from jaxnh.engine.axes import Points, on_axes, places_of, points, points_in_rows, sampled, whole_on_axes
-from jaxnh.engine.batches import Requested, in_rows, lanes_of
+from jaxnh.engine.axes import Points, points, sampled
+from jaxnh.engine.batches import Requested, lanes_of
 from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan
+from jaxnh.engine.compute import scene_of
 from jaxnh.engine.kept_decisions import Decision
 from jaxnh.engine.lanes import Lanes, turns_of
-from jaxnh.engine.levels import Level, filled, with_computed
+from jaxnh.engine.levels import Level
 from jaxnh.exceptions import AccuracyError
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece, tile_lanes
 from jaxnh.storage.provenance import versions
-from jaxnh.storage.tiles import Spent
 
 _MOST_CHOOSING = 1 << 16  # lanes of a sweep with more than are run unasked that analyses choose by
 _LONGEST_RUN = 86400.0  # seconds that a sweep may take unasked: what takes days is a slip, or work for a cluster
@@ -37,38 +35,27 @@ _UNITS = ((172800.0, 86400.0, "days"), (7200.0, 3600.0, "hours"), (0.0, 60.0, "m
 _TILES_A_PART = 4  # at least, so that parts differ by one in four at most
 
 
-class Done(NamedTuple):
-    """A piece that is computed.
-
-    Attributes:
-        piece: which.
-        groups: its datasets over the axes, by analysis.
-        counts: number of lanes of each kind, by analysis.
-        spent: what it has cost.
-    """
-
-    piece: Piece
-    groups: Mapping[str, xr.Dataset]
-    counts: Mapping[str, Mapping[str, int]]
-    spent: Spent
-
-
-def spent(lanes: Lanes, seconds: float) -> Spent:
-    """What a runner has spent so far, in so many seconds."""
-    device = f"{len(lanes.devices)} x {lanes.devices[0].device_kind} ({lanes.devices[0].platform})"
-    return Spent(seconds, lanes.compile_seconds, lanes.lane_periods, device)
-
-
 # ---- what is decided once
 
 
-def calibrate(experiment: Experiment, axes: Sequence[Axis], lanes: Lanes, target: float | None = None) -> Calibration:
+def calibrate(
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    lanes: Lanes,
+    target: float | None = None,
+    requested: Requested | None = None,
+) -> Calibration:
     """Errors of one period on sample lanes of a sweep; where one target alone will be asked for, as far as it needs.
+
+    Args:
+        requested: analyses whose random starts are among the samples, by default those of the experiment.
 
     Raises:
         AccuracyError: no lane has a period that can be computed, or the solver asked for is not made for the flow.
     """
     rows, asked = [points(experiment, axes, places) for places in sampled(axes, SAMPLED_LANES)], experiment.accuracy
+    for draw in draws(experiment.requested() if requested is None else requested).values():
+        rows = [_with_starts(row, draw, SAMPLED_LANES // len(rows)) for row in rows]
     if asked.solver and asked.steps:
         try:
             make_strobe(rows[0].system, SOLVERS[asked.solver], asked.steps)
@@ -78,6 +65,24 @@ def calibrate(experiment: Experiment, axes: Sequence[Axis], lanes: Lanes, target
         return Calibration(rows, lanes, experiment.precision, target)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
+
+
+def draws(requested: Requested) -> dict[str, Starts]:
+    """Where analyses have lanes start at random, by the analysis and all its options."""
+    found = (
+        (f"{analysis.name} {options.model_dump_json()}", analysis.starts(options)) for analysis, options in requested
+    )
+    return {name: draw for name, draw in found if draw is not None}
+
+
+def _with_starts(row: Points, draw: Starts, most: int) -> Points:
+    """Sample lanes, and so many of their random starts as well."""
+    state, lane = draw(Scene(row.system, row.start, row.p, way_of(row.system).reference, 1, False, math.inf))
+    some = np.unique(np.linspace(0, len(lane) - 1, most).round().astype(int))
+    drawn = picked(state, some), *picked((dict(row.p), dict(row.where)), lane[some])
+    own = row.start, dict(row.p), dict(row.where)
+    start, p, where = jax.tree.map(lambda *leaves: np.concatenate(leaves), own, drawn)
+    return row._replace(start=start, p=p, where=where)
 
 
 def plan_of(experiment: Experiment, calibration: Calibration) -> Plan:
@@ -103,8 +108,10 @@ def choose(
     found: dict[str, dict[str, int]] = {}
     choosing = [(a, options) for a, options in requested if a.choose and a.independent(options)]
     most = None if experiment.sweep.lanes <= MOST_LANES else _MOST_CHOOSING
+    accuracy, precision = experiment.accuracy, experiment.precision
+    target = accuracy.target if precision == "float64" and not accuracy.steps else 0.0
     for places in sampled(axes, most) if choosing else ():
-        scene = scene_of(points(experiment, axes, places), plan, experiment.precision)
+        scene = replace(scene_of(points(experiment, axes, places), plan, precision), target=target)
         for analysis, options in choosing:
             assert analysis.choose is not None
             before = found.setdefault(analysis.name, {})
@@ -241,144 +248,6 @@ def work_of_pieces(
 def numbers_of(analyses: Requested) -> int:
     """About how many numbers a lane leaves."""
     return sum(analysis.numbers(options) for analysis, options in analyses)
-
-
-# ---- scenes
-
-
-def scene_of(
-    at: Points,
-    plan: Plan,
-    precision: str,
-    chosen: Mapping[str, Mapping[str, int]] | None = None,
-    place: np.ndarray | None = None,
-    along: Axis | None = None,
-) -> Scene:
-    """Lanes with the solver and steps that were decided on."""
-    rows = Rows(at.flows) if at.flows else None
-    more = {"place": place, "along": along, "rows": rows, "chosen": chosen or {}, "precision": precision}
-    return Scene(at.system, at.start, at.p, *plan, **more)
-
-
-def plan_of_job(job: Job) -> Plan:
-    """The solver and steps of a job."""
-    return Plan(SOLVERS[job.solver], job.steps, job.compensated, job.error_estimate)
-
-
-# ---- pieces
-
-
-def compute(
-    experiment: Experiment,
-    axes: Sequence[Axis],
-    requested: Requested,
-    job: Job,
-    batch: Sequence[Piece],
-    lanes: Lanes,
-    gathered: Callable[[str], xr.Dataset],
-    level: Level | None = None,
-) -> list[Done]:
-    """The datasets of pieces of a batch, each what it is if computed alone, bit for bit.
-
-    Args:
-        axes: of the sweep, or of a level of it with the values that this has.
-        gathered: name of an analysis to what all its tiles say, for a piece that is made of them.
-        level: of the job of one, which lanes are computed, and what the others are filled with.
-    """
-    if job.is_whole(batch[0]):
-        return [_of_all_tiles(experiment, axes, requested, job, piece, lanes, gathered) for piece in batch]
-    began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
-    line = batch[0].names != job.independent
-    places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
-    if level is not None:
-        wanted = np.concatenate([level.wanted_in(piece) for piece in batch])
-        places = tuple(place[wanted] for place in places)
-    groups = _groups(experiment, axes, requested, job, batch[0].names, places, lanes, line=line)
-    after = spent(lanes, time.perf_counter() - began)
-    done, first = [], 0
-    for piece in batch:
-        some = lanes_of(piece, level)
-        rows = {LANE: slice(first, first + some)}
-        first += some
-        cut = {name: data.isel(rows, missing_dims="ignore") for name, data in groups.items()}
-        if level is not None:
-            cut = {name: filled(level, name, piece, axes, cut.get(name) if some else None) for name in piece.names}
-        counts = {n: {} if ANALYSES[n].whole else dict(ANALYSES[n].count(data)) for n, data in cut.items()}
-        share = some / len(places[0]) if len(places[0]) else 1.0 / len(batch)
-        cost = Spent(
-            after.seconds * share,
-            (after.compile_seconds - before.compile_seconds) * share,
-            (after.lane_periods - before.lane_periods) * share,
-            after.device,
-        )
-        done.append(Done(piece, {n: on_axes(data, piece, axes, line=line) for n, data in cut.items()}, counts, cost))
-    return done
-
-
-def _groups(
-    experiment: Experiment,
-    axes: Sequence[Axis],
-    requested: Requested,
-    job: Job,
-    names: Sequence[str],
-    places: Sequence[np.ndarray],
-    lanes: Lanes,
-    *,
-    line: bool,
-) -> dict[str, xr.Dataset]:
-    """The datasets of analyses of the lanes at some places along the axes; none where there are no lanes."""
-    if not len(places[0]):
-        return {}
-    rows = not line and in_rows(experiment, axes, requested, job)
-    at = (points_in_rows if rows else points)(experiment, axes, places)
-    place = places[0] * job.step
-    scene = scene_of(at, plan_of_job(job), experiment.precision, job.chosen, place, axes[0] if line else None)
-    if line and axes[0].kind == "shared":
-        shared = {axis.name: float(at.where[axis.name][0]) for axis in axes[1:] if axis.kind == "shared"}
-        scene = replace(scene, flow_at=lambda value: experiment.flow({**shared, axes[0].name: value}))
-    options = {analysis.name: options for analysis, options in requested}
-    groups: dict[str, xr.Dataset] = {}
-    for name in names:
-        analysis = ANALYSES[name]
-        needed = ({need: groups[need] for need in analysis.needs},) if analysis.needs else ()
-        groups[name] = analysis.run(options[name], scene, lanes, *needed)
-    return groups
-
-
-def _of_all_tiles(
-    experiment: Experiment,
-    axes: Sequence[Axis],
-    requested: Requested,
-    job: Job,
-    piece: Piece,
-    lanes: Lanes,
-    gathered: Callable[[str], xr.Dataset],
-) -> Done:
-    """What an analysis makes of all its tiles."""
-    began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
-    [(analysis, options)] = [(a, o) for a, o in requested if a.name == piece.names[0]]
-    assert analysis.whole is not None
-    number = np.arange(job.lanes).reshape(job.shape)
-    shared = [k for k, axis in enumerate(axes) if axis.kind == "shared"]
-    rows = []
-    for at in np.ndindex(*(job.shape[k] for k in shared)):
-        chosen = dict(zip(shared, at, strict=True))
-        some = number[tuple(chosen.get(k, slice(None)) for k in range(len(axes)))].ravel()
-        places = np.unravel_index(some, job.shape)
-        at_row = points(experiment, axes, places)
-        place = places[0] * job.step
-        rows.append((some, scene_of(at_row, plan_of_job(job), experiment.precision, job.chosen, place)))
-    data = gathered(analysis.name)
-    groups = analysis.whole.run(options, Sweep(tuple(axes), tuple(rows)), lanes, data)
-    if job.level:
-        groups = {name: with_computed(group, data) for name, group in groups.items()}
-    after = spent(lanes, time.perf_counter() - began)
-    cost = after._replace(
-        compile_seconds=after.compile_seconds - before.compile_seconds,
-        lane_periods=after.lane_periods - before.lane_periods,
-    )
-    counts = {name: dict(analysis.count(data)) if name == analysis.name else {} for name, data in groups.items()}
-    return Done(piece, {name: whole_on_axes(data, axes) for name, data in groups.items()}, counts, cost)
 
 
 def count_warnings(name: str, counts: Mapping[str, int]) -> tuple[str, ...]:

@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers, early_imports, level_files
 from jaxnh.engine.batches import batches
+from jaxnh.engine.compute import Done, compute, spent
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.levels import Level, axes_of
 from jaxnh.engine.output import other_than
-from jaxnh.engine.plan import Done, compute, decide, spent, work_of_pieces
+from jaxnh.engine.plan import decide, work_of_pieces
 from jaxnh.engine.progress import Heeding, Progress, Silent
 from jaxnh.engine.result_attributes import attributes, extras_of
 from jaxnh.engine.side_by_side import side_by_side

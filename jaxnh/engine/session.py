@@ -21,10 +21,11 @@ from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers, early_imports
 from jaxnh.engine.batches import Requested, batches
 from jaxnh.engine.calibration import Plan
+from jaxnh.engine.compute import compute, spent
 from jaxnh.engine.lanes import Lanes
 from jaxnh.engine.levels import Level, axes_of, level_of
 from jaxnh.engine.output import check_output, file_of, is_there
-from jaxnh.engine.plan import calibrate, choose, compute, count_warnings, job_of, plan_of, spent
+from jaxnh.engine.plan import calibrate, choose, count_warnings, draws, job_of, plan_of
 from jaxnh.engine.progress import Calling, Progress, Silent
 from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.run import How, run_to_file
@@ -69,7 +70,7 @@ class Session:
         self.experiment = experiment
         self._progress = as_progress(progress)
         self._lanes = Lanes(self._progress, list(devices) if devices else None)
-        self._plans: list[tuple[tuple[Axis, ...], bool, Plan]] = []
+        self._plans: list[tuple[tuple[Axis, ...], bool, frozenset[str], Plan]] = []
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: its experiment, and what calibration has chosen so far; nothing is computed."""
@@ -89,7 +90,7 @@ class Session:
             time = f"in a time of {experiment.flow().period:.4g}"
         chosen = [
             f"{plan.solver.name}, {plan.steps} steps {time}, error of one {turn} {plan.error_estimate:.1g}"
-            for _, _, plan in self._plans
+            for *_, plan in self._plans
         ]
         return [experiment.title or experiment.label, f"a session over {axes}", *(chosen or ["not calibrated yet"])]
 
@@ -173,14 +174,18 @@ class Session:
 
     def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...]) -> Plan:
         """The plan of a sweep that has these lanes, calibrated if there is none yet."""
-        for known, sectioned, plan in self._plans:
-            if _within(axes, known) and sectioned >= experiment.sectioned:  # a return is made of steps in time
+        requested = experiment.requested()
+        drawn = frozenset(draws(requested))
+        for known, sectioned, starts, plan in self._plans:
+            # A return is made of steps in time.
+            if _within(axes, known) and sectioned >= experiment.sectioned and starts >= drawn:
                 return plan
         if _within(axes, self.experiment.axes) and self.experiment.sectioned >= experiment.sectioned:
             experiment, axes = self.experiment, self.experiment.axes
         with self._lanes.stage("accuracy: errors of one period on sample lanes", 0):
-            plan = plan_of(experiment, calibrate(experiment, axes, self._lanes, experiment.accuracy.only_target))
-        self._plans.append((axes, experiment.sectioned, plan))
+            target = experiment.accuracy.only_target
+            plan = plan_of(experiment, calibrate(experiment, axes, self._lanes, target, requested))
+        self._plans.append((axes, experiment.sectioned, drawn, plan))
         return plan
 
     def _computed(self, experiment: Experiment) -> tuple[Job, dict[str, xr.Dataset]]:

@@ -24,8 +24,8 @@ import pytest
 from conftest import ROOT, peak_memory, run_here
 from measure import some_slow
 
+from jaxnh.engine import compute as work
 from jaxnh.engine import dask_workers, xla_options
-from jaxnh.engine import plan as work
 from jaxnh.storage import hdf5 as store
 from jaxnh.storage import tiles
 
@@ -252,7 +252,7 @@ def test_dask_worker_killed(job, whole):
 DEADLY = """
 import os, sys
 if "--multiprocessing-fork" in sys.argv:  # a worker
-    import jaxnh.engine.plan as work
+    import jaxnh.engine.compute as work
     compute = work.compute
     def deadly(experiment, axes, requested, job, batch, *others):
         if batch[0].number == 5:
@@ -393,7 +393,7 @@ def test_what_is_being_worked_on_is_refused(job):
 @pytest.mark.slow
 def test_second_run_is_refused(job, whole):
     """On the same output, as a whole or as a part; nor is half of it joined. The lock of a dead one does not hinder."""
-    head = "import jaxnh.engine.plan as w, time; c, k = w.compute, iter(range(99))\n"
+    head = "import jaxnh.engine.compute as w, time; c, k = w.compute, iter(range(99))\n"
     head += "w.compute = lambda *a: (time.sleep(60 * next(k)), c(*a))[1]"
     process = job.start(head=head)
     job.until(process, 1)

@@ -10,6 +10,7 @@ from measure import some_slow
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.config.experiment import Experiment
+from jaxnh.engine import compute as pieces
 from jaxnh.engine import plan as work
 from jaxnh.engine.lanes import Lanes
 from jaxnh.storage.pieces import Piece
@@ -40,7 +41,7 @@ def decided(text, lanes, tile):
 
 
 def compute(experiment, job, batch, lanes):
-    return work.compute(experiment, experiment.axes, experiment.requested(), job, batch, lanes, no_tiles)
+    return pieces.compute(experiment, experiment.axes, experiment.requested(), job, batch, lanes, no_tiles)
 
 
 def no_tiles(name):

@@ -1,0 +1,184 @@
+"""Pieces of a sweep computed, by what was decided for all of it (`plan`). No files, no processes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.base import LANE, Sweep
+from jaxnh.analyses.scene import Axis, Rows, Scene
+from jaxnh.config.experiment import Experiment
+from jaxnh.engine.axes import Points, on_axes, places_of, points, points_in_rows, whole_on_axes
+from jaxnh.engine.batches import Requested, in_rows, lanes_of
+from jaxnh.engine.calibration import Plan
+from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.levels import Level, filled, with_computed
+from jaxnh.solvers import SOLVERS
+from jaxnh.storage.pieces import Job, Piece
+from jaxnh.storage.tiles import Spent
+
+
+class Done(NamedTuple):
+    """A piece that is computed.
+
+    Attributes:
+        piece: which.
+        groups: its datasets over the axes, by analysis.
+        counts: number of lanes of each kind, by analysis.
+        spent: what it has cost.
+    """
+
+    piece: Piece
+    groups: Mapping[str, xr.Dataset]
+    counts: Mapping[str, Mapping[str, int]]
+    spent: Spent
+
+
+def spent(lanes: Lanes, seconds: float) -> Spent:
+    """What a runner has spent so far, in so many seconds."""
+    device = f"{len(lanes.devices)} x {lanes.devices[0].device_kind} ({lanes.devices[0].platform})"
+    return Spent(seconds, lanes.compile_seconds, lanes.lane_periods, device)
+
+
+# ---- scenes
+
+
+def scene_of(
+    at: Points,
+    plan: Plan,
+    precision: str,
+    chosen: Mapping[str, Mapping[str, int]] | None = None,
+    place: np.ndarray | None = None,
+    along: Axis | None = None,
+) -> Scene:
+    """Lanes with the solver and steps that were decided on."""
+    rows = Rows(at.flows) if at.flows else None
+    more = {"place": place, "along": along, "rows": rows, "chosen": chosen or {}, "precision": precision}
+    return Scene(at.system, at.start, at.p, *plan, **more)
+
+
+def plan_of_job(job: Job) -> Plan:
+    """The solver and steps of a job."""
+    return Plan(SOLVERS[job.solver], job.steps, job.compensated, job.error_estimate)
+
+
+# ---- pieces
+
+
+def compute(
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    requested: Requested,
+    job: Job,
+    batch: Sequence[Piece],
+    lanes: Lanes,
+    gathered: Callable[[str], xr.Dataset],
+    level: Level | None = None,
+) -> list[Done]:
+    """The datasets of pieces of a batch, each what it is if computed alone, bit for bit.
+
+    Args:
+        axes: of the sweep, or of a level of it with the values that this has.
+        gathered: name of an analysis to what all its tiles say, for a piece that is made of them.
+        level: of the job of one, which lanes are computed, and what the others are filled with.
+    """
+    if job.is_whole(batch[0]):
+        return [_of_all_tiles(experiment, axes, requested, job, piece, lanes, gathered) for piece in batch]
+    began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
+    line = batch[0].names != job.independent
+    places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
+    if level is not None:
+        wanted = np.concatenate([level.wanted_in(piece) for piece in batch])
+        places = tuple(place[wanted] for place in places)
+    groups = _groups(experiment, axes, requested, job, batch[0].names, places, lanes, line=line)
+    after = spent(lanes, time.perf_counter() - began)
+    done, first = [], 0
+    for piece in batch:
+        some = lanes_of(piece, level)
+        rows = {LANE: slice(first, first + some)}
+        first += some
+        cut = {name: data.isel(rows, missing_dims="ignore") for name, data in groups.items()}
+        if level is not None:
+            cut = {name: filled(level, name, piece, axes, cut.get(name) if some else None) for name in piece.names}
+        counts = {n: {} if ANALYSES[n].whole else dict(ANALYSES[n].count(data)) for n, data in cut.items()}
+        share = some / len(places[0]) if len(places[0]) else 1.0 / len(batch)
+        cost = Spent(
+            after.seconds * share,
+            (after.compile_seconds - before.compile_seconds) * share,
+            (after.lane_periods - before.lane_periods) * share,
+            after.device,
+        )
+        done.append(Done(piece, {n: on_axes(data, piece, axes, line=line) for n, data in cut.items()}, counts, cost))
+    return done
+
+
+def _groups(
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    requested: Requested,
+    job: Job,
+    names: Sequence[str],
+    places: Sequence[np.ndarray],
+    lanes: Lanes,
+    *,
+    line: bool,
+) -> dict[str, xr.Dataset]:
+    """The datasets of analyses of the lanes at some places along the axes; none where there are no lanes."""
+    if not len(places[0]):
+        return {}
+    rows = not line and in_rows(experiment, axes, requested, job)
+    at = (points_in_rows if rows else points)(experiment, axes, places)
+    place = places[0] * job.step
+    scene = scene_of(at, plan_of_job(job), experiment.precision, job.chosen, place, axes[0] if line else None)
+    if line and axes[0].kind == "shared":
+        shared = {axis.name: float(at.where[axis.name][0]) for axis in axes[1:] if axis.kind == "shared"}
+        scene = replace(scene, flow_at=lambda value: experiment.flow({**shared, axes[0].name: value}))
+    options = {analysis.name: options for analysis, options in requested}
+    groups: dict[str, xr.Dataset] = {}
+    for name in names:
+        analysis = ANALYSES[name]
+        needed = ({need: groups[need] for need in analysis.needs},) if analysis.needs else ()
+        groups[name] = analysis.run(options[name], scene, lanes, *needed)
+    return groups
+
+
+def _of_all_tiles(
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    requested: Requested,
+    job: Job,
+    piece: Piece,
+    lanes: Lanes,
+    gathered: Callable[[str], xr.Dataset],
+) -> Done:
+    """What an analysis makes of all its tiles."""
+    began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
+    [(analysis, options)] = [(a, o) for a, o in requested if a.name == piece.names[0]]
+    assert analysis.whole is not None
+    number = np.arange(job.lanes).reshape(job.shape)
+    shared = [k for k, axis in enumerate(axes) if axis.kind == "shared"]
+    rows = []
+    for at in np.ndindex(*(job.shape[k] for k in shared)):
+        chosen = dict(zip(shared, at, strict=True))
+        some = number[tuple(chosen.get(k, slice(None)) for k in range(len(axes)))].ravel()
+        places = np.unravel_index(some, job.shape)
+        at_row = points(experiment, axes, places)
+        place = places[0] * job.step
+        rows.append((some, scene_of(at_row, plan_of_job(job), experiment.precision, job.chosen, place)))
+    data = gathered(analysis.name)
+    groups = analysis.whole.run(options, Sweep(tuple(axes), tuple(rows)), lanes, data)
+    if job.level:
+        groups = {name: with_computed(group, data) for name, group in groups.items()}
+    after = spent(lanes, time.perf_counter() - began)
+    cost = after._replace(
+        compile_seconds=after.compile_seconds - before.compile_seconds,
+        lane_periods=after.lane_periods - before.lane_periods,
+    )
+    counts = {name: dict(analysis.count(data)) if name == analysis.name else {} for name, data in groups.items()}
+    return Done(piece, {name: whole_on_axes(data, axes) for name, data in groups.items()}, counts, cost)
