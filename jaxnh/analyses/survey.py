@@ -224,8 +224,8 @@ def _look(
                 whole[shorter] = part
         period[here], found[here] = shortest, exact.u
         residual[here], monodromy[here] = exact.residual, exact.monodromy
-    on_orbit = period > 0
-    multiplier[on_orbit] = largest_multiplier(monodromy[on_orbit])
+        multiplier[here] = largest[settled]
+        multiplier[here[shorter]] = largest_multiplier(exact.monodromy[shorter])
     return Seen(Survey(period, found, residual, multiplier, monodromy, failed, size), points[:, -1])
 
 
@@ -246,7 +246,8 @@ def _recurrences(
     possible = np.zeros((limit + 1, len(points)), np.bool_)
     base, nearest = np.zeros(len(points), int), np.zeros(len(points))
     for n in range(least, limit + 1):
-        lanes = np.flatnonzero(apart(system, points[:, n], points[:, 0], size) < _CLOSE)  # most do not recur
+        lanes = np.flatnonzero((base == 0) | (n % np.maximum(base, 1) == 0))
+        lanes = lanes[apart(system, points[lanes, n], points[lanes, 0], size[lanes]) < _CLOSE]  # most do not recur
         if not len(lanes):
             continue
         ahead, behind = points[lanes, n : n + limit], points[lanes, :limit]
@@ -254,10 +255,10 @@ def _recurrences(
         lanes, distance = lanes[distance < _CLOSE], distance[distance < _CLOSE]
         first = base[lanes] == 0
         base[lanes[first]], nearest[lanes[first]] = n, distance[first]
-        ratio, rest = np.divmod(n, base[lanes])
+        ratio = n // base[lanes]
         doubled = ratio & (ratio - 1) == 0
         nearer = distance < 0.5 * nearest[lanes]
-        possible[n, lanes] = (rest == 0) & (doubled | (nearer & (not only_doublings)))
+        possible[n, lanes] = doubled | (nearer & (not only_doublings))
     return possible
 
 

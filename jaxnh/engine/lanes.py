@@ -164,26 +164,46 @@ class Lanes:
             return self._rows(function, shared, lanes, periods, tile, static)
         call, name = self._calls, self._names.of(function, shared, lanes, static, tile) if self._kept else ""
         self._calls += 1
-        chunk, count = tile * len(self.devices), len(jax.tree.leaves(lanes)[0])
+        count = len(jax.tree.leaves(lanes)[0])
         results = self._found(call, name, function, shared, lanes, static)
         start = sum(len(jax.tree.leaves(result)[0]) for result in results)
         if start:
             self._account(periods * start)
+        tiles = self._tiles(function, shared, lanes, static, tile, periods, start) if start < count else ()
+        for first, result in tiles:
+            results.append(result)
+            if self._kept:
+                self._kept.add(Part(call, first, name, tuple(jax.tree.leaves(result))))
+            self._account(periods * len(jax.tree.leaves(result)[0]))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
+
+    def _tiles(
+        self,
+        function: Callable[..., Any],
+        shared: tuple[Any, ...],
+        lanes: tuple[Any, ...],
+        static: tuple[Any, ...],
+        tile: int,
+        periods: float,
+        start: int,
+    ) -> Iterator[tuple[int, Any]]:
+        """Results of the lanes from the number `start` on, a tile for each device at a time, with its first lane."""
+        leaves, structure = jax.tree.flatten(lanes)
+        chunk, count = tile * len(self.devices), len(leaves[0])
+        roomy = jax.tree.unflatten(structure, [_padded(leaf[:chunk], chunk) for leaf in leaves])
+        program, placed = self._program(function, static, shared, roomy), self._on_devices(shared)
+        turns = periods * chunk * turns_of(shared)
         for first in range(start, count, chunk):
-            part = jax.tree.map(lambda leaf, first=first: _padded(leaf[first : first + chunk], chunk), lanes)
-            program = self._program(function, static, shared, part)
+            part = [_padded(leaf[first : first + chunk], chunk) for leaf in leaves]
             began = time.perf_counter()
-            result = jax.tree.map(np.asarray, program(self._on_devices(shared), jax.tree.leaves(part)))
+            result = jax.tree.map(np.asarray, program(placed, part))
             seconds = time.perf_counter() - began
             self.run_seconds += seconds
-            if turns := periods * chunk * turns_of(shared):
+            if turns:
                 self.fastest = min(self.fastest, seconds / turns)
-            some = min(chunk, count - first)
-            results.append(jax.tree.map(lambda leaf, some=some: leaf[:some], result))
-            if self._kept:
-                self._kept.add(Part(call, first, name, tuple(jax.tree.leaves(results[-1]))))
-            self._account(periods * some)
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
+            if (some := min(chunk, count - first)) < chunk:
+                result = jax.tree.map(lambda leaf, some=some: leaf[:some], result)
+            yield first, result
 
     def _iterates(self, longest: int, shared: tuple[Any, ...], lanes: tuple[Any, ...], *, tile: int) -> Any:
         """Iterates of a map in several calls: the same program, whose count is an argument, and so the same bits."""

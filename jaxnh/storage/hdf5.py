@@ -16,9 +16,9 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 import h5py
 import numpy as np
@@ -68,6 +68,16 @@ class Hash(Protocol):
         ...
 
 
+class _Described(NamedTuple):
+    """A variable but for its data."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: str
+    dims: tuple[str, ...]
+    attrs: Attributes
+
+
 # ---- writing
 
 
@@ -106,24 +116,29 @@ def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, xr.Dataset]
     """
     with writing(path) as (file, _):
         set_attributes(file, attrs)
-        for name, dataset in groups.items():
-            _write_group(file.create_group(name, track_order=True), dataset, str(attrs.get("axes", "")).split())
-        file.attrs[SEAL] = seal = digest(file)
+        axes = str(attrs.get("axes", "")).split()
+        written = [_write_group(file.create_group(name, track_order=True), data, axes) for name, data in groups.items()]
+        seal = _seal_of(attrs, ((name, *content) for name, content in zip(groups, written, strict=True)))
+        file.attrs[SEAL] = seal
     return seal
 
 
-def _write_group(target: h5py.Group, dataset: xr.Dataset, axes: Sequence[str]) -> None:
-    set_attributes(target, {key: value for key, value in dataset.attrs.items() if key != "warnings" or value})
+def _write_group(target: h5py.Group, dataset: xr.Dataset, axes: Sequence[str]) -> tuple[Attributes, list[_Described]]:
+    attrs = {str(key): value for key, value in dataset.attrs.items() if key != "warnings" or value}
+    set_attributes(target, attrs)
     names = [str(name) for name in dataset.variables]
     first = [axis for axis in axes if axis in dataset.variables and dataset.variables[axis].dims == (axis,)]
     names = [*first, *(name for name in names if name not in first)]
+    written = list[_Described]()
     for name in names:
-        data = as_text(np.asarray(dataset.variables[name].values))
+        content = dataset.variables[name]
+        data = as_text(np.asarray(content.values))
         item = create(target, name, data.shape, data.dtype)
         item[...] = as_stored(data)
-        set_attributes(item, {**dataset.variables[name].attrs, **_coordinates(dataset, name)})
-        item.attrs[DATA] = checksum(data).hexdigest()
-    attach(target, {name: tuple(map(str, dataset.variables[name].dims)) for name in names})
+        own = {**content.attrs, **_coordinates(dataset, name), DATA: checksum(data).hexdigest()}
+        set_attributes(item, own)
+        written.append(_Described(name, data.shape, item.dtype.str, tuple(map(str, content.dims)), own))
+    return attrs, written + attach(target, {one.name: one.dims for one in written})
 
 
 def with_indices(dataset: xr.Dataset) -> xr.Dataset:
@@ -151,8 +166,9 @@ def _coordinates(dataset: xr.Dataset, name: str) -> dict[str, str]:
 
 def set_attributes(target: h5py.File | h5py.Group | h5py.Dataset, attrs: Mapping[Any, Any]) -> None:
     """Give a file, group or variable attributes, in their order."""
+    found = target.attrs
     for key, value in attrs.items():
-        target.attrs[key] = value
+        found[key] = value
 
 
 def create(
@@ -174,20 +190,24 @@ def create(
     )
 
 
-def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> None:
-    """Make every axis a dimension scale, with an index where no variable has its name."""
+def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> list[_Described]:
+    """Make every axis a dimension scale, with an index where no variable has its name; those that were added."""
+    added, scales = list[_Described](), dict[str, h5py.Dataset]()
     for name, axes in dims.items():
         item = variable(target, name)
         for axis, dim in enumerate(axes):
-            if dim not in target:
-                index = np.arange(item.shape[axis])
-                added = target.create_dataset(dim, data=index)
-                set_attributes(added, {**_index_words(dim), DATA: checksum(index).hexdigest()})
-            scale = variable(target, dim)
-            if not scale.is_scale:
-                scale.make_scale(dim)
+            if dim not in scales:
+                if dim not in target:
+                    index = np.arange(item.shape[axis])
+                    own = {**_index_words(dim), DATA: checksum(index).hexdigest()}
+                    set_attributes(target.create_dataset(dim, data=index), own)
+                    added.append(_Described(dim, index.shape, index.dtype.str, (dim,), own))
+                scales[dim] = variable(target, dim)
+                if not scales[dim].is_scale:
+                    scales[dim].make_scale(dim)
             if name != dim:
-                item.dims[axis].attach_scale(scale)
+                item.dims[axis].attach_scale(scales[dim])
+    return added
 
 
 def as_text(data: np.ndarray) -> np.ndarray:
@@ -383,16 +403,32 @@ def verify(path: Path) -> None:
 
 def digest(file: h5py.File) -> str:
     """Hash of everything in a file but its data, for which their own hashes stand."""
+    content = (
+        (
+            name,
+            attributes(group),
+            [
+                _Described(name, item.shape, item.dtype.str, dimensions(item), attributes(item))
+                for name, item in variables(group).items()
+            ],
+        )
+        for name, group in groups(file).items()
+    )
+    return _seal_of(attributes(file), content)
+
+
+def _seal_of(attrs: Mapping[str, Any], groups: Iterable[tuple[str, Attributes, Sequence[_Described]]]) -> str:
+    """The hash of a file with these root attributes, groups, and their attributes and variables."""
     found = hashlib.sha256()
 
     def add(*content: Any) -> None:
         found.update(json.dumps(content, default=plain, sort_keys=True).encode())
 
-    add({key: value for key, value in attributes(file).items() if key != SEAL})
-    for group_name, group in groups(file).items():
-        add(group_name, attributes(group))
-        for name, item in variables(group).items():
-            add(name, item.shape, item.dtype.str, dimensions(item), attributes(item))
+    add({key: value for key, value in attrs.items() if key != SEAL})
+    for name, of_group, described in groups:
+        add(name, of_group)
+        for one in described:
+            add(*one)
     return found.hexdigest()
 
 
