@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import re
 from collections.abc import Callable
@@ -23,7 +24,7 @@ class CallNames:
         """A hash of the function and all arguments, numbers bit for bit."""
         leaves, structure = jax.tree.flatten(arguments)
         common, of_shared = jax.tree.flatten(shared)
-        found = hashlib.sha256(_without_addresses(f"{_said(function)} {of_shared} {structure}"))
+        found = hashlib.sha256(_words(function, of_shared, structure))
         for leaf in common:
             found.update(self._digest(leaf))
         for leaf in leaves:
@@ -39,6 +40,11 @@ class CallNames:
                 self._known.clear()
             self._known[id(leaf)] = leaf, hashlib.sha256(_content(leaf)).digest()
         return self._known[id(leaf)][1]
+
+
+@functools.lru_cache(_READ)
+def _words(function: Callable[..., Any], *structures: Any) -> bytes:
+    return _without_addresses(" ".join([_said(function), *map(str, structures)]))
 
 
 def _content(leaf: Any) -> bytes:

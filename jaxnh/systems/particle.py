@@ -300,7 +300,7 @@ class IsokineticParticle(Flow):
 
     def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Largest difference of positions between section points (..., 3): (...,)."""
-        return np.max(np.abs(one[..., :2] - other[..., :2]), axis=-1)
+        return np.maximum(*(np.abs(one[..., k] - other[..., k]) for k in range(2)))
 
     def signal(self, y: State) -> Vector:
         """The position x1."""
