@@ -138,7 +138,8 @@ def on_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool)
         elif line and not dims and not others:
             attrs[str(name)] = values.item()
         elif not line and name not in dims and shared:  # as times, which the clock decides
-            content[name] = (shared + dims, values.reshape((1,) * len(shared) + values.shape), item.attrs)
+            rows = [size for size, axis in zip(piece.shape, axes, strict=True) if axis.kind == "shared"]
+            content[name] = (shared + dims, np.broadcast_to(values, (*rows, *values.shape)), item.attrs)
         else:
             content[name] = (dims, values, item.attrs)
     met = [axis for axis in axes if any(axis.name in dims for dims, _, _ in content.values())]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 from collections.abc import Callable, Sequence
 
 from jaxnh.analyses.base import Analysis, Options
@@ -19,6 +21,7 @@ Requested = Sequence[tuple[Analysis, Options]]
 
 _BYTES = 1 << 28  # of results that are computed at once
 _LANES = 8192  # that are computed at once: enough to fill the tiles of programs that few of them need
+_MOST_COMPARED = 1 << 14  # values of the shared axes whose periods are compared
 _BATCHES = 4  # a device at least, so that none waits long for the last
 
 
@@ -45,17 +48,19 @@ def batches(
     found: list[list[Piece]] = []
     computed, there, places = 0, 0, set[tuple[int, ...]]()  # lanes and rows of the last batch
     for piece in pieces:
-        last, place = found[-1] if found else [], _shared(piece, job)
+        last, of_piece = found[-1] if found else [], rows_of(piece, job)
         follows = bool(last) and piece.number == last[-1].number + 1
         fits = computed + lanes_of(piece, level) <= most and there + piece.lanes <= held
-        near = place in places or (len(places) < rows and alike(place, next(iter(places), place)))
+        near = of_piece <= places
+        if not near and len(of_piece | places) <= rows:
+            near = alike(of_piece | places)
         if follows and fits and near and piece.names == job.independent == last[-1].names:
             last.append(piece)
         else:
             found.append([piece])
             computed, there, places = 0, 0, set()
         computed, there = computed + lanes_of(piece, level), there + piece.lanes
-        places.add(place)
+        places |= of_piece
     return found
 
 
@@ -78,8 +83,17 @@ def lanes_of(piece: Piece, level: Level | None) -> int:
     return piece.lanes if level is None else int(level.wanted_in(piece).sum())
 
 
-def _alike(experiment: Experiment, axes: Sequence[Axis]) -> Callable[[tuple[int, ...], tuple[int, ...]], bool]:
-    """Whether flows at two places along the shared axes have the same period."""
+def rows_a_tile(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> int:
+    """How many values of the shared axes a tile of a job may have: of all of them, or else 1."""
+    shared = [range(len(axis.values)) for axis in axes if axis.kind == "shared"]
+    many = math.prod(map(len, shared)) > _MOST_COMPARED
+    if many or not in_rows(experiment, axes, requested, job):
+        return 1
+    return ROWS if _alike(experiment, axes)(set(itertools.product(*shared))) else 1
+
+
+def _alike(experiment: Experiment, axes: Sequence[Axis]) -> Callable[[set[tuple[int, ...]]], bool]:
+    """Whether flows at some places along the shared axes have the same period."""
     shared = [axis for axis in axes if axis.kind == "shared"]
 
     @functools.cache
@@ -87,9 +101,10 @@ def _alike(experiment: Experiment, axes: Sequence[Axis]) -> Callable[[tuple[int,
         values = {axis.name: float(axis.values[k]) for axis, k in zip(shared, place, strict=True)}
         return experiment.flow(values).period
 
-    return lambda one, other: period(one) == period(other)
+    return lambda places: len(set(map(period, places))) <= 1
 
 
-def _shared(piece: Piece, job: Job) -> tuple[int, ...]:
+def rows_of(piece: Piece, job: Job) -> set[tuple[int, ...]]:
     """Places of a piece along the shared axes."""
-    return tuple(begin for begin, (_, _, shared) in zip(piece.begin, job.axes, strict=True) if shared)
+    ends = zip(piece.begin, piece.end, job.axes, strict=True)
+    return set(itertools.product(*(range(begin, end) for begin, end, (_, _, shared) in ends if shared)))

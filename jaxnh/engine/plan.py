@@ -17,7 +17,7 @@ from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import kept_decisions
 from jaxnh.engine.axes import Points, points, sampled
-from jaxnh.engine.batches import Requested, lanes_of
+from jaxnh.engine.batches import Requested, lanes_of, rows_a_tile
 from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan
 from jaxnh.engine.compute import scene_of
 from jaxnh.engine.kept_decisions import Decision
@@ -142,7 +142,7 @@ def job_of(
     if tile is None:
         tile = tile_lanes(work_of(split, count), numbers_of(split), count)
         parts *= _TILES_A_PART if parts > 1 else 1
-    return Job(
+    job = Job(
         config_sha256=experiment.sha256,
         versions=versions(),
         solver=plan.solver.name,
@@ -159,6 +159,7 @@ def job_of(
         levels=experiment.levels.count if experiment.levels else 1,
         refine=experiment.levels.refine if experiment.levels else "",
     )
+    return replace(job, rows=rows_a_tile(experiment, axes, requested, job))
 
 
 def decide(

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import NamedTuple
 
-_WORK = 2e6  # lane-periods a tile: ten to thirty seconds on one core
+_WORK = 2e6  # lane-periods a tile: up to ten seconds on one core, of the fastest maps half a second
+_LARGE, _MANY = 4 * _WORK, 256  # likewise, where there are still so many tiles: each is a file
 _BYTES = 1 << 26  # of results a tile
 _MOST_TILES = 1 << 14
 _FEWEST_LANES = 16
@@ -51,6 +52,7 @@ class Job:
         independent: those whose lanes know nothing of each other; the others are run along the whole first axis.
         axes: of the sweep, in the order of results: name, size, and whether all lanes of a program share its value.
         tile: lanes a tile.
+        rows: values of the axes that lanes share which a tile may have, where it has all lanes of these.
         wholes: groups that are made of all tiles together once these are there: name of the analysis, whose tiles have
             a group of that name as well, and then those that it brings.
         machine: kind of processor and options of the compiler, which the last bits of chaotic lanes rest on.
@@ -71,6 +73,7 @@ class Job:
     independent: tuple[str, ...]
     axes: tuple[tuple[str, int, bool], ...]
     tile: int
+    rows: int = 1
     wholes: tuple[tuple[str, ...], ...] = ()
     machine: Mapping[str, str] = field(default_factory=dict[str, str])
     levels: int = 1
@@ -143,7 +146,8 @@ class Job:
 
         Those that are made of all tiles come last.
 
-        For each value of the axes that lanes share the others are cut into rectangles of at most `tile` lanes.
+        For each value of the axes that lanes share the others are cut into rectangles of at most `tile` lanes, or where
+        all of them fit into one, so are those at up to `rows` of these values.
         """
         boxes = [(self.independent, box) for box in (self._tiles() if self.independent else ())]
         boxes += [((name,), box) for name in self.order if name not in self.independent for box in self._lines()]
@@ -151,10 +155,13 @@ class Job:
         return [Piece(number, names, *box) for number, (names, box) in enumerate(boxes, self.first)]
 
     def _tiles(self) -> Iterator[Box]:
-        own = [k for k, (_, _, shared) in enumerate(self.axes) if not shared]
+        own, shared = ([k for k, axis in enumerate(self.axes) if axis[2] == kind] for kind in (False, True))
         cut = dict(zip(own, tile_shape([self.shape[k] for k in own], self.tile), strict=True))
-        for at in _corners(self.shape, {k: cut.get(k, 1) for k in range(len(self.axes))}, first=set(cut)):
-            yield at, tuple(min(b + cut.get(k, 1), self.shape[k]) for k, b in enumerate(at))
+        whole = all(size == self.shape[k] for k, size in cut.items())
+        rows = min(self.rows, self.tile // max(1, math.prod(cut.values()))) if whole else 1
+        cut |= dict(zip(shared, tile_shape([self.shape[k] for k in shared], max(1, rows)), strict=True))
+        for at in _corners(self.shape, cut, first=set(own)):
+            yield at, tuple(min(b + cut[k], self.shape[k]) for k, b in enumerate(at))
 
     def _lines(self) -> Iterator[Box]:
         whole = self.shape[:1]
@@ -180,14 +187,15 @@ def tile_shape(sizes: Sequence[int], most: int) -> tuple[int, ...]:
 
 
 def tile_lanes(work: float, numbers: float, lanes: int) -> int:
-    """Lanes a tile, from the config alone: a power of two for ten to thirty seconds of work and not too many bytes.
+    """Lanes a tile, from the config alone: a power of two for some seconds of work and not too many bytes.
 
     Args:
         work: lane-periods a lane.
         numbers: numbers that a lane leaves.
         lanes: lanes of the sweep.
     """
-    wanted = min(max(_WORK, work * lanes / _MOST_TILES) / max(work, 1e-9), _BYTES / (8 * max(numbers, 1)), 1 << 20)
+    tile = max(_WORK, min(_LARGE, work * lanes / _MANY), work * lanes / _MOST_TILES)
+    wanted = min(tile / max(work, 1e-9), _BYTES / (8 * max(numbers, 1)), 1 << 20)
     return max(_FEWEST_LANES, 1 << (max(int(wanted), 1).bit_length() - 1))
 
 

@@ -17,10 +17,12 @@ from jaxnh.analyses.scene import Rows, Scene
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.batches import batches
 from jaxnh.engine.calibration import Plan
+from jaxnh.engine.compute import compute
 from jaxnh.engine.plan import job_of
 from jaxnh.engine.row_blocks import in_blocks
 from jaxnh.maps.rows import ROW, stack
 from jaxnh.solvers import SPLITTINGS
+from jaxnh.storage.pieces import slab
 from jaxnh.systems.particle import disturbed_speed
 
 UNCALIBRATED = True
@@ -118,3 +120,31 @@ def test_what_is_computed_together():
     assert rows_of_batches({"b": B, "d": d}, {**QUICK, "poincare": {}}) == [1] * 16
     omega = {"values": [0.5, *(1.0 + k for k in range(15))]}  # periods 4π, then 2π
     assert rows_of_batches({"b": B, "omega": omega}, QUICK) == [1, *[2] * 7, 1]
+
+
+def test_tiles_of_several_rows():
+    """The bits of tiles of one value of d each, wherever a tile ends; an axis of periods that differ has no such tiles."""
+    options = {"lyapunov": {"transient": 16, "periods": 16}, "period": {"transient": 16, "limit": 4}}
+    content = {"system": {"constraint": "disturbed_speed"}, "accuracy": {"solver": "blanes_moan6", "steps": 40}}
+    sweep = {"b": {"start": 5.2, "stop": 5.6, "count": 20}, "d": {"start": 0.1, "stop": 0.2, "count": 5}}
+    experiment = Experiment.from_dict({**content, "sweep": sweep, "analyses": options})
+    requested, axes, lanes = experiment.requested(), experiment.axes, lanes_with_kept_programs()
+    plan = Plan(SOLVER, STEPS, False, 1e-6)
+    found = []
+    for tile, rows in ((20, 1), (45, 2), (100, 5)):
+        job = job_of(experiment, axes, plan, {"lyapunov": {"parts": 1}}, requested, {}, tile)
+        assert job.pieces()[0].shape == (20, rows)
+        whole = {}
+        for piece in job.pieces():
+            [done] = compute(experiment, axes, requested, job, [piece], lanes, None)
+            for name, group in done.groups.items():
+                for variable, item in group.data_vars.items():
+                    dims = tuple(map(str, item.dims))
+                    assert dims[:2] == ("b", "d")
+                    values = whole.setdefault((name, variable), np.zeros((20, 5, *item.shape[2:]), item.dtype))
+                    values[slab(dims, piece, ("b", "d"))] = item.values
+        found.append({key: values.tobytes() for key, values in whole.items()})
+    assert found[0] == found[1] == found[2]
+    sweep["omega"] = {"values": [1.0, 2.0, 0.5]}
+    unlike = Experiment.from_dict({**content, "sweep": {k: sweep[k] for k in ("b", "omega")}, "analyses": options})
+    assert job_of(unlike, unlike.axes, plan, {}, unlike.requested(), {}, 100).rows == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def job(axes=(("b", 10, False),), tile=4, order=("diagram", "doubling"), indepen
     [
         (20, 32, 10**6, 65536),  # 2e6 lane-periods are 100,000 lanes
         (640, 512, 4096, 2048),
-        (10_000, 64, 10**5, 128),
+        (10_000, 64, 10**5, 256),  # 256 tiles are as many as need be: 390 lanes each
         (528, 16 * 65536 * 4, 10**5, 16),  # a lane of 34 MB
         (1e6, 64, 10**7, 512),  # no more than 16,384 tiles: 610 lanes each
     ],
@@ -97,15 +98,32 @@ def test_shared_axis(first):
     ]
 
 
+def test_rows_of_a_shared_axis():
+    """Several values of it are in a tile that has all lanes of these, no more than asked for; else one is."""
+    axes = (("b", 5, False), ("d", 7, True))
+    tiles = [
+        [
+            (piece.begin[1], piece.end[1])
+            for piece in dataclasses.replace(job(axes, tile, ("diagram",)), rows=rows).pieces()
+        ]
+        for tile, rows in ((14, 32), (40, 3), (14, 1))
+    ]
+    assert tiles == [[(0, 2), (2, 4), (4, 6), (6, 7)], [(0, 3), (3, 6), (6, 7)], [(d, d + 1) for d in range(7)]]
+    cut = dataclasses.replace(job(axes, 4, ("diagram",)), rows=32).pieces()
+    assert [piece.shape for piece in cut] == [(4, 1), (1, 1)] * 7
+
+
 AXES = st.lists(st.tuples(st.integers(1, 6), st.booleans()), min_size=1, max_size=4).map(
     lambda drawn: tuple((f"axis{k}", size, shared) for k, (size, shared) in enumerate(drawn))
 )
 
 
 @settings(deadline=None, max_examples=300)
-@given(AXES, st.integers(1, 40))
-def test_every_lane_is_in_one_tile_and_in_one_line(axes, tile):
-    whole = job(axes, tile, ("diagram", "doubling", "lyapunov"), ("diagram", "lyapunov"))
+@given(AXES, st.integers(1, 40), st.integers(1, 5))
+def test_every_lane_is_in_one_tile_and_in_one_line(axes, tile, rows):
+    whole = dataclasses.replace(
+        job(axes, tile, ("diagram", "doubling", "lyapunov"), ("diagram", "lyapunov")), rows=rows
+    )
     pieces = whole.pieces()
     assert [piece.number for piece in pieces] == list(range(len(pieces)))
     for names in (("diagram", "lyapunov"), ("doubling",)):
@@ -120,7 +138,10 @@ def test_every_lane_is_in_one_tile_and_in_one_line(axes, tile):
             assert piece.shape == (axes[0][1],) + (1,) * (len(axes) - 1)
         else:
             assert piece.lanes <= tile
-            assert all(size == 1 for size, (_, _, shared) in zip(piece.shape, axes, strict=True) if shared)
+            of_shared = [size for size, (_, _, shared) in zip(piece.shape, axes, strict=True) if shared]
+            own = [(size, axis[1]) for size, axis in zip(piece.shape, axes, strict=True) if not axis[2]]
+            assert math.prod(of_shared) <= rows
+            assert all(size == 1 for size in of_shared) or all(size == most for size, most in own)
 
 
 @settings(deadline=None, max_examples=100)
