@@ -30,7 +30,7 @@ def settled_steps(scene: Scene, lanes: LaneRunner, state: State) -> int:
     lanes from these states on. That map has twice the steps or more, and of a method of order six an error 64 times as
     small.
     """
-    if not scene.target:
+    if not scene.target or scene.steps < 2 * _FEWEST:
         return scene.steps
     strobe, p = scene.strobe(), dict(scene.p)
     _, after = lanes(record, (strobe,), (state, p), periods=_PERIODS, static=(_PERIODS,))

@@ -56,11 +56,14 @@ def test_error_after_the_first_look(lanes):
 
 
 def test_where_nothing_is_gained(lanes):
-    """All steps, where the lanes are still where the steps were chosen for, and where steps were asked for by number."""
+    """All steps, where the lanes are still where the steps were chosen for, where steps were asked for by number, and
+    where there are few: a target that any steps meet is no reason for fewer than eight."""
     few = scene_over(4.0, 256, 1)
     assert settled_steps(few, lanes, few.start) == STEPS
     settled = look_at(few, lanes, few.start, TRANSIENT // 2).state
     assert settled_steps(replace(few, target=0.0), lanes, settled) == STEPS
+    assert settled_steps(replace(few, target=1.0, steps=15), lanes, settled) == 15
+    assert settled_steps(replace(few, target=1.0, steps=40), lanes, settled) == 10
 
 
 def test_few_lanes_choose_nothing():
