@@ -68,11 +68,12 @@ def calibrate(
 
 
 def draws(requested: Requested) -> dict[str, Starts]:
-    """Where analyses have lanes start at random, by the analysis and all its options."""
-    found = (
-        (f"{analysis.name} {options.model_dump_json()}", analysis.starts(options)) for analysis, options in requested
-    )
-    return {name: draw for name, draw in found if draw is not None}
+    """Where analyses have lanes start at random, by the analysis and those of its options that decide it."""
+    found = {}
+    for analysis, options in requested:
+        if (draw := analysis.starts(options)) is not None:
+            found[f"{analysis.name} {options.model_dump_json(include={'starts', 'seed', 'box'})}"] = draw
+    return found
 
 
 def _with_starts(row: Points, draw: Starts, most: int) -> Points:

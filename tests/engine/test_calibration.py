@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from unittest import mock
 
 import jax
 import numpy as np
@@ -166,13 +167,15 @@ def test_random_starts_are_among_the_samples(analysis):
     box, b, target = 3.0, 5.475, 1e-6
     options = {"start": "random", "starts": 8, "box": box, "transient": 0, "strobes": 1}
     if analysis == "basins":
-        options = {"starts": 8, "box": {"x1": [-box, box], "y1": [-box, box]}}
+        options = {"starts": 8, "transient": 32, "box": {"x1": [-box, box], "y1": [-box, box]}}
     content = {"system": {"constraint": "constant_speed"}, "accuracy": {"target": target}, "analyses": {"poincare": {}}}
     session = session_of(Experiment.from_dict({**content, "sweep": {"b": {"start": b, "stop": b + 0.01, "count": 64}}}))
     still = session.plan
     variant = session.experiment.variant({analysis: options}, {})
     drawn = session._plan_for(variant, variant.axes)
-    assert session._plan_for(variant, variant.axes) == drawn
+    longer = session.experiment.variant({analysis: {**options, "transient": 64}}, {})  # the same starts
+    with mock.patch("jaxnh.engine.session.calibrate", side_effect=AssertionError):
+        assert session._plan_for(longer, variant.axes) == drawn
     assert session.plan == still
 
     u = np.random.default_rng(5).uniform([-box, -box, -np.pi], [box, box, np.pi], (500, 3))
