@@ -98,8 +98,8 @@ def choose(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> dict[str,
     if scene.count * max(1, options.starts) < _MANY:
         return {"steps": scene.steps}
     some = np.unique(np.linspace(0, scene.count - 1, min(scene.count, _SAMPLED)).round().astype(int))
-    started = _started(options, scene.take(some))[0]
-    few = started.take(np.unique(np.linspace(0, started.count - 1, _SAMPLED).round().astype(int)))
+    here = _started(options, scene.take(some))[0]
+    few = here.take(np.unique(np.linspace(0, here.count - 1, _SAMPLED).round().astype(int)))
     begun = look_at(few, lanes, few.start, options.transient // 2)
     return {"steps": settled_steps(few, lanes, begun.state)}
 

@@ -15,7 +15,7 @@ from jaxnh.systems.particle import IsokineticParticle
 Table = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Rows (..., capacity, 3, without forcing 2) for `KickStrobe`, how many are in use, and the last drift (...,)."""
 
-_KEPT = 256  # tables of whole periods, some 10 KiB each: those of the rows of all batches in hand
+_KEPT = 256  # tables of whole periods, some tens of KiB each: those of the rows of all batches in hand
 
 
 def kick_table(
