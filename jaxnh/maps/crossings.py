@@ -233,7 +233,7 @@ class EventStrobe(Strobe):
         """What comes to the section, its tangents moved along the flow onto it, and how much later each is there."""
         if not isinstance(ahead, Pushed):
             return ahead, ()
-        moving = self.system.rhs(jnp.zeros_like(search.t), ahead.state, p)
+        moving = self.system.inner.rhs(jnp.zeros_like(search.t), ahead.state, p)
         speed = self.system.across(moving)
         tangents, later = [], []
         for tangent in ahead.tangents:

@@ -130,18 +130,23 @@ class SectionedFlow(Flow):
         """As the flow."""
         return self.inner.shares(name)
 
-    def rhs(self, t: ArrayLike, y: State, p: Parameters) -> State:
-        """That of the flow, at one of its states."""
-        return self.inner.rhs(t, y, p)
+    def rhs(self, t: ArrayLike, y: Crossing, p: Parameters) -> Crossing:
+        """Time derivative of a crossing's state, of its time and of its reason."""
+        rate = self.inner.rhs(t, y.state, p)
+        return Crossing(rate, jnp.ones_like(rate[0][0]), jnp.zeros_like(rate[0][0]))
 
     @property
     def own(self) -> tuple[str, ...]:
         """As the flow."""
         return self.inner.own
 
-    def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Any:
-        """That of the flow, at one of its states."""
-        return self.inner.divergence(t, y, p)
+    def divergence(self, t: ArrayLike, y: Crossing, p: Parameters) -> Any:
+        """That of the flow at the crossing's state."""
+        return self.inner.divergence(t, y.state, p)
+
+    def project(self, t: ArrayLike, y: Crossing, p: Parameters) -> Crossing:
+        """The crossing with its state brought back to the constraints of the flow."""
+        return y._replace(state=self.inner.project(t, y.state, p))
 
     def compared(self, y: Crossing) -> tuple[State, Any]:
         """What is compared of a state of the flow, and the time of the crossing."""
@@ -190,16 +195,22 @@ class SectionedFlow(Flow):
         return self.inner.apart(self._whole(one), self._whole(other))
 
     def directions(self, k: int) -> tuple[Vector, ...]:
-        """Those of the flow."""
-        return self.inner.directions(k)
+        """The first k coordinate directions of the section."""
+        return tuple(tuple(row.tolist()) for row in np.eye(self.dimension)[:k])
 
-    def lift(self, y: State, tangent: Vector) -> State:
-        """That of the flow, at one of its states."""
-        return self.inner.lift(y, tangent)
+    def lift(self, y: Crossing, tangent: Vector) -> Crossing:
+        """The tangent of a crossing with these section coordinates: it keeps to the section, and to the crossing's time."""
+        across = jnp.zeros_like(tangent[0])
+        if self.normal is not None:
+            others = [weight for i, weight in enumerate(self.normal) if i != self.number]
+            across -= sum(w * v for w, v in zip(others, tangent, strict=False) if w) / self.normal[self.number]
+        state = self.inner.lift(y.state, (*tangent[: self.number], across, *tangent[self.number :]))
+        return Crossing(state, jnp.zeros_like(across), jnp.zeros_like(across))
 
-    def lower(self, y: State, tangent: State) -> Vector:
-        """That of the flow, at one of its states."""
-        return self.inner.lower(y, tangent)
+    def lower(self, y: Crossing, tangent: Crossing) -> Vector:
+        """Section coordinates of a tangent of a crossing."""
+        lowered = self.inner.lower(y.state, tangent.state)
+        return (*lowered[: self.number], *lowered[self.number + 1 :])
 
     def start(self, coordinates: Mapping[str, ArrayLike]) -> Crossing:
         """The state at t = 0, on its way to the section."""

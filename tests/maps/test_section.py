@@ -88,13 +88,35 @@ def test_start_is_on_its_way(flow, coordinate, number):
 
 
 @flows
-def test_parameters_of_a_lane(flow):
-    """Rates of the flow are those with the lane's own parameters."""
+def test_rates_at_a_crossing(flow):
+    """Those of the flow at its state, with the lane's own parameters; time goes on by itself, the reason stays."""
     system = SectionedFlow(flow, "y1", 1, 0.0, "up")
     state = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], states(flow))
-    p = {"a": 0.8, "b": 1.7}
-    for one, other in zip(
-        jax.tree.leaves(system.rhs(0.0, state, p)), jax.tree.leaves(flow.rhs(0.0, state, p)), strict=True
-    ):
+    p, zero = {"a": 0.8, "b": 1.7}, jnp.zeros(())
+    crossing = Crossing(state, zero, zero)
+    rate = system.rhs(0.0, crossing, p)
+    for one, other in zip(jax.tree.leaves(rate.state), jax.tree.leaves(flow.rhs(0.0, state, p)), strict=True):
         assert one == other
-    assert system.divergence(0.0, state, p) == flow.divergence(0.0, state, p)
+    assert (rate.t, rate.reason) == (1.0, 0.0)
+    assert system.divergence(0.0, crossing, p) == flow.divergence(0.0, state, p)
+
+
+PLANES = {"coordinate": ("y1", 1, None), "plane": ("y1", 1, (0.5, -2.0))}
+
+
+@flows
+@pytest.mark.parametrize("plane", PLANES.values(), ids=PLANES)
+def test_tangents_of_crossings(flow, plane):
+    """A tangent in section coordinates, lifted, is the derivative of `unchart`; lowered, the same numbers again."""
+    coordinate, number, normal = plane
+    system = SectionedFlow(flow, coordinate, number, 0.25, "up", normal)
+    rng = np.random.default_rng(5)
+    u, tangent = (jnp.asarray(rng.uniform(-1, 1, system.dimension)) for _ in range(2))
+    crossing, moved = jax.jvp(system.unchart, (u,), (tangent,))
+    lifted = system.lift(crossing, tuple(tangent))
+    for one, other in zip(jax.tree.leaves(lifted), jax.tree.leaves(moved), strict=True):
+        assert np.abs(np.asarray(one - other)).max() < 8 * UNIT
+    assert np.abs(np.array(system.lower(crossing, lifted)) - np.asarray(tangent)).max() < 8 * UNIT
+    chart = jax.jvp(system.chart, (crossing,), (lifted,))[1]
+    assert np.abs(np.asarray(chart - tangent)).max() < 8 * UNIT
+    assert np.array_equal(np.linalg.matrix_rank(np.array(system.directions(system.dimension))), system.dimension)
