@@ -292,7 +292,7 @@ class _Line:
     def _open(self, at: int, way: int) -> Int[np.ndarray, " some"]:
         """Attractors at a value that end there, that way: linked to none, and Newton follows them no further."""
         there = self._there(at)
-        ends = [self._ends[way].get(one, (at, at))[0] == at for one in there.tolist()]
+        ends = np.array([self._ends[way].get(one, (at, at))[0] == at for one in there.tolist()], bool)
         return there[(self._links[way][there] < 0) & ends]
 
     def _led(
