@@ -34,6 +34,7 @@ from jaxnh.orbits.newton import find_doubled
 from jaxnh.systems.flow import Flow, Parameters, State
 
 _CLOSE = 0.03  # sizes of the motion: strobe points nearer than this may be one point of a slowly converging orbit
+_SMALLEST = 1e-4  # of the size at the start: branches, followed to 1e-9 of a size, then are so to hundreds of roundings
 _NEARLY_NEUTRAL = 1e-3  # |1 − μ| below which an orbit of even period may be one that has just been born in a doubling
 # Lanes are looked at first after this share of the transient, for orbits no longer than this.
 _EARLY, _EARLY_LIMIT = 8, 16
@@ -195,8 +196,8 @@ def _look(
             points = lanes(strobe_points, shared, (u, p), periods=cost, static=static, tile=tile)
             size = np.ones_like(u)
         else:
-            radian = 0.0 if scene.system.autonomous else scene.system.period / (2 * np.pi)
-            points, size = lanes(_sized_points, (*shared, radian), (u, p), periods=cost, static=static, tile=tile)
+            shared = (*shared, scene.system.period / (2 * np.pi))
+            points, size = lanes(_sized_points, shared, (u, p, scene.start), periods=cost, static=static, tile=tile)
     recurs = _recurrences(scene.system, points, size, limit, least, only_doublings)
     period, found, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
     failed |= ~np.all(np.isfinite(points), axis=(1, 2))
@@ -301,22 +302,33 @@ def strobe_points(
 
 
 def _sized_points(
-    strobe: Strobe, transient: ArrayLike, radian: ArrayLike, u: Float[Array, " d"], p: Parameters, count: int
+    strobe: Strobe,
+    transient: ArrayLike,
+    radian: ArrayLike,
+    u: Float[Array, " d"],
+    p: Parameters,
+    start: State,
+    count: int,
 ) -> tuple[Float[Array, "points d"], Float[Array, " d"]]:
     """Section points after a transient, of one lane, and the size of its motion in each section coordinate.
 
     The largest of a coordinate at the points, or with a clock of its rate over a radian of the period, which is not
-    small as well where the coordinate happens to be; of an angle it is one. Where all that is zero, one.
+    small as well where the coordinate happens to be; of an angle it is one. Where an attractor has a coordinate that
+    vanishes, all of that decays for ever: it is never less than a small share of the same at the start of the lane.
+    Where that is zero too, one.
 
     Args:
-        radian: of the period, a length of time; zero without a clock.
+        radian: of the period, a length of time.
     """
-    system, flow = strobe.system, strobe.system.flow
+    system = strobe.system
+
+    def size_at(y: State) -> Float[Array, " d"]:
+        rate = jnp.stack(system.lower(y, system.rhs(0.0, y, p)))
+        return jnp.maximum(jnp.abs(system.chart(y)), jnp.abs(rate) * radian)
+
     states = record(strobe, iterate(strobe, transient, system.unchart(u), p), p, count)[1]
     points = jax.vmap(system.chart)(states)
-    size = jnp.max(jnp.abs(points), axis=0)
-    if not flow.autonomous:
-        rates = jax.vmap(lambda y: jnp.stack(flow.lower(y, flow.rhs(0.0, y, p))))(states)
-        size = jnp.maximum(size, jnp.max(jnp.abs(rates), axis=0) * radian)
+    sizes = jnp.abs(points) if system.autonomous else jax.vmap(size_at)(states)
+    size = jnp.maximum(jnp.max(sizes, axis=0), _SMALLEST * size_at(start))
     turns = np.abs(system.wrap(np.full(system.dimension, 2 * np.pi))) < 1.0
     return points, jnp.where(~turns & (size > 0.0) & (size < jnp.inf), size, 1.0)
