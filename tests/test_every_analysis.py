@@ -1,0 +1,415 @@
+"""Every analysis on every kind of flow, in small: each cell holds a number against one that is known, or a refusal.
+
+What is known comes from closed forms (`known_flows`), from scipy's DOP853 on equations written anew, and from the Taylor
+reference. Steps are few and written as loops, as compiling is all that takes time here; their errors, below 1e-6, are
+far below what a fault would do. A new analysis is in the table by itself, and fails until each kind says what it knows.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+from unittest import mock
+
+import known_flows
+import numpy as np
+import pytest
+import taylor
+from conftest import lanes_with_kept_programs, session_of
+from known_flows import TURN
+from scipy.integrate import solve_ivp
+
+from jaxnh.analyses import ANALYSES
+from jaxnh.config.experiment import Experiment
+from jaxnh.exceptions import InputError
+from jaxnh.maps import general_flow
+
+UNCALIBRATED = True
+FOLDER = Path(tempfile.mkdtemp(prefix="jaxnh_kinds_"))
+CLOSE = 1e-6  # what so few steps leave of a period's map, ten times
+OPTIONS = {
+    "portrait": {"transient": 4, "periods": 1, "samples": 4},
+    "poincare": {"transient": 4, "strobes": 4},
+    "diagram": {"transient": 4, "strobes": 4},
+    "period": {"limit": 2, "transient": 64},
+    "lyapunov": {"transient": 32, "periods": 32, "exponents": 2},
+    "chaos01": {"transient": 64, "periods": 100},
+    "verdict": {"longer": 0},
+    "doubling": {"levels": 1},
+    "windows": {"limit": 2, "levels": 1, "crisis": 0, "transient": 64},
+    "branches": {"limit": 2, "transient": 64},
+    "curves": {"limit": 2, "transient": 64},
+    "basins": {"transient": 32, "longest": 256, "limit": 2},
+}
+
+
+class Kind(NamedTuple):
+    """A kind of scene.
+
+    Attributes:
+        config: without its analyses; a system's file stands in it as FILE.
+        known: what each analysis is held against: a check of (session, its dataset), or the words of a refusal.
+        file: the user's file, if any.
+    """
+
+    config: str
+    known: Mapping[str, Callable | str]
+    file: str = ""
+
+
+def lanes_of(data, *names):
+    """Variables over (lane, ...), and the values of the axes by name, each (lanes,)."""
+    axes = str(data.attrs["axes"]).split()
+    stacked = data.stack(lane=axes).transpose("lane", ...)
+    return *(stacked[name].to_numpy() for name in names), {axis: stacked[axis].to_numpy() for axis in axes}
+
+
+# ---- checks
+
+
+def follows(rates, names, angle=False):
+    """The last sample or strobe follows from the first by DOP853, over the time between."""
+
+    def check(data, _):
+        *columns, values = lanes_of(data, *names)
+        if angle:  # (x1, y1, θ) of (x1, y1, x2, y2)
+            columns[2:] = [np.arctan2(columns[3], columns[2])]
+        states = np.stack(columns, axis=-1)
+        for lane in range(0, len(states), 5):
+            p = {name: float(leaf[lane]) for name, leaf in values.items() if name in known_parameters(rates)}
+            span = times_of(data, lane, TURN / p.get("omega", 1.0), states.shape[1])
+            path = solve_ivp(functools.partial(rates, **p), span, states[lane, 0], "DOP853", rtol=1e-11, atol=1e-12)
+            gap = path.y[:, -1] - states[lane, -1]
+            if angle:
+                gap[2] = (gap[2] + np.pi) % TURN - np.pi
+            assert np.abs(gap).max() < 20 * CLOSE, lane
+
+    return check
+
+
+def known_parameters(rates):
+    return rates.func.__code__.co_varnames if isinstance(rates, functools.partial) else rates.__code__.co_varnames
+
+
+def times_of(data, lane, period, points):
+    """Times of the first and the last point: as they say, or whole periods from the beginning of one."""
+    if "t" not in data:
+        return 0.0, (points - 1) * period
+    t = data["t"].to_numpy()
+    return (t if t.ndim == 1 else lanes_of(data, "t")[0][lane])[[0, -1]]
+
+
+def periods(expected):
+    def check(data, _):
+        period, residual, values = lanes_of(data, "period", "residual")
+        assert period.tolist() == np.broadcast_to(expected(values), period.shape).tolist()
+        assert residual.max() < 1e-7
+
+    return check
+
+
+def exponents(expected):
+    """All lanes, within their bars and what steps leave."""
+
+    def check(data, _):
+        ours, error, values = lanes_of(data, "exponents", "exponents_error")
+        exact = -np.sort(-np.stack(np.broadcast_arrays(*expected(values)), axis=-1), axis=-1)
+        assert np.all(np.abs(ours[:, -exact.shape[1] :] - exact) < error[:, -exact.shape[1] :] + CLOSE)
+
+    return check
+
+
+def sums(data, _):
+    """The sum of all exponents is the mean divergence, which is integrated by itself."""
+    exponents, residual, _ = lanes_of(data, "exponents", "sum_rule_residual")
+    assert np.all(np.isfinite(exponents))
+    assert np.abs(residual).max() < 100 * CLOSE
+
+
+def no_chaos(data, _):
+    """K of a motion that is periodic is no one; of one that has settled to rounding it is zero."""
+    assert lanes_of(data, "k")[0].max() < 0.5
+
+
+def words(*expected):
+    """Kinds of motion, of which each lane has one of these."""
+
+    def check(data, _):
+        names = data["kind"].attrs["flag_meanings"].split()
+        assert {names[k] for k in lanes_of(data, "kind")[0]} <= set(expected)
+
+    return check
+
+
+def doubling(name, expected):
+    """One doubling at each point of the other axes, within its error and what steps leave."""
+
+    def check(data, _):
+        values, errors = data[name].to_numpy().ravel(), data[f"{name}_error"].to_numpy().ravel()
+        exact = np.ravel(expected(data))
+        assert len(values) == len(exact)
+        assert np.all(np.abs(values - exact) < errors + CLOSE)
+
+    return check
+
+
+def none_found(data, _):
+    """Nothing, and a line that says what was searched."""
+    assert not np.any(np.isfinite(data["delta"]))
+    assert "no doubling was located between" in data.attrs["warnings"]
+
+
+def one_window(name, kind, expected):
+    """Of period 1 from one end of the range on, to a bifurcation or to the other end."""
+
+    def check(data, _):
+        assert data["period"].to_numpy().tolist() == [1]
+        ends = [data[f"{side}_kind"].attrs["flag_meanings"].split()[int(data[f"{side}_kind"][0])] for side in ("begin", "end")]
+        assert ends == ["range", kind]
+        if kind != "range":
+            assert abs(float(data["end"][0]) - expected()) < float(data["end_error"][0]) + CLOSE
+
+    return check
+
+
+def branches(periods, name, expected=None):
+    """Branches of these periods, and the doubling in `bifurcations`, if there is one."""
+
+    def check(data, groups):
+        assert sorted(set(data["period"].to_numpy().tolist())) == periods
+        located = groups["bifurcations"]
+        kinds = located["kind"].attrs["flag_meanings"].split()
+        at = [float(located[name][i]) for i, k in enumerate(located["kind"].to_numpy()) if kinds[k] == "period_doubling"]
+        assert len(at) == (expected is not None)
+        if at:
+            assert abs(at[0] - expected()) < CLOSE
+
+    return check
+
+
+def straight_curve(data, groups):
+    """The doubling at μ = ν, of any ν, and no point of codimension two."""
+    kinds = data["kind"].attrs["flag_meanings"].split()
+    assert [kinds[k] for k in data["kind"].to_numpy()] == ["period_doubling"]
+    mu, nu = (data[name].to_numpy()[0] for name in ("mu", "nu"))
+    there = np.isfinite(mu)
+    assert there.sum() > 5
+    assert np.abs(mu - nu)[there].max() < CLOSE
+    assert (nu[there].min(), nu[there].max()) == pytest.approx((-0.02, 0.02), abs=CLOSE)
+    assert groups["codimension_two"].sizes["special"] == 0
+
+
+def one_attractor(data, groups):
+    """Every start leads to the only one there is at its values."""
+    number = lanes_of(data, "attractor")[0]
+    assert np.all(number > 0)
+    fraction = groups["attractors"]["fraction"]
+    assert np.nanmax(fraction.to_numpy(), axis=fraction.dims.index("attractor")).min() == 1.0
+
+
+# ---- kinds of scenes
+
+WITHOUT_SECTION = "the system has no period, and {} looks at it on a section"
+ONE_PARAMETER = "curves are followed over two axes, and the sweep has {}"
+MU = "mu: {start: -0.28, stop: 0.28, count: 8}"
+STEPS = "accuracy: {solver: tsit5, steps: 80}"
+
+
+def beyond(values):
+    """By how much a lane is beyond the doubling at μ = ν."""
+    return values["mu"] - values.get("nu", 0.0)
+
+
+def moebius_exponents(values):
+    beyond_it, rate = beyond(values), values.get("omega", 1.0)
+    return rate * np.where(beyond_it > 0, -2 * beyond_it, beyond_it), -rate * np.ones_like(beyond_it)
+
+
+def moebius_periods(values):
+    return np.where(beyond(values) > 0, 2, 1)
+
+
+def zero(data=None):
+    return 0.0
+
+
+MOEBIUS = {
+    "portrait": follows(known_flows.moebius, ("u", "v")),
+    "poincare": follows(known_flows.moebius, ("u", "v")),
+    "diagram": follows(known_flows.moebius, ("u", "v")),
+    "period": periods(moebius_periods),
+    "lyapunov": exponents(moebius_exponents),
+    "chaos01": no_chaos,
+    "verdict": words("periodic"),
+    "doubling": doubling("mu", zero),
+    "windows": one_window("mu", "period_doubling", zero),
+    "branches": branches([1, 2], "mu", zero),
+    "curves": ONE_PARAMETER.format("mu"),
+    "basins": one_attractor,
+}
+IN_SPACE = {name: follows(known_flows.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
+SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
+SECTION = "\nsection: {coordinate: y, value: 0.0, direction: up}"
+IN_TIME = ("portrait", "lyapunov", "basins")
+
+
+@functools.cache
+def first_doubling():
+    """Of the particle at d = 0.1, by the Taylor reference."""
+    return float(taylor.cascade(taylor.Parameters(d=0.1), [5.8152, 5.79])[0][0])
+
+
+def particle(names, rates=known_flows.at_speed):
+    """The paper's disturbed particle about its first doubling, whose name of b is the same whoever integrates it."""
+    return {
+        **dict.fromkeys(("portrait", "poincare", "diagram"), follows(rates, names, angle=True)),
+        "period": periods(lambda values: np.where(values["b"] > first_doubling(), 1, 2)),
+        "lyapunov": sums,
+        "chaos01": no_chaos,
+        "verdict": words("periodic"),
+        "doubling": doubling("b", lambda data: first_doubling()),
+        "windows": one_window("b", "period_doubling", first_doubling),
+        "branches": branches([1, 2], "b", first_doubling),
+        "curves": ONE_PARAMETER.format("b"),
+        "basins": one_attractor,
+    }
+
+
+KINDS = {
+    "a right-hand side with a clock": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS, MOEBIUS, known_flows.MOEBIUS
+    ),
+    "two axes": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.2, stop: 0.2, count: 4}, "
+        "nu: {values: [-0.02, 0.02]}}\n" + STEPS,
+        MOEBIUS
+        | {
+            "doubling": doubling("mu", lambda data: data["nu"].to_numpy()),
+            "windows": "windows are looked for along one axis; leave out nu",
+            "branches": "branches are followed along one axis; leave out nu",
+            "curves": straight_curve,
+        },
+        known_flows.MOEBIUS,
+    ),
+    "a shared axis": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {omega: {values: [1.0, 2.0]}, "
+        "mu: {values: [-0.2, 0.2]}}\n" + STEPS,
+        MOEBIUS
+        | {
+            "doubling": none_found,
+            "windows": "windows are looked for along a parameter, and omega is what all lanes share",
+            "branches": "the map has no derivative in omega, which all lanes share",
+            "curves": "curves are followed over two parameters, and omega is what all lanes of a program share",
+        },
+        known_flows.MOEBIUS,
+    ),
+    "a start axis": Kind(
+        "system: {file: FILE, mu: 0.2}\ninitial: {v: 0.1}\nsweep: {u: {values: [-0.3, 0.2, 0.6]}}\n" + STEPS,
+        MOEBIUS
+        | {
+            "period": periods(lambda values: 2),
+            "lyapunov": exponents(lambda values: (-0.4 + 0 * values["u"], -1.0)),
+            "doubling": "u is a coordinate of the start state; put a parameter such as omega first",
+            "windows": "u is a coordinate of the start state",
+            "branches": "u is a coordinate of the start state",
+            "curves": ONE_PARAMETER.format("u"),
+        },
+        known_flows.MOEBIUS,
+    ),
+    "a right-hand side on a section": Kind(
+        SPACE + SECTION,
+        MOEBIUS | IN_SPACE | {"verdict": words("limit_cycle")},
+        known_flows.MOEBIUS_IN_SPACE,
+    ),
+    "a right-hand side in time": Kind(
+        SPACE,
+        {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
+        | {"verdict": WITHOUT_SECTION.format("period"), "curves": ONE_PARAMETER.format("mu")}
+        | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor},
+        known_flows.MOEBIUS_IN_SPACE,
+    ),
+    "T, Q, f with a constraint that is eliminated": Kind(
+        "system: {file: FILE}\ninitial: {x: 0.5, x_dot: 0.1, y_dot: -0.045}\n"
+        "sweep: {damping: {start: 0.1, stop: 0.5, count: 5}}\n" + STEPS,
+        {
+            **dict.fromkeys(("portrait", "poincare", "diagram"), follows(known_flows.slide, ("x", "x_dot", "y"))),
+            "period": periods(lambda values: 1),
+            "lyapunov": exponents(lambda values: (-values["damping"], -values["damping"])),
+            "chaos01": no_chaos,
+            "verdict": words("periodic"),
+            "doubling": none_found,
+            "windows": one_window("damping", "range", None),
+            "branches": branches([1], "damping"),
+            "curves": ONE_PARAMETER.format("damping"),
+            "basins": one_attractor,
+        },
+        known_flows.SLIDE,
+    ),
+    "T, Q, f with a constraint that is projected": Kind(
+        "system: {file: FILE}\ninitial: {x: 0.1, x_dot: 0.1, y: 0.1, y_dot: 0.99498743710662}\n"
+        "sweep: {b: {start: 5.88, stop: 5.8, count: 5}}\naccuracy: {solver: tsit5, steps: 400}",
+        particle(("x", "y", "x_dot", "y_dot")) | {"lyapunov": exponents(lambda values: ())},
+        known_flows.PARTICLE,
+    ),
+    "T, Q, f without a clock": Kind(
+        "system: {file: FILE}\ninitial: {x: 0.5, x_dot: 0.1, y_dot: 0.05}\nsweep: {mu: {start: 0.1, stop: 0.3, count: 4}}\n"
+        "section: {coordinate: x, value: 0.0, direction: up}\n" + STEPS,
+        {
+            **dict.fromkeys(("portrait", "poincare", "diagram"), follows(known_flows.cycle, ("x", "x_dot", "y"))),
+            "period": periods(lambda values: 1),
+            "lyapunov": exponents(lambda values: (-values["mu"],)),
+            "chaos01": no_chaos,
+            "verdict": words("limit_cycle"),
+            "doubling": none_found,
+            "windows": one_window("mu", "range", None),
+            "branches": branches([1], "mu"),
+            "curves": ONE_PARAMETER.format("mu"),
+            "basins": one_attractor,
+        },
+        known_flows.CYCLE,
+    ),
+    "the particle, disturbed": Kind(
+        "system: {constraint: disturbed_speed}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1}\n"
+        "sweep: {b: {start: 5.88, stop: 5.8, count: 5}}\naccuracy: {solver: kahan_li8, steps: 120}",
+        particle(("x1", "y1", "x2", "y2")),
+    ),
+}
+
+
+# ---- cells
+
+
+@functools.cache
+def session(kind):
+    """A session of a kind, whose steps are loops over stages and whose tiles are small."""
+    config = KINDS[kind].config.replace("FILE", str(written(kind))) + "\nanalyses: {portrait: {}}"
+    made = session_of(Experiment.from_text(config))
+    made._lanes = lanes_with_kept_programs(None, made._lanes.devices[:1], 8)
+    return made
+
+
+def written(kind):
+    """The user's file of a kind, in a folder that goes with the run."""
+    path = FOLDER / f"{abs(hash(KINDS[kind].file)):x}.py"
+    path.write_text(KINDS[kind].file)
+    return path
+
+
+@pytest.mark.parametrize("analysis", ANALYSES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_analysis(kind, analysis):
+    assert set(KINDS[kind].known) == set(ANALYSES), "a new analysis: say what each kind of scene knows of it"
+    known, asked = KINDS[kind].known[analysis], {analysis: OPTIONS[analysis]}
+    if analysis == "verdict":
+        asked |= {name: OPTIONS[name] for name in ANALYSES["verdict"].needs}
+    if isinstance(known, str):
+        with pytest.raises(InputError, match=re.escape(known)):
+            session(kind).groups(asked)
+        return
+    with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
+        groups = session(kind).groups(asked)
+    known(groups[analysis], groups)
