@@ -80,6 +80,7 @@ def close_orbits(
         np.array(points), np.full((nodes, n, d, d), np.nan), np.full(nodes, np.nan), np.zeros(nodes, np.bool_)
     )
     size, open_ = np.full(nodes, np.inf), np.arange(nodes)
+    begun = np.abs(found.points).max(axis=(1, 2))  # an orbit at zero has no size of its own
     for step in range(_NEWTON_STEPS + 1):
         here = found.points[open_]
         at = period(here.reshape(-1, d), np.repeat(values[open_], n))
@@ -87,7 +88,7 @@ def close_orbits(
         blocks = np.asarray(at.monodromy).reshape(*here.shape, d)
         found.blocks[open_], found.residual[open_] = blocks, np.abs(missing).max(axis=(1, 2))
         finite = np.isfinite(blocks).all(axis=(1, 2, 3)) & np.isfinite(found.residual[open_])
-        at_rest = size[open_] <= _NEWTON_TOLERANCE * np.abs(here).max(axis=(1, 2))
+        at_rest = size[open_] <= _NEWTON_TOLERANCE * np.maximum(np.abs(here).max(axis=(1, 2)), begun[open_])
         found.converged[open_] = finite & at_rest
         left = finite & ~at_rest
         if step == _NEWTON_STEPS or not left.any():
