@@ -134,6 +134,4 @@ def at_speed(t, y, b, a=0.5, c=1.0, d=0.1, forced=True):
     x, z, angle = y
     g, s = 1.0 + forced * np.sin(t), np.sqrt(c + d * np.sin(t))
     force = -(a * g * x + g * x**3 - b * z), -(g * z + a * g * z**3 - b * x)
-    return np.array(
-        [s * np.cos(angle), s * np.sin(angle), (np.cos(angle) * force[1] - np.sin(angle) * force[0]) / s]
-    )
+    return np.array([s * np.cos(angle), s * np.sin(angle), (np.cos(angle) * force[1] - np.sin(angle) * force[0]) / s])

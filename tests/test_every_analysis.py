@@ -36,7 +36,7 @@ OPTIONS = {
     "poincare": {"transient": 4, "strobes": 4},
     "diagram": {"transient": 4, "strobes": 4},
     "period": {"limit": 2, "transient": 64},
-    "lyapunov": {"transient": 32, "periods": 32, "exponents": 2},
+    "lyapunov": {"transient": 32, "periods": 32},
     "chaos01": {"transient": 64, "periods": 100},
     "verdict": {"longer": 0},
     "doubling": {"levels": 1},
@@ -65,6 +65,7 @@ def lanes_of(data, *names):
     """Variables over (lane, ...), and the values of the axes by name, each (lanes,)."""
     axes = str(data.attrs["axes"]).split()
     stacked = data.stack(lane=axes).transpose("lane", ...)
+    names = [f"{name}_state" if name in axes else name for name in names]  # a coordinate that starts are swept over
     return *(stacked[name].to_numpy() for name in names), {axis: stacked[axis].to_numpy() for axis in axes}
 
 
@@ -168,7 +169,10 @@ def one_window(name, kind, expected):
 
     def check(data, _):
         assert data["period"].to_numpy().tolist() == [1]
-        ends = [data[f"{side}_kind"].attrs["flag_meanings"].split()[int(data[f"{side}_kind"][0])] for side in ("begin", "end")]
+        ends = [
+            data[f"{side}_kind"].attrs["flag_meanings"].split()[int(data[f"{side}_kind"][0])]
+            for side in ("begin", "end")
+        ]
         assert ends == ["range", kind]
         if kind != "range":
             assert abs(float(data["end"][0]) - expected()) < float(data["end_error"][0]) + CLOSE
@@ -183,7 +187,9 @@ def branches(periods, name, expected=None):
         assert sorted(set(data["period"].to_numpy().tolist())) == periods
         located = groups["bifurcations"]
         kinds = located["kind"].attrs["flag_meanings"].split()
-        at = [float(located[name][i]) for i, k in enumerate(located["kind"].to_numpy()) if kinds[k] == "period_doubling"]
+        at = [
+            float(located[name][i]) for i, k in enumerate(located["kind"].to_numpy()) if kinds[k] == "period_doubling"
+        ]
         assert len(at) == (expected is not None)
         if at:
             assert abs(at[0] - expected()) < CLOSE
@@ -251,7 +257,9 @@ MOEBIUS = {
     "curves": ONE_PARAMETER.format("mu"),
     "basins": one_attractor,
 }
-IN_SPACE = {name: follows(known_flows.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
+IN_SPACE = {
+    name: follows(known_flows.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")
+}
 SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
 SECTION = "\nsection: {coordinate: y, value: 0.0, direction: up}"
 IN_TIME = ("portrait", "lyapunov", "basins")
@@ -301,7 +309,7 @@ KINDS = {
         MOEBIUS
         | {
             "doubling": none_found,
-            "windows": "windows are looked for along a parameter, and omega is what all lanes share",
+            "windows": "windows are looked for along a parameter, and omega is what all lanes of a program share",
             "branches": "the map has no derivative in omega, which all lanes share",
             "curves": "curves are followed over two parameters, and omega is what all lanes of a program share",
         },
@@ -310,10 +318,13 @@ KINDS = {
     "a start axis": Kind(
         "system: {file: FILE, mu: 0.2}\ninitial: {v: 0.1}\nsweep: {u: {values: [-0.3, 0.2, 0.6]}}\n" + STEPS,
         MOEBIUS
+        | dict.fromkeys(
+            ("portrait", "poincare", "diagram"), follows(functools.partial(known_flows.moebius, mu=0.2), ("u", "v"))
+        )
         | {
             "period": periods(lambda values: 2),
             "lyapunov": exponents(lambda values: (-0.4 + 0 * values["u"], -1.0)),
-            "doubling": "u is a coordinate of the start state; put a parameter such as omega first",
+            "doubling": "u is a coordinate of the start state; put a parameter such as nu first",
             "windows": "u is a coordinate of the start state",
             "branches": "u is a coordinate of the start state",
             "curves": ONE_PARAMETER.format("u"),
@@ -352,7 +363,7 @@ KINDS = {
     "T, Q, f with a constraint that is projected": Kind(
         "system: {file: FILE}\ninitial: {x: 0.1, x_dot: 0.1, y: 0.1, y_dot: 0.99498743710662}\n"
         "sweep: {b: {start: 5.88, stop: 5.8, count: 5}}\naccuracy: {solver: tsit5, steps: 400}",
-        particle(("x", "y", "x_dot", "y_dot")) | {"lyapunov": exponents(lambda values: ())},
+        particle(("x", "y", "x_dot", "y_dot")),
         known_flows.PARTICLE,
     ),
     "T, Q, f without a clock": Kind(

@@ -203,7 +203,8 @@ def follow(plane: Plane, kind: int, begun: Points, largest: float = 0.02, most: 
     """The curves on from points in the directions of their ways: their points, and why they end, numbers in `ENDS`."""
     lanes = len(begun.z)
     history, end = [[begun.take(slice(k, k + 1))] for k in range(lanes)], np.full(lanes, MOST_POINTS)
-    size, now, open_ = np.full(lanes, _FIRST * largest), begun, np.arange(lanes)
+    now = Points(*map(np.copy, begun))  # it changes in place, and the first points of histories do not
+    size, open_ = np.full(lanes, _FIRST * largest), np.arange(lanes)
     while len(open_):
         step = size[open_]
         taken = correct(plane, kind, now.z + step[:, None] * now.way, now.way, 0.3 * step)
@@ -346,8 +347,13 @@ def _solved(missing: np.ndarray, slopes: np.ndarray, across: np.ndarray | None) 
 
 
 def _outside(plane: Plane, z: np.ndarray) -> Bool[np.ndarray, " lanes"]:
+    return np.any(_beyond(plane, z), axis=1)
+
+
+def _beyond(plane: Plane, z: np.ndarray) -> Bool[np.ndarray, "lanes 2"]:
+    """Which of the two parameters are out of their ranges."""
     unit = plane.high - plane.low
-    return np.any((z[:, -2:] < plane.low / unit) | (z[:, -2:] > plane.high / unit), axis=1)
+    return (z[:, -2:] < plane.low / unit) | (z[:, -2:] > plane.high / unit)
 
 
 def _at_edge(plane: Plane, kind: int, now: Points, taken: Points) -> Points:
@@ -357,10 +363,11 @@ def _at_edge(plane: Plane, kind: int, now: Points, taken: Points) -> Points:
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = [(edge / unit - now.z[:, -2:]) / gone[:, -2:] for edge in (plane.low, plane.high)]
     share = np.where(gone[:, -2:] > 0.0, shares[1], shares[0])
-    share = np.where((share >= 0.0) & (share <= 1.0), share, np.inf)
+    # A curve that begins on an edge, to rounding, leaves there at a share of zero.
+    share = np.where(_beyond(plane, taken.z), np.clip(share, 0.0, 1.0), np.inf)
     first = np.argmin(share, axis=1)
     some = np.arange(len(gone))
-    z = now.z + np.clip(share[some, first], 0.0, 1.0)[:, None] * gone
+    z = now.z + share[some, first][:, None] * gone
     edge = np.where(gone[some, first - 2] > 0.0, plane.high[first], plane.low[first]) / unit[first]
     z[some, first - 2] = edge
     across = np.zeros_like(z)
