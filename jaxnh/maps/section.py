@@ -199,7 +199,7 @@ class SectionedFlow(Flow):
         return tuple(tuple(row.tolist()) for row in np.eye(self.dimension)[:k])
 
     def lift(self, y: Crossing, tangent: Vector) -> Crossing:
-        """The tangent of a crossing with these section coordinates: it keeps to the section, and to the crossing's time."""
+        """The tangent of a crossing with these section coordinates, which keeps to the section and to its time."""
         across = jnp.zeros_like(tangent[0])
         if self.normal is not None:
             others = [weight for i, weight in enumerate(self.normal) if i != self.number]

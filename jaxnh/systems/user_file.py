@@ -28,7 +28,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
@@ -44,7 +46,10 @@ _FIRST_ORDER = ("rhs", *_ALWAYS)
 _MECHANICS = ("T", "Q", "f", "ignorable", *_ALWAYS)
 _CLOCKS = ("period", "time_unit")
 _LISTS_OF_NAMES = ("coordinates", "angles", "ignorable")
+_FUNCTIONS = ("rhs", "T", "Q", "f")
 _OF_COMPONENTS = ("rhs", "Q", "f")  # functions that return a number a coordinate, or a constraint
+_PROBES = 16  # random states and times at which equations are held against themselves a period later
+_ALIKE = 1e-8  # of the largest number there: a period of ten digits will do
 _KEYS = ("file", "constraint")  # of a config, beside the parameters
 _RETURNED = {
     "T": "a number",
@@ -87,6 +92,7 @@ class UserFile:
             raise UserFileError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
         self._define = self._function()
         self.parameters = self._defaults()
+        self._periodic: set[tuple[float, ...]] = set()  # parameters at which the equations were seen to have the period
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
         self.mechanical = "rhs" not in definition
@@ -151,7 +157,8 @@ class UserFile:
             length = definition.get(name, 1.0)
             if not isinstance(length, Tracer) and not (math.isfinite(float(length)) and float(length) > 0):
                 raise self._fault(line, f"{name} must be a positive number, not {length}")
-        return {key: _components(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
+        made = {key: _components(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
+        return {key: _pointwise(one) if key in _FUNCTIONS and one else one for key, one in made.items()}
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period, or the unit of time, with these parameters."""
@@ -163,10 +170,42 @@ class UserFile:
         Args:
             parameters: values of all of them.
             of_lanes: names of those that lanes have of their own, but for those that decide the clock of all.
+
+        Raises:
+            UserFileError: the equations are other ones a period later.
         """
+        self._check_period(parameters)
         made = lagrangian if self.mechanical else first_order
         flow = made(self.define, parameters, of_lanes)
         return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.shares(name)))
+
+    def _check_period(self, parameters: Mapping[str, float]) -> None:
+        """Hold the equations against themselves a period later, at random states and times."""
+        definition = self.define(**parameters)
+        if "period" not in definition or tuple(parameters.values()) in self._periodic:
+            return
+        names = [name for name in _FUNCTIONS if definition.get(name) is not None]
+        period, draws = float(definition["period"]), np.random.default_rng(0)
+        states = draws.uniform(-1.0, 1.0, (1 if names == ["rhs"] else 2, len(self.coordinates), _PROBES))
+        t = draws.uniform(0.0, period, _PROBES)
+
+        def rates(t: Any, states: Any) -> list[Any]:
+            found = [definition[name](*map(tuple, states), t) for name in names]
+            return [jnp.stack([one] if name == "T" else list(one)) for name, one in zip(names, found, strict=True)]
+
+        now, later = self._guarded(lambda: jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)))(t, states))
+        for name, one, other in zip(names, map(np.asarray, now), map(np.asarray, later), strict=True):
+            finite = np.isfinite(one) & np.isfinite(other)
+            gap = np.abs(np.where(finite, one - other, 0.0))
+            worst = np.unravel_index(np.argmax(gap), gap.shape)
+            if gap[worst] > _ALIKE * np.max(np.abs(one), initial=1e-300, where=finite):
+                what = name if name == "T" else f"number {worst[0] + 1} of {name}"
+                message = (
+                    f"{period:.9g} is no period of {name}: at one state {what} is {one[worst]:.9g} at t = "
+                    f"{t[worst[1]]:.9g} and {other[worst]:.9g} a period later; give the period of what depends on t"
+                )
+                raise self._fault(self._line_of(name), message)
+        self._periodic.add(tuple(parameters.values()))
 
     def _function(self) -> Callable[..., Any]:
         scope: dict[str, Any] = {"__name__": self.path.stem, "__file__": str(self.path)}
@@ -310,6 +349,27 @@ def _components(function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def components(*arguments: Any) -> Any:
         found = function(*arguments)
-        return found if isinstance(found, tuple | list) or (hasattr(found, "ndim") and found.ndim) else (found,)
+        if isinstance(found, tuple | list):
+            return found
+        return tuple(found) if getattr(found, "ndim", 0) == 1 else (found,)
 
     return components
+
+
+def _pointwise(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that only ever sees the numbers of one state, also where it is asked for many of any one shape.
+
+    So it may make arrays of its numbers, multiply matrices, and take `jax.grad` of a number.
+    """
+
+    @functools.wraps(function)
+    def pointwise(*arguments: Any) -> Any:
+        leaves, structure = jax.tree.flatten(arguments)
+        shape = np.broadcast_shapes(*map(np.shape, leaves))
+        if not shape:
+            return function(*arguments)
+        each = [jnp.broadcast_to(leaf, shape).ravel() for leaf in leaves]
+        found = jax.vmap(lambda *one: function(*jax.tree.unflatten(structure, one)))(*each)
+        return jax.tree.map(lambda leaf: leaf.reshape(shape), found)
+
+    return pointwise
