@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import session_of
-from scipy.integrate import solve_ivp
 
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import JaxnhError
+from jaxnh.systems.user_file import UserFile
 
 DUFFING = """\
 import jax.numpy as jnp
@@ -50,14 +49,6 @@ def system(drive=0.3):
 """
 
 
-def portrait(folder, text, initial, sweep):
-    path = folder / "own.py"
-    path.write_text(text)
-    config = f"system: {{file: {path}}}\ninitial: {initial}\nsweep: {sweep}\naccuracy: {{solver: verner9, steps: 64}}\n"
-    config += "analyses: {portrait: {transient: 0, periods: 2, samples: 4}}"
-    return session_of(Experiment.from_text(config)).run("portrait")
-
-
 @pytest.mark.parametrize("period", ["1.0", "6.28", "2.1 * jnp.pi / omega"])
 def test_a_period_that_is_none(tmp_path, period):
     """Refused with both values; the other sweep is of the drive's frequency, which the period has to follow."""
@@ -78,25 +69,14 @@ def test_a_period_that_follows_no_parameter(tmp_path):
         Experiment.from_text(config.format(path, 1.1)).flow()
 
 
-def test_a_field_of_one_array(tmp_path):
-    """A neural network of three cells, with a matrix: as DOP853 has it."""
-    found = portrait(tmp_path, NETWORK, "{x: 0.3, y: -0.2, z: 0.1}", "{gain: {values: [0.9, 1.2]}}")
-    weights = np.array([[0.0, -1.0, 0.4], [1.0, 0.0, 0.3], [-0.2, 0.6, 0.0]])
-    for i, gain in enumerate((0.9, 1.2)):
-        exact = solve_ivp(
-            lambda t, x, gain=gain: -x + gain * weights @ np.tanh(x) + 0.1 * np.cos(t),
-            (0.0, 4 * np.pi), [0.3, -0.2, 0.1], "DOP853", found["t"].to_numpy(), rtol=1e-12, atol=1e-13,
-        )  # fmt: skip
-        ours = np.stack([found[name].to_numpy()[i] for name in "xyz"])
-        assert np.abs(ours - exact.y).max() < 1e-10
-
-
-def test_a_derivative_inside_a_force(tmp_path):
-    """`jax.grad` of a potential: the double well again, whatever asks for the force."""
-    found = portrait(tmp_path, POTENTIAL, "{x: 0.1, x_dot: 0.2}", "{drive: {values: [0.2, 0.3]}}")
-    for i, drive in enumerate((0.2, 0.3)):
-        exact = solve_ivp(
-            lambda t, y, drive=drive: [y[1], y[0] - y[0] ** 3 - 0.2 * y[1] + drive * np.cos(t)],
-            (0.0, 4 * np.pi), [0.1, 0.2], "DOP853", found["t"].to_numpy(), rtol=1e-12, atol=1e-13,
-        )  # fmt: skip
-        assert np.abs(found["x"].to_numpy()[i] - exact.y[0]).max() < 1e-10
+@pytest.mark.parametrize(("text", "name", "vectors", "d"), [(NETWORK, "rhs", 1, 3), (POTENTIAL, "Q", 2, 1)])
+def test_functions_see_one_state(tmp_path, text, name, vectors, d):
+    """A field of one array by a matrix, and a force by `jax.grad`: asked for many states, each is as if it were alone."""
+    path = tmp_path / "own.py"
+    path.write_text(text)
+    function = UserFile(path).define()[name]
+    states = np.random.default_rng(0).uniform(-1, 1, (vectors, d, 4, 5))
+    many = function(*map(tuple, states), 0.7)
+    assert [np.shape(one) for one in many] == [(4, 5)] * d
+    alone = [np.array(function(*map(tuple, states[..., i, j]), 0.7)) for i, j in np.ndindex(4, 5)]
+    assert np.abs(np.stack(many, axis=-1).reshape(20, d) - alone).max() < 1e-15
