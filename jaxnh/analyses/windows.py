@@ -112,18 +112,19 @@ def run(options: WindowsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
 def _doublings(
     levels: int, scene: Scene, lanes: LaneRunner, line: Line, window: Window, size: Float[np.ndarray, " d"]
 ) -> tuple[Located, ...]:
-    """Doublings of a window beyond its end, no further than one lane beyond those that have settled in it."""
+    """Doublings of a window beyond its end: between its lanes, or as far beyond as the sweep goes."""
     if not levels or window.end.kind != DOUBLED:
         return ()
     value = float(window.inside.value[0])
     up = window.beyond > value
-    order = np.flatnonzero(line.value > value) if up else np.flatnonzero(line.value < value)[::-1]
+    beyond = line.value > window.beyond if up else line.value < window.beyond  # what doubles first is known up to there
+    order = np.flatnonzero(beyond) if up else np.flatnonzero(beyond)[::-1]
     own = np.flatnonzero(np.isin(order, window.lanes))
     others = line.take(order[: own.max(initial=-1) + 2])
-    no_orbit = Line(np.array([window.beyond]), np.zeros(1, int), window.inside.u)
-    begun = Line(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit, strict=True)))
+    no_orbit = [Line(np.array([at]), np.zeros(1, int), window.inside.u) for at in (window.beyond, line.value[-1 if up else 0])]
+    begun = Line(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
     with lanes.stage(f"windows: doublings of period {window.period}", 0):
-        return along_line(scene, lanes, begun.joined(others), levels, size)
+        return along_line(scene, lanes, begun.joined(others).joined(no_orbit[1]), levels, size)
 
 
 def _limit(doublings: Sequence[Located]) -> Place:

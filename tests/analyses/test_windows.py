@@ -133,6 +133,16 @@ def test_an_orbit_that_lanes_have_left_is_followed_to_its_end():
     assert window.end.value == pytest.approx(DOUBLING, abs=1e-10)
 
 
+def test_a_cascade_that_lanes_have_left_for_a_while_is_one_window():
+    """Of periods 1 to 8, doubling at 3/4 and 5/4; between lanes of periods 2 and 4 others settle on something else."""
+    a = np.linspace(0.3, 1.38, 55)
+    lost = np.flatnonzero((a > 1.2) & (a < 1.3))
+    [[window]] = windows_of(quadratic, a, lost=lost.tolist())
+    assert (window.period, *kinds(window)) == (1, "range", "period_doubling")
+    assert abs(window.end.value - 0.75) < 1e-9
+    assert set(all_lanes([window])) == set(range(55)) - set(lost.tolist())
+
+
 def test_what_begins_beyond_the_sweep_has_no_value():
     [[window]] = windows_of(quadratic, np.linspace(1.755, 1.765, 6))
     assert kinds(window) == ("range", "range")
