@@ -12,6 +12,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnh.analyses.sudden_growth import nearest_distances
+
 REFERENCE = 16
 """Turns around the bands, at the beginning of a path, that the next ones are compared with."""
 
@@ -39,7 +41,7 @@ def turns_in_phase(path: Float[np.ndarray, "points d"], bands: int) -> int:
     while known < count:
         new = turns[known : 2 * known, 0]
         own, others = turns[:known, 0], turns[:known, 1:].reshape(-1, path.shape[1])
-        to_own, to_others = _nearest(new, own), _nearest(new, others)
+        to_own, to_others = nearest_distances(new, own), nearest_distances(new, others)
         widest = np.linalg.norm(np.ptp(own, axis=0))
         out = (_CLEAR * to_others < to_own) | (to_own > widest)
         inside = (_CLEAR * to_own < to_others) & ~out
@@ -78,11 +80,3 @@ def embedded(
     """Points of paths in sizes of the motion, with an angle as its cosine and sine, so that all gaps are plain."""
     plain = path[..., ~turning] / size[~turning]
     return np.concatenate([plain, np.cos(path[..., turning]), np.sin(path[..., turning])], axis=-1)
-
-
-def _nearest(some: Float[np.ndarray, "some d"], others: Float[np.ndarray, "others d"]) -> Float[np.ndarray, " some"]:
-    """Distances of points from the nearest of others."""
-    square = np.zeros((len(some), len(others)))
-    for mine, theirs in zip(some.T, others.T, strict=True):
-        square += (mine[:, None] - theirs) ** 2
-    return np.sqrt(square.min(axis=1))
