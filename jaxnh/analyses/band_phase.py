@@ -18,7 +18,10 @@ REFERENCE = 16
 """Turns around the bands, at the beginning of a path, that the next ones are compared with."""
 
 _CLEAR = 4.0  # times nearer to another band than to its own, or the reverse: else a point tells nothing
-_IN, _OUT = -0.5, 3.0  # logarithms of how much likelier a point in its own band is, or one in another, without the phase
+_IN, _OUT = (
+    -0.5,
+    3.0,
+)  # logarithms of how much likelier a point in its own band is, or one in another, without the phase
 _ALARM = 24.0  # their sum after which the phase is lost: eight points more in other bands than chance would have
 _LAGS = 512  # iterates, of which one is the period of a path that has become periodic
 _SAME = 1e-7  # sizes: points this near, all around the orbit, are of one that repeats itself

@@ -8,6 +8,7 @@ and by more than points of one and the same attractor are off each other.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -29,7 +30,7 @@ def sudden_growths(
     """
     clouds = [cloud[:: -(-len(cloud) // _POINTS)] for cloud in clouds]
     own = np.array([_reach(cloud[::2], cloud[1::2]) for cloud in clouds])
-    steps = np.array([max(_reach(a, b), _reach(b, a)) for a, b in zip(clouds[:-1], clouds[1:], strict=True)])
+    steps = np.array([max(_reach(a, b), _reach(b, a)) for a, b in pairwise(clouds)])
     rates = steps / np.abs(np.diff(values))
     found = np.zeros(len(steps), bool)
     for k, (step, rate) in enumerate(zip(steps.tolist(), rates.tolist(), strict=True)):

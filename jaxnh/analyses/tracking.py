@@ -329,7 +329,9 @@ class _Line:
                 if self._links[way][one] < 0 <= end:
                     found.append(Change(CRISIS if kind == CHAOTIC else change, one, self._axis, begin, end))
         for chain in self._chaotic_chains():
-            places = [np.unravel_index(self._point[one], [len(v) for v in self._grid.values])[self._axis] for one in chain]
+            places = [
+                np.unravel_index(self._point[one], [len(v) for v in self._grid.values])[self._axis] for one in chain
+            ]
             values = self._grid.values[self._axis][places]
             for k in np.flatnonzero(sudden_growths(self._clouds(chain), values)).tolist():
                 one, other = chain[k], chain[k + 1]

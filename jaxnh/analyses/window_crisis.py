@@ -50,7 +50,7 @@ class Stays(NamedTuple):
 
 
 Paths = Callable[[Float[np.ndarray, " values"], int], Float[np.ndarray, "values points k"]]
-"""Paths on the bands at values of the parameter, of so many iterates, in sizes of the motion (`band_phase.embedded`)."""
+"""Paths on the bands at values of the parameter, of so many iterates, in sizes of the motion (`embedded`)."""
 
 
 def stays_of(paths: Float[np.ndarray, "values points k"], bands: int) -> Stays:

@@ -180,9 +180,7 @@ def _windows(
     return [one for one in _with_doubled(found, origins) if len(one.lanes)]
 
 
-def _born_in_doubling(
-    branch: Branch, stretch: Int[np.ndarray, " some"], outside: Sequence[int | None]
-) -> int | None:
+def _born_in_doubling(branch: Branch, stretch: Int[np.ndarray, " some"], outside: Sequence[int | None]) -> int | None:
     """The end of a branch, 0 or −1, where a stretch of it begins in a doubling of the orbit of half the period.
 
     A branch goes on to a point beyond the doubling, which is on the stretch or next to it.

@@ -121,7 +121,9 @@ def _doublings(
     order = np.flatnonzero(beyond) if up else np.flatnonzero(beyond)[::-1]
     own = np.flatnonzero(np.isin(order, window.lanes))
     others = line.take(order[: own.max(initial=-1) + 2])
-    no_orbit = [Line(np.array([at]), np.zeros(1, int), window.inside.u) for at in (window.beyond, line.value[-1 if up else 0])]
+    no_orbit = [
+        Line(np.array([at]), np.zeros(1, int), window.inside.u) for at in (window.beyond, line.value[-1 if up else 0])
+    ]
     begun = Line(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
     with lanes.stage(f"windows: doublings of period {window.period}", 0):
         return along_line(scene, lanes, begun.joined(others).joined(no_orbit[1]), levels, size)
