@@ -23,6 +23,9 @@ PERIOD_TILE = 32
 REFINEMENTS = (1, 2, 4)
 """Of the steps that the accuracy asks for, in maps that a doubling is located with."""
 
+_SAFETY = 8.0
+_LEAST = 32.0  # 2ᵖ at order 5; methods that are chosen have more
+
 
 class Located(NamedTuple):
     """A doubling of a scene, by maps with the steps that the accuracy asks for and with twice and four times as many.
@@ -40,9 +43,16 @@ class Located(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Of its value: what refinements, interpolation and rounding moved it by."""
+        """Bound of the error of its value, by truncation of the map, interpolation and rounding.
+
+        With steps h, h/2 and h/4 values are off by C hᵖ and so on: the second by little more than it is from the third,
+        which is `_SAFETY` times that with what the leading term leaves out. The difference of the first two, the error
+        of the first, is 2ᵖ of that; a `_LEAST` part of it is kept where the other two happen to agree. Where the values
+        do not converge as an order has it, the bound is the sum of both differences.
+        """
         first, second, third = (point.value for point in self.refined)
-        return abs(second - first) + abs(third - second) + self.point.error
+        coarse, fine = abs(second - first), abs(third - second)
+        return min(max(_SAFETY * fine, coarse / _LEAST), coarse + fine) + self.point.error
 
 
 def locate(

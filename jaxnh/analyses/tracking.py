@@ -17,12 +17,14 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.attractors import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Judged, scene_from, stays_near
+from jaxnh.analyses.attractors import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Judged, scene_from
+from jaxnh.analyses.band_phase import embedded
 from jaxnh.analyses.lane_orbits import CONVERGED, largest_multiplier, orbits
 from jaxnh.analyses.looks import angles
 from jaxnh.analyses.matching import Found, match, same_orbits, same_within
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.settling import RESTLESS, SETTLED, go_on, settle
+from jaxnh.analyses.sudden_growth import sudden_growths
 from jaxnh.analyses.zeros import rest_points
 
 BIRTH, DEATH, CRISIS = range(3)
@@ -31,7 +33,6 @@ CHANGES = ("birth", "death", "crisis")
 
 _PROBES = 8  # points of an attractor that are followed at a neighbouring value
 _MOST = 5  # of them that have to lead to the same attractor
-_SUDDEN = 0.05  # share of the points of one chaotic attractor that are off another: more is no gradual change
 
 
 class Grid(NamedTuple):
@@ -327,16 +328,30 @@ class _Line:
                 begin, end = self._ends[way].get(one, (int(self._point[one]), int(self._beside[way][one])))
                 if self._links[way][one] < 0 <= end:
                     found.append(Change(CRISIS if kind == CHAOTIC else change, one, self._axis, begin, end))
-            other = int(self._links[1][one])
-            if other >= 0 and kind == CHAOTIC == self._every.kind[other] and self._leaps(one, other):
+        for chain in self._chaotic_chains():
+            places = [
+                np.unravel_index(self._point[one], [len(v) for v in self._grid.values])[self._axis] for one in chain
+            ]
+            values = self._grid.values[self._axis][places]
+            for k in np.flatnonzero(sudden_growths(self._clouds(chain), values)).tolist():
+                one, other = chain[k], chain[k + 1]
                 found.append(Change(CRISIS, one, self._axis, int(self._point[one]), int(self._point[other])))
         return found
 
-    def _leaps(self, one: int, other: int) -> bool:
-        """Whether some points of one of two chaotic attractors are far from the other."""
+    def _chaotic_chains(self) -> Iterator[list[int]]:
+        """Attractors that are linked one to the next, as far as they are chaotic: two at least."""
+        chaotic = self._every.kind == CHAOTIC
+        for one in np.flatnonzero(chaotic).tolist():
+            before, chain = int(self._links[-1][one]), [one]
+            if before >= 0 and chaotic[before]:
+                continue
+            while (other := int(self._links[1][chain[-1]])) >= 0 and chaotic[other]:
+                chain.append(other)
+            if len(chain) > 1:
+                yield chain
+
+    def _clouds(self, chain: Sequence[int]) -> list[Float[np.ndarray, "points k"]]:
+        """Points of attractors, in the largest of their sizes."""
+        size = np.max(self._every.size[chain], axis=0)
         turns = angles(self._grid.scenes[0].system)
-        size = np.maximum(self._every.size[one], self._every.size[other])
-        edge = max(self._every.near[one], self._every.near[other]) * np.where(size > 0.0, size, 1.0)
-        clouds = self._every.points[one], self._every.points[other]
-        off = [1.0 - np.mean(stays_near(turns, a[:, None], b, edge)) for a, b in (clouds, clouds[::-1])]
-        return bool(max(off) > _SUDDEN)
+        return [embedded(self._every.points[one], turns, np.where(size > 0.0, size, 1.0)) for one in chain]

@@ -1,10 +1,10 @@
-"""The interior crisis of a window: where its bands meet the unstable orbit that was born in the fold, and grow.
+"""The crisis of a window: where its bands meet the unstable orbit that bounds them.
 
-Beyond it a path leaves the bands after a mean time τ ~ (b − b_c)^−γ, where γ is 1/2 for maps of one maximum on a line
-and larger in more dimensions (Grebogi, Ott, Romeiras, Yorke, Phys. Rev. A 36 (1987) 5365). So within a finite time none
-is seen to leave just beyond the crisis, and where the first one does is too far. What is known is how long each path
-has stayed, also of those that have not left: given b_c, γ and a scale these times are exponential. The posterior of
-b_c, with γ and the scale integrated out, has this bias in its interval.
+Beyond it a path loses its phase on the bands (`band_phase`) after a mean time τ ~ (b − b_c)^−γ, where γ is 1/2 for maps
+of one maximum on a line and larger in more dimensions (Grebogi, Ott, Romeiras, Yorke, Phys. Rev. A 36 (1987) 5365). So
+within a finite time no phase is lost just beyond the crisis, and where the first one is lost is too far. What is known
+is how long each path has kept its phase, also of those that have not lost it: given b_c, γ and a scale these times are
+exponential. The posterior of b_c, with γ and the scale integrated out, has this bias in its interval.
 """
 
 from __future__ import annotations
@@ -12,80 +12,108 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Bool, Float
 
-from jaxnh.maps.of_lane import of_lane
-from jaxnh.maps.protocol import Strobe
-from jaxnh.systems.flow import Parameters
+from jaxnh.analyses.band_phase import REFERENCE, repeats, turns_in_phase
 
 _PATHS = 64  # of a round, at as many values
-_FIRST, _LONGER = 64, 4  # returns of paths of the first round; of every later one so many times those before
-_BEHIND, _AHEAD = 6, 2  # spacings of a round that the next one reaches to either side of the first path that left
+_FIRST, _LONGER = 256, 4  # turns of paths of the first round; of every later one so many times those before
+_BEHIND, _AHEAD = 6, 2  # spacings of a round that the next one reaches to either side of the first path that is lost
+_LOWER = 4  # widths of a round that the next one begins lower by, where all of its paths are lost
+_BETTER = 0.5  # of the error of the round before: else no more rounds of the longest paths
 _NEAR = 64  # spacings of the last round: paths that are further beyond do not tell of the crisis itself
-_WAY = 16  # returns that a path takes from an unstable orbit to the bands' full width, and cannot leave in
 _EXPONENTS = np.linspace(0.5, 1.5, 11)  # γ, each as likely as the others
-_DISTANCES = np.geomspace(1e-4, 1e3, 400)  # of the crisis before the first path that left, in spacings
+_DISTANCES = np.geomspace(1e-4, 1e3, 400)  # of the crisis before the first path that is lost, in spacings
 _TAIL = 0.005  # of the probability, beyond either end of the interval
 
 
 class Crisis(NamedTuple):
-    """Where bands grow, and the error of that."""
+    """A value of the parameter at which bands meet the orbit that bounds them, and its error."""
 
     value: float
     error: float
 
 
-Stays = Callable[[Float[np.ndarray, " values"], int], Int[np.ndarray, " values"]]
-"""Steps of paths until one is out of turn, at values of the parameter; those asked for where none is."""
+class Stays(NamedTuple):
+    """How long paths at values of the parameter have kept their phase.
+
+    Attributes:
+        turns: around the bands, until the phase is lost or the path ends, (values,).
+        lost: whether the phase is, (values,).
+        tells: whether the path is chaotic or has lost its phase before: others tell nothing of bands, (values,).
+    """
+
+    turns: Float[np.ndarray, " values"]
+    lost: Bool[np.ndarray, " values"]
+    tells: Bool[np.ndarray, " values"]
 
 
-def locate_crisis(stays: Stays, start: float, stop: float, period: int, most: int) -> Crisis | None:
-    """The value between two beyond which paths leave the bands; None: none has left, or some have from the start on.
+Paths = Callable[[Float[np.ndarray, " values"], int], Float[np.ndarray, "values points k"]]
+"""Paths on the bands at values of the parameter, of so many iterates, in sizes of the motion (`embedded`)."""
+
+
+def stays_of(paths: Float[np.ndarray, "values points k"], bands: int) -> Stays:
+    """How long paths keep their phase."""
+    turns = np.array([turns_in_phase(path, bands) for path in paths])
+    lost = turns < paths.shape[1] // bands
+    tells = np.array([gone or not repeats(path, bands) for gone, path in zip(lost.tolist(), paths, strict=True)])
+    return Stays(turns.astype(float), lost, tells)
+
+
+def locate_crisis(paths: Paths, start: float, stop: float, bands: int, most: int) -> Crisis | None:
+    """The value between two beyond which paths lose their phase; None: none does, or some do from the start on.
 
     Args:
-        stays: runs paths from the bands.
+        paths: on the bands.
         start, stop: values of the parameter between which bands are looked at, in either order.
-        period: number of bands.
-        most: steps of a path, at most.
+        bands: number of them.
+        most: iterates of a path, at most.
     """
     low, high = 0.0, abs(stop - start)
-    sign, steps = np.sign(stop - start), min(_FIRST * period, most)
-    rounds = list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
+    sign, steps = np.sign(stop - start), min(_FIRST * bands, most)
+    rounds, found = list[tuple[np.ndarray, Stays]](), Crisis(np.nan, np.inf)
     while True:
         at = np.linspace(low, high, _PATHS)
-        stayed = stays(start + sign * at, steps)
-        rounds.append((at, stayed / period, stayed < steps))
-        left = np.concatenate([at[out] for at, _, out in rounds])
-        if not len(left) or left.min() <= 0.0:
+        rounds.append((at, stays_of(paths(start + sign * at, steps), bands)))
+        lost = np.concatenate([at[stays.lost] for at, stays in rounds])
+        if not len(lost) or lost.min() <= 0.0:
             return None
-        first, spacing = float(left.min()), (high - low) / (_PATHS - 1)
+        first, spacing = float(lost.min()), (high - low) / (_PATHS - 1)
+        if first == low:
+            low, high = max(low - _LOWER * (high - low), 0.0), first
+            continue
         if steps >= most:
-            break
+            value, error = _posterior(first, spacing, np.concatenate([at for at, _ in rounds]), _joined(rounds))
+            better = error < _BETTER * found.error
+            found = Crisis(start + float(sign) * value, error) if error < found.error else found
+            if not better:
+                return found if np.isfinite(found.error) else None
         low, high = max(first - _BEHIND * spacing, 0.0), first + _AHEAD * spacing
         steps = min(_LONGER * steps, most)
-    paths = [np.concatenate(column) for column in zip(*rounds, strict=True)]
-    value, error = _posterior(first, spacing, *paths)
-    return Crisis(start + float(sign) * value, error)
+
+
+def _joined(rounds: list[tuple[np.ndarray, Stays]]) -> Stays:
+    """What the paths of all rounds have done."""
+    return Stays(*(np.concatenate(column) for column in zip(*(stays for _, stays in rounds), strict=True)))
 
 
 def _posterior(
     first: float,
     spacing: float,
     at: Float[np.ndarray, " paths"],
-    stayed: Float[np.ndarray, " paths"],
-    out: np.ndarray,
+    stays: Stays,
 ) -> tuple[float, float]:
-    """Mean and error of where paths begin to leave, from how long each has stayed.
+    """Mean and error of where phases begin to be lost, from how long each path has kept it.
 
-    The rate of leaving is λ xᵞ at x beyond the crisis. Its logarithm is as likely to be anything: λ integrates to
-    Γ(n)/(Σ xᵞ t)ⁿ times the product of xᵞ over the n paths that have left.
+    The rate of losses is λ xᵞ at x beyond the crisis. Its logarithm is as likely to be anything: λ integrates to
+    Γ(n)/(Σ xᵞ t)ⁿ times the product of xᵞ over the n paths that are lost. Losses have no memory: times count from the
+    end of the reference on, of paths that were not lost by then.
     """
-    near = at < first + _NEAR * spacing
-    at, stayed, out = at[near], np.maximum(stayed[near] - _WAY, 0.5), out[near]
+    used = (at < first + _NEAR * spacing) & stays.tells & (stays.turns > REFERENCE)
+    at, stayed, out = at[used], stays.turns[used] - REFERENCE, stays.lost[used]
+    if not np.any(out):
+        return first, np.inf
     before = spacing * _DISTANCES
     x = np.maximum(at - (first - before)[:, None], 0.0) / spacing
     logs = np.log(np.where(out & (x > 0.0), x, 1.0)).sum(axis=1)[:, None] * _EXPONENTS
@@ -96,32 +124,3 @@ def _posterior(
     mean = float(weight @ before)
     ends = np.interp([_TAIL, 1.0 - _TAIL], np.cumsum(weight) - 0.5 * weight, before)
     return first - mean, float(np.abs(ends - mean).max())
-
-
-def steps_in_turn(
-    strobe: Strobe,
-    count: ArrayLike,
-    u: Float[Array, " d"],
-    p: Parameters,
-    centres: Float[Array, "points d"],
-    bands: Int[Array, ""],
-    size: Float[Array, " d"],
-) -> Array:
-    """Steps of one lane until it is nearest to another point of an orbit than the one whose turn it is; else `count`.
-
-    Args:
-        centres: points of the orbit in turn, from that next to u; behind them the first again.
-        bands: how many there are.
-        size: of the motion in each section coordinate.
-    """
-    system = strobe.system
-
-    def step(n: Array, carry: tuple[object, Array]) -> tuple[object, Array]:
-        state, stayed = carry
-        state = strobe(state, p)
-        gap = system.wrap(system.chart(state)[None] - centres) / size[None]
-        nearest = lax.argmin(jnp.sum(gap**2, axis=1), 0, jnp.int32)
-        out = nearest != (n + 1) % bands
-        return state, jnp.where(out & (stayed == count), n, stayed)
-
-    return lax.fori_loop(0, count, step, of_lane((system.unchart(u), jnp.asarray(count)), u[0]))[1]

@@ -160,12 +160,13 @@ def _windows(
         settled: the orbits of lanes of the shortest period, by number of the lane.
         doubled: numbers of the lanes of twice, four times, … of it.
     """
-    found = list[Window]()
+    found, origins = list[Window](), list[Bifurcation | None]()
     for number, branch in enumerate(tree.branches):
         for stretch, *outside in _stretches(family, branch):
-            born = [end for end, beyond in zip(branch.ends, outside, strict=True) if beyond is None]
-            if branches.COLLAPSED in born:
-                continue  # in a doubling: its orbits are of another one's window
+            doubled_there = _born_in_doubling(branch, stretch, outside)
+            origin = None if doubled_there is None else _origin(family, tree, branch, doubled_there)
+            if doubled_there is not None and origin is None:
+                continue
             ends = [(stretch[0], outside[0]), (stretch[-1], outside[1])]
             ends = [(_end(family, tree, number, *pair), *pair) for pair in ends]
             (begin, *_), (end, at, beyond) = sorted(ends, key=lambda end: end[0].kind)
@@ -173,9 +174,52 @@ def _windows(
             inside = Line(branch.value[[at]], np.array([branch.period]), branch.points[at, :1])
             to = float(branch.value[at if beyond is None else beyond])
             found.append(Window(branch.period, np.array(mine, int), begin, end, inside, to))
+            origins.append(origin)
     for k in [*doubled, *(k for k in settled if not any(k in one.lanes for one in found))]:
         _assign(found, line, k)
-    return [one for one in found if len(one.lanes)]
+    return [one for one in _with_doubled(found, origins) if len(one.lanes)]
+
+
+def _born_in_doubling(branch: Branch, stretch: Int[np.ndarray, " some"], outside: Sequence[int | None]) -> int | None:
+    """The end of a branch, 0 or −1, where a stretch of it begins in a doubling of the orbit of half the period.
+
+    A branch goes on to a point beyond the doubling, which is on the stretch or next to it.
+    """
+    at = {0: 0, -1: len(branch.value) - 1}
+    own = {int(stretch[0]), int(stretch[-1]), *outside}
+    return next((k for k, place in at.items() if branch.ends[k] == branches.COLLAPSED and place in own), None)
+
+
+def _origin(family: Family, tree: Tree, branch: Branch, end: int) -> Bifurcation | None:
+    """The doubling, of another branch of the tree, that a branch ends in."""
+    n = branch.period // 2
+    last, before = (0, 1) if end == 0 else (-1, -2)
+    near = _chord(family, branch, last, before) + _NEAR
+    half = branch.points[last, :n] + 0.5 * family.wrap(branch.points[last, n:] - branch.points[last, :n])
+    some = [
+        one
+        for one in tree.bifurcations
+        if KINDS[one.kind] == ENDS[DOUBLED]
+        and len(one.points) == n
+        and abs(one.value - branch.value[last]) <= near * family.width
+        and same_orbit(family, one.points, half, near)
+    ]
+    return min(some, key=lambda one: abs(one.value - branch.value[last]), default=None)
+
+
+def _with_doubled(found: Sequence[Window], origins: Sequence[Bifurcation | None]) -> list[Window]:
+    """Windows that were not born in a doubling, each with the lanes of those that were, one from the other, from it."""
+    lanes = [set(one.lanes.tolist()) for one in found]
+    for k in sorted(range(len(found)), key=lambda k: -found[k].period):  # the longest first, on to those they are from
+        for place, one in enumerate(found):
+            if (origin := origins[k]) is not None and 2 * one.period == found[k].period:
+                here = [end for end in (one.begin, one.end) if end.kind == DOUBLED and end.value == origin.value]
+                lanes[place] |= lanes[k] if any(end.points is origin.points for end in here) else set()
+    return [
+        one._replace(lanes=np.array(sorted(mine), int))
+        for one, mine, origin in zip(found, lanes, origins, strict=True)
+        if origin is None
+    ]
 
 
 def _stretches(family: Family, branch: Branch) -> Iterator[tuple[Int[np.ndarray, " some"], int | None, int | None]]:

@@ -14,7 +14,7 @@ from jaxnh.analyses.base import Entry, Table, variable
 from jaxnh.analyses.locating import Located
 from jaxnh.analyses.runs import Line
 from jaxnh.analyses.scene import Axis, Scene, counted_in
-from jaxnh.analyses.window_search import ENDS, End, Window, all_lanes
+from jaxnh.analyses.window_search import DOUBLED, ENDS, End, Window, all_lanes
 
 _NO_LIMIT = "NaN of fewer than four doublings"
 _NO_CRISIS = (
@@ -75,6 +75,9 @@ def dataset(
         **_place_variables("limit", "where the doublings accumulate", axis, limits, _NO_LIMIT),
         **_place_variables("crisis", "where the bands beyond the doublings grow", axis, crises, _NO_CRISIS),
     }
+    warnings = _unlocated(axis.name, levels, found, doublings)
+    if not found:
+        warnings = [f"windows: {_searched(limit, axis.name, line.value)}: none was found"]
     attrs = {
         "along": axis.name,
         "largest_period": limit,
@@ -84,7 +87,7 @@ def dataset(
         "panel": "windows",
         "panel_variables": "period",
         "panel_label": axis.long_name,
-        **({} if found else {"warnings": f"windows: {_searched(limit, axis.name, line.value)}: none was found"}),
+        **({"warnings": "\n".join(warnings)} if warnings else {}),
     }
     return xr.Dataset(variables, attrs=attrs)
 
@@ -118,6 +121,18 @@ def _place_variables(
         name: variable("window", value, f"{axis.long_name} {words}", axis.units, **attrs),
         f"{name}_error": variable("window", error, f"largest error of {name}", axis.units),
     }
+
+
+def _unlocated(
+    name: str, levels: int, found: Sequence[Sequence[Window]], doublings: Sequence[Sequence[Located]]
+) -> list[str]:
+    """Lines for the user: windows that end in a doubling, and of whose doublings some are not numbers."""
+    return [
+        f"windows: {len(located)} of {levels} doublings of the orbits of period {group[0].period} that double at "
+        f"{name} = {group[0].end.value:.9g} were located within the sweep"
+        for group, located in zip(found, doublings, strict=True)
+        if group[0].end.kind == DOUBLED and len(located) < levels
+    ]
 
 
 def _searched(limit: int, name: str, values: Float[np.ndarray, " lanes"]) -> str:

@@ -14,6 +14,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 from pydantic import Field
 
+from jaxnh.analyses.band_phase import embedded
 from jaxnh.analyses.base import Analysis, OptionError, Options, Setting
 from jaxnh.analyses.branch_seeds import settled_waves
 from jaxnh.analyses.cascade import along_line
@@ -22,10 +23,11 @@ from jaxnh.analyses.families import orbits_of
 from jaxnh.analyses.family_tree import Orbit
 from jaxnh.analyses.known_branches import orbits_at
 from jaxnh.analyses.locating import Located, price_of_orbits, refined, walk
+from jaxnh.analyses.looks import angles
 from jaxnh.analyses.runs import Line
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.analyses.survey import survey_from_start
-from jaxnh.analyses.window_crisis import locate_crisis, steps_in_turn
+from jaxnh.analyses.survey import strobe_points, survey_from_start
+from jaxnh.analyses.window_crisis import locate_crisis
 from jaxnh.analyses.window_search import DOUBLED, Window, all_lanes, search
 from jaxnh.analyses.window_tables import NOWHERE, Place, count, dataset, table
 from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
@@ -34,6 +36,8 @@ from jaxnh.orbits.branches import Steps, both_ways
 _DOUBLED = 4  # times the limit: lanes of orbits up to this period are seen, as those of doublings are
 _REACH = 3.0  # distances from the first doubling to where they end that a crisis is looked for beyond; it is near one
 _OFF = 1e-7  # sizes: paths start so far from an orbit that repels
+_AWAY = 32  # turns of a path until it is all over the bands, from there
+_AT_ONCE = 256  # strobes of a call
 _STEPS = Steps(0.04)  # of the branch of that orbit
 _WORK = 3.0  # of a run, in those of settling: a guess
 
@@ -108,18 +112,21 @@ def run(options: WindowsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
 def _doublings(
     levels: int, scene: Scene, lanes: LaneRunner, line: Line, window: Window, size: Float[np.ndarray, " d"]
 ) -> tuple[Located, ...]:
-    """Doublings of a window beyond its end, no further than one lane beyond those that have settled in it."""
+    """Doublings of a window beyond its end: between its lanes, or as far beyond as the sweep goes."""
     if not levels or window.end.kind != DOUBLED:
         return ()
     value = float(window.inside.value[0])
     up = window.beyond > value
-    order = np.flatnonzero(line.value > value) if up else np.flatnonzero(line.value < value)[::-1]
+    beyond = line.value > window.beyond if up else line.value < window.beyond  # what doubles first is known up to there
+    order = np.flatnonzero(beyond) if up else np.flatnonzero(beyond)[::-1]
     own = np.flatnonzero(np.isin(order, window.lanes))
     others = line.take(order[: own.max(initial=-1) + 2])
-    no_orbit = Line(np.array([window.beyond]), np.zeros(1, int), window.inside.u)
-    begun = Line(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit, strict=True)))
+    no_orbit = [
+        Line(np.array([at]), np.zeros(1, int), window.inside.u) for at in (window.beyond, line.value[-1 if up else 0])
+    ]
+    begun = Line(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
     with lanes.stage(f"windows: doublings of period {window.period}", 0):
-        return along_line(scene, lanes, begun.joined(others), levels, size)
+        return along_line(scene, lanes, begun.joined(others).joined(no_orbit[1]), levels, size)
 
 
 def _limit(doublings: Sequence[Located]) -> Place:
@@ -149,7 +156,7 @@ def _crisis(
     stop = float(np.clip(start + _REACH * (start - window.end.value), low, high))
     inside, n = float(window.inside.value[0]), window.period
     family = families(min(inside, stop), max(inside, stop))[0]
-    strobe, u = scene.strobe(), window.inside.u
+    u, turning = window.inside.u, angles(scene.system)
     with lanes.stage(f"windows: bands of period {n} up to {scene.line.name} = {stop:.9g}", 0):
         points = walk(scene, lanes, u, inside, n)[None]
         begun = correct(family, points, window.inside.value, along_parameter(family, 1, n), FINE)
@@ -157,21 +164,27 @@ def _crisis(
             return NOWHERE
         branch = both_ways(family, begun, _STEPS)[0]
 
-        def stays(values: Float[np.ndarray, " values"], count: int) -> Int[np.ndarray, " values"]:
+        def paths(values: Float[np.ndarray, " values"], count: int) -> Float[np.ndarray, "values points k"]:
             found = (orbits_at(family, [branch], value) for value in values.tolist())
-            centres = np.stack([orbits[0] if len(orbits) else points[0] for orbits in found])
-            begin = centres[:, 0] + _OFF * size
-            many = (
-                begin,
-                scene.at(values).p,
-                centres,
-                np.full(len(values), n, np.int32),
-                np.tile(size, (len(values), 1)),
-            )
-            return lanes(steps_in_turn, (strobe, np.int32(count)), many, periods=count, tile=len(values))
+            begin = np.stack([orbits[0, 0] if len(orbits) else points[0, 0] for orbits in found]) + _OFF * size
+            return embedded(_paths(scene.at(values), lanes, begin, _AWAY * n, count), turning, size)
 
-        found = locate_crisis(stays, start, stop, n, most)
+        found = locate_crisis(paths, start, stop, n, most)
     return Place(found.value, found.error + window.end.error) if found else NOWHERE
+
+
+def _paths(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], transient: int, count: int
+) -> Float[np.ndarray, "lanes count d"]:
+    """Strobes of lanes after a transient, by as many calls of one program as they need."""
+    strobe, parts = scene.strobe(), list[np.ndarray]()
+    for begun in range(0, count, _AT_ONCE):
+        wait = 0 if begun else transient
+        arguments = (strobe, np.int32(wait)), (u, scene.p)
+        part = lanes(strobe_points, *arguments, periods=wait + _AT_ONCE, tile=len(u), static=(_AT_ONCE,))
+        parts.append(part)
+        u = part[:, -1]
+    return np.concatenate(parts, axis=1)[:, :count]
 
 
 ANALYSIS = Analysis(

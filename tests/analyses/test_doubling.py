@@ -98,6 +98,14 @@ def test_tables_of_the_paper(table):
     check_table(path, exact)
 
 
+def test_errors_say_what_was_achieved(table):
+    """No more than some twenty times the error, against the reference: a bound of about eight, and rounding."""
+    *_, path, _, exact = table
+    group = doubling(path)
+    achieved = np.abs(group["b"].values[: len(exact)] - exact)
+    assert np.median(group["b_error"].values[: len(exact)] / achieved) < 20
+
+
 @pytest.mark.parametrize("levels", [4, pytest.param(6, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", TABLES)
 def test_kept_results(name, levels):

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import taylor
 from conftest import ROOT, session_of
-from heyoka_newton import bifurcation, iterated, section_map
+from heyoka_newton import bifurcation, iterated, section_map, strobe_map
 
 import jaxnh
+from jaxnh.config.experiment import Experiment
 
 DELTA, ALPHA = 4.669201609102990, 2.502907875095892  # Briggs, Math. Comp. 57 (1991) 435
 
@@ -86,3 +87,36 @@ def test_limits_of_the_governors_cascade():
     for name, exact, near in (("delta_limit", DELTA, 1e-6), ("alpha", ALPHA, 1e-4)):
         assert abs(found.attrs[name] - exact) < min(near, found.attrs[f"{name}_error"])
         assert found.attrs[f"{name}_error"] < 1e-5
+
+
+def duffing(x, v, drive, t):
+    """x'' + x'/2 − x + x³ = F cos t."""
+    return v, -0.5 * v + x - x**3 + drive * hy.cos(t)
+
+
+@pytest.mark.slow
+def test_errors_of_the_doublings_of_duffings_oscillator(tmp_path):
+    """Above the error against heyoka's map, and no more than some twenty times it: a bound of about eight, and rounding."""
+    (tmp_path / "flow.py").write_text(
+        "import jax.numpy as jnp\n\ndef system(drive=0.3):\n    def rhs(y, t):\n        x, v = y\n"
+        "        return v, -0.5 * v + x - x**3 + drive * jnp.cos(t)\n\n"
+        '    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi}\n'
+    )
+    text = f"""\
+system: {{file: {tmp_path / "flow.py"}}}
+initial: {{x: 0.1, v: 0.0}}
+sweep: {{drive: {{start: 0.35, stop: 0.36, count: 64}}}}
+accuracy: {{target: 1.0e-8}}
+analyses:
+  doubling: {{levels: 3}}
+"""
+    found = session_of(Experiment.from_text(text)).run("doubling")
+    assert found["period"].to_numpy().tolist() == [2, 4, 8]
+    u = np.array([0.1, 0.0])
+    for n, value, error in zip((2, 4, 8), found["drive"].to_numpy(), found["drive_error"].to_numpy(), strict=True):
+        image = strobe_map(duffing, 2, 2 * np.pi, n)
+        for _ in range(300):
+            u, _ = image(value - 1e-4, u)
+        exact, multipliers = bifurcation(image, "period_doubling", value, u)
+        assert np.abs(multipliers + 1).min() < 1e-6
+        assert abs(value - exact) < error < 20 * abs(value - exact)

@@ -1,0 +1,55 @@
+"""Where a chaotic attractor grows or shrinks suddenly along a parameter, more than by its trend. Host code.
+
+A chaotic attractor changes with the parameter, and is known by finitely many points: from one value to the next some of
+it is always off what is known of it at the other. In a crisis it is off by more than from there to the values beside,
+and by more than points of one and the same attractor are off each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+_SHARE = 0.95  # of points, that are nearer than the reach
+_POINTS = 1024  # of an attractor, at most
+_JUMP = 3.0  # times the trend, or what points of one attractor are off each other
+_NO_TREND = 0.05  # sizes: what stands for the trend where there is none
+
+
+def sudden_growths(
+    clouds: Sequence[Float[np.ndarray, "points d"]], values: Float[np.ndarray, " clouds"]
+) -> Bool[np.ndarray, " steps"]:
+    """Whether an attractor is suddenly another from each value to the next, (clouds − 1,).
+
+    Args:
+        clouds: points of it at each value, in sizes of the motion.
+        values: of the parameter, in order.
+    """
+    clouds = [cloud[:: -(-len(cloud) // _POINTS)] for cloud in clouds]
+    own = np.array([_reach(cloud[::2], cloud[1::2]) for cloud in clouds])
+    steps = np.array([max(_reach(a, b), _reach(b, a)) for a, b in pairwise(clouds)])
+    rates = steps / np.abs(np.diff(values))
+    found = np.zeros(len(steps), bool)
+    for k, (step, rate) in enumerate(zip(steps.tolist(), rates.tolist(), strict=True)):
+        beside = rates[[place for place in (k - 1, k + 1) if 0 <= place < len(rates)]]
+        trend = step / rate * float(beside.max()) if len(beside) else _NO_TREND
+        found[k] = step > _JUMP * max(trend, float(own[k : k + 2].max()))
+    return found
+
+
+def nearest_distances(
+    some: Float[np.ndarray, "some d"], others: Float[np.ndarray, "others d"]
+) -> Float[np.ndarray, " some"]:
+    """Distances of points from the nearest of others."""
+    square = np.zeros((len(some), len(others)))
+    for mine, theirs in zip(some.T, others.T, strict=True):
+        square += (mine[:, None] - theirs) ** 2
+    return np.sqrt(square.min(axis=1))
+
+
+def _reach(some: Float[np.ndarray, "some d"], others: Float[np.ndarray, "others d"]) -> float:
+    """How far most points are from others at most."""
+    return float(np.quantile(nearest_distances(some, others), _SHARE))
