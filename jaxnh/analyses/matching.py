@@ -117,7 +117,8 @@ def _search(
         judged = judge(here, lanes, picked(lot, seeds), limit, longest)
         largest, before = np.nanmax(np.abs(lot.size), axis=0, initial=0.0), len(found.point)
         found, place = _added(here, lanes, found, judged, point[seeds], largest)
-        found.number[seeds] = place
+        settled = lot.known[seeds] == SETTLED
+        found.number[seeds[settled]] = place[settled]
         of_leader = np.where(cluster >= 0, place[cluster], -1)
         match(scene, lanes, lot, point, found, of_leader)
         open_, restless = (found.number < 0) & (of_leader >= 0), False
