@@ -11,7 +11,8 @@
 
 What is quasiperiodic or chaotic also has to contract phase volume (`volume`): a conservative motion is no attractor.
 Every one of them has to stay: of a lane that had settled, the means over a look sixteen times as long are those that it
-had; what is chaotic has not begun to repeat itself thousands of periods later.
+had; what is chaotic has not begun to repeat itself thousands of periods later. Where means have settled and an exponent
+is positive, as on an unstable cycle in an invariant plane, a motion begun beside it has to stay on its set.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from jaxnh.analyses.looks import Look, angles, look_at, maps, points_a_unit, units
 from jaxnh.analyses.lyapunov import LyapunovOptions
 from jaxnh.analyses.lyapunov import run as exponents_of
-from jaxnh.analyses.point_sets import spacing
+from jaxnh.analyses.point_sets import lie_within, point_set, spacing
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
-from jaxnh.analyses.settling import RESTLESS, SETTLED_TO, Lot, points_at, states_at
+from jaxnh.analyses.settling import RESTLESS, SETTLED, SETTLED_TO, Lot, points_at, states_at
 from jaxnh.analyses.survey import beyond_doublings, survey
 from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
 from jaxnh.analyses.volume import keeps_volume
@@ -59,6 +60,7 @@ _BOXED = 6  # coordinates
 _WIDER = 1.5  # than the largest distance of a point of a cloud from its earlier half
 _REPEATS = 1e-6  # sizes a period: chaos parts points from rounding to more than that
 _ROUNDING = 1e-9  # of sizes
+_ASIDE, _GOLDEN = 1e-6, (np.sqrt(5.0) - 1.0) / 2.0  # sizes beside a motion, and what directions are made from
 _TO_AND_FRO = 4.0  # ranges: a motion that has gone so far has come back
 _TURNED = 4 * np.pi
 
@@ -148,6 +150,10 @@ def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, longes
         for k in left:
             near[k] = _WIDER * spacing(scene.system, points[k], np.zeros_like(steps[k]), size[k])
             margin[k] = max(_WIDER * spacing(scene.system, points[k], steps[k], size[k]), _NEAR_ORBIT)
+    some = np.flatnonzero((kind == CHAOTIC) & (lot.known == SETTLED))  # regular and unstable: a repeller?
+    if len(some):
+        sets = (points[some], steps[some], size[some], margin[some])
+        kind[some[_leaves(moved_on.take(some), lanes, u[some], sets)]] = NONE
     means = np.asarray(seen.whole)
     return Judged(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
 
@@ -357,6 +363,25 @@ def _steps(
 def _rate(flow: Flow, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
     state = flow.unchart(u)
     return jnp.stack(flow.lower(state, flow.rhs(0.0, state, p)))
+
+
+def _leaves(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], sets: tuple[np.ndarray, ...]
+) -> Bool[np.ndarray, " lanes"]:
+    """Whether motions from points beside those of lanes leave the sets that these are on.
+
+    So they do from a cycle in a symmetry's invariant plane that attracts in that plane alone.
+
+    Args:
+        sets: points, steps, sizes and margins.
+    """
+    aside = 2.0 * np.mod(np.arange(1, u.shape[1] + 1) * _GOLDEN, 1.0) - 1.0  # along no symmetry
+    cloud = recorded(scene_from(scene, lanes, u + _ASIDE * aside * sets[2]), lanes, _CLOUD)[:, -POINTS:]
+    within = [
+        np.mean(lie_within(point_set(scene.system, points, steps, size), later, size, float(margin)))
+        for later, points, steps, size, margin in zip(cloud, *sets, strict=True)
+    ]
+    return np.array(within) < 0.5
 
 
 def _conserved(

@@ -37,6 +37,7 @@ from jaxnh.analyses.volume import keeps_volume
 from jaxnh.systems.flow import Flow
 
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
+_FRUITLESS = 4  # times in turn that lanes of one cluster are judged in vain
 _SEEDS = 4  # of restless lanes, likewise
 _SAME_ORBIT = 1e-6  # of the largest motion of the sweep
 _CLEARLY = 2.0  # times as far as from its attractor is a lane from every other one, or not near to it
@@ -104,11 +105,11 @@ def _search(
     """Lanes matched to attractors, and those that these leave judged, at most so many at a value of the parameters.
 
     Lanes of one cluster may still be on several attractors, as those that a symmetry relates share means: while new
-    ones are found, the lanes of a cluster that are on none of them are judged in turn.
+    ones are found, the lanes of a cluster that are on none of them are judged in turn. So are, a few times, those
+    whose leader is on no attractor but elsewhere.
     """
     match(scene, lanes, lot, point, found)
-    open_ = found.number < 0
-    restless = True
+    open_, restless, fruitless = found.number < 0, True, 0
     while True:
         seeds, cluster = _representatives(lot, point, open_, most, restless)
         if not len(seeds):
@@ -121,9 +122,23 @@ def _search(
         found.number[seeds[settled]] = place[settled]
         of_leader = np.where(cluster >= 0, place[cluster], -1)
         match(scene, lanes, lot, point, found, of_leader)
-        open_, restless = (found.number < 0) & (of_leader >= 0), False
-        if len(found.point) == before:
+        away = _away(scene.system, lot, judged, cluster)
+        fruitful = len(found.point) > before
+        open_, restless = (found.number < 0) & (away | (fruitful & (of_leader >= 0))), False
+        fruitless = 0 if fruitful else fruitless + 1
+        if fruitless > _FRUITLESS:
             return found
+
+
+def _away(system: Flow, lot: Lot, judged: Judged, cluster: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
+    """Lanes of clusters whose leaders are on no attractor, and that are not where these are, as beside a repeller."""
+    away = np.zeros(len(cluster), np.bool_)
+    for k in np.flatnonzero(judged.kind == NONE).tolist():
+        some = np.flatnonzero(cluster == k)
+        if len(some) > 1:
+            one: Judged = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
+            away[some] = _distances(system, one, lot.u[some], lot.size[some]) > 1.0
+    return away
 
 
 def match(
@@ -157,7 +172,10 @@ def match(
         here = np.flatnonzero(point[restless] == found.point[k])
         if len(here):
             here = here[_near(scene, one, paths[here])]
-            some, distance = np.append(some, restless[here]), np.append(distance, _mean_distances(scene, one, paths[here]))
+            some, distance = (
+                np.append(some, restless[here]),
+                np.append(distance, _mean_distances(scene, one, paths[here])),
+            )
         nearer = distance < first[some]
         second[some] = np.where(nearer, first[some], np.minimum(second[some], distance))
         first[some], nearest[some] = np.where(nearer, distance, first[some]), np.where(nearer, k, nearest[some])

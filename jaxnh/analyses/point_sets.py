@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jaxnh.systems.flow import Flow
 
@@ -41,7 +41,7 @@ class PointSet(NamedTuple):
     scale: Float[np.ndarray, " d"]
     points: Float[np.ndarray, "points d"]
     steps: Float[np.ndarray, "points d"]
-    tree: cKDTree
+    tree: KDTree
 
 
 def point_set(
@@ -61,7 +61,7 @@ def point_set(
     scale = np.where(scale > 0.0, scale, 1.0)
     if np.any(steps):
         points, steps = _filled_in(system, points, steps)
-    return PointSet(system, scale, points, steps, cKDTree(_placed(system, points, scale), boxsize=_box(system, scale)))
+    return PointSet(system, scale, points, steps, KDTree(_placed(system, points, scale), boxsize=_box(system, scale)))
 
 
 def offsets(of: PointSet, u: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:

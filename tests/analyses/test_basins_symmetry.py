@@ -37,19 +37,25 @@ PHASES = (-2.9, -1.9, -0.9, 0.1, 1.1, 2.1)
 def test_two_phases(tmp_path, coupling, apart):
     """φ' = 1 + k sin 2(φ − ψ), ψ' = 1 + k sin 2(ψ − φ): δ = φ − ψ has δ' = 2k sin 2δ.
 
-    For k < 0 it settles at 0 or π, for k > 0 at ±π/2: (cos φ, cos ψ) turns left or right. Phases are uniform, so that
+    For k < 0 it settles at 0 or π, for k > 0 at ±π/2: (cos φ, cos ψ) turns left or right, with the exponent −4|k|. Phases are uniform, so that
     both cycles have the same mean of every function of one phase.
     """
     sweep = {"phi": {"values": list(PHASES)}, "psi": {"values": list(PHASES)}}
     rates = "1.0 + k * jnp.sin(2 * (phi - psi)), 1.0 + k * jnp.sin(2 * (psi - phi))"
     more = {"system": {"file": str(tmp_path / "flow.py"), "k": coupling}, **STEPS}
     rest = '"angles": ("phi", "psi")'
-    tree = session_of(experiment(tmp_path, ("phi", "psi"), rates, sweep, {"longest": 512}, rest, "k=0.3", **more)).tree()
+    tree = session_of(
+        experiment(tmp_path, ("phi", "psi"), rates, sweep, {"longest": 512}, rest, "k=0.3", **more)
+    ).tree()
     phi, psi = grid(tree, "phi", "psi")
-    side = np.cos(phi - psi - apart) > 0
-    assert same_partition(labels(tree).tolist(), side.tolist())
+    # Starts with φ = ψ stay on that cycle, which for k > 0 repels: they are on neither.
+    expected = np.where((phi == psi) & (coupling > 0), 0, np.where(np.cos(phi - psi - apart) > 0, 1, 2))
+    assert np.array_equal(labels(tree) == 0, expected == 0)
+    assert same_partition(labels(tree).tolist(), expected.tolist())
     assert kinds(tree["attractors"]) == ["limit_cycle"] * 2
-    assert sorted(tree["attractors"]["fraction"].values) == sorted([np.mean(side), np.mean(~side)])
+    np.testing.assert_allclose(tree["attractors"]["exponent"].values, -1.2, atol=1e-6)
+    shares = [np.mean(expected == k) for k in (1, 2)]
+    assert sorted(tree["attractors"]["fraction"].values) == sorted(shares)
 
 
 def test_two_phases_with_a_clock(tmp_path):
@@ -61,7 +67,9 @@ def test_two_phases_with_a_clock(tmp_path):
     rates = "0.5 - 0.3 * jnp.sin(2 * phi - t), 0.5 - 0.3 * jnp.sin(2 * psi - t)"
     rest = '"angles": ("phi", "psi"), "period": 2 * jnp.pi'
     accuracy = {"accuracy": {"solver": "tsit5", "steps": 64}}
-    tree = session_of(experiment(tmp_path, ("phi", "psi"), rates, sweep, {"longest": 512, "limit": 4}, rest, **accuracy)).tree()
+    tree = session_of(
+        experiment(tmp_path, ("phi", "psi"), rates, sweep, {"longest": 512, "limit": 4}, rest, **accuracy)
+    ).tree()
     phi, psi = grid(tree, "phi", "psi")
     assert same_partition(labels(tree).tolist(), (np.cos(phi) * np.cos(psi) > 0).tolist())
     assert tree["attractors"]["period"].values.tolist() == [2, 2]
