@@ -9,8 +9,10 @@
   has come across itself, after whatever time it repeats itself best. In a plane without a clock there is no such
   motion: what looks so is a cycle whose exponent is not resolved, or the ghost of one, and nothing is said of it.
 
+What is quasiperiodic or chaotic also has to contract phase volume (`volume`): a conservative motion is no attractor.
 Every one of them has to stay: of a lane that had settled, the means over a look sixteen times as long are those that it
-had; what is chaotic has not begun to repeat itself thousands of periods later.
+had; what is chaotic has not begun to repeat itself thousands of periods later. Where means have settled and an exponent
+is positive, as on an unstable cycle in an invariant plane, a motion begun beside it has to stay on its set.
 """
 
 from __future__ import annotations
@@ -26,10 +28,12 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from jaxnh.analyses.looks import Look, angles, look_at, maps, points_a_unit, units
 from jaxnh.analyses.lyapunov import LyapunovOptions
 from jaxnh.analyses.lyapunov import run as exponents_of
+from jaxnh.analyses.point_sets import lie_within, point_set, spacing
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
-from jaxnh.analyses.settling import RESTLESS, SETTLED_TO, Lot, points_at, states_at
+from jaxnh.analyses.settling import RESTLESS, SETTLED, SETTLED_TO, Lot, points_at, states_at
 from jaxnh.analyses.survey import beyond_doublings, survey
 from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
+from jaxnh.analyses.volume import keeps_volume
 from jaxnh.analyses.zeros import zeros
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Flow, Parameters, State
@@ -53,9 +57,10 @@ _EVERY = 4  # point of a cloud without a clock is held against those after it
 _NEAREST = 3  # steps of Gauss and Newton to the nearest point of a path
 _NEAR_ORBIT = 0.01  # sizes: what ends so near to an orbit may be on it
 _BOXED = 6  # coordinates
-_WIDER = 1.5  # than the largest distance of a point of a cloud from another half of it
+_WIDER = 1.5  # than the largest distance of a point of a cloud from its earlier half
 _REPEATS = 1e-6  # sizes a period: chaos parts points from rounding to more than that
 _ROUNDING = 1e-9  # of sizes
+_ASIDE, _GOLDEN = 1e-6, (np.sqrt(5.0) - 1.0) / 2.0  # sizes beside a motion, and what directions are made from
 _TO_AND_FRO = 4.0  # ranges: a motion that has gone so far has come back
 _TURNED = 4 * np.pi
 
@@ -74,6 +79,8 @@ class Judged(NamedTuple):
         size: of the motion, (reps, d).
         points: in section coordinates, (reps, points, d).
         near: distance from the points, in sizes, that the end of a lane on it keeps, (reps,).
+        steps: displacement along the flow from each point to the next, zero with a clock, (reps, points, d).
+        margin: as near, but from the set that points and steps describe (`point_sets`), (reps,).
     """
 
     kind: Int8[np.ndarray, " reps"]
@@ -86,10 +93,17 @@ class Judged(NamedTuple):
     size: Float[np.ndarray, "reps d"]
     points: Float[np.ndarray, "reps points d"]
     near: Float[np.ndarray, " reps"]
+    steps: Float[np.ndarray, "reps points d"]
+    margin: Float[np.ndarray, " reps"]
 
 
-def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int) -> Judged:
-    """What the lanes of a scene are on, which are done as the lot says; they go on from where it has left them."""
+def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, longest: int) -> Judged:
+    """What the lanes of a scene are on, which are done as the lot says; they go on from where it has left them.
+
+    Args:
+        longest_period: of periodic orbits.
+        longest: periods that a lane may take.
+    """
     look = lot.time // 2
     seen, state = _confirming_look(scene, lanes, lot)
     size = np.where(angles(scene.system), 1.0, np.maximum(seen.largest, _ROUNDING * lot.size))
@@ -119,8 +133,9 @@ def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int) -> Jud
         with np.errstate(divide="ignore"):
             exponent[here] = np.log(multiplier[here]) / (period[here] * scene.system.period)
         left = some[~on_orbit]
-    near = np.full(count, _NEAR_ORBIT)
+    near, margin = np.full((2, count), _NEAR_ORBIT)
     points = recorded(scene_from(scene, lanes, u), lanes, POINTS)
+    steps = np.zeros_like(points)
     if len(left):
         kind[left], exponent[left] = _by_exponents(moved_on.take(left), lanes, picked(seen, left), LONGER * look[left])
         cloud = recorded(moved_on.take(left), lanes, _CLOUD)
@@ -129,15 +144,26 @@ def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int) -> Jud
         across = _drift_across(scene, picked((cloud, size[left]), passing)) if scene.flow.autonomous else drift[passing]
         passing[passing] = across * LONGER * look[left][passing] < 1.0
         kind[left[passing | ((kind[left] == CHAOTIC) & (drift <= _REPEATS))]] = NONE
-        near[left] = [_spacing(scene.system, one, size[k]) for one, k in zip(cloud, left, strict=True)]
-        points = filled_up(points, _CLOUD)
-        points[left] = cloud
-    return Judged(kind, period, exponent, multiplier, u, np.asarray(seen.whole), unit, size, points, near)
+        kind[left[_conserved(moved_on.take(left), lanes, u[left], kind[left], longest)]] = NONE
+        points, steps = filled_up(points, steps, _CLOUD)
+        points[left], steps[left] = cloud, _steps(scene.take(left), lanes, cloud)
+        for k in left:
+            near[k] = _WIDER * spacing(scene.system, points[k], np.zeros_like(steps[k]), size[k])
+            margin[k] = max(_WIDER * spacing(scene.system, points[k], steps[k], size[k]), _NEAR_ORBIT)
+    some = np.flatnonzero((kind == CHAOTIC) & (lot.known == SETTLED))  # regular and unstable: a repeller?
+    if len(some):
+        sets = (points[some], steps[some], size[some], margin[some])
+        kind[some[_leaves(moved_on.take(some), lanes, u[some], sets)]] = NONE
+    means = np.asarray(seen.whole)
+    return Judged(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
 
 
-def filled_up(points: Float[np.ndarray, "reps points d"], count: int) -> Float[np.ndarray, "reps count d"]:
-    """So many points, the last one again and again where there are fewer."""
-    return np.pad(points, [(0, 0), (0, count - points.shape[1]), (0, 0)], mode="edge")
+def filled_up(
+    points: Float[np.ndarray, "reps points d"], steps: Float[np.ndarray, "reps points d"], count: int
+) -> tuple[Float[np.ndarray, "reps count d"], Float[np.ndarray, "reps count d"]]:
+    """So many points with their steps, the last point again and again, without a step, where there are fewer."""
+    more = [(0, 0), (0, count - points.shape[1]), (0, 0)]
+    return np.pad(points, more, mode="edge"), np.pad(steps, more)
 
 
 def scene_from(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> Scene:
@@ -323,8 +349,50 @@ def _record(strobe: Strobe, state: State, p: Parameters, count: int, parts: int)
     return points.reshape(-1, points.shape[-1])[:count]
 
 
-def _spacing(system: Flow, points: Float[np.ndarray, "points d"], size: Float[np.ndarray, " d"]) -> float:
-    """How far a point of a motion may be from the nearest of those seen, in sizes: by one half against the other."""
-    half, scale = len(points) // 2, np.where(size > 0.0, size, 1.0)
-    nearest = [np.max(np.abs(system.wrap(one - points[:half])) / scale, axis=1).min() for one in points[half:]]
-    return _WIDER * float(np.max(nearest))
+def _steps(
+    scene: Scene, lanes: LaneRunner, points: Float[np.ndarray, "lanes points d"]
+) -> Float[np.ndarray, "lanes points d"]:
+    """Displacement along the flow in the time from a recorded point to the next, zero with a clock."""
+    if not scene.flow.autonomous:
+        return np.zeros_like(points)
+    each = scene.take(np.repeat(np.arange(scene.count), points.shape[1]))
+    rates = lanes(_rate, (scene.flow,), (points.reshape(-1, points.shape[2]), dict(each.p)))
+    return rates.reshape(points.shape) * (scene.system.period / points_a_unit(scene))
+
+
+def _rate(flow: Flow, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
+    state = flow.unchart(u)
+    return jnp.stack(flow.lower(state, flow.rhs(0.0, state, p)))
+
+
+def _leaves(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], sets: tuple[np.ndarray, ...]
+) -> Bool[np.ndarray, " lanes"]:
+    """Whether motions from points beside those of lanes leave the sets that these are on.
+
+    So they do from a cycle in a symmetry's invariant plane that attracts in that plane alone.
+
+    Args:
+        sets: points, steps, sizes and margins.
+    """
+    aside = 2.0 * np.mod(np.arange(1, u.shape[1] + 1) * _GOLDEN, 1.0) - 1.0  # along no symmetry
+    cloud = recorded(scene_from(scene, lanes, u + _ASIDE * aside * sets[2]), lanes, _CLOUD)[:, -POINTS:]
+    within = [
+        np.mean(lie_within(point_set(scene.system, points, steps, size), later, size, float(margin)))
+        for later, points, steps, size, margin in zip(cloud, *sets, strict=True)
+    ]
+    return np.array(within) < 0.5
+
+
+def _conserved(
+    scene: Scene,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, "lanes d"],
+    kind: Int8[np.ndarray, " lanes"],
+    longest: int,
+) -> Bool[np.ndarray, " lanes"]:
+    """Which of the motions that do not contract towards themselves keep phase volume too: these are no attractors."""
+    kept, some = np.zeros(scene.count, np.bool_), np.flatnonzero(np.isin(kind, (QUASIPERIODIC, CHAOTIC)))
+    if len(some):
+        kept[some] = keeps_volume(scene.take(some), lanes, u[some], longest)
+    return kept

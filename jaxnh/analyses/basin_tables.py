@@ -13,13 +13,18 @@ from jaxtyping import Int
 from jaxnh.analyses.attractors import NONE, POINTS, Judged
 from jaxnh.analyses.base import LANE, Entry, variable
 from jaxnh.analyses.scene import Axis
-from jaxnh.analyses.settling import REASONS, Lot
+from jaxnh.analyses.settling import CONSERVATIVE, REASONS, Lot
 from jaxnh.analyses.tracking import CHANGES, Change
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.systems.flow import Flow, Output
 
 _QUANTILE = 1.959963984540054  # of a normal distribution, 95 % two-sided
 _MOST_NUMBERS = 1 << 24  # of all points of attractors over the parameters
+_UNDECIDED = ("no", "time", "volume_preserved")
+_COMPUTED = (
+    "Where the trajectory computed with these steps leads. Near a fractal boundary the label of a single start changes "
+    "with the steps and with rounding; shares do not, within their intervals."
+)
 
 
 class Known(NamedTuple):
@@ -64,17 +69,22 @@ def basins_group(
     flow: Flow,
     drawn: Mapping[str, np.ndarray],
     shape: tuple[int, ...],
+    judged: int,
 ) -> xr.Dataset:
     """What every start state leads to, of lanes of this shape: (lanes,), or (lanes, starts)."""
     dims = (LANE, "start")[: len(shape)]
     flags = {"flag_values": np.arange(len(REASONS), dtype=np.int8), "flag_meanings": " ".join(REASONS)}
+    undecided = np.where(number != 0, 0, np.where(lot.known == CONSERVATIVE, 2, 1)).astype(np.int8)
+    reasons = {"flag_values": np.arange(len(_UNDECIDED), dtype=np.int8), "flag_meanings": " ".join(_UNDECIDED)}
     words = (
         "attractor that the start state leads to, by its number in `attractors`; 0: undecided, -1: failed or escaped"
     )
     variables = {
-        "attractor": variable(dims, number.reshape(shape), words),
+        "attractor": variable(dims, number.reshape(shape), words, comment=_COMPUTED),
         "time": variable(dims, lot.time.astype(np.int32).reshape(shape), "time until it was known", unit),
         "failure": variable(dims, lot.reason.reshape(shape), "why the lane has failed", **flags),
+        "undecided": variable(dims, undecided.reshape(shape), "why it is undecided where the lane leads", **reasons),
+        "judged": variable((), np.int64(judged), "number of motions that were judged to be an attractor or none"),
         **{
             name: variable(dims, values.reshape(shape), f"{flow.words(name)} of the start state", flow.units(name))
             for name, values in drawn.items()

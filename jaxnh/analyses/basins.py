@@ -140,7 +140,7 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     sizes = tuple(shape[k] for k in own)
     place = np.unravel_index(np.arange(count) // each, shape)
     point = np.ravel_multi_index([place[k] for k in own], sizes) if own else np.zeros(count, int)
-    on, parts, at = np.full(count, -1), list[Judged](), np.zeros(0, int)
+    on, parts, at, judged = np.full(count, -1), list[Judged](), np.zeros(0, int), 0
     drawn: dict[str, np.ndarray] = {name: np.zeros(count) for name in options.box}
     for row, at_row in sweep.rows:
         some = (row[:, None] * each + np.arange(each)).ravel()
@@ -151,6 +151,7 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
         found = find(scene, lanes, part, point[some], options.limit, options.longest)
         for leaf, changed in zip(lot, part, strict=True):
             leaf[some] = changed
+        judged += found.judged
         if found.attractors is None:
             continue
         used, back = np.unique(found.number, return_inverse=True)
@@ -170,7 +171,7 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     unit = counted_in(flow)
     axes = tuple(sweep.axes[k] for k in own)
     hits = shares(number, point, math.prod(sizes), max([1, *table.number.tolist()]))
-    basins = basins_group(lot, number, unit, flow, drawn, (count // each, *starts))
+    basins = basins_group(lot, number, unit, flow, drawn, (count // each, *starts), judged)
     if options.boundary:
         basins = basins.merge(boundary_variables(number, sweep.axes))
     return {

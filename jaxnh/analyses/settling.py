@@ -24,8 +24,8 @@ SETTLED_TO = 1e-4
 _RESTLESS = 1e-2  # likewise, of one whose motion is no slow approach
 _FALLS = 0.25  # from a look to the next of what an approach or a smooth mean leaves; of chaos half is left, or more
 _GROWN = 1.5  # from one look to one twice as long, of what goes to infinity in proportion to time
-OPEN, SETTLED, RESTLESS, FAILED = range(4)
-"""What is known of a lane."""
+OPEN, SETTLED, RESTLESS, FAILED, CONSERVATIVE = range(5)
+"""What is known of a lane; that it is conservative is for `matching` to say."""
 
 REASONS = (*FAULTS, "escaped")
 """Why a lane has failed: as of trajectories, or it goes to infinity."""
@@ -35,7 +35,7 @@ class Lot(NamedTuple):
     """Lanes, and what has been seen of them.
 
     Attributes:
-        known: `OPEN`, `SETTLED`, `RESTLESS` or `FAILED`, (lanes,).
+        known: `OPEN`, `SETTLED`, `RESTLESS`, `FAILED` or `CONSERVATIVE`, (lanes,).
         time: periods since the start, (lanes,).
         reason: number in `REASONS`, (lanes,).
         gap: between means over both halves of the last look, the largest in sizes of the motion, (lanes,).

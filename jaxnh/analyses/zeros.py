@@ -53,7 +53,12 @@ def rest_points(
         at = at + step
         rates, change = _fields(scene, lanes, at)
     finite = np.all(np.isfinite(change), axis=(1, 2)) & np.all(np.isfinite(rates), axis=1)  # else no step was taken
-    found = finite & np.all(np.abs(step) <= _rounding(scene, size), axis=1)
+    rounding = _rounding(scene, size)
+    found = finite & np.all(np.abs(step) <= rounding, axis=1)
+    # Least squares take no step either where the field is across the range of a singular linearisation.
+    with np.errstate(invalid="ignore"):
+        rest = np.einsum("lij,lj->li", np.abs(change), rounding) + rounding / scene.flow.period
+        found &= np.all(np.abs(rates) <= rest, axis=1)
     real = np.sort(np.linalg.eigvals(np.where(found[:, None, None], change, 0.0)).real, axis=1)[:, ::-1]
     hidden = scene.flow.dimension - scene.flow.exponents  # zeros, of what constraints keep
     if hidden:

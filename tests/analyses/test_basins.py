@@ -291,7 +291,7 @@ def test_what_does_not_stay_is_none(lanes):
     lot = settle(scene, lanes, 32, 64)
     lot.known[:] = SETTLED
     lot.means[:] += 1.0
-    assert judge(scene_from(scene, lanes, lot.u), lanes, lot, 4).kind.tolist() == [NONE, NONE]
+    assert judge(scene_from(scene, lanes, lot.u), lanes, lot, 4, 64).kind.tolist() == [NONE, NONE]
 
 
 def test_wilson():

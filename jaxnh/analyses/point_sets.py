@@ -1,0 +1,126 @@
+"""Sets of points that a motion runs through: how far lanes are from them, and whether two motions fill the same set.
+
+Invariant sets of a flow that differ have no point in common, whatever means they share. So a lane is on an attractor
+where its state comes near the points of that one and of no other. Points lie in a search tree, in sizes of the motion.
+Without a clock a lane may come to a cycle in any phase: the path between points is filled in, and distances are taken
+across it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from jaxnh.systems.flow import Flow
+
+_BETWEEN = 8
+"""Parts that the path from point to point is filled in with.
+
+Points are as near to each other as the steps of the integration, about a radian of the fastest oscillation at most.
+Cubic Hermite polynomials err there by 1/384, and half a part bends away from its tangent by (1/16)²/2 = 0.002 sizes.
+"""
+
+_LEAST = 1e-6  # of the sizes of lanes: those of an attractor that is a point, or lies in a plane
+
+
+class PointSet(NamedTuple):
+    """Points of a motion.
+
+    Attributes:
+        system: of which these are section coordinates.
+        scale: units of distances in the tree, (d,).
+        points: (points, d).
+        steps: from each to the next along the path, zero with a clock, (points, d).
+        tree: of the points in units.
+    """
+
+    system: Flow
+    scale: Float[np.ndarray, " d"]
+    points: Float[np.ndarray, "points d"]
+    steps: Float[np.ndarray, "points d"]
+    tree: KDTree
+
+
+def point_set(
+    system: Flow,
+    points: Float[np.ndarray, "points d"],
+    steps: Float[np.ndarray, "points d"],
+    size: Float[np.ndarray, " d"],
+    lane_size: Float[np.ndarray, " d"] | float = 0.0,
+) -> PointSet:
+    """The set of points of a motion of this size, with the path between them where they have steps.
+
+    Args:
+        steps: displacement along the flow in the time from a point to the next, zero with a clock.
+        lane_size: size of the motion of the lanes that are compared with it.
+    """
+    scale = np.maximum(size, _LEAST * lane_size)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    if np.any(steps):
+        points, steps = _filled_in(system, points, steps)
+    return PointSet(system, scale, points, steps, KDTree(_placed(system, points, scale), boxsize=_box(system, scale)))
+
+
+def offsets(of: PointSet, u: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
+    """Differences of section points from the nearest point of a set, without a clock from its path."""
+    nearest = of.tree.query(_placed(of.system, u, of.scale))[1]
+    away, along = of.system.wrap(u - of.points[nearest]), of.steps[nearest]
+    length = np.sum((along / of.scale) ** 2, axis=1)
+    part = np.sum(away * along / of.scale**2, axis=1) / np.where(length > 0.0, length, 1.0)
+    return away - np.clip(part, -1.0, 1.0)[:, None] * along
+
+
+def spacing(
+    system: Flow,
+    points: Float[np.ndarray, "points d"],
+    steps: Float[np.ndarray, "points d"],
+    size: Float[np.ndarray, " d"],
+) -> float:
+    """The largest distance of a point from the earlier half of the motion, in sizes, by those of the later half.
+
+    It is large where the motion has not come back by then.
+    """
+    half = len(points) // 2
+    earlier = point_set(system, points[:half], steps[:half], size)
+    if not np.any(steps):
+        placed = _placed(system, points[half:], earlier.scale)
+        return float(np.max(earlier.tree.query(placed, p=np.inf)[0]))
+    return float(np.max(np.abs(offsets(earlier, points[half:])) / earlier.scale))
+
+
+def lie_within(
+    of: PointSet, points: Float[np.ndarray, "points d"], size: Float[np.ndarray, " d"], margin: float
+) -> Bool[np.ndarray, " points"]:
+    """Which points lie within a margin, in sizes, of a set."""
+    return np.all(np.abs(offsets(of, points)) <= margin * np.where(size > 0.0, size, 1.0), axis=1)
+
+
+def _filled_in(
+    system: Flow, points: Float[np.ndarray, "points d"], steps: Float[np.ndarray, "points d"]
+) -> tuple[Float[np.ndarray, "more d"], Float[np.ndarray, "more d"]]:
+    """Points between points, by cubic Hermite polynomials, and the steps from each of them to the next."""
+    gap, (begin, end) = system.wrap(np.diff(points, axis=0)), (steps[:-1], steps[1:])
+    square, cube = 3.0 * gap - 2.0 * begin - end, begin + end - 2.0 * gap
+    at = (np.arange(_BETWEEN) / _BETWEEN)[:, None, None]
+    between = points[:-1] + at * (begin + at * (square + at * cube))
+    rate = (begin + at * (2.0 * square + 3.0 * at * cube)) / _BETWEEN
+    return between.reshape(-1, points.shape[1]), rate.reshape(-1, points.shape[1])
+
+
+def _turns(system: Flow) -> Bool[np.ndarray, " d"]:
+    return np.abs(system.wrap(np.full(system.dimension, 2 * np.pi))) < 1.0
+
+
+def _box(system: Flow, scale: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+    """Lengths after which coordinates in units return, zero of what does not."""
+    return np.where(_turns(system), 2 * np.pi / scale, 0.0)
+
+
+def _placed(system: Flow, u: Float[np.ndarray, "points d"], scale: Float[np.ndarray, " d"]) -> np.ndarray:
+    """Section points in units, angles in [0, 2π)."""
+    box = _box(system, scale)
+    placed = np.where(box > 0.0, np.mod(u / scale, np.where(box > 0.0, box, 1.0)), u / scale)
+    return np.where((box > 0.0) & (placed >= box), 0.0, placed)
