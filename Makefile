@@ -89,13 +89,13 @@ browser:
 check_tests: $(INSTALLED) browser
 	$(RUN)/pytest --numprocesses 2 --dist worksteal --durations 20
 
-# The tests marked slow, and no others.
+# The tests marked slow, and no others; of them the k-th of n parts of even length by PART=k/n.
 slow: $(INSTALLED)
-	$(RUN)/pytest --numprocesses 2 --dist worksteal -m slow
+	$(RUN)/pytest --numprocesses 2 --dist worksteal -m slow $(if $(PART),--part $(PART),--keep-seconds)
 
-# The hard cases at full size, an hour, or of one CASE; writes results/hard.md and its pictures.
+# The hard cases at full size, an hour, or of one CASE, or the k-th of n parts by PART=k/n; writes results/hard.md and its pictures.
 hard: $(INSTALLED)
-	$(RUN)/pytest --numprocesses 2 --dist worksteal -m "" --hard --page results/hard.md $(if $(CASE),--case '$(CASE)') tests/hard
+	$(RUN)/pytest --numprocesses 2 --dist worksteal -m "" --hard --page results/hard.md $(if $(CASE),--case '$(CASE)') $(if $(PART),--part $(PART)) tests/hard
 
 clean:
 	rm -rf $(VENV) docs/_build .pytest_cache .ruff_cache

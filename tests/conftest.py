@@ -52,7 +52,7 @@ from jaxnh.engine.calibration import Calibration  # noqa: E402
 from jaxnh.engine.lanes import Lanes  # noqa: E402
 from jaxnh.engine.session import Session  # noqa: E402
 
-pytest_plugins = ["battery"]
+pytest_plugins = ["battery", "parts"]
 
 Command = Callable[..., subprocess.CompletedProcess]
 
