@@ -93,11 +93,9 @@ class Log(Quiet):
         self._said = now
         rate = self._done / (now - self._began)
         left = (self._total - self._done) / rate
-        print(
-            f"{self._label}: {self._done / self._total:.0%}, {rate:,.0f} lane-periods/s, {left:,.0f} s left",
-            file=sys.stderr,
-            flush=True,
-        )
+        share = f"{self._done / self._total:.0%}, " if left > 0 else ""
+        ahead = f"{left:,.0f} s left" if left > 0 else "longer than expected"
+        print(f"{self._label}: {share}{rate:,.0f} lane-periods/s, {ahead}", file=sys.stderr, flush=True)
 
     def note(self, text: str) -> None:
         self.warn(text)

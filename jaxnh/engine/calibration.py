@@ -236,7 +236,10 @@ class Calibration:
         sensitive = np.concatenate(gaps, axis=1)
         sensitive = np.where(np.isfinite(sensitive), sensitive, -1.0)
         sensitive[:, _ALL_LANES_AT] = np.inf
-        count = min(_MOST_SENSITIVE + len(number) * len(_ALL_LANES_AT), sensitive.size)
+        escaping = _escaping(whole)
+        if not np.all(escaping):
+            sensitive[escaping] = -1.0
+        count = min(_MOST_SENSITIVE + len(number) * len(_ALL_LANES_AT), int(np.sum(~escaping)) or sensitive.size)
         chosen = np.sort(np.argsort(-sensitive, axis=None, kind="stable")[:count])
         moving = chosen[~self._at_rest(now._replace(states=whole)).ravel()[chosen]]
         lane, time = np.divmod(moving if len(moving) else chosen, sensitive.shape[1])
@@ -391,7 +394,18 @@ def _crossing_rates(section: SectionedFlow, states: Crossing, p: Parameters) -> 
     return jax.vmap(lambda y: section.rate(y, p))(states.state)
 
 
+def _escaping(states: State) -> Bool[np.ndarray, "lanes periods"]:
+    """Where a lane is on its way to infinity: not finite within two periods, as motion that blows up does ever faster.
+
+    No number of steps gives such a period an error that means anything; the lane is marked as failed where it is run.
+    """
+    finite = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(states)], axis=0)
+    lost = np.pad(~finite, [(0, 0), (0, 2)])
+    return lost[:, :-2] | lost[:, 1:-1] | lost[:, 2:]
+
+
 def _gaps(one: list[np.ndarray], other: list[np.ndarray]) -> Float[np.ndarray, " samples"]:
     """Largest difference of any component, a lane; infinite where one is not a number."""
-    largest = np.max([np.abs(a - b) for a, b in zip(one, other, strict=True)], axis=0)
+    with np.errstate(invalid="ignore", over="ignore"):  # of lanes that escape
+        largest = np.max([np.abs(a - b) for a, b in zip(one, other, strict=True)], axis=0)
     return np.where(np.isfinite(largest), largest, np.inf)

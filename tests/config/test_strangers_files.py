@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import session_of
+from scipy.integrate import solve_ivp
 
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import JaxnhError
@@ -80,3 +82,36 @@ def test_functions_see_one_state(tmp_path, text, name, vectors, d):
     assert [np.shape(one) for one in many] == [(4, 5)] * d
     alone = [np.array(function(*map(tuple, states[..., i, j]), 0.7)) for i, j in np.ndindex(4, 5)]
     assert np.abs(np.stack(many, axis=-1).reshape(20, d) - alone).max() < 1e-15
+
+
+WELL = """\
+import jax.numpy as jnp
+
+def system(force=0.07):
+    def rhs(y, t):
+        x, v = y
+        return v, -x + x**2 - 0.1 * v + force * jnp.cos(0.85 * t)
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / 0.85}
+"""
+
+
+def test_lanes_that_escape(tmp_path):
+    """Helmholtz's oscillator: above a force of about 0.08 lanes leave the well for ever. Steps are chosen by the others,
+    and who has left is marked; at 0.05 the strobes are those of DOP853."""
+    path = tmp_path / "own.py"
+    path.write_text(WELL)
+    config = (
+        f"system: {{file: {path}}}\ninitial: {{x: 0.0}}\nsweep: {{force: {{start: 0.05, stop: 0.11, count: 64}}}}\n"
+    )
+    config += "accuracy: {target: 1.0e-9}\nanalyses: {diagram: {transient: 64, strobes: 2}}"
+    found = session_of(Experiment.from_text(config)).run("diagram")
+    reasons = found["failure"].attrs["flag_meanings"].split()
+    why = [reasons[k] for k in found["failure"].to_numpy()]
+    assert set(why) == {"none", "not_finite"}
+    assert why[0] == "none"
+    exact = solve_ivp(
+        lambda t, y: [y[1], -y[0] + y[0] ** 2 - 0.1 * y[1] + 0.05 * np.cos(0.85 * t)],
+        (0.0, 65 * 2 * np.pi / 0.85), [0.0, 0.0], "DOP853", rtol=1e-12, atol=1e-13,
+    ).y[:, -1]  # fmt: skip
+    assert np.abs([float(found[name][0, 1]) - one for name, one in zip("xv", exact, strict=True)]).max() < 1e-6
