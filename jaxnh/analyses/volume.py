@@ -51,7 +51,7 @@ def _mean(strobe: Strobe, periods: ArrayLike, state: State, p: Parameters, parts
     flow = strobe.system
 
     def part(state: State, strobe: Strobe) -> tuple[State, Array]:
-        return strobe(state, p), flow.divergence(0.0, state, p)
+        return strobe(state, p), strobe.system.divergence(jnp.zeros_like(state[0][0]), state, p)
 
     def period(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
         state, total, weights = carry
