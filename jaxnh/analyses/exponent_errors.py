@@ -102,6 +102,22 @@ def nearly_neutral(found: Average, before: float, length: float) -> Average:
     return found._replace(error=found.error + np.where(np.abs(found.mean) <= least, np.abs(found.mean), 0.0))
 
 
+def held_against_sum(
+    error: Float[np.ndarray, "lanes k"], residual: Float[np.ndarray, " lanes"]
+) -> Float[np.ndarray, "lanes k"]:
+    """Errors of all exponents of averages, at least the residual of their sum rule where that contradicts them.
+
+    Growth along one path and the divergence along it have one sum, whatever the path: what is left is what the steps do
+    to tangents, as under strong contraction, and no scatter of block means knows of it. It is not known which exponent
+    has it.
+
+    Args:
+        residual: sum of the growths less the mean divergence.
+    """
+    wrong = np.abs(residual) > np.sum(error, axis=1)
+    return np.where(wrong[:, None], np.maximum(error, np.abs(residual)[:, None]), error)
+
+
 def unseen_bursts(rates: Float[np.ndarray, "lanes blocks sums"], length: float) -> Float[np.ndarray, " lanes"]:
     """What bursts of chaos that were never seen may add to the mean of the largest exponent, a period.
 

@@ -23,7 +23,14 @@ from jaxtyping import Float, Int, Int8
 from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, variable
-from jaxnh.analyses.exponent_errors import nearly_neutral, of_blocks, of_windows, smooth_parts, unseen_bursts
+from jaxnh.analyses.exponent_errors import (
+    held_against_sum,
+    nearly_neutral,
+    of_blocks,
+    of_windows,
+    smooth_parts,
+    unseen_bursts,
+)
 from jaxnh.analyses.growth import BLOCKS, Growth, advance, average, begin, one_by_one, parts_of, quadrature
 from jaxnh.analyses.orbit_exponents import OrbitExponents, joined, no_orbits, of_orbits, on_orbits, settled_early
 from jaxnh.analyses.price import Price, Program, map_alone
@@ -46,7 +53,8 @@ _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
     "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
     "the whole, and twice what twice the steps change; of both, up to zero where a finite "
-    "window leaves that open; of an orbit: twice what twice the steps change in its multipliers; of an equilibrium: "
+    "window leaves that open, and at least the residual of the sum rule where that contradicts them; of an orbit: "
+    "twice what twice the steps change in its multipliers; of an equilibrium: "
     "twice what a last step of Newton changes in its eigenvalues, and what rounding may"
 )
 
@@ -289,6 +297,15 @@ def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectru
     wanted = min(options.exponents, k)
     found, spread = spectrum.mean / period, spectrum.error / period
     averaged = averages.blocks * (options.periods // BLOCKS)
+    symbols, residual = scene.flow.contraction, None
+    volume = averages.rates[:, :, k:].copy()
+    ran = np.arange(BLOCKS) < averages.blocks[:, None]
+    volume = np.sum(np.where(ran[:, :, None], volume, 0.0), axis=1) / averages.blocks[:, None] / period
+    sums = np.sum(np.where(ran[:, :, None], averages.rates[:, :, :k], 0.0), axis=(1, 2)) / averages.blocks / period
+    if every_exponent(options, scene):
+        residual = sums - volume[:, 1 if symbols else 0]
+        of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
+        spread[of_average] = held_against_sum(spread[of_average], residual[of_average])
     attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
     if scene.flow.autonomous:
         rests = (spectrum.mean[:, 0] * averaged < _AT_REST) | (spectrum.source == SOURCES.index("equilibrium"))
@@ -312,19 +329,14 @@ def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectru
         "exponents_error": variable(each, errors, "error of the exponents at 95 %", unit, comment=_COMMENT),
         "exponents_from": variable(LANE, spectrum.source, "what the exponents of a lane are", **flags),
     }
-    volume = averages.rates[:, :, k:].copy()
-    ran = np.arange(BLOCKS) < averages.blocks[:, None]
-    volume = np.sum(np.where(ran[:, :, None], volume, 0.0), axis=1) / averages.blocks[:, None] / period
     divergence = ""
-    if symbols := scene.flow.contraction:
+    if symbols:
         divergence = f" −{symbols}"
         words = f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
         variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, unit)
     variables["averaged"] = variable(LANE, averaged, "length of the average", counted_in(scene.system))
-    if every_exponent(options, scene):
-        sums = np.sum(np.where(ran[:, :, None], averages.rates[:, :, :k], 0.0), axis=(1, 2)) / averages.blocks / period
+    if residual is not None:
         words = f"sum of the plain averages minus the mean divergence{divergence}, integrated by itself"
-        residual = sums - volume[:, 1 if divergence else 0]
         variables["sum_rule_residual"] = variable(LANE, residual, words, unit)
         if divergence:
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"

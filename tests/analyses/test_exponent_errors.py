@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxnh.analyses.exponent_errors import nearly_neutral, of_blocks, of_windows, unseen_bursts
+from jaxnh.analyses.exponent_errors import held_against_sum, nearly_neutral, of_blocks, of_windows, unseen_bursts
 from jaxnh.analyses.growth import BLOCKS, windows
 
 PERIODS, LANES = 1024, 2000
@@ -69,3 +69,11 @@ def test_bursts_are_allowed_for_where_blocks_only_drift():
     assert unseen_bursts(blocks_of(drift), 64) == pytest.approx(21 / 64)
     noise = np.random.default_rng(7).normal(size=(LANES, 64))
     assert np.mean(unseen_bursts(blocks_of(noise), 64) > 0) < 0.01
+
+
+def test_a_sum_rule_that_contradicts():
+    """Of lanes whose exponents miss the divergence by more than all their bars, each bar is the residual; others keep theirs."""
+    error = np.array([[1e-3, 2e-3], [1e-3, 2e-3], [1e-2, 2e-3], [1e-3, 2e-3]])
+    residual = np.array([2.9e-3, -2.8e-2, 5e-3, np.nan])
+    expected = np.array([[1e-3, 2e-3], [2.8e-2, 2.8e-2], [1e-2, 2e-3], [1e-3, 2e-3]])
+    np.testing.assert_array_equal(held_against_sum(error, residual), expected)
