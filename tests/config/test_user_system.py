@@ -201,7 +201,7 @@ def system(r=1.0):
     T = lambda q, v, t: 0.5 * (v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     Q = lambda q, v, t: (jnp.sin(t) - q[0], 0.0, jnp.cos(q[2]))
     f = lambda q, v, t: (v[1] - r * v[2],)
-    return dict(T=T, Q=Q, f=f, coordinates=("x", "y", "phi"), angles=("phi",), ignorable=("y",), period=6.0)
+    return dict(T=T, Q=Q, f=f, coordinates=("x", "y", "phi"), angles=("phi",), ignorable=("y",), period=2 * jnp.pi)
 """
 
 
@@ -440,7 +440,7 @@ def test_constraint_that_is_no_number_at_the_start(tmp_path):
 def test_system_without_parameters(tmp_path):
     text = """
 def system():
-    return dict(T=lambda q, v, t: 0.5 * v[0] ** 2, Q=lambda q, v, t: (t - q[0],), coordinates=("x",), period=1.0)
+    return dict(T=lambda q, v, t: 0.5 * v[0] ** 2, Q=lambda q, v, t: (t % 1.0 - q[0],), coordinates=("x",), period=1.0)
 """
     config = "system: {file: own.py}\nsweep: {x: {values: [0.1, 0.2]}}\nanalyses: {poincare: {}}\n"
     (axis,) = load(write(tmp_path, text, config)).axes
@@ -452,7 +452,7 @@ def test_names_of_our_own_are_as_good_as_others(tmp_path):
     text = """
 def system(copy=1.0, model_config=2.0, flow=3.0, known=4.0, check=5.0):
     def Q(q, v, t):
-        return t - copy * model_config * q[0], -flow * known * check * q[1]
+        return t % 1.0 - copy * model_config * q[0], -flow * known * check * q[1]
 
     return dict(T=lambda q, v, t: 0.5 * (v[0] ** 2 + v[1] ** 2), Q=Q, coordinates=("given", "json"), period=1.0)
 """
