@@ -25,6 +25,7 @@ from jaxnh.maps.protocol import Strobe
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Flow, Parameters, State
 
+_STILL = 1e-9  # of its modulus: a coordinate that changes by no more is at rest
 _MOST_PARTS = 8
 """Points of a unit of time that means are taken over, at most, where there is no clock.
 
@@ -89,6 +90,18 @@ def units(turns: Bool[np.ndarray, " d"], size: Float[np.ndarray, "lanes d"]) -> 
     found = []
     for i, turning in enumerate(turns):
         found += [np.ones(len(size))] * 3 if turning else [size[:, i], size[:, i] ** 2]
+    return np.stack(found, axis=-1)
+
+
+def extents(
+    turns: Bool[np.ndarray, " d"], low: Float[np.ndarray, "lanes d"], high: Float[np.ndarray, "lanes d"]
+) -> Float[np.ndarray, "lanes F"]:
+    """How far each of the features goes where coordinates go from low to high; of an angle and of its turns 1."""
+    found = []
+    for i, turning in enumerate(turns):
+        far, extent = np.maximum(np.abs(low), np.abs(high))[:, i], (high - low)[:, i]
+        extent = np.where(extent > _STILL * far, extent, np.where(far > 0.0, far, 1.0))
+        found += [np.ones(len(low))] * 3 if turning else [extent, 2.0 * far * extent]
     return np.stack(found, axis=-1)
 
 

@@ -8,7 +8,8 @@ averaged over:
 - periodic: n > 0 and |μ| < 1; λ1 agrees with ln|μ|/(nT) within ε + 4/(NT), the second being what a finite average keeps
   of how the lane came to its orbit; and K < 0.5.
 - chaotic: n = 0, (λ1 − ε) NT > 2 ln N, K > 0.5, and the motion still does not repeat itself in a run ten times as long.
-- quasiperiodic: n = 0, |λ1| ≤ ε with ε ≤ 0.005 · 2π/T, and K < 0.5, in a flow that knows the time.
+- quasiperiodic: n = 0, |λ1| ≤ ε with ε ≤ 0.005 · 2π/T, and K < 0.5, in a flow that knows the time; and smooth averages
+  over four runs, one after the other, agree.
 - equilibrium, limit_cycle: of a flow without a clock, what is at rest (`rest`), or else periodic and not dying down.
 - undecided: everything else, that is whenever the criteria disagree.
 
@@ -17,6 +18,14 @@ allows for a shear of up to N. Chaos may be a transient: near a window it lasts 
 chaotic are followed, by the map alone, for `longer` times as long as the criteria took, and then no lag of up to
 512 periods may bring 512 points back to within 10⁻⁶ of the extent that the motion had in the beginning: chaos with
 λ1 T > 0.05 parts points from 10⁻¹⁶ to more than that within as many periods.
+
+Chaos may be weak: with λ1 T < 0.01, as in layers about the separatrices of conservative motion, λ1 is zero within an
+honest error for thousands of periods, and K is small. Averages under a smooth window tell it from a torus (Das and
+co-workers, Nonlinearity 30 (2017) 4111; Sander and Meiss, Physica D 411 (2020) 132569): over N periods of a torus they
+converge faster than any power of N, of chaos no faster than N^(−1/2). So lanes that look quasiperiodic are followed by
+the map alone for `longer` times as long as the criteria took, in four runs. The third difference of their averages,
+which leaves out what grows like a polynomial (angles that turn on, energy that an integrator loses), has to be below
+10⁻⁵ of the size of the motion.
 
 On a section T is the mean time of a return, n counts crossings, and λ1 is the largest exponent across the flow: that
 along it is zero.
@@ -41,6 +50,8 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.growth import BLOCKS
+from jaxnh.analyses.looks import angles, extents, look_at
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.rest import rest
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
@@ -59,6 +70,7 @@ _BACK = 1e-6  # of the extent of the points
 _PERIODIC, _QUASIPERIODIC, _CHAOTIC, _UNDECIDED, _FAILED, _EQUILIBRIUM, _LIMIT_CYCLE = range(len(KINDS))
 _RETURNS = 64  # over which the mean time of one is taken
 _LOST = -2
+_STEADY = 1e-5  # of the size of what averages are taken of
 _SHARE, _USUAL = 0.2, 1536  # of lanes that look chaotic, and how long their criteria took: for the expected work
 
 
@@ -66,7 +78,10 @@ class VerdictOptions(Options):
     """Options of `verdict`, beside those of the analyses that it needs."""
 
     longer: int = Field(
-        default=10, ge=0, description="Lanes that look chaotic are followed for so many times as long; 0: they are not"
+        default=10,
+        ge=0,
+        description="Lanes that look chaotic or quasiperiodic are followed for so many times as long; 0: chaotic ones"
+        " are not, others once",
     )
 
 
@@ -101,6 +116,12 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
     else:
         some = np.flatnonzero(np.isin(kind, (_PERIODIC, _UNDECIDED, _FAILED)))
         kind[some] = _without_clock(scene.take(some), lanes, kind[some], int(span.max()))
+    unsteady = np.full(scene.count, np.nan)
+    tori = np.flatnonzero(kind == _QUASIPERIODIC)
+    if len(tori):
+        taken = math.ceil(span[tori].max()) + transient
+        unsteady[tori] = unsteadiness(scene.take(tori).in_time(), lanes, taken, max(options.longer, 1) * taken)
+        kind[tori[~(unsteady[tori] <= _STEADY)]] = _UNDECIDED
     again = np.full(scene.count, -1)
     chaotic = np.flatnonzero(kind == _CHAOTIC)
     if options.longer and len(chaotic):
@@ -112,9 +133,11 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
         f"period after which a lane that had looked chaotic repeats itself, 0: none up to {_LONGEST}, "
         f"-1: not followed, {_LOST}: it did not go on"
     )
+    steady_words = "third difference of smooth averages, of the motion's size, where it looks quasiperiodic"
     variables = {
         "kind": variable(LANE, kind, "kind of motion from all criteria together", **flags),
         "repeats": variable(LANE, again, words, counted_in(scene.system)),
+        "unsteadiness": variable(LANE, unsteady, steady_words),
     }
     attrs = {"longer": options.longer, "panel": "flags", "panel_variables": "kind", "panel_label": "verdict"}
     return xr.Dataset(variables, attrs=attrs)
@@ -181,6 +204,23 @@ def _followed(scene: Scene, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"])
             shared, cost = (strobe, np.int32(count)), int(count) + 3 * _LONGEST
             found[some] = lanes(repeats, shared, picked(scene.lanes, some), periods=cost, static=(_LONGEST,))
     return found
+
+
+def unsteadiness(scene: Scene, lanes: LaneRunner, begun: int, count: int) -> Float[np.ndarray, " lanes"]:
+    """Largest third difference of smooth averages over four runs of `count`/4 periods each, of the motion's size.
+
+    The first begins so many periods from the start. Averages are those of `looks`. Not a number where a lane is lost.
+    """
+    each = BLOCKS * max(count // (2 * BLOCKS), 1)
+    with lanes.stage(f"verdict: {scene.count} lanes that look quasiperiodic, longer", scene.count * (begun + 2 * each)):
+        state = lanes(iterate, (scene.strobe(), np.int32(begun)), scene.lanes, periods=begun)
+        first = look_at(scene, lanes, state, each)
+        second = look_at(scene, lanes, first.state, each)
+    low, high = np.minimum(first.low, second.low), np.maximum(first.high, second.high)
+    runs = np.concatenate([first.halves, second.halves], axis=1)
+    change = np.abs(runs[:, 0] - 3.0 * runs[:, 1] + 3.0 * runs[:, 2] - runs[:, 3])
+    with np.errstate(invalid="ignore"):
+        return np.max(change / extents(angles(scene.flow), low, high), axis=1)
 
 
 def repeats(strobe: Strobe, count: ArrayLike, state: State, p: Parameters, longest: int) -> Array:

@@ -191,16 +191,34 @@ def cluster(where: str) -> Iterator[Any]:
             layout |= {"dashboard_address": None, "memory_limit": 0, "host": _LOOPBACK}
             options["address"] = stack.enter_context(LocalCluster(**layout))
         elif "://" in where:
+            _check_security(where)
             options["address"] = where
         else:
             options["scheduler_file"] = where
         try:
             client = stack.enter_context(Client(**options, set_as_default=False, timeout=_CONNECT))
         except (OSError, ValueError, TimeoutError, TypeError, RuntimeError) as error:
-            # Dask has a TypeError for tls:// without certificates, a RuntimeError for tcp:// where it is to encrypt.
+            # Of the address in a scheduler's file Dask has a TypeError for tls:// without certificates, a RuntimeError
+            # for tcp:// where it is to encrypt.
             why = f": {' '.join(str(error).split())[:200]}" if isinstance(error, TypeError | RuntimeError) else ""
             raise ArgumentError("dask", f"no scheduler answers at {where}{why}") from error
         yield client
+
+
+def _check_security(where: str) -> None:
+    """Refuse an address that Dask's settings do not fit: a client made for it waits a minute for itself to end."""
+    from distributed.security import Security
+
+    security = Security()
+    if where.startswith("tls://") and security.get_connection_args("client")["ssl_context"] is None:
+        raise ArgumentError(
+            "dask",
+            f"no scheduler answers at {where}: TLS needs the certificates that distributed.comm.tls of Dask names",
+        )
+    if where.startswith("tcp://") and security.require_encryption:
+        raise ArgumentError(
+            "dask", f"no scheduler answers at {where}: distributed.comm.require-encryption of Dask asks for encryption"
+        )
 
 
 # ---- in a worker

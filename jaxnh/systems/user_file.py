@@ -193,7 +193,8 @@ class UserFile:
             found = [definition[name](*map(tuple, states), t) for name in names]
             return [jnp.stack([one] if name == "T" else list(one)) for name, one in zip(names, found, strict=True)]
 
-        now, later = self._guarded(lambda: jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)))(t, states))
+        with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
+            now, later = self._guarded(lambda: jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)))(t, states))
         for name, one, other in zip(names, map(np.asarray, now), map(np.asarray, later), strict=True):
             finite = np.isfinite(one) & np.isfinite(other)
             gap = np.abs(np.where(finite, one - other, 0.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import heyoka as hy
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,12 +17,13 @@ from measure import scene_of, some_slow
 from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
 from jaxnh.analyses.growth import gram_schmidt
 from jaxnh.analyses.lane_orbits import least_period
-from jaxnh.analyses.scene import spread
+from jaxnh.analyses.scene import Scene, spread
 from jaxnh.costs.operations import count
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
-from jaxnh.solvers import SPLITTINGS
+from jaxnh.solvers import SOLVERS, SPLITTINGS
+from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 
 GROWTH_RATES, WITHOUT_PERIOD = jax.jit(chaos01.growth_rates), jax.jit(chaos01.without_period)
@@ -261,6 +263,44 @@ def test_verdict_rule():
     columns = [np.array(column) for column in list(zip(*rows, strict=True))[:6]]
     kinds = verdict.judge(*columns, t, np.full(len(rows), 1000))
     assert [verdict.KINDS[kind] for kind in kinds] == [row[6] for row in rows]
+
+
+def undamped(drive=0.3):
+    """An undamped pendulum under a torque."""
+    return {
+        "T": lambda q, v, t: 0.5 * v[0] ** 2,
+        "Q": lambda q, v, t: (drive * jnp.cos(1.3 * t) - jnp.sin(q[0]),),
+        "coordinates": ("angle",),
+        "period": 2 * math.pi / 1.3,
+        "angles": ("angle",),
+    }
+
+
+def test_averages_tell_weak_chaos_from_tori():
+    """Beside what Taylor integration says of a tangent's growth: N on a torus, N⁵ and more in a thin layer of chaos."""
+    lanes, angles, n = Lanes(tile=8), np.array([0.3, 1.2, 1.692308, 2.1]), 8000
+    x, v, dx, dv = hy.make_vars("x", "v", "dx", "dv")
+    torque = 0.3 * hy.cos(1.3 * hy.time)
+    ta = hy.taylor_adaptive([(x, v), (v, torque - hy.sin(x)), (dx, dv), (dv, -hy.cos(x) * dx)], [0.0] * 4, tol=1e-15)
+    grown = np.zeros(len(angles))
+    for lane, angle in enumerate(angles):
+        ta.state[:] = [angle, 0.0, 1.0, 0.3]
+        for _ in range(n):
+            ta.time = 0.0
+            ta.propagate_until(2 * math.pi / 1.3)
+            length = math.hypot(*ta.state[2:])
+            grown[lane] += math.log(length)
+            ta.state[2:] /= length
+    assert list(grown / math.log(n) < 2.0) == [True, True, False, False]
+    assert np.all(grown[2:] > 5 * math.log(n))
+    flow = lagrangian(undamped, {"drive": 0.3})
+    start = jax.tree.map(np.asarray, jax.vmap(flow.unchart)(np.stack([angles, 0.0 * angles], axis=-1)))
+    scene = Scene(
+        flow, start, {"drive": np.full(4, 0.3)}, SOLVERS["dopri5"], 120, compensated=False, error_estimate=1e-8
+    )
+    found = verdict.unsteadiness(scene, lanes, 512, 4096)
+    assert np.all(found[:2] < 1e-6)
+    assert np.all(found[2:] > 1e-4)
 
 
 @pytest.mark.slow

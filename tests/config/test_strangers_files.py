@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 from conftest import session_of
@@ -69,6 +70,15 @@ def test_a_period_that_follows_no_parameter(tmp_path):
     assert Experiment.from_text(config.format(path, 2.0)).flow().period == 2 * np.pi  # twice a period is one
     with pytest.raises(JaxnhError, match="is no period of rhs"):
         Experiment.from_text(config.format(path, 1.1)).flow()
+
+
+def test_a_period_in_single_precision(tmp_path):
+    """A script that loads a config before anything has set JAX to double precision: a period of ten digits will do."""
+    path = tmp_path / "own.py"
+    path.write_text(DUFFING.format(period="6.283185307"))
+    config = f"system: {{file: {path}}}\ninitial: {{x: 0.1}}\nsweep: {{force: {{values: [0.3]}}}}\nanalyses: {{portrait: {{}}}}"
+    with jax.enable_x64(False):
+        assert Experiment.from_text(config).flow().period == 6.283185307
 
 
 @pytest.mark.parametrize(("text", "name", "vectors", "d"), [(NETWORK, "rhs", 1, 3), (POTENTIAL, "Q", 2, 1)])

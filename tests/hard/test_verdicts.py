@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import heyoka as hy
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -107,6 +110,53 @@ def test_verdicts_of_pendula(battery):
     kind = turned_over(battery, scenes, lanes, lengths, "pendula")
     # Below a drive of 0.34 those without damping swing on tori: at 0.02 steps of it, λ1 falls there like ln t / t.
     battery.row("tori without damping", int(np.sum(kind[count:] == CHAOTIC)), 0, "called chaotic:")
+
+
+def growth_of_a_tangent(starts, drive, count):
+    """Logarithm of a tangent's growth over so many periods of an undamped pendulum that starts at rest, by Taylor."""
+    x, v, dx, dv = hy.make_vars("x", "v", "dx", "dv")
+    torque = drive * hy.cos(2 * hy.time / 3)
+    ta = hy.taylor_adaptive([(x, v), (v, torque - hy.sin(x)), (dx, dv), (dv, -hy.cos(x) * dx)], [0.0] * 4, tol=1e-15)
+    grown = np.zeros(len(starts))
+    for lane, start in enumerate(starts):
+        ta.state[:] = [start, 0.0, 1.0, 0.3]
+        for _ in range(count):
+            ta.time = 0.0
+            ta.propagate_until(3 * math.pi)
+            length = math.hypot(*ta.state[2:])
+            grown[lane] += math.log(length)
+            ta.state[2:] /= length
+            ta.state[0] -= 2 * math.pi * round(ta.state[0] / (2 * math.pi))
+    return grown
+
+
+@pytest.mark.slow
+@pytest.mark.case("Verdicts of longer runs")
+def test_weak_chaos_beside_tori(battery):
+    """An undamped pendulum, at rest at random angles: tori, the thin layers of chaos between them, and the sea.
+
+    On tori tangents grow in proportion to time; what has grown by N⁴ over N periods, ten times as many as the averages
+    are taken over, is chaotic. Some 400 lanes: none wrong, where one in 130 would be seen 19 times in 20.
+    """
+    count, lengths, periods = (128, (256, 512), 40_000) if battery.full else (8, (64, 128), 8_000)
+    lanes, wrong, words = Lanes() if battery.full else Lanes(tile=8), 0, []
+    for number, drive in enumerate((0.1, 0.3, 0.6)):
+        angles = np.sort(np.random.default_rng([7, number]).uniform(0.0, math.pi, count))
+        flow = lagrangian(pendulum, {"drive": drive})
+        scene = scene_of(
+            flow, flow.start({"angle": 0.0, "angle_dot": 0.0}), angles, SOLVERS["dopri5"], 120, name="drive"
+        )
+        start = jax.tree.map(np.asarray, jax.vmap(flow.unchart)(np.stack([angles, np.zeros(count)], axis=-1)))
+        scene = replace(scene, start=start, p={"drive": np.full(count, drive)}, error_estimate=1e-8)
+        kind = judged(scene, lanes, *lengths)["kind"].to_numpy()
+        chaos = growth_of_a_tangent(angles, drive, periods) > 4 * math.log(periods)
+        wrong += int(np.sum(np.where(chaos, kind == QUASIPERIODIC, kind == CHAOTIC)))
+        words.append(kind)
+    words = np.concatenate(words)
+    battery.row(f"{len(words)} starts of an undamped pendulum, tori or chaos", wrong, 0, "called the other:")
+    decided = int(np.sum((words == QUASIPERIODIC) | (words == CHAOTIC)))
+    battery.note(f"Undamped pendulum: {decided} of {len(words)} lanes are called quasiperiodic or chaotic.")
+    assert decided > len(words) // 4
 
 
 @pytest.mark.slow
