@@ -13,6 +13,7 @@ tangents are those across it, one fewer, and no section is needed.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -48,6 +49,9 @@ _PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
 _COMPARED = 16  # periods in which a smooth average is held against one with twice the steps
+_TANGENT_ERROR = 1e-4  # of the logarithm of a tangent's growth a period, and of its modulus where that is above one
+_TANGENT_ERRORS = 100.0  # or so many times the error of the map, of a coarse target
+_MOST_REFINED = 16
 _PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
 _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
@@ -103,17 +107,27 @@ def check(options: LyapunovOptions, setting: Setting) -> None:
 
 
 def choose(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> dict[str, int]:
-    """How many times a period tangents are orthonormalised, the same for all lanes of a sweep."""
-    scene = scene.in_time()
-    return {"parts": _parts_needed(scene, lanes, tangents(options, scene))}
+    """How many times a period tangents are orthonormalised, the same for all lanes of a sweep.
+
+    And, where tangents need more steps than states, how many times as many.
+    """
+    scene, k = scene.in_time(), tangents(options, scene.in_time())
+    if k == 1:
+        return {"parts": 1}
+    parts, growth = _parts_needed(scene, lanes, k)
+    refinement = _refinement_needed(scene, lanes, growth, parts)
+    return {"parts": parts} | ({"refinement": refinement} if refinement > 1 else {})
 
 
 def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """The `exponents` largest exponents of every lane, their errors, and the sum rule where all are found."""
     scene = scene.in_time()
-    parts = (scene.chosen.get("lyapunov") or choose(options, scene, lanes))["parts"]
+    chosen = scene.chosen.get("lyapunov") or choose(options, scene, lanes)
+    parts, refinement = chosen["parts"], chosen.get("refinement", 1)
+    scene = replace(scene, steps=refinement * scene.steps)
     found = averages(options, scene, lanes, parts)
-    return _dataset(options, scene, found, spectrum(options, scene, lanes, found, parts), parts)
+    data = _dataset(options, scene, found, spectrum(options, scene, lanes, found, parts), parts)
+    return data if refinement == 1 else data.assign_attrs(refinement_for_tangents=refinement)
 
 
 def averages(
@@ -246,7 +260,8 @@ def _of_steps(
 ) -> Float[np.ndarray, "some sums"]:
     """Twice what twice the steps change in the growth over a few periods from where these lanes of a scene are.
 
-    Regular motions from one state stay together for that long. In plain averages this is far below the scatter.
+    Regular motions from one state stay together for that long. In plain averages this is far below the scatter, as
+    steps are chosen for tangents as well (`_refinement_needed`).
     """
     if not len(some):
         return np.zeros((0, len(growth.logs)))
@@ -265,15 +280,19 @@ def tangents(options: LyapunovOptions, scene: Scene) -> int:
     return min(options.exponents, scene.flow.exponents - int(scene.flow.autonomous))
 
 
-def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> int:
+def _pilots(scene: Scene) -> Scene:
+    """Some lanes across a sweep."""
+    return scene.take(np.unique(np.linspace(0, scene.count - 1, _PILOT_LANES).round().astype(int)))
+
+
+def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> tuple[int, Growth]:
     """Orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
 
     Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
-    bounds what a longer part does; where that is all that rounding lets one see, a smaller part is looked at.
+    bounds what a longer part does; where that is all that rounding lets one see, a smaller part is looked at. Also
+    these lanes some periods from their start.
     """
-    if k == 1:
-        return 1
-    few = scene.take(np.unique(np.linspace(0, scene.count - 1, _PILOT_LANES).round().astype(int)))
+    few = _pilots(scene)
     parts = _PILOT_PARTS
     while True:
         state, p = few.lanes
@@ -288,7 +307,37 @@ def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> int:
         if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
             break
         parts *= 4
-    return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / _LARGEST_LOSS, 1.0))), 1, _MOST_PARTS))
+    return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / _LARGEST_LOSS, 1.0))), 1, _MOST_PARTS)), growth
+
+
+def _refinement_needed(scene: Scene, lanes: LaneRunner, growth: Growth, parts: int) -> int:
+    """Times the steps of the map, a power of two, with which tangents grow and shrink as twice as many have it.
+
+    Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
+    its polynomial can follow. Measured on lanes across the sweep, part by part from one state each, so that paths that
+    chaos parts do not count.
+    """
+    if not scene.target:
+        return 1
+    few, room = _pilots(scene), parts_of(scene, 1)
+    p, refinement, enough = dict(few.p), 1, max(_TANGENT_ERROR, _TANGENT_ERRORS * scene.error_estimate)
+    periods = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts)
+    while refinement < _MOST_REFINED:
+        pieces = (refinement * parts, 2 * refinement * parts)
+        coarse, fine = (one_by_one(parts_of(scene, n, n // parts), room) for n in pieces)
+        now, apart, whole = growth, 0.0, 0.0
+        for i in range(len(coarse) * periods):
+            i %= len(coarse)
+            _, once = average(lanes, coarse[i], now, p, 1)
+            now, first = average(lanes, fine[2 * i], now, p, 1)
+            now, second = average(lanes, fine[2 * i + 1], now, p, 1)
+            apart, whole = apart + once - first - second, whole + np.abs(first + second)
+        apart, whole = (np.abs(values[:, : len(growth.logs)]) / periods for values in (apart, whole))
+        short = apart > enough * np.maximum(whole, 1.0)
+        if not np.any(short & np.isfinite(apart)):
+            break
+        refinement *= 2
+    return refinement
 
 
 def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectrum: Spectrum, parts: int) -> xr.Dataset:
