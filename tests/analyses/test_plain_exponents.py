@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import jaxnh
 from jaxnh.analyses.growth import BLOCKS
@@ -36,3 +37,32 @@ def test_a_linear_oscillator_s_exponents_are_minus_half_its_damping():
     window = BLOCKS * 2 * np.pi
     assert np.all(np.abs(plain["exponents"][:, 0].to_numpy() - expected) <= np.log(2.0) / window)
     assert np.all(np.abs(usual["exponents"][:, 0].to_numpy() - expected) < 1e-6)
+
+
+STRONGLY_CONTRACTING = """
+import jax.numpy as jnp
+
+def system(drive=1.0):
+    def rhs(y, t):
+        x, w = y
+        return drive * jnp.cos(t) - x, -4.0 * (1.0 + jnp.cos(t)) * w
+
+    return {"rhs": rhs, "coordinates": ("x", "w"), "period": 2 * jnp.pi}
+"""
+
+
+@pytest.mark.parametrize("target", (1e-6, 1e-8))
+def test_steps_resolve_what_tangents_do(target):
+    """Exponents are -1 and -4, the mean of the rate of w; w vanishes on the orbit, so that its state needs no steps.
+
+    With steps for the state alone the second is off by two, and only its bar, which the sum rule widens, knows of it.
+    """
+    text = "system: {file: contracting.py}\nsweep: {drive: {values: [1.0]}}\n"
+    text += "analyses: {lyapunov: {transient: 16, periods: 64, exponents: 2, plain: true}}\n"
+    text += f"accuracy: {{target: {target}}}\n"
+    session = jaxnh.Session(jaxnh.Experiment.from_text(text, STRONGLY_CONTRACTING))
+    found = session.run("lyapunov")
+    off = np.abs(found["exponents"].to_numpy()[0] - (-1.0, -4.0))
+    assert np.all(off <= found["exponents_error"].to_numpy()[0])
+    assert np.all(off < 0.004)
+    assert found.attrs["refinement_for_tangents"] > 1
