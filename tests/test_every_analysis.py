@@ -48,18 +48,6 @@ OPTIONS = {
 }
 
 
-class Broken(NamedTuple):
-    """A cell that is known to be wrong: it fails as long as it is, and has to go once it is right.
-
-    Attributes:
-        check: what would have to hold.
-        reason: what is wrong.
-    """
-
-    check: Callable
-    reason: str
-
-
 class Kind(NamedTuple):
     """A kind of scene.
 
@@ -71,7 +59,7 @@ class Kind(NamedTuple):
     """
 
     config: str
-    known: Mapping[str, Callable | str | Broken]
+    known: Mapping[str, Callable | str]
     file: str = ""
     options: Mapping[str, Mapping] = {}
 
@@ -257,7 +245,6 @@ def one_attractor(data, groups):
 
 # ---- kinds of scenes
 
-NO_SIZE = "a coordinate that vanishes on the attractor has no size in basins, so that lanes and orbits are told apart by rounding"
 WITHOUT_SECTION = "the system has no period, and {} looks at it on a section"
 ONE_PARAMETER = "curves are followed over two axes, and the sweep has {}"
 MU = "mu: {start: -0.28, stop: 0.28, count: 8}"
@@ -294,7 +281,7 @@ MOEBIUS = {
     "windows": one_window("mu", "period_doubling", zero),
     "branches": branches([1, 2], "mu", zero),
     "curves": ONE_PARAMETER.format("mu"),
-    "basins": Broken(one_attractor, NO_SIZE),
+    "basins": one_attractor,
 }
 IN_SPACE = {
     name: follows(known_flows.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")
@@ -511,7 +498,7 @@ def written(kind):
 
 @pytest.mark.parametrize("analysis", ANALYSES)
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_analysis(kind, analysis, request):
+def test_every_analysis(kind, analysis):
     assert set(KINDS[kind].known) == set(ANALYSES), "a new analysis: say what each kind of scene knows of it"
     known, asked = KINDS[kind].known[analysis], {analysis: (OPTIONS | KINDS[kind].options)[analysis]}
     if analysis == "verdict":
@@ -520,9 +507,6 @@ def test_every_analysis(kind, analysis, request):
         with pytest.raises(InputError, match=re.escape(known)):
             session(kind).groups(asked)
         return
-    if isinstance(known, Broken):
-        request.applymarker(pytest.mark.xfail(raises=AssertionError, reason=known.reason, strict=True))
-        known = known.check
     with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
         groups = session(kind).groups(asked)
     known(groups[analysis], groups)

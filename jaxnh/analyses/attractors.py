@@ -59,7 +59,6 @@ _NEAR_ORBIT = 0.01  # sizes: what ends so near to an orbit may be on it
 _BOXED = 6  # coordinates
 _WIDER = 1.5  # than the largest distance of a point of a cloud from its earlier half
 _REPEATS = 1e-6  # sizes a period: chaos parts points from rounding to more than that
-_ROUNDING = 1e-9  # of sizes
 _ASIDE, _GOLDEN = 1e-6, (np.sqrt(5.0) - 1.0) / 2.0  # sizes beside a motion, and what directions are made from
 _TO_AND_FRO = 4.0  # ranges: a motion that has gone so far has come back
 _TURNED = 4 * np.pi
@@ -100,13 +99,15 @@ class Judged(NamedTuple):
 def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, longest: int) -> Judged:
     """What the lanes of a scene are on, which are done as the lot says; they go on from where it has left them.
 
+    The scene has them at their start, which sizes are held against.
+
     Args:
         longest_period: of periodic orbits.
         longest: periods that a lane may take.
     """
     look = lot.time // 2
     seen, state = _confirming_look(scene, lanes, lot)
-    size = np.where(angles(scene.system), 1.0, np.maximum(seen.largest, _ROUNDING * lot.size))
+    size = np.where(angles(scene.system), 1.0, np.maximum(seen.largest, lot.least))
     unit = 2.0 * SETTLED_TO * units(angles(scene.system), size)
     with np.errstate(invalid="ignore"):
         stays = np.all(np.abs(seen.whole - lot.means) <= lot.unit + unit, axis=1) | (lot.known == RESTLESS)
@@ -125,7 +126,7 @@ def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, longes
         left = np.zeros(0, int)
     else:
         some = np.flatnonzero(stays)
-        found = _orbits(moved_on.take(some), lanes, u[some], longest_period)
+        found = _orbits(scene.take(some), lanes, u[some], longest_period)
         on_orbit = found.period > 0
         here = some[on_orbit]
         kind[here], period[here] = PERIODIC, found.period[on_orbit]

@@ -115,7 +115,13 @@ def run(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
         starting, steps = _started(options, scene)[0], _settled(scene).steps
         lot = settle(starting, lanes, options.transient, options.longest, steps)
     dims = (LANE, "start")[: len(rows)]
-    second = {"means": "lane_mean", "unit": "lane_mean", "u": "lane_component", "size": "lane_component"}
+    second = {
+        "means": "lane_mean",
+        "unit": "lane_mean",
+        "u": "lane_component",
+        "size": "lane_component",
+        "least": "lane_component",
+    }
     return xr.Dataset(
         {
             f"lane_{name}": variable(

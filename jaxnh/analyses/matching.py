@@ -26,7 +26,6 @@ from jaxnh.analyses.attractors import (
     filled_up,
     followed,
     judge,
-    scene_from,
     stays_near,
 )
 from jaxnh.analyses.looks import angles
@@ -114,7 +113,7 @@ def _search(
         seeds, cluster = _representatives(lot, point, open_, most, restless)
         if not len(seeds):
             return found
-        here = scene_from(scene.take(seeds), lanes, lot.u[seeds])
+        here = scene.take(seeds)
         judged = judge(here, lanes, picked(lot, seeds), limit, longest)
         largest, before = np.nanmax(np.abs(lot.size), axis=0, initial=0.0), len(found.point)
         found, place = _added(here, lanes, found, judged, point[seeds], largest)

@@ -21,6 +21,7 @@ from jaxnh.systems.flow import FAULTS, Flow, State
 SETTLED_TO = 1e-4
 """Difference of means over both halves of a look of a lane that has settled, in sizes of the motion."""
 
+_LEAST = 1e-4  # of the size at the start: a coordinate that vanishes on an attractor is as large as that
 _RESTLESS = 1e-2  # likewise, of one whose motion is no slow approach
 _FALLS = 0.25  # from a look to the next of what an approach or a smooth mean leaves; of chaos half is left, or more
 _GROWN = 1.5  # from one look to one twice as long, of what goes to infinity in proportion to time
@@ -43,6 +44,7 @@ class Lot(NamedTuple):
         unit: how well these are known where a lane has settled, (lanes, F).
         u: section coordinates at the end, (lanes, d).
         size: of the motion, its largest coordinates over the last look and the one before, (lanes, d).
+        least: what the size is at least, (lanes, d): a coordinate that vanishes on an attractor decays for ever.
     """
 
     known: Int8[np.ndarray, " lanes"]
@@ -53,6 +55,7 @@ class Lot(NamedTuple):
     unit: Float[np.ndarray, "lanes F"]
     u: Float[np.ndarray, "lanes d"]
     size: Float[np.ndarray, "lanes d"]
+    least: Float[np.ndarray, "lanes d"]
 
 
 def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps: int | None = None) -> Lot:
@@ -68,7 +71,7 @@ def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps:
         np.zeros(count, np.int8),
         np.full(count, np.inf),
         *np.full((2, count, width), np.nan),
-        *np.full((2, count, d), np.nan),
+        *np.full((3, count, d), np.nan),
     )
     absent = ~_finite(start)
     lot.known[absent], lot.reason[absent] = FAILED, FAULTS.index("off_constraint")
@@ -79,7 +82,9 @@ def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps:
         return lot
     scene, here = (replace(one, steps=steps or one.steps) for one in (scene, here))
     seen = look_at(here, lanes, begun.state, transient // 2)
-    lot.size[some], lot.time[some], lot.u[some] = seen.largest, transient, points_at(scene, lanes, seen.state)
+    lot.least[some] = _LEAST * np.fmax(np.abs(points_at(here, lanes, here.start)), begun.largest)
+    lot.size[some] = np.fmax(seen.largest, lot.least[some])
+    lot.time[some], lot.u[some] = transient, points_at(scene, lanes, seen.state)
     lot.gap[some] = _gap(seen, units(angles(scene.system), np.fmax(begun.largest, seen.largest)))
     _fail(lot, some, scene.system, seen.state)
     left = lot.known[some] == OPEN
@@ -123,7 +128,7 @@ def _look_on(
         _fail(lot, open_, scene.system, seen.state)
         if 2 * elapsed > longest:
             _escape(lot, open_, seen, before, turns)
-        lot.size[open_] = seen.largest
+        lot.size[open_] = np.fmax(seen.largest, lot.least[open_])
         left = lot.known[open_] == OPEN
         open_, state = open_[left], picked(seen.state, left)
 
