@@ -33,7 +33,7 @@ BLOCKS = 16
 
 _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
-_KICKS_A_NODE = 6  # of the map: its own error is then larger than that of a step of ten kicks from node to node
+_KICKS_A_NODE = 4  # of the map: its own error, a processed one's too, is larger than that of a step of ten kicks
 
 
 class Growth(NamedTuple):

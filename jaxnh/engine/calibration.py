@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.engine.axes import Points
 from jaxnh.engine.lanes import Lanes
-from jaxnh.engine.unmet_accuracy import ROUGH, fault_of, of_long_returns, of_slow_convergence
+from jaxnh.engine.unmet_accuracy import ROUGH, fault_of, of_long_returns, of_motion, of_slow_convergence
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.maps.iterate import iterate, record
@@ -161,10 +161,14 @@ class Calibration:
         """What to say when the least errors there are exceed the target."""
         worst = self._largest_at(errors)
         where = _place(self._samples, worst)
-        what, hint = "period", ""
-        if self._flows[0] is not self._flows[0].flow:
-            what, hint = "return", of_long_returns(np.abs(self._reference[-1] - self._samples.states.t), worst)
-        hint += of_slow_convergence(self._fall)
+        sample = jax.tree.map(lambda leaf: leaf[worst], self._samples)
+        system = self._flows[int(sample.row)]
+        what, hint, length = "period", "", system.period
+        if system is not system.flow:
+            lengths = np.abs(self._reference[-1] - self._samples.states.t)
+            what, hint = "return", of_long_returns(lengths, worst)
+            length = float(lengths[worst]) if np.isfinite(lengths[worst]) else length
+        hint += of_motion(system, sample.states, sample.p, length) or of_slow_convergence(self._fall)
         return AccuracyError(
             f"no solver has an error of one {what} of {target:g} over this sweep; with up to {self._tried:,} kicks, "
             f"that at {where} comes down to {errors[worst]:.2g}{hint}"
@@ -224,7 +228,7 @@ class Calibration:
             for parts in zip(*((row.start, dict(row.p), dict(row.where)) for row in rows), strict=True)
         )
         now = _Samples(start, p, number, where)
-        steps = self._seed_steps(now)
+        self._roughly = steps = self._seed_steps(now)
         finer, coarser = (self._maps(self._way.reference, n) for n in (steps, max(1, steps // 2)))
         states, gaps = [], []
         for _ in range(_CALLS):
@@ -269,7 +273,7 @@ class Calibration:
         Raises:
             AccuracyError: there are no others.
         """
-        image = self._image(self._maps(self._way.reference, _REFERENCE_STEPS), self._samples)
+        image = self._image(self._maps(self._way.reference, max(_REFERENCE_STEPS, self._roughly)), self._samples)
         kept = np.flatnonzero(np.all(np.isfinite(image), axis=0))
         if not len(kept):
             first = jax.tree.map(lambda leaf: leaf[0], self._samples)
@@ -292,7 +296,8 @@ class Calibration:
             self._tell(f"the start states with {2 * steps * solver.stages:,} kicks a period")
             coarser, image = image, self._image(self._maps(solver, 2 * steps), samples)
             gaps = _gaps(coarser, image)
-            if np.all(~np.isfinite(gaps) | (gaps < _SEED_ERROR)):
+            lost = ~np.isfinite(gaps)  # by so few steps, where so are all, or for ever
+            if not np.all(lost) and np.all(lost | (gaps < _SEED_ERROR)):
                 break
             steps *= 2
         return steps

@@ -133,6 +133,10 @@ class Flow(eqx.Module):
         """Why one state has no time derivative, in words; "" where nothing is known of that. On the host alone."""
         return ""
 
+    def lost_on_the_way(self, t: ArrayLike, y: State, p: Parameters) -> str:
+        """What a motion nearly loses, in words: states (points,) at times t; "" where that is nothing. On the host."""
+        return ""
+
     def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Number:
         """Divergence of the flow; its mean is the sum of the Lyapunov exponents."""
         return self.divergence_of(lambda z: self.rhs(t, z, p), y)

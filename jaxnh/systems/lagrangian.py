@@ -28,6 +28,7 @@ from jaxnh.systems.jourdain import (
     accelerations,
     bordered,
     constraint_functions,
+    constraint_slopes,
     matrices,
 )
 from jaxnh.systems.tracing import jacobian_trace, once
@@ -35,6 +36,7 @@ from jaxnh.systems.tracing import jacobian_trace, once
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
 _APPROACHES = 12  # projections from a random state to one on f = 0
+_NEARLY_LOST = 0.01  # of the smallest singular value of df/dv on a motion: steps do not follow what turns there
 _LARGEST_DRIFT = 1e-9  # of f after projection, in units of |A q̇| + 1
 
 
@@ -126,6 +128,27 @@ class Lagrangian(Defined):
         without = [f"{name}_dot" for name, row in zip(self.names, mass, strict=True) if not row.any()]
         missing = f": T has no term with the square of {', '.join(without)}" if without else ""
         return f"the mass matrix, the second derivatives of T by the velocities, is singular{missing}"
+
+    def lost_on_the_way(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
+        """Where the constraints come near to losing rank: the smallest singular value of df/dv against its largest."""
+        times = np.asarray(t, float)
+        slopes = constraint_slopes(self.equations(p), (*y.q, *y.v, times), len(y.q))
+        matrix = np.moveaxis(
+            np.array([[np.broadcast_to(entry, times.shape) for entry in row] for row in slopes]), -1, 0
+        )
+        if not matrix.size:
+            return ""
+        finite = np.all(np.isfinite(matrix), axis=(1, 2))
+        least = np.linalg.svd(np.where(finite[:, None, None], matrix, 0.0), compute_uv=False)[:, -1]
+        least = np.where(finite, least, np.inf)
+        at, largest = int(np.argmin(least)), np.max(least, initial=0.0, where=finite)
+        if not finite.any() or least[at] > _NEARLY_LOST * largest:
+            return ""
+        velocities = ", ".join(f"{name}_dot = {v[at]:.2g}" for name, v in zip(self.names, np.asarray(y.v), strict=True))
+        return (
+            f"the constraints f lose rank on the way: at t = {times[at]:.3g}, {velocities} df/dv comes down to "
+            f"{least[at] / largest:.1g} of what it is elsewhere"
+        )
 
     def multipliers(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
         """The m multipliers λ of (6)."""

@@ -31,10 +31,10 @@ SYSTEMS = {
         "                f=lambda q, v, t: (v[0] - v[1], 2 * v[0] - 2 * v[1]), coordinates=('x', 'y', 'z'))\n",
         "at rate = 1000 the constraints f are not independent: df/dv has not the full rank",
     ),
-    "stiff": (  # eigenvalues at x = 2 are those of x'' = -3 rate x' - x: -3000 is one of them, to 1e-6
+    "stiff": (  # eigenvalues at x = 2 are those of x'' = -3000 rate x' - x: -3e6 is one of them, to 1e-6
         "def system(rate=1.0):\n"
-        "    return dict(rhs=lambda y, t: (y[1], rate * (1 - y[0] ** 2) * y[1] - y[0]), coordinates=('x', 'v'))\n",
-        "at rate = 1000 rates of change reach 3e+03 a unit of time, and solvers are explicit: the system is stiff",
+        "    return dict(rhs=lambda y, t: (y[1], 1e3 * rate * (1 - y[0] ** 2) * y[1] - y[0]), coordinates=('x', 'v'))\n",
+        "at rate = 1000 rates of change reach 3e+06 a unit of time, and solvers are explicit: the system is stiff",
     ),
 }
 
@@ -102,3 +102,63 @@ def test_a_file_that_takes_long_to_read_says_where_it_is(tmp_path, monkeypatch):
     assert run.returncode == 2
     assert "reading own.yaml for 0 s, now at own.py:3" in said
     assert last == "own.py:5: system must return dict(rhs=..., coordinates=...), or dict(T=..., Q=..., ...)"
+
+
+CONE = """\
+import jax.numpy as jnp
+
+def system(g=1.0):
+    return dict(T=lambda q, v, t: 0.5 * sum(w * w for w in v), Q=lambda q, v, t: FORCES,
+                f=lambda q, v, t: (v[0] ** 2 + v[1] ** 2 - v[2] ** 2,), coordinates=('x', 'y', 'z'))
+"""
+CONE_CONFIG = """\
+system: {file: own.py}
+initial: {x_dot: 0.3, y_dot: 0.4, z_dot: 0.5, z: 0.3}
+sweep: {g: {SPEC}}
+accuracy: {target: 1.0e-8}
+analyses:
+  portrait: {transient: 0, periods: 2}
+"""
+
+
+@pytest.mark.parametrize(
+    ("forces", "spec", "what"),
+    [
+        (
+            "(0.0, 0.0, -g)",
+            "values: [1.0]",
+            "every lane of this sweep has a non-finite state within a period; at g = 1 ",
+        ),
+        ("(-0.3 * jnp.sin(q[0]), -0.2 * q[1], -g * q[2] - 0.1 * v[2])", "values: [0.9, 1.0]", "comes down to "),
+        pytest.param(
+            "(-0.3 * jnp.sin(q[0]), -0.2 * q[1], -g * q[2] - 0.1 * v[2])",
+            "start: 0.9, stop: 1.0, count: 200",
+            "comes down to ",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_constraints_that_lose_rank_on_the_way(tmp_path, monkeypatch, forces, spec, what):
+    """The cone v_x² + v_y² = v_z² has no tangent plane at v = 0, which motion comes to, or passes at no distance."""
+    monkeypatch.setattr(calibration, "_MOST_KICKS", 1 << 15)
+    monkeypatch.setattr(calibration, "_MOST_SEED_KICKS", 1 << 12)
+    (tmp_path / "own.py").write_text(CONE.replace("FORCES", forces))
+    (tmp_path / "own.yaml").write_text(CONE_CONFIG.replace("SPEC", spec))
+    run = run_here("own.yaml", "--quiet", cwd=tmp_path)
+    assert run.returncode == 2
+    assert len(run.stderr.splitlines()) == 1
+    assert what in run.stderr
+    assert "the constraints f lose rank on the way: at t = " in run.stderr
+    assert "corners" not in run.stderr
+
+
+def test_a_unit_of_time_of_many_oscillations(tmp_path):
+    """96 steps a unit make no finite state of it; more do, whatever the unit."""
+    (tmp_path / "own.py").write_text(
+        "def system(rate=1.0):\n"
+        "    return dict(rhs=lambda y, t: (y[1], -rate * y[0] - y[0] ** 3), coordinates=('x', 'v'), time_unit=300.0)\n"
+    )
+    (tmp_path / "own.yaml").write_text(CONFIG.replace("1000.0", "1.0"))
+    run = run_here("own.yaml", cwd=tmp_path)
+    assert run.returncode == 0
+    assert " steps a unit of time, error of one unit of time " in run.stdout
