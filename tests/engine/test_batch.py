@@ -611,6 +611,19 @@ def test_bad_command_line(job, arguments, said):
 
 # ---- the launcher
 
+SLOW_TILES = """\
+import itertools, pathlib, time
+
+replace, tiles = pathlib.Path.replace, itertools.count()
+
+def later(self, target):
+    if pathlib.Path(target).name.startswith("0") and next(tiles):  # the first is there at once
+        time.sleep(60)
+    return replace(self, target)
+
+pathlib.Path.replace = later
+"""
+
 
 @pytest.mark.slow
 def test_slurm_script(job, whole):
@@ -630,12 +643,16 @@ def test_slurm_script(job, whole):
     }
     script = ["bash", ROOT / "sweeps" / "slurm.sbatch", "job.yaml", "--output", "job.h5", "--tile", "256"]
 
-    def start(k, *arguments):
+    def start(k, *arguments, **more):
         environment = {**base, **slurm, "SLURM_ARRAY_TASK_ID": str(k)} if k else {**base, "SLURM_JOB_ID": "18"}
+        environment |= more
         options = {"cwd": job.folder, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
         return subprocess.Popen([*script, *arguments], env=environment, **options)
 
-    first = start(1)
+    slowly = job.folder.parent / f"{job.folder.name}-slowly"  # tiles take long enough to be preempted in
+    slowly.mkdir()
+    (slowly / "sitecustomize.py").write_text(SLOW_TILES)
+    first = start(1, PYTHONPATH=os.pathsep.join([str(slowly), str(ROOT)]))
     job.until(first, 1)
     first.send_signal(signal.SIGTERM)
     out, _ = first.communicate(timeout=120)
