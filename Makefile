@@ -10,7 +10,7 @@ CHARTS := chart_b_d chart_b_a
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows paper effects startup claims docs release-check test browser check_types check_tests slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows paper effects startup newcomer claims docs release-check test browser check_types check_tests slow hard clean
 
 install: $(INSTALLED)
 
@@ -47,6 +47,10 @@ effects: $(INSTALLED)
 # Time from command to result, in its parts; writes results/startup.md. On a machine that does nothing else.
 startup: $(INSTALLED)
 	$(RUN)/python -m sweeps.startup
+
+# What the README, the how-to pages and three strangers' flows have, run as it stands there, against results/newcomer.md.
+newcomer: $(INSTALLED)
+	$(RUN)/python -m sweeps.newcomer
 
 # What every quantitative claim rests on, checked; writes results/claims.md. Times nothing, computes nothing anew.
 claims: $(INSTALLED)
