@@ -325,7 +325,7 @@ def _refinement_needed(scene: Scene, lanes: LaneRunner, growth: Growth, parts: i
     while refinement < _MOST_REFINED:
         pieces = (refinement * parts, 2 * refinement * parts)
         coarse, fine = (one_by_one(parts_of(scene, n, n // parts), room) for n in pieces)
-        now, apart, whole = growth, 0.0, 0.0
+        now, apart, whole = growth, *np.zeros((2, 1, 1))
         for i in range(len(coarse) * periods):
             i %= len(coarse)
             _, once = average(lanes, coarse[i], now, p, 1)
