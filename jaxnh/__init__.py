@@ -6,8 +6,8 @@
     tree = jaxnh.run(experiment)
     tree["doubling"]["b"]
 
-What stands in `__all__` is the public face; everything is loaded when it is first used, so that drawing or looking at a
-result needs no JAX.
+A system that is a Python function goes to `Session` as it is. What stands in `__all__` is the public face; everything is
+loaded when it is first used, so that drawing or looking at a result needs no JAX.
 """
 
 from __future__ import annotations
@@ -33,6 +33,18 @@ from jaxnh.exceptions import (
 )
 
 if TYPE_CHECKING:
+    from jaxnh.analyses.basins import BasinsOptions as Basins
+    from jaxnh.analyses.branches import BranchesOptions as Branches
+    from jaxnh.analyses.chaos01 import Chaos01Options as Chaos01
+    from jaxnh.analyses.curves import CurvesOptions as Curves
+    from jaxnh.analyses.diagram import DiagramOptions as Diagram
+    from jaxnh.analyses.doubling import DoublingOptions as Doubling
+    from jaxnh.analyses.lyapunov import LyapunovOptions as Lyapunov
+    from jaxnh.analyses.period import PeriodOptions as Period
+    from jaxnh.analyses.poincare import PoincareOptions as Poincare
+    from jaxnh.analyses.portrait import PortraitOptions as Portrait
+    from jaxnh.analyses.verdict import VerdictOptions as Verdict
+    from jaxnh.analyses.windows import WindowsOptions as Windows
     from jaxnh.config.experiment import Experiment, load
     from jaxnh.engine.session import Session, run
     from jaxnh.explorer.bokeh_figure import bokeh_figure
@@ -62,7 +74,26 @@ _HOMES = {
 }
 
 
+_OPTIONS = (
+    "Basins",
+    "Branches",
+    "Chaos01",
+    "Curves",
+    "Diagram",
+    "Doubling",
+    "Lyapunov",
+    "Period",
+    "Poincare",
+    "Portrait",
+    "Verdict",
+    "Windows",
+)
+"""Options of the analyses, each the class NAMEOptions of `analyses.name`."""
+
+
 def __getattr__(name: str) -> object:
+    if name in _OPTIONS:
+        return getattr(import_module(f"jaxnh.analyses.{name.lower()}"), f"{name}Options")
     if name not in _HOMES:
         raise AttributeError(f"module jaxnh has no attribute {name}")
     return getattr(import_module(f"jaxnh.{_HOMES[name]}"), name)
@@ -75,9 +106,15 @@ def __dir__() -> list[str]:
 __all__ = [
     "AccuracyError",
     "ArgumentError",
+    "Basins",
+    "Branches",
     "BusyError",
+    "Chaos01",
     "ConfigError",
+    "Curves",
     "DamagedError",
+    "Diagram",
+    "Doubling",
     "Experiment",
     "FreeParticle",
     "InputError",
@@ -86,11 +123,17 @@ __all__ = [
     "JaxnhError",
     "JaxnhWarning",
     "Lagrangian",
+    "Lyapunov",
+    "Period",
+    "Poincare",
+    "Portrait",
     "ResultError",
     "RunError",
     "Session",
     "Stopped",
     "UserFileError",
+    "Verdict",
+    "Windows",
     "__version__",
     "bokeh_figure",
     "constant_speed",

@@ -107,17 +107,10 @@ def blocks(text: str) -> list[tuple[str, str]]:
 
 def _of_readme(text: str) -> Iterator[Example]:
     for language, body in blocks(text):
-        first = body.splitlines()[0]
         if language == "sh" and (commands := _commands(body)):
             yield Example(f"README.md: {commands[0]}", commands)
         elif language == "yaml":
             yield Example("README.md: a config", ("jaxnh sweep own.yaml",), {"own.yaml": body})
-        elif language == "python" and first.startswith("def system"):
-            config = (
-                "system: {file: own.py}\ninitial: {x: 1.0, y: 1.0, z: 20.0}\nsweep: {rho: {values: [28.0]}}\n"
-                "accuracy: {target: 1.0e-6}\nanalyses: {lyapunov: {transient: 64, periods: 512, exponents: 3}}\n"
-            )
-            yield Example("README.md: own equations", ("jaxnh sweep own.yaml",), {"own.py": body, "own.yaml": config})
         elif language == "python":
             yield Example("README.md: Python", (body,), python=True)
 

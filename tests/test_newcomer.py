@@ -18,7 +18,7 @@ def test_every_document_is_run():
     pages = {path.name for path in (ROOT / "docs/howto").glob("*.md")}
     run = {name.split("/")[-1].split(":")[0] for name in EXAMPLES if name.startswith("docs/howto/")}
     assert run == pages - WITHOUT
-    assert sum(name.startswith("README.md: ") for name in EXAMPLES) == 7
+    assert sum(name.startswith("README.md: ") for name in EXAMPLES) == 6
     readme = (ROOT / "README.md").read_text()
     shell = [line for language, body in newcomer.blocks(readme) if language == "sh" for line in body.splitlines()]
     of_readme = [c for e in EXAMPLES.values() if e.name.startswith("README") and not e.python for c in e.commands]

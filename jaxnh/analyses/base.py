@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Int
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticCustomError
 
 from jaxnh.analyses.price import Price
@@ -29,7 +29,27 @@ LANE = "lane"
 # ---- what an analysis is asked for
 
 
-class Options(BaseModel):
+class _Spoken(type(BaseModel)):
+    """Options that are made by hand say what is wrong with them in one line, as those of a config do."""
+
+    if not TYPE_CHECKING:  # which would know no arguments of options any more
+
+        def __call__(cls, *arguments, **options):
+            name, known = cls.__name__.removesuffix("Options"), list(cls.model_fields)
+            if arguments:
+                raise InputError(f"options are given by name, as {name}({known[0] if known else ''}=...)")
+            try:
+                return super().__call__(**options)
+            except ValidationError as error:
+                first = error.errors(include_url=False)[0]
+            key = ".".join(map(str, first["loc"]))
+            if first["type"] == "extra_forbidden":
+                raise InputError(f"{name} has no option {key}; it has {', '.join(known) or 'none'}")
+            message = first["msg"].replace("Input should be", "must be")
+            raise InputError(f"{name}{key and f'({key}=...)'}: {message}")
+
+
+class Options(BaseModel, metaclass=_Spoken):
     """Base of the options of an analysis: frozen, and a key that is not known is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)

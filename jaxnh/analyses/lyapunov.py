@@ -352,6 +352,8 @@ def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectru
     volume = np.sum(np.where(ran[:, :, None], volume, 0.0), axis=1) / averages.blocks[:, None] / period
     sums = np.sum(np.where(ran[:, :, None], averages.rates[:, :, :k], 0.0), axis=(1, 2)) / averages.blocks / period
     if every_exponent(options, scene):
+        # At rest the flow has no direction once its rate has come down to rounding.
+        sums = np.where(spectrum.source == SOURCES.index("equilibrium"), found.sum(axis=1), sums)
         residual = sums - volume[:, 1 if symbols else 0]
         of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
         spread[of_average] = held_against_sum(spread[of_average], residual[of_average])
@@ -385,7 +387,8 @@ def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectru
         variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, unit)
     variables["averaged"] = variable(LANE, averaged, "length of the average", counted_in(scene.system))
     if residual is not None:
-        words = f"sum of the plain averages minus the mean divergence{divergence}, integrated by itself"
+        what = "sum of the plain averages, at rest of the exponents"
+        words = f"{what}, minus the mean divergence{divergence}, integrated by itself"
         variables["sum_rule_residual"] = variable(LANE, residual, words, unit)
         if divergence:
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"

@@ -29,7 +29,7 @@ from jaxnh.config.messages import close_match, first_fault
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, PrescribedSpeed, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem, admitted
 from jaxnh.config.yaml_source import Source, from_dict, from_text, read
-from jaxnh.exceptions import ConfigError
+from jaxnh.exceptions import ConfigError, InputError
 from jaxnh.maps.section import Crossing
 from jaxnh.systems.flow import Flow, State
 from jaxnh.systems.user_file import UserFile
@@ -61,6 +61,7 @@ class Experiment(Block):
     )
 
     _origin: Source | None = PrivateAttr(default=None)
+    _filler: str = PrivateAttr(default="")
 
     # ---- how it is made
 
@@ -75,7 +76,7 @@ class Experiment(Block):
         Raises:
             ConfigError: one line, `experiment: KEY: what is wrong`.
         """
-        return _validated(from_dict(content, overrides), Path())
+        return validated(from_dict(content, overrides), Path())
 
     @classmethod
     def from_text(cls, text: str, user_text: str | None = None) -> Experiment:
@@ -88,7 +89,7 @@ class Experiment(Block):
         Raises:
             ConfigError: one line, `experiment:LINE: KEY: what is wrong`.
         """
-        return _validated(from_text(text), Path(), user_text)
+        return validated(from_text(text), Path(), user_text)
 
     def variant(
         self, analyses: Mapping[str, Options | Mapping[str, Any] | None], axes: Mapping[str, ArrayLike]
@@ -103,18 +104,66 @@ class Experiment(Block):
         Raises:
             ConfigError: one line, `experiment: KEY: what is wrong`.
         """
-        content: dict[str, Any] = {**(self._origin.data if self._origin else {}), "compare": None, "levels": None}
+        content = self._data("compare", "levels")
         for block in ("system", "initial"):
             given = content.get(block) or {}
             content[block] = {key: value for key, value in given.items() if key not in axes}
-        grids = {name: {"values": _listed(values)} for name, values in axes.items()}
-        content["sweep"] = {**content["sweep"], **grids}
-        own = content["analyses"]
+        grids = {name: _grid(values) for name, values in axes.items()}
+        filler = self._filler if not grids else ""
+        own = {name: grid for name, grid in content["sweep"].items() if filler or name != self._filler}
+        content["sweep"] = {**own, **grids}
+        asked = content["analyses"]
         content["analyses"] = {
-            name: own.get(name) or {} if options is None else _plain_options(options)
+            name: asked.get(name) or {} if options is None else _plain_options(options)
             for name, options in analyses.items()
         }
-        return _validated(from_dict(content), Path(), user_file=self.user_file)
+        made = validated(from_dict(content), Path(), user_file=self.user_file)
+        made._filler = filler
+        return made
+
+    def on(self, section: Mapping[str, Any]) -> Experiment:
+        """The same experiment, seen on a section: keys and values of that block of a config.
+
+        Raises:
+            ConfigError: one line, `experiment: section.KEY: what is wrong`.
+        """
+        content = {**self._data(), "section": {key: value for key, value in section.items() if value is not None}}
+        made = validated(from_dict(content), Path(), user_file=self.user_file)
+        made._filler = self._filler
+        return made
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the config, and beside it the user's file that it names: a job for `jaxnh sweep`.
+
+        Args:
+            path: of the config.
+            overwrite: whether files that are there and say something else are replaced.
+
+        Raises:
+            InputError: such a file is there, or it cannot be written.
+        """
+        path = Path(path)
+        texts = {path: self.text}
+        if self.user_file is not None:
+            texts[path.parent / self._data()["system"]["file"]] = self.user_file.text
+        for target, text in texts.items():
+            if not overwrite and target.exists() and target.read_text(encoding="utf-8") != text:
+                raise InputError(f"{target} is there and says something else; overwrite=True replaces it")
+        for target, text in texts.items():
+            try:
+                target.write_text(text, encoding="utf-8")
+            except OSError as error:
+                raise InputError(f"{target}: cannot be written: {error.strerror}") from None
+
+    @property
+    def filler(self) -> str:
+        """The axis of one value that stands in while none is named; "" where there is none."""
+        return self._filler
+
+    def _data(self, *without: str) -> dict[str, Any]:
+        """The content as it was given, without some blocks."""
+        data = self._origin.data if self._origin else {}
+        return {key: value for key, value in data.items() if key not in without}
 
     # ---- rules
 
@@ -369,19 +418,24 @@ def _said(value: Any) -> str:
     return "not given" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _listed(values: ArrayLike) -> Any:
-    """Values of an axis as a list of floats; what is no such thing is left as it is, for the config to refuse."""
+def _grid(values: ArrayLike) -> dict[str, Any]:
+    """Values of an axis as a config has them; what is no such thing is left as it is, for the config to refuse."""
     try:
-        return np.atleast_1d(np.asarray(values, float)).tolist()
+        given = np.atleast_1d(np.asarray(values, float))
     except (TypeError, ValueError):
-        return values
+        return {"values": values}
+    if given.ndim == 1 and len(given) > 2 and np.isfinite(given).all() and given[0] != given[-1]:
+        grid = {"start": float(given[0]), "stop": float(given[-1]), "count": len(given)}
+        if np.array_equal(given, np.linspace(*grid.values())):
+            return grid
+    return {"values": given.tolist()}
 
 
 def _plain_options(options: Options | Mapping[str, Any]) -> dict[str, Any]:
     return options.model_dump(exclude_unset=True) if isinstance(options, Options) else dict(options)
 
 
-def _validated(
+def validated(
     source: Source, folder: Path, user_text: str | None = None, user_file: UserFile | None = None
 ) -> Experiment:
     """The experiment that a source says.
@@ -432,5 +486,7 @@ def load(path: str | Path, overrides: Sequence[str] = (), user_text: str | None 
         ConfigError: one line, `FILE:LINE: KEY: what is wrong`, or `command line: KEY: ...` for an override; of a
             user's system, also `ITS FILE:LINE: what is wrong`.
     """
+    if not isinstance(path, str | Path):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError(f"load takes the path of a YAML file, not {type(path).__name__}")
     path = Path(path)
-    return _validated(read(path, overrides), path.parent, user_text)
+    return validated(read(path, overrides), path.parent, user_text)

@@ -178,6 +178,9 @@ def _finding(detail: ErrorDetails, layout: Layout) -> _Finding:
             return _Finding((path,), str(context["error"]), "value")
         case "float_type" if isinstance(value, int) and not isinstance(value, bool):
             return _Finding((path,), "this number is too large", "value")
+        case "model_type" | "model_attributes_type" if path[:1] == ("sweep",) and len(path) == 2:
+            message = f"must be {{start: ..., stop: ..., count: ...}} or {{values: [...]}}, not {shown(value)}"
+            return _Finding((path,), message, "value")
         case kind if kind in _KINDS:
             return _Finding((path,), not_a(kind, value), "value")
         case kind if kind in _BOUNDS:

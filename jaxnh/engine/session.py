@@ -14,10 +14,11 @@ import xarray as xr
 from jax.typing import ArrayLike
 
 from jaxnh.analyses import ANALYSES, GROUPS
-from jaxnh.analyses.base import Options
+from jaxnh.analyses.base import Analysis, Options
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
+from jaxnh.config.from_python import System, experiment_of
 from jaxnh.engine import dask_workers, early_imports
 from jaxnh.engine.batches import Requested, batches
 from jaxnh.engine.calibration import Plan
@@ -46,12 +47,15 @@ class Session:
     beyond the ends of it. Results are those of a run of the same lanes, bit for bit.
 
     Attributes:
-        experiment: what is run.
+        experiment: what is run; of a system in Python what the last call ran, whose `save` makes it a batch job.
     """
 
     def __init__(
         self,
-        experiment: Experiment,
+        experiment: Experiment | System,
+        start: Mapping[str, float] | None = None,
+        target: float | None = None,
+        parameters: Mapping[str, float] | None = None,
         *,
         progress: ProgressCallback | Progress | None = None,
         devices: Sequence[Any] | None = None,
@@ -59,15 +63,26 @@ class Session:
         """Prepare JAX, if it has not started; nothing is computed yet.
 
         Args:
+            experiment: what is run; or a system in Python, a function as of a user's file or a flow of the package.
+            start: of a system in Python: coordinates of the start state by name.
+            target: of a system in Python: error of one period's map that is allowed.
+            parameters: of a system in Python: values in place of its defaults.
             progress: told of all work; an exception raised in it, as `jaxnh.Stopped`, ends the call.
             devices: those that lanes go to, by default all.
+
+        Raises:
+            InputError: it is no experiment and no system; or what it says cannot be used.
 
         Warns:
             JaxStartedWarning: JAX had started without the options of the package.
         """
         configure()
         early_imports.start()
-        self.experiment = experiment
+        if not isinstance(experiment, Experiment):
+            experiment = experiment_of(experiment, start, target, parameters)
+        elif start is not None or target is not None or parameters is not None:
+            raise InputError("start, target and parameters go with a system in Python; an experiment says its own")
+        self.experiment = self._base = experiment
         self._progress = as_progress(progress)
         self._lanes = Lanes(self._progress, list(devices) if devices else None)
         self._plans: list[tuple[tuple[Axis, ...], bool, frozenset[str], Plan]] = []
@@ -113,11 +128,46 @@ class Session:
         """
         return self._plan_for(self.experiment, self.experiment.axes)
 
-    def run(self, analysis: str, options: Mapping[str, Any] | Options | None = None, **axes: ArrayLike) -> xr.Dataset:
+    def on(
+        self,
+        coordinate: str | None = None,
+        value: float = 0.0,
+        direction: str | None = None,
+        *,
+        normal: Mapping[str, float] | None = None,
+        longest: float | None = None,
+    ) -> Session:
+        """Return this session, with its programs, of a flow without a clock that is looked at on a section.
+
+        Args:
+            coordinate: which passes a value there; or give `normal`, a number for each coordinate that has a part.
+            value: of the coordinate on the section.
+            direction: "up", "down" or "both" of the crossings that count.
+            longest: time after which a lane that has not come back is given up.
+
+        Raises:
+            ConfigError: there is no such section.
+        """
+        section = {
+            "coordinate": coordinate,
+            "value": value,
+            "direction": direction,
+            "normal": normal,
+            "longest": longest,
+        }
+        seen = copy.copy(self)
+        seen._plans = []
+        seen.experiment = seen._base = self._base.on(section)
+        return seen
+
+    def run(
+        self, analysis: str | Options, options: Mapping[str, Any] | Options | None = None, **axes: ArrayLike
+    ) -> xr.Dataset:
         """One analysis, on the experiment's lanes or on others.
 
         Args:
-            analysis: its name, or that of a group that one brings: of `attractors`, with the options of `basins`.
+            analysis: its options, as `jaxnh.Lyapunov(periods=1000)`, or its name, or that of a group that one brings:
+                of `attractors`, with the options of `basins`.
             options: in place of those of the experiment; what is not named has its default.
             **axes: values of parameters or of coordinates of the start state, by name: an array replaces the axis of
                 that name or adds one, a number fixes it. Axes of the experiment that are not named stay.
@@ -129,9 +179,16 @@ class Session:
             InputError: there is no such analysis, option, parameter or coordinate, or they do not go together.
             AccuracyError: nothing meets the accuracy asked for.
         """
+        if isinstance(analysis, Options):
+            if options is not None:
+                raise InputError("options are given once: by the first argument")
+            analysis, options = _name_of(analysis), analysis
+        if isinstance(analysis, type):
+            raise InputError(f"options are made by a call, as jaxnh.{analysis.__name__.removesuffix('Options')}()")
         if analysis not in GROUPS:
             raise InputError(f"there is no analysis {analysis}; known are {', '.join(ANALYSES)}")
         asked_for = GROUPS[analysis]
+        self._check_arguments(asked_for, options, axes)
         return self.groups({**dict.fromkeys(asked_for.needs), asked_for.name: options}, **axes)[analysis]
 
     def groups(
@@ -150,8 +207,11 @@ class Session:
             InputError: as of `run`.
             AccuracyError: as of `run`.
         """
-        _, groups = self._computed(self.experiment.variant(analyses, axes))
-        fixed = [name for name, values in axes.items() if np.ndim(values) == 0]
+        experiment = self._base.variant(analyses, axes)
+        if self._base.filler:
+            self.experiment = experiment
+        _, groups = self._computed(experiment)
+        fixed = [name for name, values in axes.items() if np.ndim(values) == 0] + [experiment.filler]
         return {name: data.squeeze([d for d in fixed if d in data.dims]) for name, data in groups.items()}
 
     def of_few(self, tile: int) -> Session:
@@ -171,6 +231,21 @@ class Session:
         return xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs), **groups})  # pyright: ignore[reportUnknownMemberType]
 
     # ---- how
+
+    def _check_arguments(self, analysis: Analysis, options: object, axes: Mapping[str, Any]) -> None:
+        """Check that options are options, and that no option is given as an axis."""
+        name = analysis.options.__name__.removesuffix("Options")
+        if isinstance(options, Options) and not isinstance(options, analysis.options):
+            raise InputError(f"{analysis.name} takes jaxnh.{name}(...), not options of {_name_of(options)}")
+        if options is not None and not isinstance(options, Options | Mapping):
+            axis = self._base.sweep.known[0]
+            raise InputError(
+                f"options of {analysis.name} are jaxnh.{name}(...) or a mapping, not {type(options).__name__}; "
+                f"values of an axis are given by its name, as {axis}=..."
+            )
+        for key in axes:
+            if key in analysis.options.model_fields and key not in self._base.sweep.known:
+                raise InputError(f"{key} is an option of {analysis.name}, and no axis: run(jaxnh.{name}({key}=...))")
 
     def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...]) -> Plan:
         """The plan of a sweep that has these lanes, calibrated if there is none yet."""
@@ -231,7 +306,7 @@ class Session:
 
 
 def run(
-    experiment: Experiment,
+    experiment: Experiment | object,
     output: str | Path | None = None,
     *,
     progress: ProgressCallback | Progress | None = None,
@@ -259,6 +334,11 @@ def run(
     Warns:
         JaxStartedWarning: JAX had started without the options of the package.
     """
+    if not isinstance(experiment, Experiment):
+        raise InputError(
+            f"run takes an experiment, not {type(experiment).__name__}: jaxnh.load reads one from a file, and "
+            "a system in Python goes to jaxnh.Session"
+        )
     configure()
     if output is None:
         if dask or tile:
@@ -271,6 +351,14 @@ def run(
         check_output(path)
         run_to_file(experiment, path, How(fresh=fresh, dask=dask, tile=tile, yes=yes), as_progress(progress))
     return open_result(path)
+
+
+def _name_of(options: Options) -> str:
+    """The name of the analysis that options are of."""
+    for name, analysis in ANALYSES.items():
+        if type(options) is analysis.options:
+            return name
+    raise InputError(f"there is no analysis with options {type(options).__name__}")
 
 
 def as_progress(progress: ProgressCallback | Progress | None) -> Progress:

@@ -18,7 +18,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxnh.exceptions import ArgumentError, ResultError
+from jaxnh.exceptions import ArgumentError, InputError, ResultError
 from jaxnh.plotting.colouring import colouring
 from jaxnh.plotting.groups import (
     at_place,
@@ -95,6 +95,9 @@ def figure(
     """
     if not results:
         raise ResultError("there is no result to draw")
+    for one in results:
+        if not isinstance(one, xr.DataTree | xr.Dataset | Path | str):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise InputError(f"a figure is of a result, one group of it, or a result file, not of {type(one).__name__}")
     choice = Choice(tuple(map(tuple, coordinates)), colour, size, names)
     source = str(results[0]) if isinstance(results[0], Path | str) else "the result"
     tree, *others = (load_result(Path(one)) if isinstance(one, Path | str) else one for one in results)
