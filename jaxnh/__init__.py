@@ -6,8 +6,8 @@
     tree = jaxnh.run(experiment)
     tree["doubling"]["b"]
 
-A system that is a Python function goes to `Session` as it is. What stands in `__all__` is the public face; everything is
-loaded when it is first used, so that drawing or looking at a result needs no JAX.
+A system that is a Python function goes to `Session` as it is. What stands in `__all__` is the public face; everything
+is loaded when it is first used, so that drawing or looking at a result needs no JAX.
 """
 
 from __future__ import annotations
