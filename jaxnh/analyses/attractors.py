@@ -30,7 +30,8 @@ from jaxnh.analyses.lyapunov import LyapunovOptions
 from jaxnh.analyses.lyapunov import run as exponents_of
 from jaxnh.analyses.point_sets import lie_within, point_set, spacing
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
-from jaxnh.analyses.settling import RESTLESS, SETTLED, SETTLED_TO, Lot, points_at, states_at
+from jaxnh.analyses.section_points import points_at, states_at
+from jaxnh.analyses.settling import RESTLESS, SETTLED, SETTLED_TO, Lot
 from jaxnh.analyses.survey import beyond_doublings, survey
 from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
 from jaxnh.analyses.volume import keeps_volume

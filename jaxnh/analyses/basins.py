@@ -26,8 +26,9 @@ from jaxnh.analyses.matching import find, joined
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.random_starts import Side, check_box, started
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
+from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.settled_steps import settled_steps
-from jaxnh.analyses.settling import FAILED, Lot, settle, states_at
+from jaxnh.analyses.settling import FAILED, Lot, settle
 from jaxnh.analyses.tracking import Grid, Tracked, track
 from jaxnh.systems.flow import Output
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Entry, Table, variable
 from jaxnh.analyses.family_tree import Bifurcation, Tree
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
-from jaxnh.analyses.settling import states_at
+from jaxnh.analyses.section_points import states_at
 from jaxnh.orbits.arclength import Family
 from jaxnh.orbits.branches import ENDS, Branch
 from jaxnh.orbits.kinds import KINDS, stable

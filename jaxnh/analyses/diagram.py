@@ -23,7 +23,7 @@ from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, S
 from jaxnh.analyses.poincare import recording, strobe_states
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.analyses.settling import points_at, states_at
+from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.states import check_transient, count, section_attrs, settled, state_variables, statistics
 from jaxnh.analyses.survey import beyond_doublings, survey
 from jaxnh.maps.build import make_strobe

@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int, Int8
+from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.looks import Look, angles, look_at, units
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
+from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.systems.flow import FAULTS, Flow, State
 
 SETTLED_TO = 1e-4
@@ -165,21 +166,3 @@ def _fail(lot: Lot, some: Int[np.ndarray, " some"], system: Flow, state: State) 
 def _finite(state: State, system: Flow | None = None) -> np.ndarray:
     leaves = jax.tree.leaves(state if system is None else system.compared(state))
     return np.all([np.isfinite(leaf) for leaf in leaves], axis=0)
-
-
-def points_at(scene: Scene, lanes: LaneRunner, state: State) -> Float[np.ndarray, "lanes d"]:
-    """Section coordinates of states."""
-    return np.array(lanes(_point_of, (scene.system,), (state,)))
-
-
-def states_at(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> State:
-    """States with section coordinates."""
-    return lanes(_state_at, (scene.system,), (u,))
-
-
-def _point_of(system: Flow, state: State) -> Float[Array, " d"]:
-    return system.chart(state)
-
-
-def _state_at(system: Flow, u: Float[Array, " d"]) -> State:
-    return system.unchart(u)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from jaxnh.analyses.growth import window
 from jaxnh.analyses.looks import maps
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.analyses.settling import states_at
+from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Strobe

@@ -1,0 +1,27 @@
+"""Points that a return map acts on, of the states of lanes, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.systems.flow import Flow, State
+
+
+def points_at(scene: Scene, lanes: LaneRunner, state: State) -> Float[np.ndarray, "lanes d"]:
+    """Section coordinates of states."""
+    return np.array(lanes(_point_of, (scene.system,), (state,)))
+
+
+def states_at(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> State:
+    """States with section coordinates."""
+    return lanes(_state_at, (scene.system,), (u,))
+
+
+def _point_of(system: Flow, state: State) -> Float[Array, " d"]:
+    return system.chart(state)
+
+
+def _state_at(system: Flow, u: Float[Array, " d"]) -> State:
+    return system.unchart(u)
