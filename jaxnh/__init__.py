@@ -33,18 +33,18 @@ from jaxnh.exceptions import (
 )
 
 if TYPE_CHECKING:
-    from jaxnh.analyses.basins import BasinsOptions as Basins
-    from jaxnh.analyses.branches import BranchesOptions as Branches
+    from jaxnh.analyses.basins.basins import BasinsOptions as Basins
+    from jaxnh.analyses.cascade.doubling import DoublingOptions as Doubling
     from jaxnh.analyses.chaos01 import Chaos01Options as Chaos01
-    from jaxnh.analyses.curves import CurvesOptions as Curves
-    from jaxnh.analyses.diagram import DiagramOptions as Diagram
-    from jaxnh.analyses.doubling import DoublingOptions as Doubling
-    from jaxnh.analyses.lyapunov import LyapunovOptions as Lyapunov
-    from jaxnh.analyses.period import PeriodOptions as Period
-    from jaxnh.analyses.poincare import PoincareOptions as Poincare
-    from jaxnh.analyses.portrait import PortraitOptions as Portrait
+    from jaxnh.analyses.continuation.branches import BranchesOptions as Branches
+    from jaxnh.analyses.continuation.curves import CurvesOptions as Curves
+    from jaxnh.analyses.exponents.lyapunov import LyapunovOptions as Lyapunov
+    from jaxnh.analyses.periodic.period import PeriodOptions as Period
+    from jaxnh.analyses.trajectories.diagram import DiagramOptions as Diagram
+    from jaxnh.analyses.trajectories.poincare import PoincareOptions as Poincare
+    from jaxnh.analyses.trajectories.portrait import PortraitOptions as Portrait
     from jaxnh.analyses.verdict import VerdictOptions as Verdict
-    from jaxnh.analyses.windows import WindowsOptions as Windows
+    from jaxnh.analyses.windows.windows import WindowsOptions as Windows
     from jaxnh.config.experiment import Experiment, load
     from jaxnh.engine.session import Session, run
     from jaxnh.explorer.bokeh_figure import bokeh_figure
@@ -88,12 +88,12 @@ _OPTIONS = (
     "Verdict",
     "Windows",
 )
-"""Options of the analyses, each the class NAMEOptions of `analyses.name`."""
+"""Options of the analyses, each by the name of its analysis."""
 
 
 def __getattr__(name: str) -> object:
     if name in _OPTIONS:
-        return getattr(import_module(f"jaxnh.analyses.{name.lower()}"), f"{name}Options")
+        return import_module("jaxnh.analyses").ANALYSES[name.lower()].options
     if name not in _HOMES:
         raise AttributeError(f"module jaxnh has no attribute {name}")
     return getattr(import_module(f"jaxnh.{_HOMES[name]}"), name)

@@ -9,7 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.analyses.lane_orbits import orbits
+from jaxnh.analyses.periodic.newton_on_lanes import orbits
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe

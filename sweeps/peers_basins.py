@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jaxnh
-from jaxnh.analyses.basin_tables import wilson
+from jaxnh.analyses.basins.tables import wilson
 from jaxnh.analyses.verdict import KINDS
 from sweeps.effects import processor
 from sweeps.measured_at import ROOT, stamp

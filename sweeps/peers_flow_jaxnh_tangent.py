@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnh.analyses import lyapunov
+from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import Scene
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import Strobe

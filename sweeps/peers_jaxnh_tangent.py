@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxnh.analyses import lyapunov
+from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import Scene as AnalysisScene
 from jaxnh.analyses.scene import spread
 from jaxnh.maps.build import make_strobe

@@ -296,9 +296,9 @@ OTHERS = {
     },
     "PydanticCustomError": dict.fromkeys(
         (
-            "analyses/basins.py",
-            "analyses/branches.py",
-            "analyses/diagram.py",
+            "analyses/basins/basins.py",
+            "analyses/continuation/branches.py",
+            "analyses/trajectories/diagram.py",
             "config/blocks.py",
             "config/experiment.py",
             "config/fitting.py",

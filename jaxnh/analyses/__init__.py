@@ -1,20 +1,14 @@
 """One file an analysis, one analysis a quantity. The table below is the only place that lists them."""
 
-from jaxnh.analyses import (
-    basins,
-    branches,
-    chaos01,
-    curves,
-    diagram,
-    doubling,
-    lyapunov,
-    period,
-    poincare,
-    portrait,
-    verdict,
-    windows,
-)
+from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.base import Analysis
+from jaxnh.analyses.basins import basins
+from jaxnh.analyses.cascade import doubling
+from jaxnh.analyses.continuation import branches, curves
+from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.periodic import period
+from jaxnh.analyses.trajectories import diagram, poincare, portrait
+from jaxnh.analyses.windows import windows
 
 _MODULES = (
     doubling,

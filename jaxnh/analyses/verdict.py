@@ -50,11 +50,11 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, Options, variable
-from jaxnh.analyses.growth import BLOCKS
-from jaxnh.analyses.looks import angles, extents, look_at
+from jaxnh.analyses.equilibria.detection import rest
+from jaxnh.analyses.exponents.tangent_growth import BLOCKS
 from jaxnh.analyses.price import Price, map_alone
-from jaxnh.analyses.rest import rest
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
+from jaxnh.analyses.window_averages import angles, extents, look_at
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe
 from jaxnh.systems.flow import Flow, Parameters, State

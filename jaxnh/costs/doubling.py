@@ -18,10 +18,10 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.analyses import cascade
 from jaxnh.analyses.base import Entry, variable
-from jaxnh.analyses.lane_orbits import CONVERGED, orbits
-from jaxnh.analyses.locating import period_map, refined, walk
+from jaxnh.analyses.cascade import follow
+from jaxnh.analyses.periodic.location import period_map, refined, walk
+from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, section_points
 from jaxnh.costs.stage import Inside
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
@@ -89,7 +89,7 @@ def price(scene: Scene, lanes: LaneRunner) -> xr.Dataset | None:
 
 def _first_doubling(scene: Scene, lanes: LaneRunner) -> Place | None:
     """The first doubling that the analysis finds, in a bracket of several times the distance to the next one."""
-    found = cascade.follow(scene, lanes, 2)
+    found = follow.follow(scene, lanes, 2)
     if not found.points:
         return None
     n, first = found.period, found.points[0].value

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from jaxnh.analyses import lyapunov
 from jaxnh.analyses.base import LANE, Analysis, Entry, Options, variable
+from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.costs.operations import count

@@ -14,8 +14,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from jaxnh.analyses import lyapunov
 from jaxnh.analyses.base import variable
+from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in
 from jaxnh.costs.stage import Inside
 

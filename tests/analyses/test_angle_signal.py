@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from measure import scene_of
 
-from jaxnh.analyses import chaos01, lyapunov
+from jaxnh.analyses import chaos01
+from jaxnh.analyses.exponents import lyapunov
 from jaxnh.solvers import SOLVERS
 from jaxnh.systems.lagrangian import lagrangian
 

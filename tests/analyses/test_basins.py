@@ -11,9 +11,9 @@ from measure import scene_of
 from scipy.integrate import solve_ivp
 
 import jaxnh
-from jaxnh.analyses.attractors import NONE, judge, stays_near
-from jaxnh.analyses.basin_tables import wilson
-from jaxnh.analyses.settling import REASONS, SETTLED, settle
+from jaxnh.analyses.basins.classification import NONE, judge, stays_near
+from jaxnh.analyses.basins.settling import REASONS, SETTLED, settle
+from jaxnh.analyses.basins.tables import wilson
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import ConfigError

@@ -7,7 +7,7 @@ import pytest
 from conftest import ROOT, session_of
 
 import jaxnh
-from jaxnh.analyses import attractors, settling
+from jaxnh.analyses.basins import classification, settling
 from jaxnh.config.experiment import Experiment
 
 
@@ -67,7 +67,7 @@ def test_labels_stay(usual, monkeypatch, name, value):
     """
     scene, before, kinds = usual
     assert np.all(before > 0)
-    for module in (settling, attractors):
+    for module in (settling, classification):
         if hasattr(module, name):
             monkeypatch.setattr(module, name, value)
     after, found = labels(SCENES[scene]())

@@ -7,7 +7,7 @@ import pytest
 import taylor
 from conftest import session_of
 
-from jaxnh.analyses.basin_tables import wilson
+from jaxnh.analyses.basins.tables import wilson
 from jaxnh.config.experiment import Experiment
 
 SIDE = 45  # 2,025 starts

@@ -15,9 +15,9 @@ import pytest
 from conftest import session_of
 from test_basins import experiment, grid, kinds, line, same_partition
 
-from jaxnh.analyses.basin_tables import wilson
-from jaxnh.analyses.looks import angles
-from jaxnh.analyses.point_sets import lie_within, offsets, point_set
+from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
+from jaxnh.analyses.basins.tables import wilson
+from jaxnh.analyses.window_averages import angles
 from jaxnh.systems.flow import turned
 
 STEPS = {"accuracy": {"solver": "tsit5", "steps": 24}}

@@ -7,7 +7,7 @@ import pytest
 from conftest import session_of
 from test_basins import line, oscillator
 
-from jaxnh.analyses.boundary import BOX, boundary_of, entropies, uncertainty_exponent
+from jaxnh.analyses.basins.boundary import BOX, boundary_of, entropies, uncertainty_exponent
 from jaxnh.exceptions import ConfigError
 
 TRIALS = 60

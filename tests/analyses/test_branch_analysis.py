@@ -12,7 +12,7 @@ from normal_form import normal_form
 from test_known_doublings import doubling_of_roessler
 
 import jaxnh
-from jaxnh.analyses.branches import ANALYSIS
+from jaxnh.analyses.continuation.branches import ANALYSIS
 from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.branches import ENDS
 from jaxnh.orbits.kinds import KINDS

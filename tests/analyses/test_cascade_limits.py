@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from jaxnh.analyses.cascade_limits import doublings_limit, widths_limit
+from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
 
 REAL = np.longdouble
 DELTA, ALPHA = 4.669201609102990, 2.502907875095892  # Briggs, Math. Comp. 57 (1991) 435

@@ -14,10 +14,13 @@ import xarray as xr
 from conftest import ROOT
 from measure import scene_of, some_slow
 
-from jaxnh.analyses import chaos01, diagram, lyapunov, period, verdict
-from jaxnh.analyses.growth import gram_schmidt
-from jaxnh.analyses.lane_orbits import least_period
+from jaxnh.analyses import chaos01, verdict
+from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.exponents.tangent_growth import gram_schmidt
+from jaxnh.analyses.periodic import period
+from jaxnh.analyses.periodic.newton_on_lanes import least_period
 from jaxnh.analyses.scene import Scene, spread
+from jaxnh.analyses.trajectories import diagram
 from jaxnh.costs.operations import count
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe

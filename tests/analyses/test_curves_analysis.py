@@ -10,7 +10,7 @@ from measure import twin
 from normal_form import normal_form
 
 import jaxnh
-from jaxnh.analyses import curves
+from jaxnh.analyses.continuation import curves
 from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.codimension_two import POINTS
 from jaxnh.orbits.curves import Curve, Plane, Points, unknowns

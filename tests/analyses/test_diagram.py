@@ -12,9 +12,9 @@ from conftest import ROOT, peak_memory
 from measure import SYSTEMS, apart, scene_of, twin
 
 import jaxnh
-from jaxnh.analyses import diagram, portrait
 from jaxnh.analyses.base import LANE
-from jaxnh.analyses.diagram import DiagramOptions, random_starts, run
+from jaxnh.analyses.trajectories import diagram, portrait
+from jaxnh.analyses.trajectories.diagram import DiagramOptions, random_starts, run
 from jaxnh.config.experiment import load
 from jaxnh.config.yaml_source import ConfigError
 from jaxnh.engine.lanes import Lanes

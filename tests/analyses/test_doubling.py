@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from measure import some_slow
 
-from jaxnh.analyses.cascade_limits import doublings_limit
-from jaxnh.analyses.doubling import _deltas
+from jaxnh.analyses.cascade.doubling import _deltas
+from jaxnh.analyses.cascade.limits import doublings_limit
 from jaxnh.config.experiment import load
 
 FEIGENBAUM = 4.669201609102990  # Briggs, Math. Comp. 57 (1991) 435

@@ -11,8 +11,8 @@ from conftest import ROOT, session_of
 from measure import scene_of
 
 import jaxnh
-from jaxnh.analyses.branch_seeds import random_wave
-from jaxnh.analyses.equilibria import equilibria
+from jaxnh.analyses.continuation.equilibria import equilibria
+from jaxnh.analyses.continuation.seeds import random_wave
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.orbits.branches import Steps

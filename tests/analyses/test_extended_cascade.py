@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 
 import jaxnh
-from jaxnh.analyses.extended import alpha_limit, delta_limit, deltas
+from jaxnh.analyses.cascade.extended_precision import alpha_limit, delta_limit, deltas
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.double_double import Double
 from jaxnh.maps.extended_precision import extended

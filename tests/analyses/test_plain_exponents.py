@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jaxnh
-from jaxnh.analyses.growth import BLOCKS
-from jaxnh.analyses.lyapunov import SOURCES
+from jaxnh.analyses.exponents.lyapunov import SOURCES
+from jaxnh.analyses.exponents.tangent_growth import BLOCKS
 
 UNCALIBRATED = True
 OSCILLATOR = """

@@ -8,9 +8,9 @@ import taylor
 import xarray as xr
 from measure import SYSTEMS, scene_of, twin
 
-from jaxnh.analyses import poincare
 from jaxnh.analyses.base import LANE
-from jaxnh.analyses.poincare import PoincareOptions, run
+from jaxnh.analyses.trajectories import poincare
+from jaxnh.analyses.trajectories.poincare import PoincareOptions, run
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS

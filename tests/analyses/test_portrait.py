@@ -9,7 +9,7 @@ import taylor
 from measure import SYSTEMS, scene_of, twin
 
 from jaxnh.analyses.base import LANE
-from jaxnh.analyses.portrait import PortraitOptions, run
+from jaxnh.analyses.trajectories.portrait import PortraitOptions, run
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_parts, make_strobe
 from jaxnh.solvers import SOLVERS

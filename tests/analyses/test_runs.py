@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxnh.analyses import daughter
-from jaxnh.analyses.runs import Line, seen, starts
+from jaxnh.analyses.cascade import doubled_orbit
+from jaxnh.analyses.cascade.plateaus import Line, seen, starts
 
 
 def line(*periods, values=None):
@@ -100,7 +100,7 @@ def test_joined_lines_keep_the_direction():
 @given(st.floats(1e-9, 1e3), st.sampled_from([-1.0, 1.0]), st.floats(1e-9, 1e3))
 def test_distances_end_where_the_search_does(expected, sign, end):
     """They have the sign, grow, join from window to window without a gap, and none is beyond the end."""
-    windows = [daughter.window(sign * expected, number, sign * end) for number in range(-2, 4)]
+    windows = [doubled_orbit.window(sign * expected, number, sign * end) for number in range(-2, 4)]
     together = np.concatenate(windows) * sign
     assert np.all(together > 0)
     assert together.max() <= end

@@ -8,7 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses import chaos01, doubling, lyapunov, period, verdict
+from jaxnh.analyses import chaos01, verdict
+from jaxnh.analyses.cascade import doubling
+from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.periodic import period
 from jaxnh.analyses.scene import Axis, Scene, spread
 from jaxnh.engine.lanes import Lanes
 from jaxnh.solvers import dopri8

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from measure import scene_of
 
-from jaxnh.analyses import ANALYSES, cascade, diagram, lyapunov, period, poincare
+from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, OptionError, Setting, Sweep
+from jaxnh.analyses.cascade import follow
+from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.periodic import period
 from jaxnh.analyses.scene import Axis, section_points
+from jaxnh.analyses.trajectories import diagram, poincare
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.free_particle import free_particle
@@ -50,7 +54,7 @@ def test_a_cascade_at_a_point_of_the_other_axis(lanes):
     """The doubling along b at a = 0.5 is that of the flow with this a: all that goes along the line keeps it."""
     inside = scene_of(constant_speed(), START, B, *STEPS)
     outside = own(scene_of(constant_speed(a=0.3), START, B, *STEPS), a=0.5)
-    one, other = (cascade.follow(scene, lanes, 1) for scene in (inside, outside))
+    one, other = (follow.follow(scene, lanes, 1) for scene in (inside, outside))
     assert one.period == other.period == 1
     assert one.points[0].value == pytest.approx(5.5197, abs=2e-3)  # first row of table 1, with coarse steps
     assert other.points[0].value == pytest.approx(one.points[0].value, abs=1e-10)

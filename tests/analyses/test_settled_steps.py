@@ -13,10 +13,10 @@ from conftest import session_of
 from measure import apart, twin
 
 import jaxnh
-from jaxnh.analyses.basins import BasinsOptions, choose
-from jaxnh.analyses.looks import look_at
+from jaxnh.analyses.basins.basins import BasinsOptions, choose
+from jaxnh.analyses.basins.steps_after_transient import settled_steps
 from jaxnh.analyses.scene import Scene
-from jaxnh.analyses.settled_steps import settled_steps
+from jaxnh.analyses.window_averages import look_at
 from jaxnh.config.experiment import Experiment
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed

@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT, session_of
 
 import jaxnh
-from jaxnh.analyses import lyapunov
+from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import Scene
 from jaxnh.engine.lanes import Lanes
 from jaxnh.solvers import dopri8

@@ -8,7 +8,7 @@ from conftest import session_of
 from test_basins import experiment
 from test_tracking import changes
 
-from jaxnh.analyses.sudden_growth import sudden_growths
+from jaxnh.analyses.crises.sudden_growth import sudden_growths
 
 CRISIS = 1.790327
 """Of period 3: the iterates 6 and 9 of 0 are one (`test_windows.CRISES`)."""

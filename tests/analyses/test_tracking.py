@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 from test_basins import experiment, kinds, line
 
-from jaxnh.analyses.tracking import CHANGES
+from jaxnh.analyses.basins.continuation import CHANGES
 
 FOLD = 2 / (3 * np.sqrt(3))
 

@@ -8,10 +8,10 @@ from conftest import session_of
 from measure import some_slow
 
 import jaxnh
-from jaxnh.analyses.family_tree import Orbit
-from jaxnh.analyses.runs import Line
-from jaxnh.analyses.window_crisis import locate_crisis
-from jaxnh.analyses.window_search import ENDS, all_lanes, runs_of, search
+from jaxnh.analyses.cascade.plateaus import Line
+from jaxnh.analyses.continuation.family_tree import Orbit
+from jaxnh.analyses.windows.crisis import locate_crisis
+from jaxnh.analyses.windows.search import ENDS, all_lanes, runs_of, search
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.iterate import Derivatives

@@ -7,7 +7,7 @@ import pytest
 from conftest import ROOT, session_of
 
 import jaxnh
-from jaxnh.analyses.rest import rest
+from jaxnh.analyses.equilibria.detection import rest
 from jaxnh.analyses.scene import Scene, spread
 from jaxnh.analyses.verdict import KINDS, across
 from jaxnh.engine.lanes import Lanes

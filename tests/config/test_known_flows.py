@@ -18,7 +18,7 @@ from conftest import ROOT
 from measure import some_slow
 
 import jaxnh
-from jaxnh.analyses.lane_orbits import orbits
+from jaxnh.analyses.periodic.newton_on_lanes import orbits
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate

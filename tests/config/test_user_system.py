@@ -18,7 +18,8 @@ from conftest import ROOT
 from measure import SYSTEMS
 
 import jaxnh
-from jaxnh.analyses import doubling, lyapunov
+from jaxnh.analyses.cascade import doubling
+from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import Axis, Scene
 from jaxnh.config.experiment import load
 from jaxnh.config.schema import schema

@@ -14,8 +14,11 @@ from conftest import ROOT
 from measure import scene_of
 from unforced import ANGLE, LANES, SPLITTING, START, P, write_config
 
-from jaxnh.analyses import ANALYSES, chaos01, diagram, lyapunov, period, poincare, scene, verdict
+from jaxnh.analyses import ANALYSES, chaos01, scene, verdict
 from jaxnh.analyses.base import LANE
+from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.periodic import period
+from jaxnh.analyses.trajectories import diagram, poincare
 from jaxnh.cli import pricing
 from jaxnh.config.experiment import load
 from jaxnh.costs.operations import count

@@ -95,6 +95,28 @@ class Job:
         return {path.name for path in self.folder.iterdir()} - {"job.yaml", "command.py"}
 
 
+SLOW_TILES = """\
+import itertools, pathlib, time
+
+replace, tiles = pathlib.Path.replace, itertools.count()
+
+def later(self, target):
+    if pathlib.Path(target).name.startswith("0") and next(tiles):  # the first is there at once
+        time.sleep(60)
+    return replace(self, target)
+
+pathlib.Path.replace = later
+"""
+
+
+def slow_tiles(job):
+    """The environment of a process in which all tiles but the first take long, so that it can be stopped among them."""
+    folder = job.folder.parent / f"{job.folder.name}-slowly"
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(SLOW_TILES)
+    return {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
+
+
 def content(path):
     """All groups and variables of a result: bytes, shapes, dimensions and attributes."""
     found = {}
@@ -611,19 +633,6 @@ def test_bad_command_line(job, arguments, said):
 
 # ---- the launcher
 
-SLOW_TILES = """\
-import itertools, pathlib, time
-
-replace, tiles = pathlib.Path.replace, itertools.count()
-
-def later(self, target):
-    if pathlib.Path(target).name.startswith("0") and next(tiles):  # the first is there at once
-        time.sleep(60)
-    return replace(self, target)
-
-pathlib.Path.replace = later
-"""
-
 
 @pytest.mark.slow
 def test_slurm_script(job, whole):
@@ -649,10 +658,7 @@ def test_slurm_script(job, whole):
         options = {"cwd": job.folder, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
         return subprocess.Popen([*script, *arguments], env=environment, **options)
 
-    slowly = job.folder.parent / f"{job.folder.name}-slowly"  # tiles take long enough to be preempted in
-    slowly.mkdir()
-    (slowly / "sitecustomize.py").write_text(SLOW_TILES)
-    first = start(1, PYTHONPATH=os.pathsep.join([str(slowly), str(ROOT)]))
+    first = start(1, **slow_tiles(job))
     job.until(first, 1)
     first.send_signal(signal.SIGTERM)
     out, _ = first.communicate(timeout=120)

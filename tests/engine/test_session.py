@@ -10,7 +10,7 @@ from conftest import session_of
 from test_two_axes import OSCILLATOR, content
 
 import jaxnh
-from jaxnh.analyses.poincare import PoincareOptions
+from jaxnh.analyses.trajectories.poincare import PoincareOptions
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.session import Session
 

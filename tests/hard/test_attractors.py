@@ -15,10 +15,13 @@ from conftest import lanes_with_kept_programs
 from matplotlib.figure import Figure
 from measure import calibrated, scene_of, twin
 from scenes import show_sum_rule
-from test_batch import Job, content
+from test_batch import Job, content, slow_tiles
 
-from jaxnh.analyses import chaos01, diagram, lyapunov, period, survey, verdict
+from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.base import LANE
+from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.periodic import attractor_survey, period
+from jaxnh.analyses.trajectories import diagram
 from jaxnh.config.experiment import load
 from jaxnh.engine.lanes import Lanes
 from jaxnh.exceptions import AccuracyError, ConfigError
@@ -59,7 +62,7 @@ def test_strong_contraction(battery, lanes):
         system = constant_speed(c=c)
         par = twin(system)
         scene = scene_at([b], 600, "kahan_li8", system)
-        found = survey.survey(scene, lanes, np.array([[1.0, 1.0, 0.3]]), 16, "hard", 400)
+        found = attractor_survey.survey(scene, lanes, np.array([[1.0, 1.0, 0.3]]), 16, "hard", 400)
         n = int(found.period[0])
         assert n > 0
         strobe = scene.strobe()
@@ -180,7 +183,7 @@ def test_long_chaos_in_tiles(battery, tmp_path):
         jobs.append(Job(tmp_path / name, config, tile))
     whole, stopped = jobs
     assert whole.run()[0] == 0
-    process = stopped.start()
+    process = stopped.start(environment=slow_tiles(stopped))
     stopped.until(process, 1)
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=600)
@@ -214,10 +217,10 @@ def test_coexisting_attractors(battery, lanes):
     for axes, b in zip(np.atleast_1d(picture.subplots(1, len(chosen))), chosen, strict=True):
         scene = scene_at(np.full(count, b), 240, "kahan_li8")
         starts = random_points(count)
-        found = survey.survey(scene, lanes, starts, 16, "hard", 512)
+        found = attractor_survey.survey(scene, lanes, starts, 16, "hard", 512)
         again = np.flatnonzero(found.period == 0)
         if len(again):  # slow ones get more time
-            later = survey.survey(scene.take(again), lanes, found.u[again], 16, "hard", 4000)
+            later = attractor_survey.survey(scene.take(again), lanes, found.u[again], 16, "hard", 4000)
             for leaf, new in zip(found[1:], later[1:], strict=True):
                 leaf[again] = new
         settled, chaotic = np.flatnonzero(found.period > 0), np.flatnonzero(found.period == 0)

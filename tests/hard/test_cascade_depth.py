@@ -11,8 +11,10 @@ from battery import worst
 from matplotlib.figure import Figure
 from measure import scene_of, turned
 
-from jaxnh.analyses import chaos01, lane_orbits, lyapunov, period, survey, verdict
-from jaxnh.analyses.cascade import follow
+from jaxnh.analyses import chaos01, verdict
+from jaxnh.analyses.cascade.follow import follow
+from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.periodic import attractor_survey, newton_on_lanes, period
 from jaxnh.maps.iterate import derivatives
 from jaxnh.orbits.doubling_points import doubling_point, follow_branch
 from jaxnh.orbits.shooting import close_orbits, log_volume, multiplier_logs
@@ -33,7 +35,7 @@ def one_period(lanes):
 @pytest.fixture(scope="module")
 def first(lanes, one_period):
     """The doubling 1 → 2."""
-    start = survey.survey(SCENE, lanes, constant_speed().section_point(START)[None], 2, "hard", 300)
+    start = attractor_survey.survey(SCENE, lanes, constant_speed().section_point(START)[None], 2, "hard", 300)
     return doubling_point(one_period, follow_branch(one_period, start.u, 5.54, 5.515))
 
 
@@ -56,15 +58,15 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     )
     h = 1e-5
     at = {"b": first.value + np.array([-h, h])}
-    near = lane_orbits.orbits(lanes, SCENE.strobe(), np.tile(first.orbit, (2, 1)), at, 1)
+    near = newton_on_lanes.orbits(lanes, SCENE.strobe(), np.tile(first.orbit, (2, 1)), at, 1)
     low, high = (np.linalg.eigvals(m).real.min() for m in near.monodromy)
     kappa = (high - low) / (2 * h)
     edge = 10.0**-n_edges
     b = np.concatenate([first.value + edge / kappa, first.value - edge / kappa])
     start = np.tile(constant_speed().section_point(START), (len(b), 1))
     scene = SCENE.at(b)
-    found = survey.survey(scene, lanes, start, 16, "hard", 512)
-    found = survey.beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
+    found = attractor_survey.survey(scene, lanes, start, 16, "hard", 512)
+    found = attractor_survey.beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
     wanted = np.repeat([1, 2], len(edge))
     wrong = int(np.sum(found.period != wanted))
     battery.row("|1 + μ| = 1e-2 … 1e-12 on both sides: periods 1 and 2", wrong, 0, "wrong periods:")
@@ -79,7 +81,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     off = np.abs(reference - found.multiplier[: len(edge)])
     battery.row("multiplier of period 1, by Taylor's monodromy matrix", worst(off), 1e-9, "error")
     steps = [
-        lane_orbits.orbits(lanes, SCENE.strobe(), np.tile(first.orbit + 0.01, (len(edge), 1)), {"b": side}, 1).steps
+        newton_on_lanes.orbits(lanes, SCENE.strobe(), np.tile(first.orbit + 0.01, (len(edge), 1)), {"b": side}, 1).steps
         for side in np.split(b, 2)
     ]
     battery.row("Newton steps to the orbit of period 1", int(np.max(steps)), int(np.min(steps)) + 1, "largest number")

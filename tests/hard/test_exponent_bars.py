@@ -13,7 +13,8 @@ import pytest
 import taylor
 from measure import calibrated, scene_of, twin
 
-from jaxnh.analyses import lyapunov, survey
+from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.periodic import attractor_survey
 from jaxnh.analyses.scene import Scene
 from jaxnh.engine.lanes import Lanes
 from jaxnh.maps.iterate import record
@@ -68,7 +69,7 @@ def references(scene, lanes, periods, k):
     """
     truth = exponents(scene, lanes, 10 * periods, k)[0]
     u = scene.system.section_point(scene.start)
-    found = survey.survey(scene, lanes, u, 64, "reference", 256 + 10 * periods)
+    found = attractor_survey.survey(scene, lanes, u, 64, "reference", 256 + 10 * periods)
     for i in np.flatnonzero(found.period > 0):
         truth[i] = of_orbit(scene, lanes, int(found.period[i]), found.u[i], int(i))[:k]
     return truth

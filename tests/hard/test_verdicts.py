@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from measure import scene_of
 
-from jaxnh.analyses import chaos01, lyapunov, period, verdict
+from jaxnh.analyses import chaos01, verdict
+from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.periodic import period
 from jaxnh.engine.lanes import Lanes
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.lagrangian import lagrangian

@@ -8,9 +8,9 @@ import pytest
 from measure import scene_of, some_slow
 from test_branches import LOGISTIC, by_scipy, duffing, logistic_orbit
 
-from jaxnh.analyses.families import equilibria_of, orbits_of
-from jaxnh.analyses.family_tree import Orbit, grow
-from jaxnh.analyses.locating import refined
+from jaxnh.analyses.continuation.families import equilibria_of, orbits_of
+from jaxnh.analyses.continuation.family_tree import Orbit, grow
+from jaxnh.analyses.periodic.location import refined
 from jaxnh.orbits.branches import ENDS, STEPS
 from jaxnh.orbits.kinds import KINDS
 from jaxnh.orbits.multipliers import multipliers

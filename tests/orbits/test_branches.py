@@ -8,7 +8,7 @@ import pytest
 import scipy.integrate
 from measure import scene_of
 
-from jaxnh.analyses.families import orbits_of
+from jaxnh.analyses.continuation.families import orbits_of
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
 from jaxnh.orbits.branches import COLLAPSED, ENDS, RANGE, both_ways

@@ -10,7 +10,7 @@ import taylor
 from heyoka_newton import determinant, newton, strobe_map
 from measure import scene_of
 
-from jaxnh.analyses.families import plane_of
+from jaxnh.analyses.continuation.families import plane_of
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.codimension_two import POINTS, special_points
 from jaxnh.orbits.curve_errors import errors_of_special, finer

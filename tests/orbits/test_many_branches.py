@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from measure import scene_of
 
-from jaxnh.analyses.branch_seeds import random_wave
-from jaxnh.analyses.families import orbits_of
-from jaxnh.analyses.known_branches import on_branch
+from jaxnh.analyses.continuation.families import orbits_of
+from jaxnh.analyses.continuation.known_branches import on_branch
+from jaxnh.analyses.continuation.seeds import random_wave
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.orbits.arclength import FINE, along_parameter, correct
 from jaxnh.orbits.branches import Steps, both_ways

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from measure import SYSTEMS, UNIT, apart, twin
 
-from jaxnh.analyses.lane_orbits import orbits
+from jaxnh.analyses.periodic.newton_on_lanes import orbits
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits import cyclic

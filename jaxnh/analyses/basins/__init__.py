@@ -1,0 +1,1 @@
+"""Basins of attraction: lanes to their attractors, and what these are."""

@@ -1,0 +1,314 @@
+"""Basins of attraction: which attractor every start state leads to, and which there are. None is named before.
+
+First every lane is run by itself until its means have settled (`settling`), in tiles like any other analysis. From what
+all of them have left the attractors are found (`matching`, `attractors`), numbered from 1 by the size of their basins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import jax
+import numpy as np
+import xarray as xr
+from jaxtyping import Int
+from pydantic import Field, model_validator
+
+from jaxnh.analyses.base import LANE, Analysis, Options, Setting, Starts, Sweep, Whole, rule, variable
+from jaxnh.analyses.basins.boundary import boundary_variables, check_plane
+from jaxnh.analyses.basins.classification import POINTS, Judged, recorded, scene_from
+from jaxnh.analyses.basins.clustering import find, joined
+from jaxnh.analyses.basins.continuation import Grid, Tracked, track
+from jaxnh.analyses.basins.settling import FAILED, Lot, settle
+from jaxnh.analyses.basins.steps_after_transient import settled_steps
+from jaxnh.analyses.basins.tables import Known, attractors_group, basins_group, shares
+from jaxnh.analyses.exponents.tangent_growth import BLOCKS
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.random_starts import Side, check_box, started
+from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
+from jaxnh.analyses.section_points import states_at
+from jaxnh.analyses.window_averages import look, look_at, maps
+from jaxnh.systems.flow import Output
+
+_SAMPLED = 1024  # lanes by which steps are chosen
+_MANY = 16 * _SAMPLED  # lanes of a sweep that are worth it
+_USUAL = 2.0  # looks as long as the transient that most lanes take, the transient among them
+
+
+class BasinsOptions(Options):
+    """Options of `basins`."""
+
+    transient: int = Field(
+        default=64,
+        ge=2 * BLOCKS,
+        multiple_of=2 * BLOCKS,
+        description="Periods, or units of time, before the first look, which is as long; the next take twice as long",
+    )
+    longest: int = Field(
+        default=8192, ge=4 * BLOCKS, description="Periods after which a lane that has not settled is undecided"
+    )
+    limit: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
+    starts: int = Field(default=0, ge=0, description="Random start states at each value of the parameters; needs a box")
+    seed: int = Field(default=0, ge=0, description="Seed of the random start states")
+    box: dict[str, Side] = Field(
+        default_factory=dict, description="Coordinates of random start states, each with its lowest and highest value"
+    )
+
+    boundary: bool = Field(
+        default=False,
+        description="Whether entropies and the uncertainty exponent of planes of start states are measured",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> BasinsOptions:
+        if bool(self.starts) != bool(self.box):
+            raise rule(*(("needs starts, their number", "box") if self.box else ("needs a box to draw from", "starts")))
+        for name, (low, high) in self.box.items():
+            if not low < high:
+                raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
+        if "seed" in self.model_fields_set and not self.starts:
+            raise rule("goes with starts, and there are none", "seed")
+        if self.longest < 2 * self.transient:
+            raise rule(f"must be at least twice the transient, {2 * self.transient}", "longest", "transient")
+        return self
+
+
+def periods(options: BasinsOptions, lanes: int) -> float:
+    """Lane-periods of a run."""
+    return _USUAL * options.transient * lanes * max(1, options.starts)
+
+
+def numbers(options: BasinsOptions) -> int:
+    """Numbers that a lane leaves, the blocks of a look among them."""
+    return 12 * BLOCKS * max(1, options.starts)
+
+
+def check(options: BasinsOptions, setting: Setting) -> None:
+    """See that there is a box for random starts and nothing else that says where lanes start, and a plane if needed."""
+    if options.starts:
+        check_box(options.box, setting, "box")
+    if options.boundary:
+        check_plane(setting, "boundary")
+
+
+def choose(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> dict[str, int]:
+    """Steps of a period after the first look, the same for all lanes of a sweep: fewer where that is worth it."""
+    scene = scene.in_time()
+    if scene.count * max(1, options.starts) < _MANY:
+        return {"steps": scene.steps}
+    some = np.unique(np.linspace(0, scene.count - 1, min(scene.count, _SAMPLED)).round().astype(int))
+    here = _started(options, scene.take(some))[0]
+    few = here.take(np.unique(np.linspace(0, here.count - 1, _SAMPLED).round().astype(int)))
+    begun = look_at(few, lanes, few.start, options.transient // 2)
+    return {"steps": settled_steps(few, lanes, begun.state)}
+
+
+def run(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """What every lane has come to by itself (`settling.Lot`), each (lane,), (lane, mean) or (lane, component).
+
+    With random starts `start` is a dimension after the lanes.
+    """
+    scene = scene.in_time()
+    rows = (scene.count, options.starts) if options.starts else (scene.count,)
+    with lanes.stage(f"basins: {math.prod(rows):,} lanes to their attractors", periods(options, scene.count)):
+        starting, steps = _started(options, scene)[0], _settled(scene).steps
+        lot = settle(starting, lanes, options.transient, options.longest, steps)
+    dims = (LANE, "start")[: len(rows)]
+    second = {
+        "means": "lane_mean",
+        "unit": "lane_mean",
+        "u": "lane_component",
+        "size": "lane_component",
+        "least": "lane_component",
+    }
+    return xr.Dataset(
+        {
+            f"lane_{name}": variable(
+                (*dims, second[name]) if name in second else dims,
+                values.reshape(*rows, *values.shape[1:]),
+                f"{name} of a lane",
+            )
+            for name, values in lot._asdict().items()
+        }
+    )
+
+
+def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
+    """The groups `basins` and `attractors`, from what all lanes have come to by themselves."""
+    shape = tuple(len(axis.values) for axis in sweep.axes)
+    starts = (options.starts,) if options.starts else ()
+    each = math.prod(starts)
+    count = math.prod(shape) * each
+    left = (data[f"lane_{name}"].to_numpy() for name in Lot._fields)
+    lot = Lot(*(np.array(values).reshape(count, *values.shape[len(shape + starts) :]) for values in left))
+    own = [k for k, axis in enumerate(sweep.axes) if axis.kind != "start"]
+    sizes = tuple(shape[k] for k in own)
+    place = np.unravel_index(np.arange(count) // each, shape)
+    point = np.ravel_multi_index([place[k] for k in own], sizes) if own else np.zeros(count, int)
+    on, parts, at, judged = np.full(count, -1), list[Judged](), np.zeros(0, int), 0
+    drawn: dict[str, np.ndarray] = {name: np.zeros(count) for name in options.box}
+    for row, at_row in sweep.rows:
+        some = (row[:, None] * each + np.arange(each)).ravel()
+        scene, here = _started(options, _settled(at_row))
+        part = picked(lot, some)
+        for name, values in here.items():
+            drawn[name][some] = values
+        found = find(scene, lanes, part, point[some], options.limit, options.longest)
+        for leaf, changed in zip(lot, part, strict=True):
+            leaf[some] = changed
+        judged += found.judged
+        if found.attractors is None:
+            continue
+        used, back = np.unique(found.number, return_inverse=True)
+        used, back = used[used >= 0], back - (len(used) - np.sum(used >= 0))
+        on[some] = np.where(back >= 0, back + len(at), -1)
+        parts.append(picked(found.attractors, used))
+        at = np.concatenate([at, found.point[used]])
+    every = joined(parts) if len(at) else None
+    grid = _grid(sweep, own, point[::each])
+    number = np.where(lot.known == FAILED, -1, 0).astype(np.int32)
+    table = Known(at, np.zeros(0, np.int32), None, {}, ())
+    if every is not None:
+        tracked = track(grid, lanes, every, at, options.transient, options.longest)
+        table, of = _known(grid, lanes, every, at, tracked, on)
+        number[on >= 0] = of[on[on >= 0]]
+    flow = sweep.rows[0][1].flow
+    unit = counted_in(flow)
+    axes = tuple(sweep.axes[k] for k in own)
+    hits = shares(number, point, math.prod(sizes), max([1, *table.number.tolist()]))
+    basins = basins_group(lot, number, unit, flow, drawn, (count // each, *starts), judged)
+    if options.boundary:
+        basins = basins.merge(boundary_variables(number, sweep.axes))
+    return {
+        "basins": basins,
+        "attractors": attractors_group(table, axes, hits, unit),
+    }
+
+
+def _settled(scene: Scene) -> Scene:
+    """The scene in time, with as many steps as its lanes need once they have come near their attractors."""
+    return replace(scene.in_time(), steps=scene.chosen.get("basins", {}).get("steps", scene.steps))
+
+
+def _started(options: BasinsOptions, scene: Scene) -> tuple[Scene, dict[str, np.ndarray]]:
+    """The lanes with their random starts, and what was drawn, where there are some."""
+    return started(scene, options.starts, options.seed, options.box) if options.starts else (scene, {})
+
+
+def starts(options: BasinsOptions) -> Starts | None:
+    """Where lanes start at random, if they do."""
+    if not options.starts:
+        return None
+    return lambda scene: (_started(options, scene)[0].start, np.repeat(np.arange(scene.count), options.starts))
+
+
+def _grid(sweep: Sweep, own: Sequence[int], point: Int[np.ndarray, " lanes"]) -> Grid:
+    """The values of the axes that are parameters, each with the first lane there."""
+    first = np.unique(point, return_index=True)[1]
+    row, lane = np.zeros((2, len(first)), int)
+    for number, (some, _) in enumerate(sweep.rows):
+        here = np.isin(first, some)
+        row[here], lane[here] = number, np.searchsorted(some, first[here])
+    values = tuple(sweep.axes[k].values for k in own)
+    return Grid(values, [_settled(scene) for _, scene in sweep.rows], row, lane)
+
+
+def _known(
+    grid: Grid,
+    lanes: LaneRunner,
+    every: Judged,
+    point: Int[np.ndarray, " attractors"],
+    tracked: Tracked,
+    on: Int[np.ndarray, " lanes"],
+) -> tuple[Known, Int[np.ndarray, " attractors"]]:
+    """All attractors, those too that no start state leads to, and the numbers of those that some lead to.
+
+    Numbers are from 1 on, by the size of the basin over all values, ties by the first lane.
+    """
+    lanes_on = np.flatnonzero(on >= 0)
+    same = tracked.same
+    size = np.bincount(same[on[lanes_on]], minlength=len(same))
+    first = np.full(len(same), len(on))
+    np.minimum.at(first, same[on[lanes_on]], lanes_on)
+    groups = np.unique(same)
+    number = np.zeros(len(same), np.int32)
+    number[groups[np.lexsort((first[groups], -size[groups]))]] = np.arange(1, len(groups) + 1)
+    number = number[same]
+    unseen = tracked.unseen
+    origin = np.array([one.origin for one in unseen], int)
+    at = np.concatenate([point, np.array([one.point for one in unseen], int)])
+    if unseen:
+        u, multiplier, exponent = (
+            np.array([getattr(one, k) for one in unseen]) for k in ("u", "multiplier", "exponent")
+        )
+        there = picked(every, origin)._replace(u=u, multiplier=multiplier, exponent=exponent)
+        for here, scene in grid.at(at[len(same) :]):
+            there.points[here, :POINTS] = recorded(scene_from(scene, lanes, u[here]), lanes, POINTS)
+        every = joined([every, there])
+    coordinates = dict[str, Output]()
+    for here, scene in grid.at(at):
+        for name, output in _coordinates(scene, lanes, picked(every, here)).items():
+            kept = coordinates.setdefault(
+                name, output._replace(data=np.full((len(at), *output.data.shape[1:]), np.nan))
+            )
+            kept.data[here] = output.data
+    changes = [change._replace(attractor=int(number[change.attractor])) for change in tracked.changes]
+    return Known(at, np.concatenate([number, number[origin]]), every, coordinates, changes), number
+
+
+def _coordinates(scene: Scene, lanes: LaneRunner, judged: Judged) -> dict[str, Output]:
+    """Coordinates of a point of every attractor, and under NAME_points of its points, at the strobe."""
+    count, points = len(judged.u), judged.points[:, :POINTS]
+    one = states_at(scene, lanes, judged.u)
+    every = states_at(scene, lanes, points.reshape(-1, points.shape[-1]))
+    every = jax.tree.map(lambda leaf: leaf.reshape(count, -1), every)
+    start = np.zeros(1)
+    found = scene.system.outputs(jax.tree.map(lambda leaf: leaf[:, None], one), start)
+    found = {name: output._replace(data=output.data[:, 0]) for name, output in found.items()}
+    return found | {f"{name}_points": output for name, output in scene.system.outputs(every, start).items()}
+
+
+def count(data: xr.Dataset) -> dict[str, int]:
+    """Number of lanes on attractors, undecided, and failed."""
+    number = data["attractor"].to_numpy()
+    return {
+        "on_attractors": int(np.sum(number > 0)),
+        "undecided": int(np.sum(number == 0)),
+        "failed": int(np.sum(number < 0)),
+    }
+
+
+def price(options: BasinsOptions, scene: Scene) -> Price:
+    """A period of a look, with its means, against the map alone."""
+    scene = scene.in_time()
+    strobe, parts = maps(scene)
+    turns = (float(BLOCKS), 1.0, *((float(parts),) if parts else ()), *strobe.turns)
+    program = Program(look, (strobe, np.int32(1)), scene.lanes, turns, (parts,), BLOCKS, whole=True)
+    return Price(program, map_alone(scene), "means of every coordinate and its square")
+
+
+def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
+    """Number of the attractor, 0: undecided, -1: failed; of random starts one after the other in the last dimension."""
+    return data["attractor"].to_numpy()
+
+
+ANALYSIS = Analysis(
+    "basins",
+    BasinsOptions,
+    periods,
+    run,
+    whole=Whole(("attractors",), whole),
+    newton=True,
+    in_time=True,
+    numbers=numbers,
+    choose=choose,
+    starts=starts,
+    count=count,
+    classes=classes,
+    check=check,
+    price=price,
+    brief={"transient": 2 * BLOCKS},
+)
+"""The entry of this analysis in the table."""

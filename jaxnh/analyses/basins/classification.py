@@ -1,0 +1,400 @@
+"""What lanes have settled on: representatives judged by the criteria of `verdict`, and confirmed by a longer look.
+
+- periodic: Newton finds a stable orbit at the strobes, up to a period (`survey.survey`).
+- equilibrium: without a clock, a zero of the field near by whose eigenvalues all have negative real parts.
+- chaotic: the largest exponent, that along the flow aside, is positive as `verdict` asks for.
+- limit_cycle: without a clock that exponent is negative, and the motion has gone to and fro.
+- quasiperiodic: that exponent is zero within its error, and the look was long enough for the motion to leave what it
+  nearly repeats: a slow passage, as beyond a fold, would have left. Without a clock what counts is how far the motion
+  has come across itself, after whatever time it repeats itself best. In a plane without a clock there is no such
+  motion: what looks so is a cycle whose exponent is not resolved, or the ghost of one, and nothing is said of it.
+
+What is quasiperiodic or chaotic also has to contract phase volume (`volume`): a conservative motion is no attractor.
+Every one of them has to stay: of a lane that had settled, the means over a look sixteen times as long are those that it
+had; what is chaotic has not begun to repeat itself thousands of periods later. Where means have settled and an exponent
+is positive, as on an unstable cycle in an invariant plane, a motion begun beside it has to stay on its set.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, Int8
+
+from jaxnh.analyses.basins.point_sets import lie_within, point_set, spacing
+from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, SETTLED_TO, Lot
+from jaxnh.analyses.basins.volume import keeps_volume
+from jaxnh.analyses.equilibria.search import zeros
+from jaxnh.analyses.exponents.lyapunov import LyapunovOptions
+from jaxnh.analyses.exponents.lyapunov import run as exponents_of
+from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
+from jaxnh.analyses.scene import LaneRunner, Scene, picked
+from jaxnh.analyses.section_points import points_at, states_at
+from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
+from jaxnh.analyses.window_averages import Look, angles, look_at, maps, points_a_unit, units
+from jaxnh.maps.protocol import Strobe
+from jaxnh.systems.flow import Flow, Parameters, State
+
+NONE = -1
+PERIODIC, QUASIPERIODIC, CHAOTIC, _, _, EQUILIBRIUM, LIMIT_CYCLE = range(len(KINDS))
+
+LONGER = 16
+"""The look that confirms an attractor is so many times as long as that at which a lane was done."""
+
+POINTS = 512
+"""Points of an attractor that are kept."""
+
+FOLLOWED = 4
+"""Periods that restless lanes are followed to see whether they are on an attractor."""
+
+_CLOUD = 4096  # points that others' ends are held against
+_AVERAGED = 1024  # periods that exponents are averages over
+_LAGS = 64
+_EVERY = 4  # point of a cloud without a clock is held against those after it
+_NEAREST = 3  # steps of Gauss and Newton to the nearest point of a path
+_NEAR_ORBIT = 0.01  # sizes: what ends so near to an orbit may be on it
+_BOXED = 6  # coordinates
+_WIDER = 1.5  # than the largest distance of a point of a cloud from its earlier half
+_REPEATS = 1e-6  # sizes a period: chaos parts points from rounding to more than that
+_ASIDE, _GOLDEN = 1e-6, (np.sqrt(5.0) - 1.0) / 2.0  # sizes beside a motion, and what directions are made from
+_TO_AND_FRO = 4.0  # ranges: a motion that has gone so far has come back
+_TURNED = 4 * np.pi
+
+
+class Judged(NamedTuple):
+    """Attractors, each with the representatives as first axis.
+
+    Attributes:
+        kind: number in `verdict.KINDS`, or `NONE`: it is none, or nothing is known, (reps,).
+        period: least period of what is periodic, else 0, (reps,).
+        exponent: largest Lyapunov exponent, 1/time; without a clock but for that along the flow, (reps,).
+        multiplier: largest modulus of the multipliers of a periodic orbit, else NaN, (reps,).
+        u: a point of it in section coordinates, (reps, d).
+        means: smooth means of the features over the long look, (reps, F).
+        unit: what these may be wrong by where the motion is regular, (reps, F).
+        size: of the motion, (reps, d).
+        points: in section coordinates, (reps, points, d).
+        near: distance from the points, in sizes, that the end of a lane on it keeps, (reps,).
+        steps: displacement along the flow from each point to the next, zero with a clock, (reps, points, d).
+        margin: as near, but from the set that points and steps describe (`point_sets`), (reps,).
+    """
+
+    kind: Int8[np.ndarray, " reps"]
+    period: Int[np.ndarray, " reps"]
+    exponent: Float[np.ndarray, " reps"]
+    multiplier: Float[np.ndarray, " reps"]
+    u: Float[np.ndarray, "reps d"]
+    means: Float[np.ndarray, "reps F"]
+    unit: Float[np.ndarray, "reps F"]
+    size: Float[np.ndarray, "reps d"]
+    points: Float[np.ndarray, "reps points d"]
+    near: Float[np.ndarray, " reps"]
+    steps: Float[np.ndarray, "reps points d"]
+    margin: Float[np.ndarray, " reps"]
+
+
+def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, longest: int) -> Judged:
+    """What the lanes of a scene are on, which are done as the lot says; they go on from where it has left them.
+
+    The scene has them at their start, which sizes are held against.
+
+    Args:
+        longest_period: of periodic orbits.
+        longest: periods that a lane may take.
+    """
+    look = lot.time // 2
+    seen, state = _confirming_look(scene, lanes, lot)
+    size = np.where(angles(scene.system), 1.0, np.maximum(seen.largest, lot.least))
+    unit = 2.0 * SETTLED_TO * units(angles(scene.system), size)
+    with np.errstate(invalid="ignore"):
+        stays = np.all(np.abs(seen.whole - lot.means) <= lot.unit + unit, axis=1) | (lot.known == RESTLESS)
+    u = points_at(scene, lanes, state)
+    count = scene.count
+    kind, period = np.full(count, NONE, np.int8), np.zeros(count, np.int64)
+    exponent, multiplier = np.full((2, count), np.nan)
+    moved_on = scene_from(scene, lanes, u)
+    if scene.flow.autonomous:
+        there = zeros(moved_on, lanes, u, lot.size, seen)
+        at_rest = there.found & stays
+        kind[at_rest & there.stable], exponent[at_rest] = EQUILIBRIUM, there.exponent[at_rest]
+        u[at_rest] = there.u[at_rest]
+        left = np.flatnonzero(stays & ~there.found)
+    elif not np.any(stays):
+        left = np.zeros(0, int)
+    else:
+        some = np.flatnonzero(stays)
+        found = _orbits(scene.take(some), lanes, u[some], longest_period)
+        on_orbit = found.period > 0
+        here = some[on_orbit]
+        kind[here], period[here] = PERIODIC, found.period[on_orbit]
+        multiplier[here], u[here] = found.multiplier[on_orbit], found.u[on_orbit]
+        with np.errstate(divide="ignore"):
+            exponent[here] = np.log(multiplier[here]) / (period[here] * scene.system.period)
+        left = some[~on_orbit]
+    near, margin = np.full((2, count), _NEAR_ORBIT)
+    points = recorded(scene_from(scene, lanes, u), lanes, POINTS)
+    steps = np.zeros_like(points)
+    if len(left):
+        kind[left], exponent[left] = _by_exponents(moved_on.take(left), lanes, picked(seen, left), LONGER * look[left])
+        cloud = recorded(moved_on.take(left), lanes, _CLOUD)
+        drift = _drift(scene.system, cloud[:, -POINTS:], size[left])
+        passing = kind[left] == QUASIPERIODIC
+        across = _drift_across(scene, picked((cloud, size[left]), passing)) if scene.flow.autonomous else drift[passing]
+        passing[passing] = across * LONGER * look[left][passing] < 1.0
+        kind[left[passing | ((kind[left] == CHAOTIC) & (drift <= _REPEATS))]] = NONE
+        kind[left[_conserved(moved_on.take(left), lanes, u[left], kind[left], longest)]] = NONE
+        points, steps = filled_up(points, steps, _CLOUD)
+        points[left], steps[left] = cloud, _steps(scene.take(left), lanes, cloud)
+        for k in left:
+            near[k] = _WIDER * spacing(scene.system, points[k], np.zeros_like(steps[k]), size[k])
+            margin[k] = max(_WIDER * spacing(scene.system, points[k], steps[k], size[k]), _NEAR_ORBIT)
+    some = np.flatnonzero((kind == CHAOTIC) & (lot.known == SETTLED))  # regular and unstable: a repeller?
+    if len(some):
+        sets = (points[some], steps[some], size[some], margin[some])
+        kind[some[_leaves(moved_on.take(some), lanes, u[some], sets)]] = NONE
+    means = np.asarray(seen.whole)
+    return Judged(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
+
+
+def filled_up(
+    points: Float[np.ndarray, "reps points d"], steps: Float[np.ndarray, "reps points d"], count: int
+) -> tuple[Float[np.ndarray, "reps count d"], Float[np.ndarray, "reps count d"]]:
+    """So many points with their steps, the last point again and again, without a step, where there are fewer."""
+    more = [(0, 0), (0, count - points.shape[1]), (0, 0)]
+    return np.pad(points, more, mode="edge"), np.pad(steps, more)
+
+
+def scene_from(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> Scene:
+    """The same lanes from section points."""
+    return Scene(**{**scene.__dict__, "start": states_at(scene, lanes, u)})
+
+
+def followed(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes points d"]:
+    """Points of lanes that go on from u, that among them."""
+    strobe, parts = maps(scene)
+    return lanes(_followed, (strobe,), (u, dict(scene.p)), periods=FOLLOWED, static=(parts,))
+
+
+def _followed(strobe: Strobe, u: Array, p: Parameters, parts: int) -> Float[Array, "points d"]:
+    flow = strobe.system
+
+    def follow(state: State, _: None) -> tuple[State, Array]:
+        if parts:
+            state, _ = lax.scan(lambda z, part: (part(z, p), None), state, strobe)
+        else:
+            state = strobe(state, p)
+        return state, flow.chart(state)
+
+    return jnp.concatenate([u[None], lax.scan(follow, flow.unchart(u), length=FOLLOWED)[1]])
+
+
+def stays_near(
+    turns: Bool[np.ndarray, " d"],
+    paths: Float[np.ndarray, "lanes followed d"],
+    points: Float[np.ndarray, "points d"],
+    edge: Float[np.ndarray, " d"],
+) -> Bool[np.ndarray, " lanes"]:
+    """Whether all points of paths lie in boxes of these edges that some points lie in, or in one beside.
+
+    Boxes are looked up by number, in the order of the points: a million lanes take a second. Of more than six
+    coordinates the first six are looked at.
+    """
+    turns, paths, points, edge = turns[:_BOXED], paths[..., :_BOXED], points[:, :_BOXED], edge[:_BOXED]
+    around = np.where(turns, np.ceil(2 * np.pi / edge), np.inf)  # boxes
+    lowest = np.where(turns, -np.pi, points.min(axis=0))
+    own = np.unique(np.floor((points - lowest) / edge), axis=0)
+    steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * len(edge), indexing="ij"), axis=-1).reshape(-1, 1, len(edge))
+    boxes = (own + steps).reshape(-1, len(edge))
+    boxes = np.where(turns, np.mod(boxes, around), boxes)
+    place = np.floor((paths - lowest) / edge)
+    place = np.where(turns, np.mod(place, around), place)
+    first = boxes.min(axis=0)
+    counts = boxes.max(axis=0) - first + 1.0
+    with np.errstate(invalid="ignore"):
+        inside = np.all((place >= first) & (place < first + counts), axis=-1)
+    weights = np.concatenate([np.cumprod(counts[::-1])[-2::-1], [1.0]])
+    known = np.unique((boxes - first) @ weights)
+    at = np.where(inside, np.where(inside[..., None], place - first, 0.0) @ weights, -1.0)
+    there = np.minimum(np.searchsorted(known, at), len(known) - 1)
+    return np.all(known[there] == at, axis=1)
+
+
+def _confirming_look(scene: Scene, lanes: LaneRunner, lot: Lot) -> tuple[Look, State]:
+    """The long look of every lane, those of like length together."""
+    look = lot.time // 2
+    parts, order = [], []
+    for length in np.unique(look).tolist():
+        here = np.flatnonzero(look == length)
+        begun = states_at(scene.take(here), lanes, lot.u[here])
+        parts.append(look_at(scene.take(here), lanes, begun, LONGER * length))
+        order.append(here)
+    back = np.argsort(np.concatenate(order))
+    seen = jax.tree.map(lambda *leaves: np.concatenate(leaves)[back], *parts)
+    return seen, seen.state
+
+
+# ---- periodic
+
+
+def _orbits(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], limit: int):
+    found = survey(scene, lanes, u, limit, "basins", 0)
+    return beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
+
+
+# ---- all others
+
+
+def _by_exponents(
+    scene: Scene, lanes: LaneRunner, seen: Look, looked: Int[np.ndarray, " lanes"]
+) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
+    """Kinds by the largest exponents, and the one that counts."""
+    clock, period = not scene.flow.autonomous, scene.system.period
+    if not clock and scene.flow.exponents == 1:  # along the flow there is one alone
+        around = _comes_back(scene, seen, looked)
+        return np.where(around, LIMIT_CYCLE, NONE).astype(np.int8), np.full(scene.count, np.nan)
+    options = LyapunovOptions(transient=_LAGS, periods=_AVERAGED, exponents=min(2, scene.flow.exponents))
+    found = exponents_of(options, scene, lanes)
+    every, errors = found["exponents"].to_numpy(), found["exponents_error"].to_numpy()
+    largest, error = (every[:, 0], errors[:, 0]) if clock else across(every, errors)
+    chaotic = beyond_shear(largest, error, _AVERAGED, period)
+    neutral = nearly_zero(largest, error, period)
+    kind = np.full(scene.count, NONE, np.int8)
+    kind[chaotic], kind[neutral & ~chaotic] = CHAOTIC, QUASIPERIODIC
+    if clock:
+        here = timeless(scene, lanes, np.flatnonzero(kind == QUASIPERIODIC))
+        cycle = contracts(every[here], errors[here], period, np.full(len(here), _AVERAGED))
+        kind[here] = np.where(cycle, LIMIT_CYCLE, NONE)
+        largest[here] = np.where(cycle, every[here, -1], largest[here])
+    else:
+        if scene.system.dimension == 2 and angles(scene.system).sum() < 2:  # Poincaré and Bendixson: nothing but cycles
+            kind[:] = NONE
+        kind[largest + error < 0.0] = LIMIT_CYCLE
+        kind[(kind != CHAOTIC) & ~_comes_back(scene, seen, looked)] = NONE
+    return kind, largest
+
+
+def _comes_back(scene: Scene, seen: Look, looked: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
+    """Whether a motion without a clock has gone to and fro or around: a slow passage goes one way."""
+    turns = angles(scene.system)
+    fro = ~turns & (seen.path > _TO_AND_FRO * (seen.high - seen.low)) & (seen.high > seen.low)
+    turned = turns & (np.abs(_turning(turns, seen)) * looked[:, None] * points_a_unit(scene) > _TURNED)
+    return np.any(fro | turned, axis=1)
+
+
+def _turning(turns: Bool[np.ndarray, " d"], seen: Look) -> Float[np.ndarray, "lanes d"]:
+    """Mean turn of every angle from point to point, zero of what is none."""
+    found, place = np.zeros((len(seen.whole), len(turns))), 0
+    for i, turning in enumerate(turns):
+        found[:, i] = seen.whole[:, place + 2] if turning else 0.0
+        place += 3 if turning else 2
+    return found
+
+
+def _drift(
+    system: Flow, points: Float[np.ndarray, "lanes points d"], size: Float[np.ndarray, "lanes d"]
+) -> Float[np.ndarray, " lanes"]:
+    """How far points move a period, in sizes, after the lag at which they repeat themselves best."""
+    drift, scale = np.full(len(points), np.inf), np.where(size > 0.0, size, 1.0)[:, None]
+    for lag in range(1, _LAGS + 1):
+        moved = np.abs(system.wrap(points[:, lag:] - points[:, :-lag])) / scale
+        drift = np.fmin(drift, moved.max(axis=(1, 2)) / lag)
+    return drift
+
+
+def _drift_across(
+    scene: Scene, motion: tuple[Float[np.ndarray, "lanes points d"], Float[np.ndarray, "lanes d"]]
+) -> Float[np.ndarray, " lanes"]:
+    """The same of motions without a clock: across the flow, after the time at which they repeat themselves best.
+
+    Paths between points are parabolas, through a point and those beside it.
+    """
+    drift, wrap = np.full(len(motion[0]), np.inf), scene.system.wrap
+    for k, (points, size) in enumerate(zip(*motion, strict=True)):
+        scale = np.where(size > 0.0, size, 1.0)
+        steps = wrap(np.diff(points, axis=0)) / scale
+        velocity, bend = 0.5 * (steps[1:] + steps[:-1]), 0.5 * (steps[1:] - steps[:-1])  # of all but both ends
+        first = np.arange(1, len(points) // 2, _EVERY)
+        for lag in range(2, len(points) // 2 - 1):  # the path at a lag of one begins with the point itself
+            away = wrap(points[first + lag] - points[first]) / scale
+            v, c = velocity[first + lag - 1], bend[first + lag - 1]
+            if np.max(np.abs(away) - np.abs(v) - np.abs(c)) >= lag * drift[k]:  # however near the paths come
+                continue
+            at = np.zeros(len(first))
+            for _ in range(_NEAREST):
+                slope = v + 2.0 * at[:, None] * c
+                there = away + at[:, None] * (v + at[:, None] * c)
+                along = np.sum(slope * slope, axis=1)
+                at = np.clip(at - np.sum(slope * there, axis=1) / np.where(along > 0.0, along, 1.0), -1.0, 1.0)
+            there = away + at[:, None] * (v + at[:, None] * c)
+            drift[k] = min(drift[k], np.abs(there).max() / lag)
+    return drift * points_a_unit(scene)
+
+
+def recorded(scene: Scene, lanes: LaneRunner, count: int) -> Float[np.ndarray, "lanes points d"]:
+    """Points of lanes, one after the other: strobes, or without a clock several in a unit of time."""
+    strobe, parts = maps(scene)
+    return lanes(_record, (strobe,), scene.lanes, periods=count, static=(count, parts))
+
+
+def _record(strobe: Strobe, state: State, p: Parameters, count: int, parts: int) -> Float[Array, "points d"]:
+    def point(state: State, strobe: Strobe) -> tuple[State, Array]:
+        after = strobe(state, p)
+        return after, strobe.system.chart(after)
+
+    if not parts:
+        return lax.scan(lambda state, _: point(state, strobe), state, length=count)[1]
+    points = lax.scan(lambda state, _: lax.scan(point, state, strobe), state, length=-(-count // parts))[1]
+    return points.reshape(-1, points.shape[-1])[:count]
+
+
+def _steps(
+    scene: Scene, lanes: LaneRunner, points: Float[np.ndarray, "lanes points d"]
+) -> Float[np.ndarray, "lanes points d"]:
+    """Displacement along the flow in the time from a recorded point to the next, zero with a clock."""
+    if not scene.flow.autonomous:
+        return np.zeros_like(points)
+    each = scene.take(np.repeat(np.arange(scene.count), points.shape[1]))
+    rates = lanes(_rate, (scene.flow,), (points.reshape(-1, points.shape[2]), dict(each.p)))
+    return rates.reshape(points.shape) * (scene.system.period / points_a_unit(scene))
+
+
+def _rate(flow: Flow, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
+    state = flow.unchart(u)
+    return jnp.stack(flow.lower(state, flow.rhs(0.0, state, p)))
+
+
+def _leaves(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], sets: tuple[np.ndarray, ...]
+) -> Bool[np.ndarray, " lanes"]:
+    """Whether motions from points beside those of lanes leave the sets that these are on.
+
+    So they do from a cycle in a symmetry's invariant plane that attracts in that plane alone.
+
+    Args:
+        sets: points, steps, sizes and margins.
+    """
+    aside = 2.0 * np.mod(np.arange(1, u.shape[1] + 1) * _GOLDEN, 1.0) - 1.0  # along no symmetry
+    cloud = recorded(scene_from(scene, lanes, u + _ASIDE * aside * sets[2]), lanes, _CLOUD)[:, -POINTS:]
+    within = [
+        np.mean(lie_within(point_set(scene.system, points, steps, size), later, size, float(margin)))
+        for later, points, steps, size, margin in zip(cloud, *sets, strict=True)
+    ]
+    return np.array(within) < 0.5
+
+
+def _conserved(
+    scene: Scene,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, "lanes d"],
+    kind: Int8[np.ndarray, " lanes"],
+    longest: int,
+) -> Bool[np.ndarray, " lanes"]:
+    """Which of the motions that do not contract towards themselves keep phase volume too: these are no attractors."""
+    kept, some = np.zeros(scene.count, np.bool_), np.flatnonzero(np.isin(kind, (QUASIPERIODIC, CHAOTIC)))
+    if len(some):
+        kept[some] = keeps_volume(scene.take(some), lanes, u[some], longest)
+    return kept

@@ -1,0 +1,168 @@
+"""Lanes to their attractors, each by itself: looked at again and again, twice as long each time, until it has settled.
+
+A lane has settled where its means over both halves of a look agree. It is restless where they are far apart, or no
+nearer than in the look before: chaos, a motion too long for the look, or a slow approach; which of these it is, the
+whole sweep will say. Neither depends on other lanes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int, Int8
+
+from jaxnh.analyses.scene import LaneRunner, Scene, picked
+from jaxnh.analyses.section_points import points_at, states_at
+from jaxnh.analyses.window_averages import Look, angles, look_at, units
+from jaxnh.systems.flow import FAULTS, Flow, State
+
+SETTLED_TO = 1e-4
+"""Difference of means over both halves of a look of a lane that has settled, in sizes of the motion."""
+
+_LEAST = 1e-4  # of the size at the start: a coordinate that vanishes on an attractor is as large as that
+_RESTLESS = 1e-2  # likewise, of one whose motion is no slow approach
+_FALLS = 0.25  # from a look to the next of what an approach or a smooth mean leaves; of chaos half is left, or more
+_GROWN = 1.5  # from one look to one twice as long, of what goes to infinity in proportion to time
+OPEN, SETTLED, RESTLESS, FAILED, CONSERVATIVE = range(5)
+"""What is known of a lane; that it is conservative is for `matching` to say."""
+
+REASONS = (*FAULTS, "escaped")
+"""Why a lane has failed: as of trajectories, or it goes to infinity."""
+
+
+class Lot(NamedTuple):
+    """Lanes, and what has been seen of them.
+
+    Attributes:
+        known: `OPEN`, `SETTLED`, `RESTLESS`, `FAILED` or `CONSERVATIVE`, (lanes,).
+        time: periods since the start, (lanes,).
+        reason: number in `REASONS`, (lanes,).
+        gap: between means over both halves of the last look, the largest in sizes of the motion, (lanes,).
+        means: smooth ones over the last look, (lanes, F).
+        unit: how well these are known where a lane has settled, (lanes, F).
+        u: section coordinates at the end, (lanes, d).
+        size: of the motion, its largest coordinates over the last look and the one before, (lanes, d).
+        least: what the size is at least, (lanes, d): a coordinate that vanishes on an attractor decays for ever.
+    """
+
+    known: Int8[np.ndarray, " lanes"]
+    time: Int[np.ndarray, " lanes"]
+    reason: Int8[np.ndarray, " lanes"]
+    gap: Float[np.ndarray, " lanes"]
+    means: Float[np.ndarray, "lanes F"]
+    unit: Float[np.ndarray, "lanes F"]
+    u: Float[np.ndarray, "lanes d"]
+    size: Float[np.ndarray, "lanes d"]
+    least: Float[np.ndarray, "lanes d"]
+
+
+def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps: int | None = None) -> Lot:
+    """Lanes from their start states: looked at from `transient` periods on, until `longest` are over at most.
+
+    After half of the transient a period has `steps` steps (`settled_steps`), or as many as before.
+    """
+    start, count, d = scene.start, scene.count, scene.system.dimension
+    width = units(angles(scene.system), np.ones((1, d))).shape[1]
+    lot = Lot(
+        np.full(count, OPEN, np.int8),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int8),
+        np.full(count, np.inf),
+        *np.full((2, count, width), np.nan),
+        *np.full((3, count, d), np.nan),
+    )
+    absent = ~_finite(start)
+    lot.known[absent], lot.reason[absent] = FAILED, FAULTS.index("off_constraint")
+    some = np.flatnonzero(~absent)
+    here = scene.take(some)
+    begun = look_at(here, lanes, here.start, transient // 2) if len(some) else None
+    if begun is None:
+        return lot
+    scene, here = (replace(one, steps=steps or one.steps) for one in (scene, here))
+    seen = look_at(here, lanes, begun.state, transient // 2)
+    lot.least[some] = _LEAST * np.fmax(np.abs(points_at(here, lanes, here.start)), begun.largest)
+    lot.size[some] = np.fmax(seen.largest, lot.least[some])
+    lot.time[some], lot.u[some] = transient, points_at(scene, lanes, seen.state)
+    lot.gap[some] = _gap(seen, units(angles(scene.system), np.fmax(begun.largest, seen.largest)))
+    _fail(lot, some, scene.system, seen.state)
+    left = lot.known[some] == OPEN
+    _look_on(scene, lanes, lot, some[left], picked(seen.state, left), transient, longest)
+    return lot
+
+
+def go_on(scene: Scene, lanes: LaneRunner, lot: Lot, some: Int[np.ndarray, " some"], longest: int) -> None:
+    """Lanes that are not done after all, from where they are, in place."""
+    lot.known[some] = OPEN
+    for elapsed in np.unique(lot.time[some]).tolist():
+        here = some[lot.time[some] == elapsed]
+        state = states_at(scene, lanes, lot.u[here])
+        _look_on(scene, lanes, lot, here, state, elapsed, longest)
+
+
+def _look_on(
+    scene: Scene,
+    lanes: LaneRunner,
+    lot: Lot,
+    open_: Int[np.ndarray, " some"],
+    state: State,
+    elapsed: int,
+    longest: int,
+) -> None:
+    """Look at lanes as long as all before, until they are done."""
+    turns = angles(scene.system)
+    while len(open_) and 2 * elapsed <= longest:
+        here = scene.take(open_)
+        seen = look_at(here, lanes, state, elapsed)
+        elapsed *= 2
+        before = lot.size[open_]
+        lot.size[open_] = np.fmax(before, seen.largest)
+        scale = units(turns, lot.size[open_])
+        gap = _gap(seen, scale)
+        settled, restless = gap <= SETTLED_TO, (gap > _RESTLESS) | (gap > _FALLS * lot.gap[open_])
+        known = np.where(settled, SETTLED, np.where(restless, RESTLESS, OPEN)).astype(np.int8)
+        lot.known[open_], lot.time[open_], lot.gap[open_] = known, elapsed, gap
+        lot.means[open_], lot.unit[open_] = seen.whole, 2.0 * SETTLED_TO * scale
+        lot.u[open_] = points_at(scene, lanes, seen.state)
+        _fail(lot, open_, scene.system, seen.state)
+        if 2 * elapsed > longest:
+            _escape(lot, open_, seen, before, turns)
+        lot.size[open_] = np.fmax(seen.largest, lot.least[open_])
+        left = lot.known[open_] == OPEN
+        open_, state = open_[left], picked(seen.state, left)
+
+
+def _gap(seen: Look, scale: Float[np.ndarray, "some F"]) -> Float[np.ndarray, " some"]:
+    """Between the means over both halves of a look, the largest in sizes of the motion."""
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(seen.halves[:, 0] - seen.halves[:, 1])
+        return np.max(apart / np.where(scale > 0.0, scale, 1.0), axis=1)
+
+
+def _escape(
+    lot: Lot, some: Int[np.ndarray, " some"], seen: Look, before: Float[np.ndarray, "some d"], turns: np.ndarray
+) -> None:
+    """Of lanes that are still not done, those that go to infinity: in the last look beyond all that was before."""
+    beyond = np.maximum(seen.low, -seen.high) > 0.99 * before
+    grows = beyond & (seen.largest > _GROWN * before) & ~turns
+    gone = np.any(grows, axis=1) & np.isin(lot.known[some], (OPEN, RESTLESS))
+    lot.known[some[gone]], lot.reason[some[gone]] = FAILED, REASONS.index("escaped")
+
+
+def _fail(lot: Lot, some: Int[np.ndarray, " some"], system: Flow, state: State) -> None:
+    """Mark lanes whose state is not finite, with their reasons."""
+    gone = ~_finite(state, system)
+    if not np.any(gone):
+        return
+    ended = jax.tree.map(lambda leaf: leaf[gone][:, None], state)
+    said = system.reports(ended).get("failure")
+    reason = np.zeros(int(gone.sum()), np.int8) if said is None else np.asarray(said.data, np.int8)
+    lot.known[some[gone]] = FAILED
+    lot.reason[some[gone]] = np.where(reason > 0, reason, FAULTS.index("not_finite"))
+
+
+def _finite(state: State, system: Flow | None = None) -> np.ndarray:
+    leaves = jax.tree.leaves(state if system is None else system.compared(state))
+    return np.all([np.isfinite(leaf) for leaf in leaves], axis=0)

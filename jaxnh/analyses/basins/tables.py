@@ -1,0 +1,168 @@
+"""The groups `basins` and `attractors` as datasets, and the intervals of shares. Nothing is computed of a motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Int
+
+from jaxnh.analyses.base import LANE, Entry, variable
+from jaxnh.analyses.basins.classification import NONE, POINTS, Judged
+from jaxnh.analyses.basins.continuation import CHANGES, Change
+from jaxnh.analyses.basins.settling import CONSERVATIVE, REASONS, Lot
+from jaxnh.analyses.scene import Axis
+from jaxnh.analyses.verdict import KINDS
+from jaxnh.systems.flow import Flow, Output
+
+_QUANTILE = 1.959963984540054  # of a normal distribution, 95 % two-sided
+_MOST_NUMBERS = 1 << 24  # of all points of attractors over the parameters
+_UNDECIDED = ("no", "time", "volume_preserved")
+_COMPUTED = (
+    "Where the trajectory computed with these steps leads. Near a fractal boundary the label of a single start changes "
+    "with the steps and with rounding; shares do not, within their intervals."
+)
+
+
+class Known(NamedTuple):
+    """Attractors at all values of the parameters.
+
+    Attributes:
+        point: value that each is at, (attractors,).
+        number: of each; of those that are the same at several values one number, (attractors,).
+        judged: what they are; None where there are none.
+        coordinates: of a point of each, and of its points, by name, each (attractors,) or (attractors, points).
+        changes: births, deaths and crises, with the numbers of the attractors.
+    """
+
+    point: Int[np.ndarray, " attractors"]
+    number: Int[np.ndarray, " attractors"]
+    judged: Judged | None
+    coordinates: Mapping[str, Output]
+    changes: Sequence[Change]
+
+
+def shares(
+    number: Int[np.ndarray, " lanes"], point: Int[np.ndarray, " lanes"], points: int, most: int
+) -> tuple[Int[np.ndarray, "points attractors"], Int[np.ndarray, " points"]]:
+    """Number of lanes on each attractor at each point, and of all of them."""
+    on = number > 0
+    table = np.bincount(point[on] * most + number[on] - 1, minlength=points * most).reshape(points, most)
+    return table, np.bincount(point, minlength=points)
+
+
+def wilson(hits: Int[np.ndarray, ...], count: Int[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of a probability at 95 % (Wilson, J. Am. Stat. Assoc. 22 (1927) 209), of hits among so many."""
+    z2 = _QUANTILE**2
+    middle = (hits + z2 / 2) / (count + z2)
+    half = _QUANTILE / (count + z2) * np.sqrt(hits * (count - hits) / count + z2 / 4)
+    return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)
+
+
+def basins_group(
+    lot: Lot,
+    number: Int[np.ndarray, " lanes"],
+    unit: str,
+    flow: Flow,
+    drawn: Mapping[str, np.ndarray],
+    shape: tuple[int, ...],
+    judged: int,
+) -> xr.Dataset:
+    """What every start state leads to, of lanes of this shape: (lanes,), or (lanes, starts)."""
+    dims = (LANE, "start")[: len(shape)]
+    flags = {"flag_values": np.arange(len(REASONS), dtype=np.int8), "flag_meanings": " ".join(REASONS)}
+    undecided = np.where(number != 0, 0, np.where(lot.known == CONSERVATIVE, 2, 1)).astype(np.int8)
+    reasons = {"flag_values": np.arange(len(_UNDECIDED), dtype=np.int8), "flag_meanings": " ".join(_UNDECIDED)}
+    words = (
+        "attractor that the start state leads to, by its number in `attractors`; 0: undecided, -1: failed or escaped"
+    )
+    variables = {
+        "attractor": variable(dims, number.reshape(shape), words, comment=_COMPUTED),
+        "time": variable(dims, lot.time.astype(np.int32).reshape(shape), "time until it was known", unit),
+        "failure": variable(dims, lot.reason.reshape(shape), "why the lane has failed", **flags),
+        "undecided": variable(dims, undecided.reshape(shape), "why it is undecided where the lane leads", **reasons),
+        "judged": variable((), np.int64(judged), "number of motions that were judged to be an attractor or none"),
+        **{
+            name: variable(dims, values.reshape(shape), f"{flow.words(name)} of the start state", flow.units(name))
+            for name, values in drawn.items()
+        },
+    }
+    attrs = {"panel": "basins", "panel_variables": "attractor", "panel_label": "attractor"}
+    if len(shape) > 1:  # no picture of its own: shares are
+        attrs = {}
+    return xr.Dataset(variables, attrs=attrs)
+
+
+def attractors_group(known: Known, axes: Sequence[Axis], hits: tuple[np.ndarray, np.ndarray], unit: str) -> xr.Dataset:
+    """All attractors over the axes that are parameters, with their numbers and changes; `hits` as `shares` has them."""
+    names, sizes = tuple(axis.name for axis in axes), tuple(len(axis.values) for axis in axes)
+    most = hits[0].shape[1]
+    dims = (*names, "attractor")
+
+    def table(values: np.ndarray, empty: float) -> np.ndarray:
+        """Values of all attractors where they belong."""
+        whole = np.full((math.prod(sizes), most, *values.shape[1:]), empty, values.dtype)
+        whole[known.point, known.number - 1] = values
+        return whole.reshape(*sizes, most, *values.shape[1:])
+
+    nothing = np.zeros(0)
+    judged = known.judged
+    kind, period, exponent, multiplier = (
+        (nothing.astype(np.int8), nothing.astype(np.int64), nothing, nothing)
+        if judged is None
+        else (judged.kind, judged.period, judged.exponent, judged.multiplier)
+    )
+    kinds = ("absent", *KINDS)
+    flags = {"flag_values": np.arange(-1, len(KINDS), dtype=np.int8), "flag_meanings": " ".join(kinds)}
+    found, count = hits
+    low, high = wilson(found, count[:, None])
+    fraction = {"fraction": found / count[:, None], "fraction_low": low, "fraction_high": high}
+    words = {
+        "fraction": "share of the start states in its basin",
+        "fraction_low": "lower bound of the share at 95 %",
+        "fraction_high": "upper bound of the share at 95 %",
+    }
+    of_number = "number of the attractor, by size of its basin" + (" over all values" if axes else "")
+    of_exponent = "largest Lyapunov exponent, without a clock that along the flow left out"
+    of_multiplier = "largest modulus of the Floquet multipliers of a periodic orbit"
+    variables = {
+        "attractor": variable("attractor", np.arange(1, most + 1), of_number),
+        "kind": variable(dims, table(kind, NONE), "kind of motion", **flags),
+        "period": variable(dims, table(period, 0), "least period of a periodic orbit, 0 of others", unit),
+        "exponent": variable(dims, table(exponent, np.nan), of_exponent, "1/time"),
+        "multiplier": variable(dims, table(multiplier, np.nan), of_multiplier),
+        **{name: variable(dims, v.reshape(*sizes, most), words[name]) for name, v in fraction.items()},
+    }
+    several = sum(name.endswith("_points") for name in known.coordinates)
+    points = min(POINTS, max(1, _MOST_NUMBERS // max(1, several * math.prod(sizes) * most)))
+    for name, output in known.coordinates.items():
+        every = name.endswith("_points")
+        said = f"{output.long_name} of {'points' if every else 'a point'} of the attractor"
+        values = output.data[:, :points] if every else output.data
+        variables[name] = variable((*dims, "point") if every else dims, table(values, np.nan), said, **output.attrs)
+    if math.prod(sizes) > 1:
+        variables |= _changes(known.changes, axes, sizes)
+    return xr.Dataset(variables, attrs={"panel": "shares", "panel_variables": "fraction"})
+
+
+def _changes(changes: Sequence[Change], axes: Sequence[Axis], sizes: tuple[int, ...]) -> dict[str, Entry]:
+    """Births, deaths and crises: half way between two neighbouring values, with half their distance as the error."""
+    kind = np.array([change.kind for change in changes], np.int8)
+    number = np.array([change.attractor for change in changes], np.int32)
+    ends = np.array([(change.before, change.after) for change in changes], int).reshape(-1, 2)
+    flags = {"flag_values": np.arange(len(CHANGES), dtype=np.int8), "flag_meanings": " ".join(CHANGES)}
+    found = {
+        "change_kind": variable("change", kind, "what happens to an attractor between two values", **flags),
+        "change_attractor": variable("change", number, "number of the attractor that it happens to"),
+    }
+    for axis, place in zip(axes, np.unravel_index(ends, sizes), strict=True):
+        values = axis.values[place]
+        words = f"{axis.long_name} where it happens"
+        found[f"change_{axis.name}"] = variable("change", values.mean(axis=1), words, axis.units)
+        error = 0.5 * np.abs(values[:, 1] - values[:, 0])
+        said = f"error of change_{axis.name}: half the distance of the values that it lies between"
+        found[f"change_{axis.name}_error"] = variable("change", error, said, axis.units)
+    return found

@@ -1,0 +1,69 @@
+"""How fast phase volume contracts along lanes. Where it does not, there is no attractor that a lane could come to."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+from jaxnh.analyses.exponents.tangent_growth import window
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.section_points import states_at
+from jaxnh.analyses.window_averages import maps
+from jaxnh.maps.iterate import derivatives
+from jaxnh.maps.of_lane import of_lane
+from jaxnh.maps.protocol import Strobe
+from jaxnh.systems.flow import Parameters, State
+
+_PERIODS = 128
+"""Periods that the mean contraction is taken over."""
+
+_KEEPS = 0.1
+"""Change of the logarithm of a volume, over all the time that a lane has, of one that is kept.
+
+A lane that settles on an attractor brings distances of order one down to `settling.SETTLED_TO`, by 9 in the logarithm.
+"""
+
+
+def keeps_volume(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], longest: int
+) -> Bool[np.ndarray, " lanes"]:
+    """Whether phase volume about lanes from u neither contracts nor grows by what counts in `longest` periods.
+
+    By a mean under a smooth window: on a regular motion it converges as fast as other means do.
+    """
+    strobe, parts = maps(scene)
+    shared, state = (strobe, np.int32(_PERIODS)), states_at(scene, lanes, u)
+    mean = lanes(_mean, shared, (state, dict(scene.p)), periods=_PERIODS, static=(parts,))
+    with np.errstate(invalid="ignore"):
+        return np.abs(mean) * longest * (scene.system.period if parts else 1.0) < _KEEPS
+
+
+def _mean(strobe: Strobe, periods: ArrayLike, state: State, p: Parameters, parts: int) -> Array:
+    """Mean change of the logarithm of a volume, of one lane.
+
+    With a clock it is that of a period, by the determinant of the tangent map; without one that of time, by the flow's
+    divergence at the points that means are taken over.
+    """
+    flow = strobe.system
+
+    def part(state: State, strobe: Strobe) -> tuple[State, Array]:
+        return strobe(state, p), strobe.system.divergence(jnp.zeros_like(state[0][0]), state, p)
+
+    def period(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
+        state, total, weights = carry
+        weight = window((jnp.float64(k) + 0.5) / jnp.float64(periods))
+        if parts:
+            state, rates = lax.scan(part, state, strobe)
+            change = jnp.mean(rates)
+        else:
+            u, tangent, _ = derivatives(strobe, 1, flow.chart(state), p)
+            state, change = flow.unchart(u), jnp.linalg.slogdet(tangent)[1]
+        return state, total + weight * change, weights + weight
+
+    zero = of_lane(jnp.zeros(()), jax.tree.leaves(state)[0])
+    _, total, weights = lax.fori_loop(0, jnp.asarray(periods), period, (state, zero, zero))
+    return total / weights

@@ -1,0 +1,298 @@
+"""Period doublings of the cascade reached from the start state (`cascade` finds them), and the Feigenbaum numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from pydantic import Field
+
+from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, Table, variable
+from jaxnh.analyses.cascade.extended_precision import (
+    FLOAT64_LEVELS,
+    ExtendedDoublings,
+    alpha_limit,
+    beyond_float64,
+    delta_limit,
+    deltas,
+    extended_doublings,
+    see_that_it_can,
+)
+from jaxnh.analyses.cascade.follow import TRANSIENT, Cascade, follow, survey_limit
+from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
+from jaxnh.analyses.cascade.shared_parameter import value_by_value
+from jaxnh.analyses.periodic.location import price_of_orbits
+from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
+from jaxnh.systems.flow import Flow
+
+_LIMITS = ("delta_limit", "alpha", "limit")  # each with its error
+_NUMBERS = (*_LIMITS, *(f"{name}_error" for name in _LIMITS), "levels_found")  # a cascade; attributes of the only one
+_BETWEEN = np.array([1.0, math.pi]) / (1.0 + math.pi)  # shares of two values: no ratio of whole numbers
+_OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
+_MOST_SHOWN = 16  # cascades in a table of many
+_ROUNDING = 1e-14  # of points of an orbit, in sizes of the motion
+_DIGITS = 4  # of a limit in words, at least
+_LEVELS = 12  # of float64, of which the distances of doublings are then 1e-9 of the first
+
+
+class DoublingOptions(Options):
+    """Options of `doubling`."""
+
+    levels: int = Field(default=6, ge=1, le=16, description="Number of period doublings to find: 12 at most in float64")
+    search: bool = Field(
+        default=True, description="Where the sweep has fewer, look as far as it is wide beyond either end of it as well"
+    )
+
+
+def periods(options: DoublingOptions, lanes: int) -> float:
+    """Lane-periods of a run, Newton's iterations at their price: the survey, and as much again for the orbits."""
+    return 2.0 * lanes * (TRANSIENT + 2 * survey_limit(options.levels))
+
+
+def independent(options: DoublingOptions) -> bool:
+    """Never: a cascade is found by comparing neighbouring lanes."""
+    return False
+
+
+def check(options: DoublingOptions, setting: Setting) -> None:
+    """See that the first axis is a parameter, and one that there is something of between two values of it."""
+    first = setting.axes[0]
+    if options.levels > _LEVELS and setting.precision != "extended":
+        message = f"float64 tells {_LEVELS} doublings of a cascade apart; more need accuracy.precision: extended"
+        raise OptionError(message, "levels")
+    if first.kind == "shared" and setting.precision == "extended":
+        raise OptionError(f"extended precision is along a parameter that lanes have of their own{setting.advice}")
+    if taken := [axis.name for axis in setting.axes if axis.name in _OWN_NAMES]:
+        raise OptionError(f"{taken[0]} is what doubling calls a number of its own; rename the parameter")
+    if first.kind == "start":
+        what = f"{first.name} is a coordinate of the start state"
+        message = f"doubling follows orbits along the first axis of the sweep, and {what}"
+        raise OptionError(message + setting.advice)
+    if first.kind == "shared" and options.search and "search" in options.model_fields_set:
+        message = f"it looks beyond the sweep, and all lanes share {first.name}: the system may not exist there"
+        raise OptionError(f"{message}; leave it out", "search")
+    if first.kind == "shared":
+        try:
+            _ = setting.flow_at(float(_BETWEEN @ first.values[[0, -1]])).period
+        except ValueError as error:
+            message = f"doubling looks between the values of {first.name}, and there {error}"
+            raise OptionError(message + setting.advice) from None
+
+
+def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
+    if scene.precision == "extended":
+        see_that_it_can(scene)
+    search = options.search and scene.flow_at is None
+    extended, levels = scene.precision == "extended", options.levels
+    in_float64 = min(levels, FLOAT64_LEVELS) if extended else levels
+    found = follow(scene, value_by_value(scene, lanes), in_float64, search=search)
+    if not extended:
+        return _dataset(scene.system, scene.line, levels, found)
+    beyond = extended_doublings(scene, lanes, found, levels)
+    whole = beyond_float64(scene, found, beyond, levels)
+    limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, found.size, scene.system.wrap)
+    return _extended(_dataset(scene.system, scene.line, levels, whole), beyond, *limits)
+
+
+def _dataset(system: Flow, axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
+    """Points as the variables of the contract, NaN where a level was not found."""
+    name, count = axis.name, len(found.found)
+    refined, rounding, value_error = np.full((3, levels), np.nan), np.full(levels, np.nan), np.full(levels, np.nan)
+    refined[:, :count] = np.reshape([[point.value for point in level.refined] for level in found.found], (count, 3)).T
+    rounding[:count] = [level.point.error for level in found.found]
+    value_error[:count] = [level.error for level in found.found]
+    value = refined[1]
+    delta, delta_error = _deltas(value, rounding)
+    delta_error += np.abs(np.diff([_deltas(each, rounding)[0] for each in refined], axis=0)).sum(axis=0)
+    limit = doublings_limit(value[:count], rounding[:count])
+    widths, width_errors = _widths(system, found)
+    alpha = widths_limit(widths, width_errors)
+    index = np.arange(1, levels + 1)
+    period_words = "period n of the orbit that doubles to 2n"
+    error_words = f"largest error of {name}, from step refinement and the Newton residual"
+    unit = counted_in(system)
+    variables = {
+        "level": variable("level", index, "number of the period doubling"),
+        "period": variable("level", found.period * 2 ** (index - 1), period_words, unit),
+        name: variable(
+            "level", value, f"{axis.long_name} at the doubling", axis.units, ancillary_variables=f"{name}_error"
+        ),
+        f"{name}_error": variable("level", value_error, error_words, axis.units),
+        "delta": variable(
+            "level",
+            delta,
+            "ratio δ of successive distances between doublings, equation (14)",
+            ancillary_variables="delta_error",
+        ),
+        "delta_error": variable("level", delta_error, f"error of δ, from step refinement and the rounding of {name}"),
+        "delta_limit": variable((), limit.ratio, "limit of δ", ancillary_variables="delta_limit_error"),
+        "delta_limit_error": variable((), limit.ratio_error, "error of the limit of δ"),
+        "alpha": variable(
+            (), alpha.ratio, "limit α of the ratio of widths of successive orbits", ancillary_variables="alpha_error"
+        ),
+        "alpha_error": variable((), alpha.ratio_error, "error of α"),
+        "limit": variable(
+            (), limit.value, f"{axis.long_name} where the cascade ends", ancillary_variables="limit_error"
+        ),
+        "limit_error": variable((), limit.error + value_error[max(count - 1, 0)], f"error of {name} there"),
+        "levels_found": variable((), count, "number of doublings found"),
+    }
+    attrs = {
+        "along": name,
+        "panel": "cascade",
+        "panel_variables": f"{name} delta",
+        "panel_label": "ratio δ",
+        **({"warnings": warnings} if (warnings := _warnings(axis, levels, found)) else {}),
+    }
+    return xr.Dataset(variables, attrs=attrs)
+
+
+def _extended(
+    data: xr.Dataset, found: ExtendedDoublings, of_delta: tuple[float, float], of_alpha: tuple[float, float]
+) -> xr.Dataset:
+    """The dataset with what double-double precision knows of its doublings: their other digits, δ, and limits."""
+    name, levels = str(data.attrs["along"]), data.sizes["level"]
+    count = min(len(found.coarse), len(found.fine))
+    value, rest, delta, error = (np.full(levels, np.nan) for _ in range(4))
+    value[:count], rest[:count] = np.reshape([point.value for point in found.fine[:count]], (count, 2)).T
+    if count > 2:
+        (coarse, _), (fine, rounding) = deltas(found.coarse[:count]), deltas(found.fine[:count])
+        delta[1 : count - 1], error[1 : count - 1] = fine, np.abs(np.subtract(fine, coarse)) + rounding
+    new = {name: np.where(np.isnan(value), data[name], value), "delta": delta, "delta_error": error}
+    for limit, numbers in (("delta_limit", of_delta), ("alpha", of_alpha)):
+        new |= dict(zip((limit, f"{limit}_error"), numbers, strict=True)) if np.isfinite(numbers).all() else {}
+    data = data.assign({key: (data[key].dims, numbers, data[key].attrs) for key, numbers in new.items()})
+    words = f"what is to be added to {name} for its digits beyond float64, of the map as it is computed"
+    return data.assign({f"{name}_rest": variable("level", rest, words, str(data[name].attrs["units"]))})
+
+
+def _warnings(axis: Axis, levels: int, found: Cascade) -> str:
+    """Lines for the user: how many levels are missing, what was searched, and which were found outside the sweep."""
+    lines = []
+    if found.end:
+        end, *more = found.end.split("\n")
+        lines = [f"{len(found.points)} of {levels} levels found; {end}", *more]
+    if found.outside:
+        ends = f"{axis.values[0]:.6g} to {axis.values[-1]:.6g}"
+        lines.append(f"doublings were found beyond the sweep, which is {axis.name} = {ends}")
+    return "\n".join(f"doubling: {line}" for line in lines)
+
+
+def _deltas(
+    value: Float[np.ndarray, " levels"], value_error: Float[np.ndarray, " levels"]
+) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
+    """δ_k = (b_k − b_{k−1})/(b_{k+1} − b_k) at the middle level, NaN at both ends, and its propagated error."""
+    delta = np.full(len(value), np.nan)
+    error = np.full(len(value), np.nan)
+    gap = np.diff(value)
+    gap_error = value_error[1:] + value_error[:-1]
+    delta[1:-1] = gap[:-1] / gap[1:]
+    error[1:-1] = np.abs(delta[1:-1]) * (gap_error[:-1] / np.abs(gap[:-1]) + gap_error[1:] / np.abs(gap[1:]))
+    return delta, error
+
+
+def _widths(system: Flow, found: Cascade) -> tuple[Float[np.ndarray, " even"], Float[np.ndarray, " even"]]:
+    """Widths of the orbits of even period, and their errors, by step refinement and by the rounding of the parameter.
+
+    The width is the largest distance of a point from that half a period later, in sizes of the motion: near the
+    extremum of the map that the motion contracts to, where it falls by α a level, elsewhere faster.
+    """
+    even = [level for level in found.found if len(level.point.orbit) % 2 == 0]
+
+    def width(orbit: Float[np.ndarray, "n d"]) -> float:
+        apart = system.wrap(orbit - np.roll(orbit, len(orbit) // 2, axis=0))
+        return float(np.linalg.norm(apart / found.size, axis=1).max())
+
+    widths = np.array([[width(point.orbit) for point in level.refined] for level in even]).reshape(-1, 3)
+    errors = np.abs(np.diff(widths, axis=1)).sum(axis=1) + _ROUNDING
+    return widths[:, 1], errors
+
+
+def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
+    """Levels of a cascade beside published values: the parameter with its error, their difference, and δ of both.
+
+    Of many cascades, one for each point of the other axes, only what each has come to.
+
+    Args:
+        data: result of this analysis; numbers of a cascade are variables, or attributes where there is one cascade.
+        published: published values of the parameter by its name and `delta`, a value a level, NaN where there is none.
+        source: where they are from.
+    """
+    data = data.assign({name: ((), data.attrs[name]) for name in _NUMBERS if name in data.attrs})
+    others = tuple(str(dim) for dim in data["delta"].dims if dim != "level")
+    return _cascades(data, others) if others else _levels(data, published, source)
+
+
+def _levels(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
+    """A row a level."""
+    name = str(data.attrs["along"])
+    ours = {key: data[key].to_numpy() for key in ("period", name, f"{name}_error", "delta")}
+    levels = len(ours[name])
+    none = np.full(levels, np.nan)
+    theirs = {key: np.append(published.get(key, none[:0]), none)[:levels] for key in (name, "delta")}
+    heads = ("period", name, "± error", "δ")
+    if published:
+        heads = ("period", f"{name}, {source}", name, "± error", "difference", f"δ, {source}", "δ")
+    rows = []
+    for k in range(levels):
+        n = int(ours["period"][k])
+        row = [f"{n} → {2 * n}", f"{ours[name][k]:.12f}", f"{ours[f'{name}_error'][k]:.1e}", f"{ours['delta'][k]:.6f}"]
+        if published:
+            difference = theirs[name][k] - ours[name][k]
+            row[1:1] = [f"{theirs[name][k]:.6f}"]
+            row[4:4] = [f"{difference:+.1e}", f"{theirs['delta'][k]:.4f}"]
+        rows.append(tuple(_cell(cell) for cell in row))
+    return Table("Period doublings", heads, tuple(rows), _limit_words(data) or None)
+
+
+def _cascades(data: xr.Dataset, others: tuple[str, ...]) -> Table:
+    """A row a cascade: its point of the other axes, its first and last doubling, and the limit of δ."""
+    name = str(data.attrs["along"])
+    points = list(np.ndindex(*(data.sizes[other] for other in others)))
+    shown = np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_SHOWN)).round().astype(int))
+    rows = []
+    for point in (points[i] for i in shown):
+        cascade = data.isel(dict(zip(others, point, strict=True)))
+        found = int(cascade["levels_found"])
+        ends = [f"{cascade[name].to_numpy()[k]:.12f}" if found else "–" for k in (0, found - 1)]
+        place = [f"{float(cascade[other]):.6g}" for other in others]
+        rows.append((*place, str(found), *ends, _limit_words(cascade) or "–"))
+    caption = f"{len(rows)} of {len(points):,} cascades" if len(rows) < len(points) else None
+    return Table("Period doublings", (*others, "found", f"{name}, first", f"{name}, last", "δ"), tuple(rows), caption)
+
+
+def _limit_words(data: xr.Dataset) -> str:
+    """δ, α and the end of the cascade with their errors, of those that there are."""
+    symbols = ("δ", "α", str(data.attrs["along"]))
+    there = [pair for pair in zip(symbols, _LIMITS, strict=True) if pair[1] in data]  # files of before have δ alone
+    limits = [(symbol, float(data[name]), float(data[f"{name}_error"])) for symbol, name in there]
+    return ", ".join(f"{symbol} → {_known(*limit)}" for symbol, *limit in limits if np.isfinite(limit).all())
+
+
+def _known(value: float, error: float) -> str:
+    """A number with as many digits as its error has a say in."""
+    digits = max(_DIGITS, math.ceil(-math.log10(error))) if error > 0.0 else _DIGITS
+    return f"{value:.{digits}f} ± {error:.1g}"
+
+
+def _cell(text: str) -> str:
+    return "–" if text in ("nan", "+nan") else text
+
+
+ANALYSIS = Analysis(
+    "doubling",
+    DoublingOptions,
+    periods,
+    run,
+    independent=independent,
+    newton=True,
+    extended=True,
+    check=check,
+    table=table,
+    price=price_of_orbits,
+)
+"""The entry of this analysis in the table."""

@@ -1,0 +1,276 @@
+"""The cascade of period doublings along the first axis that the start state leads to: its points, each with an error.
+
+A survey sends thousands of lanes to their attractors and finds the period of each: candidates come from the strobe
+points, the decision from Newton on the orbit and its multipliers, so that slow convergence near a doubling does not
+bias it. Wherever a run of equal periods ends a cascade may begin (`runs`), and each is tried, the most promising first.
+Between neighbouring lanes the orbit is followed by Newton to where its multiplier passes −1 (`locating`). Where the
+survey is too coarse for the next level, the orbit of twice the period is looked for where the distances so far put it
+(`daughter`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.analyses.cascade.doubled_orbit import daughters, long_daughter, window
+from jaxnh.analyses.cascade.plateaus import Line, Start, seen, starts
+from jaxnh.analyses.periodic.attractor_survey import first_points, survey
+from jaxnh.analyses.periodic.location import Located, locate, period_map, refined
+from jaxnh.analyses.periodic.newton_on_lanes import apart
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.orbits.doubling_points import FEIGENBAUM, DoublingPoint
+
+TRANSIENT = 512
+"""Periods before the last look at the strobe points."""
+
+_SMALLEST_LIMIT = 16  # periods looked for even where few levels are asked for: the cascade may begin at 2 or 3
+_OUTSIDE = 64  # lanes of a survey on either side of the sweep
+_ENDS = 16  # runs tried that no run of twice the period follows
+_FURTHER, _CLOSER = 4, 3  # windows of distances beyond a doubling, each 32 times as far or as near as the one before
+_LONGEST_SEEN = 64  # period that a survey looks for, whatever the cascade comes to
+_LONG = 32  # periods above are followed by multiple shooting alone, from one level to the next
+_BEYOND, _UP_TO = 0.4, 1.5  # shares of the distance expected to the next doubling
+_SHOWN = 6  # tries in words
+
+
+class Cascade(NamedTuple):
+    """Doublings of the periods n, 2n, 4n, … along the first axis.
+
+    Attributes:
+        period: n.
+        found: the doublings.
+        size: of the motion in each section coordinate, (d,).
+        end: where there are fewer than were looked for, how it ended; what was searched stands in a second line.
+        outside: whether a doubling lies beyond the lanes' values of the first axis.
+    """
+
+    period: int
+    found: tuple[Located, ...]
+    size: Float[np.ndarray, " d"]
+    end: str
+    outside: bool = False
+
+    @property
+    def points(self) -> tuple[DoublingPoint, ...]:
+        """The doublings."""
+        return tuple(located.point for located in self.found)
+
+
+def follow(scene: Scene, lanes: LaneRunner, levels: int, *, search: bool = False) -> Cascade:
+    """The doublings that the start state leads to along the first axis, at most so many.
+
+    Args:
+        scene: lanes along the first axis.
+        lanes: runs lanes.
+        levels: doublings looked for.
+        search: whether to look as far as the lanes reach beyond either end as well, where they have fewer.
+    """
+    steps = _Steps(scene, lanes, survey_limit(levels))
+    inside = line = steps.survey(np.unique(scene.line.values), "doubling")
+    if scene.line.values[-1] < scene.line.values[0]:
+        inside = line = line.take(slice(None, None, -1))
+    found = _best(steps, line, levels)
+    if len(found.points) < levels and search and len(line.value) > 1:
+        line = line.joined(_outside(steps, line))
+        wider = _best(steps, line, levels)
+        same = [point.value for point in found.points[:1]] == [point.value for point in wider.points[:1]]
+        found = wider if same or len(wider.points) > len(found.points) else found
+    low, high = inside.value.min(), inside.value.max()
+    outside = any(not low <= point.value <= high for point in found.points)
+    end = f"{found.end}\n{steps.searched(line)}" if found.end else ""
+    return found._replace(end=end, outside=outside)
+
+
+def along_line(
+    scene: Scene, lanes: LaneRunner, line: Line, levels: int, size: Float[np.ndarray, " d"]
+) -> tuple[Located, ...]:
+    """The doublings, at most so many, of the orbit of the first lane of a line and those born from it, along it.
+
+    Args:
+        scene: lanes along the first axis; its own values of it play no part here.
+        lanes: runs lanes.
+        line: the first of its lanes has an orbit that attracts, the others what a survey has found there.
+        levels: doublings looked for.
+        size: of the motion in each section coordinate.
+    """
+    steps = _Steps(scene, lanes, _LONGEST_SEEN)
+    steps.size = size
+    first = (start for start in starts(line) if start.line.sign == line.sign and start.runs[0].first == 0)
+    start = next(first, None)
+    return _along(steps, start, levels).found if start is not None else ()
+
+
+def survey_limit(levels: int) -> int:
+    """The longest period that a survey looks for where so many doublings are asked for."""
+    return min(max(_SMALLEST_LIMIT, 2**levels), _LONGEST_SEEN)
+
+
+def _outside(steps: _Steps, line: Line) -> Line:
+    """Lanes beyond either end of a line, as far as it is long."""
+    low, high = line.value.min(), line.value.max()
+    far = (high - low) * np.arange(1, _OUTSIDE + 1) / _OUTSIDE
+    return steps.survey(np.concatenate([low - far[::-1], high + far]), "doubling, beyond the sweep")
+
+
+def _best(steps: _Steps, line: Line, levels: int) -> Cascade:
+    """The first cascade along a line that has so many doublings, or else the one that has most."""
+    name, ends = steps.scene.line.name, 0
+    none = f"no doubling was located between {name} = {line.value[0]:.9g} and {line.value[-1]:.9g}"
+    best = Cascade(1, (), steps.size, none)
+    for start in starts(line):
+        ends += len(start.runs) == 1
+        if ends > _ENDS:
+            break
+        found = _along(steps, start, levels)
+        if len(found.points) > len(best.points):
+            best = found
+        if len(found.points) == levels:
+            break
+    return best
+
+
+def _along(steps: _Steps, start: Start, levels: int) -> Cascade:
+    """The cascade that begins at the end of a run, one level after the other."""
+    found: list[_Level] = []
+    while len(found) < levels and (level := _next(steps, start, found)) is not None:
+        found.append(level)
+    steps.tried[start.period, start.value, start.line.sign] = len(found)
+    end = ""
+    if len(found) < levels:
+        n, last = start.period << len(found), found[-1].located.point.value if found else start.value
+        where = f"{steps.scene.line.name} = {last:.9g} and {start.line.value[-1]:.9g}"
+        end = f"{n} → {2 * n} was not located between {where}"
+    return Cascade(start.period, tuple(level.located for level in found), steps.size, end)
+
+
+def _next(steps: _Steps, start: Start, found: list[_Level]) -> _Level | None:
+    """The next doubling beyond those found from a start."""
+    n, sign = start.period << len(found), start.line.sign
+    if n > _LONG and len(found) > 1:
+        points = [level.located.point for level in found]
+        gap = (points[-1].value - points[-2].value) / FEIGENBAUM
+        located = steps.long(points[-1], gap) if sign * (start.line.value[-1] - points[-1].value - gap) > 0 else None
+        if located is not None or n > 4 * _LONG:
+            return located and _Level(located, abs(gap))
+    for bracket in _brackets(steps, start, found, n):
+        after = found[-1].located.point.value if found else -sign * np.inf
+        located = steps.locate(bracket, n) if sign * (bracket.value[0] - after) > 0 else None
+        if located is not None and sign * (located.point.value - after) > 0:
+            return _Level(located, float(abs(bracket.value[1] - bracket.value[0])))
+    return None
+
+
+def _brackets(steps: _Steps, start: Start, found: list[_Level], n: int) -> Iterator[Line]:
+    """Lines of two lanes between which the period-n orbit may double: of the survey, then of the daughter orbit.
+
+    The next doubling is expected at the last distance over δ; beyond the first, where the survey has lost the orbit.
+    Further out it is looked for where the daughter is stable as far as this was seen, closer where nowhere so.
+    """
+    yield from start.brackets(n)
+    if not found:
+        return
+    born, end = found[-1].located.point, float(start.line.value[-1]) - found[-1].located.point.value
+    expected = (
+        (born.value - found[-2].located.point.value) / FEIGENBAUM
+        if len(found) > 1
+        else start.line.sign * found[0].width
+    )
+    near: Line | None = None
+    for number in (*range(_FURTHER), *range(-1, -_CLOSER, -1)):
+        if near is not None and (near.period[-1] != n if number > 0 else near.period[0] == n):
+            continue
+        if len(distances := window(expected, number, end)):
+            further = steps.daughters(born, start.line, distances)
+            near = further if near is None else near.joined(further)
+            for run in near.runs():
+                if run.period == n and run.last + 1 < len(near.value):
+                    yield near.take(np.array([run.last, run.last + 1]))
+
+
+class _Level(NamedTuple):
+    """A doubling, and how wide the bracket was that it was located in."""
+
+    located: Located
+    width: float
+
+
+class _Steps:
+    """The steps of a search, none of which is done twice: surveys, doublings located, orbits of twice the period.
+
+    Each is a function of numbers, and its result a record of arrays.
+
+    Attributes:
+        scene: lanes along the first axis; its own values of it play no part here.
+        limit: largest period that surveys look for.
+        size: of the motion in each section coordinate, (d,).
+        tried: doublings found from the end of a run, by its period, value and direction.
+    """
+
+    def __init__(self, scene: Scene, lanes: LaneRunner, limit: int) -> None:
+        self.scene, self.limit = scene, limit
+        self.tried: dict[tuple[int, float, float], int] = {}
+        self._lanes = lanes
+        self.size = np.ones(scene.system.dimension)
+        self._located: dict[tuple[int, float, float], Located | None] = {}
+        self._daughters: dict[tuple[int, float, float, float], Line] = {}
+
+    def survey(self, values: Float[np.ndarray, " lanes"], label: str) -> Line:
+        """Lanes at these values of the first axis, on their attractors."""
+        row = self.scene.at(values)
+        start = first_points(row, self._lanes)
+        found = survey(row, self._lanes, start, self.limit, label, TRANSIENT, only_doublings=True)
+        if not found.failed.all():
+            self.size = np.median(found.size[~found.failed], axis=0)
+        return Line(values, found.period, found.u)
+
+    def locate(self, bracket: Line, n: int) -> Located | None:
+        """The doubling of the period-n orbit between two lanes."""
+        near, far = bracket.value.tolist()
+        if (key := (n, near, far)) not in self._located:
+            with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
+                located = locate(self.scene, self._lanes, bracket.u[:1], near, far, n)
+            if located is not None and abs(located.point.value - near) > 2 * abs(far - near):
+                located = None  # Newton has gone to another doubling
+            self._located[key] = located
+        return self._located[key]
+
+    def daughters(self, born: DoublingPoint, line: Line, distances: Float[np.ndarray, " distances"]) -> Line:
+        """Lanes at distances beyond a doubling, on the stable orbit of twice its period where there is one."""
+        key = len(born.orbit), born.value, float(distances[0]), float(distances[-1])
+        if key not in self._daughters:
+            points = np.concatenate([line.u, first_points(self.scene, self._lanes)])
+            largest = float(np.nanmax(apart(self.scene.system, points, born.orbit[0], self.size)))
+            label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {self.scene.line.name} = {born.value:.9g}"
+            with self._lanes.stage(label, 0):
+                self._daughters[key] = daughters(self.scene, self._lanes, born, largest, self.size, distances)
+        return self._daughters[key]
+
+    def long(self, born: DoublingPoint, gap: float) -> Located | None:
+        """The doubling of the long orbit that is born at one, about so far beyond it."""
+        n = 2 * len(born.orbit)
+        stop = born.value + _UP_TO * gap
+        if (key := (n, born.value, stop)) not in self._located:
+            near = _BEYOND * gap
+            with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
+                period = period_map(self.scene, self._lanes, refined(self.scene)[0])
+                points = long_daughter(period, born, near, gap, self.size, self.scene.system.wrap)
+                found = points is not None
+                located = locate(self.scene, self._lanes, points, born.value + near, stop, n) if found else None
+            beyond = located is not None and (located.point.value - born.value) / gap > _BEYOND
+            self._located[key] = located if beyond else None
+        return self._located[key]
+
+    def searched(self, line: Line) -> str:
+        """In words, what a survey has seen, and from where cascades were looked for."""
+        name = self.scene.line.name
+        words = [
+            f"{n} → {2 * n} {'up' if sign > 0 else 'down'} from {value:.6g} ({found or 'none'} located)"
+            for (n, value, sign), found in sorted(self.tried.items(), key=lambda item: -item[1])
+        ]
+        more = [f"{len(words) - _SHOWN} more"] if len(words) > _SHOWN else []
+        tried = ", ".join([*words[:_SHOWN], *more]) or f"nothing, as no period ends between two values of {name}"
+        return f"{seen(line, name, self.limit)}; tried: {tried}"

@@ -1,0 +1,190 @@
+"""Branches of periodic orbits over the first axis, stable and unstable, and of equilibria; and their bifurcations.
+
+Orbits to begin with are those that the sweep's lanes settle on and, where they are asked for, those that Newton finds
+from random starts. What follows is for all lanes together (`family_tree`): branches are followed to their ends, doubled
+orbits and those of branch points in turn, and none twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+from pydantic import Field, model_validator
+
+from jaxnh.analyses.base import (
+    LANE,
+    Analysis,
+    OptionError,
+    Options,
+    Setting,
+    Sweep,
+    Table,
+    Whole,
+    rule,
+    variable,
+)
+from jaxnh.analyses.continuation.equilibria import equilibria
+from jaxnh.analyses.continuation.families import orbits_of
+from jaxnh.analyses.continuation.family_tree import grow
+from jaxnh.analyses.continuation.seeds import random_wave, settled_waves
+from jaxnh.analyses.continuation.tables import OWN_NAMES, Grown, bifurcations_table, datasets
+from jaxnh.analyses.periodic.attractor_survey import survey_from_start
+from jaxnh.analyses.periodic.location import price_of_orbits, refined
+from jaxnh.analyses.random_starts import Side, check_box
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.orbits.branches import Steps
+
+_WORK = 3.0  # of a run, in those of settling: a guess
+
+
+class BranchesOptions(Options):
+    """Options of `branches`."""
+
+    limit: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
+    transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
+    step: float = Field(
+        default=0.02, gt=0, le=0.25, description="Largest step along a branch, in widths of the sweep and in sizes"
+    )
+    longest: int = Field(default=2000, ge=2, description="Points of a branch to either side of its first, at most")
+    starts: int = Field(
+        default=0, ge=0, description="Random starts of Newton for orbits at each of the values searched; needs a box"
+    )
+    equilibria: int = Field(
+        default=0, ge=0, description="The same for equilibria of a flow without a clock, which are followed as well"
+    )
+    values: int = Field(default=5, ge=1, description="Number of values searched, evenly over the lanes of the sweep")
+    seed: int = Field(default=0, ge=0, description="Seed of the random starts")
+    box: dict[str, Side] = Field(
+        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> BranchesOptions:
+        asked = "starts" if self.starts else "equilibria"
+        if bool(self.starts or self.equilibria) != bool(self.box):
+            raise rule(*(("needs starts, their number", "box") if self.box else ("needs a box to draw from", asked)))
+        for name, (low, high) in self.box.items():
+            if not low < high:
+                raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
+        for name in ("seed", "values"):
+            if name in self.model_fields_set and not self.box:
+                raise rule("goes with starts, and there are none", name)
+        return self
+
+
+def periods(options: BranchesOptions, lanes: int) -> float:
+    """Lane-periods of a run: a guess, as nobody knows how many branches there are."""
+    return _WORK * lanes * (options.transient + 2 * options.limit)
+
+
+def numbers(options: BranchesOptions) -> int:
+    """Numbers that a lane needs: the points it is judged by."""
+    return 6 * options.limit
+
+
+def check(options: BranchesOptions, setting: Setting) -> None:
+    """See that there is one axis, a parameter that lanes may differ in, and a box for random starts."""
+    first, *others = setting.axes
+    if first.kind == "start":
+        what = f"{first.name} is a coordinate of the start state"
+        raise OptionError(f"branches are followed along the first axis of the sweep, and {what}" + setting.advice)
+    if first.kind == "shared":
+        what = f"the map has no derivative in {first.name}, which all lanes share"
+        raise OptionError(f"branches are followed along the first axis of the sweep, and {what}" + setting.advice)
+    if others:
+        names = " and ".join(axis.name for axis in others)
+        raise OptionError(f"branches are followed along one axis; leave out {names}")
+    if len(np.unique(first.values)) < 2:
+        raise OptionError(f"branches are followed over a range of {first.name}, and the sweep has one value of it")
+    taken = {*setting.flow.coordinates, *(f"{name}_points" for name in setting.flow.coordinates)}
+    for name in {first.name, *taken} & {*OWN_NAMES, f"{first.name}_error"}:
+        raise OptionError(f"{name} is what branches calls a number of its own; rename it")
+    if options.box:
+        check_box(options.box, setting, "box")
+    if options.equilibria and not setting.autonomous:
+        raise OptionError("a flow with a clock has no equilibria; leave it out", "equilibria")
+    if options.equilibria and setting.flow.dimension > setting.flow.exponents:
+        raise OptionError("equilibria of a flow with constraints are not isolated; leave it out", "equilibria")
+
+
+def run(options: BranchesOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """The orbit that every lane has settled on: a point of it, its period, and the size of the motion."""
+    found = survey_from_start(scene, lanes, options.limit, "branches", options.transient)
+    size = np.where(found.failed[:, None], np.nan, found.size)
+    return xr.Dataset(
+        {
+            "lane_period": variable(LANE, found.period, "period of a lane"),
+            "lane_u": variable((LANE, "lane_component"), found.u, "point of the orbit of a lane"),
+            "lane_size": variable((LANE, "lane_component"), size, "size of the motion of a lane"),
+        }
+    )
+
+
+def whole(options: BranchesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
+    """The groups `branches` and `bifurcations`, from what all lanes have settled on."""
+    [axis], [(order, row)] = sweep.axes, sweep.rows
+    scene = replace(row, along=replace(axis, values=axis.values[order]))
+    u, period, size = (data[f"lane_{name}"].to_numpy()[order] for name in ("u", "period", "size"))
+    known = np.isfinite(size).all(axis=1)
+    unit = np.median(size[known], axis=0) if known.any() else np.ones(u.shape[1])
+    ends = float(axis.values.min()), float(axis.values.max())
+    families = [orbits_of(scene, lanes, strobe, unit, ends) for strobe in refined(scene)]
+    waves = settled_waves(scene, lanes, u, np.where(known, period, 0))
+    some = np.unique(np.linspace(0, len(order) - 1, min(options.values, len(order))).round().astype(int))
+    here = scene.take(np.argsort(scene.line.values, kind="stable")[some])
+    if options.starts:
+        with lanes.stage(f"branches: {options.starts} random starts at {len(some)} values of {axis.name}", 0):
+            waves.append(
+                random_wave(
+                    here, lanes, options.starts, options.seed, options.box, options.limit, unit, options.transient
+                )
+            )
+
+    def stage(label: str) -> AbstractContextManager[object]:
+        return lanes.stage(f"branches: {label}", 0)
+
+    steps = Steps(options.step, options.longest)
+    grown = [Grown(grow(families, waves, options.limit, steps, stage), families[0], scene)]
+    if options.equilibria:
+        grown.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
+    return datasets(lanes, grown, options.limit)
+
+
+def count(data: xr.Dataset) -> dict[str, int]:
+    """Number of branches."""
+    return {"branches": data.sizes["branch"]}
+
+
+def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
+    """A row a period: how many branches there are, how many of them are stable somewhere, and their range."""
+    name, period = str(data.attrs["along"]), data["period"].to_numpy()
+    rows = []
+    for n in np.unique(period).tolist():
+        here = np.flatnonzero(period == n)
+        stable = np.any(data["stable"].to_numpy()[here] == 1, axis=1)
+        values = data[name].to_numpy()[here]
+        ends = f"{np.nanmin(values):.9g} to {np.nanmax(values):.9g}"
+        rows.append((str(n) if n else "equilibria", str(len(here)), str(int(stable.sum())), ends))
+    return Table("Branches of periodic orbits", ("period", "branches", "stable somewhere", name), tuple(rows))
+
+
+ANALYSIS = Analysis(
+    "branches",
+    BranchesOptions,
+    periods,
+    run,
+    whole=Whole(("bifurcations",), whole),
+    newton=True,
+    numbers=numbers,
+    count=count,
+    check=check,
+    table=table,
+    other_tables={"bifurcations": bifurcations_table},
+    price=price_of_orbits,
+    brief={"transient": 1, "limit": 1},
+)
+"""The entry of this analysis in the table."""

@@ -1,0 +1,307 @@
+"""Curves of bifurcations over two parameters: folds, doublings and Neimark–Sacker bifurcations of periodic orbits.
+
+Bifurcations to begin with are those of the branches over the first axis at some values of the second, from what lanes
+settle on there (`branches`). What follows is for all curves of one kind and period together (`orbits.curves`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from pydantic import Field
+
+from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Options, Setting, Sweep, Table, Whole, variable
+from jaxnh.analyses.continuation.families import orbits_of, plane_of
+from jaxnh.analyses.continuation.family_tree import grow
+from jaxnh.analyses.continuation.seeds import settled_waves
+from jaxnh.analyses.periodic.attractor_survey import survey_from_start
+from jaxnh.analyses.periodic.location import price_of_orbits, refined
+from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
+from jaxnh.orbits.branches import Steps
+from jaxnh.orbits.codimension_two import POINTS, Special, special_points
+from jaxnh.orbits.curve_errors import errors_of_points, errors_of_special, finer
+from jaxnh.orbits.curves import ENDS, Curve, Plane, both_ways, unknowns
+from jaxnh.orbits.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
+
+_OWN_NAMES = (
+    "curve", "point", "special", "multiplier", "part", "kind", "period", "multipliers", "begins", "ends",
+    "special_kind", "special_curve",
+)  # fmt: skip
+_NEAR = 1e-3  # lengths: a chord between two points is nearer to its curve than this
+_WORK = 3.0  # of a run, in those of settling: a guess
+
+
+class CurvesOptions(Options):
+    """Options of `curves`."""
+
+    limit: int = Field(
+        default=2, ge=1, le=64, description="Largest period of the orbits whose bifurcations are followed"
+    )
+    transient: int = Field(default=512, ge=1, description="Periods before lanes are looked at")
+    values: int = Field(
+        default=3, ge=1, description="Number of values of the second axis at which bifurcations are looked for"
+    )
+    step: float = Field(
+        default=0.02, gt=0, le=0.25, description="Largest step along a curve, in widths of the axes and in sizes"
+    )
+    longest: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
+
+
+class _Seed(NamedTuple):
+    """A bifurcation to begin with."""
+
+    kind: int
+    points: Float[np.ndarray, "n d"]
+    values: Float[np.ndarray, " 2"]
+
+
+class _Point(NamedTuple):
+    """A point of codimension two, the number of its curve, and errors of both parameters."""
+
+    curve: int
+    point: Special
+    error: Float[np.ndarray, " 2"]
+
+
+def periods(options: CurvesOptions, lanes: int) -> float:
+    """Lane-periods of a run: a guess, as nobody knows how many curves there are."""
+    return _WORK * options.values * lanes**0.5 * (options.transient + 2 * options.limit)
+
+
+def numbers(options: CurvesOptions) -> int:
+    """Numbers that a lane leaves."""
+    return 1
+
+
+def check(options: CurvesOptions, setting: Setting) -> None:
+    """See that there are two axes, parameters that lanes may differ in, and of more than one value each."""
+    names = [axis.name for axis in setting.axes]
+    if len(names) != 2:
+        raise OptionError(f"curves are followed over two axes, and the sweep has {' and '.join(names)}")
+    for axis in setting.axes:
+        if axis.kind != "lane":
+            what = "a coordinate of the start state" if axis.kind == "start" else "what all lanes of a program share"
+            raise OptionError(f"curves are followed over two parameters, and {axis.name} is {what}")
+        if len(np.unique(axis.values)) < 2:
+            raise OptionError(f"curves are followed over a range of {axis.name}, and the sweep has one value of it")
+    own = {*_OWN_NAMES, *(f"{name}_error" for name in names)}
+    own |= {f"special_{name}{rest}" for name in names for rest in ("", "_error")}
+    for name in {*names, *setting.flow.coordinates} & own:
+        raise OptionError(f"{name} is what curves calls a number of its own; rename it")
+
+
+def run(options: CurvesOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """Nothing: only lanes at a few values of the second axis are looked at, once all are there."""
+    return xr.Dataset({"lane_number": variable(LANE, np.arange(scene.count, dtype=np.int32), "number of a lane")})
+
+
+def whole(options: CurvesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
+    """The groups `curves` and `codimension_two`."""
+    (first, second), [(_, row)] = sweep.axes, sweep.rows
+    some = np.unique(
+        np.linspace(0, len(second.values) - 1, min(options.values, len(second.values))).round().astype(int)
+    )
+    chosen = np.unique(second.values[some])
+    scenes = [_along(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
+    low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
+    surveys = [survey_from_start(scene, lanes, options.limit, "curves", options.transient) for scene in scenes]
+    sizes = np.concatenate([survey.size[~survey.failed] for survey in surveys])
+    size = np.median(sizes, axis=0) if len(sizes) else np.ones(scenes[0].system.dimension)
+    names = (first.name, second.name)
+    plane, *others = (plane_of(scenes[0], lanes, strobe, size, names, low, high) for strobe in refined(scenes[0]))
+    curves = list[Curve]()
+    for scene, survey, value in zip(scenes, surveys, chosen.tolist(), strict=True):
+        period = np.where(survey.failed, 0, survey.period)
+        waves = settled_waves(scene, lanes, survey.u, period)
+        families = [orbits_of(scene, lanes, strobe, size, (low[0], high[0])) for strobe in refined(scene)]
+        with lanes.stage(f"curves: bifurcations at {second.name} = {value:g}", 0):
+            tree = grow(families, waves, options.limit, Steps(options.step))
+        seeds = [
+            _Seed(point.kind, point.points, np.array([point.value, value]))
+            for point in tree.bifurcations
+            if point.kind in (FOLD, DOUBLING, NEIMARK_SACKER)
+        ]
+        with lanes.stage(f"curves: from {len(seeds)} bifurcations at {second.name} = {value:g}", 0):
+            curves += _followed(plane, curves, seeds, options)
+    curves.sort(key=lambda curve: (curve.period, curve.kind))
+    with lanes.stage(f"curves: errors of {len(curves)}", 0):
+        again = [[finer(other, curve) for other in others] for curve in curves]
+        errors = [errors_of_points(*both) for both in zip(curves, again, strict=True)]
+    with lanes.stage(f"curves: points of codimension two on {len(curves)}", 0):
+        special = [
+            _Point(k, point, errors_of_special(others, again[k], point))
+            for k, curve in enumerate(curves)
+            for point in special_points(plane, curve)
+        ]
+    found = _dataset(scenes[0], sweep.axes, curves, errors, special, options.limit)
+    return {"curves": found, "codimension_two": _special(scenes[0], sweep.axes, curves, special)}
+
+
+def _along(row: Scene, first: Axis, lanes: np.ndarray) -> Scene:
+    """The lanes along the first axis at a value of the second."""
+    scene = row.take(lanes)
+    return replace(scene, along=replace(first, values=scene.p[first.name]))
+
+
+def _followed(plane: Plane, there: Sequence[Curve], seeds: Sequence[_Seed], options: CurvesOptions) -> list[Curve]:
+    """The curves through bifurcations that are on none yet, each once."""
+    new = list[Curve]()
+    for kind, n in sorted({(seed.kind, len(seed.points)) for seed in seeds}):
+        mine = [seed for seed in seeds if (seed.kind, len(seed.points)) == (kind, n)]
+        mine = [seed for seed in mine if not any(_passes(plane, curve, seed) for curve in there)]
+        if mine:
+            points, values = np.stack([seed.points for seed in mine]), np.stack([seed.values for seed in mine])
+            for seed, curve in zip(
+                mine, both_ways(plane, kind, points, values, options.step, options.longest), strict=True
+            ):
+                if curve is not None and not any(_passes(plane, other, seed) for other in new):
+                    new.append(curve)
+    return new
+
+
+def _passes(plane: Plane, curve: Curve, seed: _Seed) -> bool:
+    """Whether a curve goes through a bifurcation, whichever of the orbit's points comes first."""
+    if curve.kind != seed.kind or curve.period != len(seed.points):
+        return False
+    track = curve.track.z
+    begun, chord = track[:-1], np.diff(track, axis=0)
+    length = np.sum(chord**2, axis=1)
+    length = np.where(length > 0, length, 1.0)  # two equal points of a track are one
+    for m in range(curve.period):
+        [z] = unknowns(plane, np.roll(seed.points, m, 0)[None], seed.values[None])
+        share = np.clip(np.sum((z - begun) * chord, axis=1) / length, 0.0, 1.0)
+        if np.linalg.norm(begun + share[:, None] * chord - z, axis=1).min(initial=np.inf) <= _NEAR:
+            return True
+    return False
+
+
+# ---- the dataset
+
+
+def _dataset(
+    scene: Scene,
+    axes: Sequence[Axis],
+    curves: Sequence[Curve],
+    errors: Sequence[np.ndarray],
+    special: Sequence[_Point],
+    limit: int,
+) -> xr.Dataset:
+    """Variables over (curve, point), filled up with NaN, and over (special,)."""
+    shape = (len(curves), max((len(curve.values) for curve in curves), default=0))
+
+    def table(values: Sequence[np.ndarray], *more: int) -> np.ndarray:
+        found = np.full((*shape, *more), np.nan)
+        for k, one in enumerate(values):
+            found[k, : len(one)] = one
+        return found
+
+    dims, d = ("curve", "point"), scene.system.dimension
+    multipliers = [np.stack([np.real(curve.multipliers), np.imag(curve.multipliers)], axis=-1) for curve in curves]
+    columns: dict[str, Entry] = {}
+    for k, axis in enumerate(axes):
+        columns[axis.name] = variable(dims, table([curve.values[:, k] for curve in curves]), axis.long_name, axis.units)
+        words = f"error of {axis.name}: a point of the exact curve is as near in both parameters"
+        columns[f"{axis.name}_error"] = variable(dims, table([error[:, k] for error in errors]), words, axis.units)
+        words = f"{axis.long_name} at the point of codimension two"
+        columns |= _at_special(f"special_{axis.name}", axis, k, special, words)
+    found = {
+        **columns,
+        "kind": _flagged("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
+        "period": variable(
+            "curve",
+            np.array([curve.period for curve in curves], np.int32),
+            "period of the orbit",
+            counted_in(scene.system),
+        ),
+        "multipliers": variable(
+            (*dims, "multiplier", "part"), table(multipliers, d, 2), "Floquet multipliers, real and imaginary part"
+        ),
+        "begins": _flagged("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
+        "ends": _flagged("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
+        "special_kind": _flagged("special", [one.point.kind for one in special], "point of codimension two", POINTS),
+        "special_curve": variable("special", np.array([one.curve for one in special], np.int32), "number of the curve"),
+    }
+    names = " ".join(axis.name for axis in axes)
+    attrs = {"limit": limit, "over": names, "panel": "bifurcation_curves", "panel_variables": names}
+    if not curves:
+        attrs["warnings"] = f"curves: no bifurcation was found to follow over {names.replace(' ', ' and ')}"
+    return xr.Dataset(found, attrs=attrs)
+
+
+def _special(scene: Scene, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[_Point]) -> xr.Dataset:
+    """Variables over (special,): the points of codimension two, each with its curve and its multipliers."""
+    multipliers = np.full((len(special), scene.system.dimension, 2), np.nan)
+    for k, (_, point, _) in enumerate(special):
+        multipliers[k] = np.stack([np.real(point.multipliers), np.imag(point.multipliers)], axis=-1)
+    period = np.array([curves[one.curve].period for one in special], np.int32)
+    found = {
+        "kind": _flagged("special", [one.point.kind for one in special], "point of codimension two", POINTS),
+        "curve": variable("special", np.array([one.curve for one in special], np.int32), "number of the curve"),
+        "period": variable("special", period, "period of the orbit", counted_in(scene.system)),
+        "multipliers": variable(
+            ("special", "multiplier", "part"), multipliers, "Floquet multipliers, real and imaginary part"
+        ),
+    }
+    for k, axis in enumerate(axes):
+        found |= _at_special(axis.name, axis, k, special, axis.long_name)
+    names = " ".join(axis.name for axis in axes)
+    return xr.Dataset(found, attrs={"over": names, "panel": "special_points", "panel_variables": names})
+
+
+def _at_special(name: str, axis: Axis, k: int, special: Sequence[_Point], words: str) -> dict[str, Entry]:
+    """The k-th parameter at points of codimension two, with its error."""
+    values = np.array([one.point.values[k] for one in special], float)
+    errors = np.array([one.error[k] for one in special], float)
+    return {
+        name: variable("special", values, words, axis.units, ancillary_variables=f"{name}_error"),
+        f"{name}_error": variable(
+            "special", errors, f"error of {name}; NaN where finer maps do not have the point", axis.units
+        ),
+    }
+
+
+def _flagged(dim: str, values: Sequence[int], words: str, meanings: Sequence[str]) -> Entry:
+    flags = {"flag_values": np.arange(len(meanings), dtype=np.int8), "flag_meanings": " ".join(meanings)}
+    return variable(dim, np.array(values, np.int8), words, **flags)
+
+
+def count(data: xr.Dataset) -> dict[str, int]:
+    """Number of curves, and of points of codimension two."""
+    return {"curves": data.sizes["curve"], "special": data.sizes["special"]}
+
+
+def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
+    """A row a point of codimension two."""
+    first, second = str(data.attrs["over"]).split()
+    rows = []
+    for k in range(data.sizes["special"]):
+        curve = int(data["special_curve"][k])
+        kind, period = KINDS[int(data["kind"][curve])], int(data["period"][curve])
+        at = (
+            f"{float(data[f'special_{name}'][k]):.9g} ± {float(data[f'special_{name}_error'][k]):.1g}"
+            for name in (first, second)
+        )
+        rows.append((POINTS[int(data["special_kind"][k])], f"{kind} {period}", *at))
+    return Table("Points of codimension two", ("point", "on the curve of", first, second), tuple(rows), left=(0, 1))
+
+
+ANALYSIS = Analysis(
+    "curves",
+    CurvesOptions,
+    periods,
+    run,
+    whole=Whole(("codimension_two",), whole),
+    newton=True,
+    numbers=numbers,
+    count=count,
+    check=check,
+    table=table,
+    price=price_of_orbits,
+    brief={"transient": 1, "limit": 1, "values": 1},
+)
+"""The entry of this analysis in the table."""

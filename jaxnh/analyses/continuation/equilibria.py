@@ -1,0 +1,57 @@
+"""Branches of equilibria of a flow without a clock, from what Newton finds at random points of a box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import replace
+
+import numpy as np
+
+from jaxnh.analyses.continuation.families import equilibria_of
+from jaxnh.analyses.continuation.family_tree import Orbit, grow
+from jaxnh.analyses.continuation.tables import Grown
+from jaxnh.analyses.equilibria.search import rest_points
+from jaxnh.analyses.random_starts import Box, started
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.orbits.branches import Steps
+
+_FARTHEST = 100.0  # sizes of the box: equilibria found further out are none of those looked for
+
+
+def equilibria(
+    scene: Scene,
+    lanes: LaneRunner,
+    starts: int,
+    seed: int,
+    box: Box,
+    ends: tuple[float, float],
+    steps: Steps,
+    stage: Callable[[str], AbstractContextManager[object]],
+) -> Grown:
+    """All branches that equilibria lead to, with their folds, branch points and Hopf bifurcations.
+
+    Args:
+        scene: lanes along the first axis, at each of which Newton begins.
+        lanes: runs lanes.
+        starts, seed, box: points at each lane that Newton begins at.
+        ends: of the range of the parameter.
+        steps: how branches are followed.
+        stage: shows what is done inside, by its label.
+    """
+    still = replace(scene.in_time(), along=scene.line)
+    many, _ = started(still, starts, seed, box)
+    u, values = many.system.section_point(many.start), np.repeat(scene.line.values, starts)
+    size = np.ptp(u, axis=0) / 2.0
+    size = np.where(size > 0.0, size, size.max())
+    with stage(f"equilibria from {starts} points at {scene.count} values of {scene.line.name}"):
+        found = rest_points(many, lanes, u, np.tile(size, (len(u), 1)))
+    with np.errstate(invalid="ignore"):
+        near = found.found & np.all(np.abs(found.u) < _FARTHEST * size, axis=1)
+    waves = [
+        [Orbit(found.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
+        for value in np.unique(values).tolist()
+    ]
+    family = equilibria_of(scene, lanes, size, ends)
+    tree = grow([family] * 3, waves, 1, steps, stage)  # a field has no steps that could be refined
+    return Grown(tree, family, still)

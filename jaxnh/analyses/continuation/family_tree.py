@@ -1,0 +1,232 @@
+"""All branches that orbits belong to, and those that cross them at their bifurcations, generation by generation.
+
+Orbits come in waves. Those of a wave that are on no known branch are followed side by side; bifurcations are located on
+what is new, doubled branches and the branches that cross at branch points are followed in turn, and so on up to a
+limit of the period. Then comes the next wave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Complex, Float
+
+from jaxnh.analyses.continuation.known_branches import SAME, on_branch, same_orbit
+from jaxnh.orbits.arclength import FINE, Family, Orbits, along_parameter, correct
+from jaxnh.orbits.bifurcations import Brackets, brackets, locate, neutral_pair
+from jaxnh.orbits.branches import COLLAPSED, Branch, Steps, both_ways
+from jaxnh.orbits.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKER, eigenvalues
+from jaxnh.orbits.normal_forms import cubic
+from jaxnh.orbits.switching import crossing, doubled
+
+_AT_ONCE = 32  # branches that are followed side by side: together they fill tiles, and few are followed twice
+_BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it
+_LOOKED_AT = 9  # points of a branch
+_NARROW = 1 / 64  # of a chord, about the place of a bifurcation of a less fine map
+_SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have the bifurcation in common
+
+
+class Orbit(NamedTuple):
+    """A periodic orbit at a value of the parameter: (n, d), nearly."""
+
+    points: Float[np.ndarray, "n d"]
+    value: float
+
+
+class Bifurcation(NamedTuple):
+    """A bifurcation.
+
+    Attributes:
+        kind: number in `KINDS`.
+        value, error: of the parameter.
+        branch, place: number of the branch, and of the point of it that comes before.
+        points: the orbit, (n, d).
+        multipliers: of it, (d,).
+        coefficient: cubic one of the normal form; of a fold the second derivative of the parameter along the curve.
+        criticality: −1 subcritical, 1 supercritical, 0 none or not known.
+    """
+
+    kind: int
+    value: float
+    error: float
+    branch: int
+    place: int
+    points: Float[np.ndarray, "n d"]
+    multipliers: Complex[np.ndarray, " d"]
+    coefficient: float
+    criticality: int
+
+
+class Tree(NamedTuple):
+    """Branches, their bifurcations, and how many sign changes of test functions led to none."""
+
+    branches: list[Branch]
+    bifurcations: list[Bifurcation]
+    lost: int
+
+
+Stage = Callable[[str], AbstractContextManager[object]]
+"""Shows what is done inside, by its label."""
+
+
+def grow(
+    families: Sequence[Family],
+    waves: Sequence[Sequence[Orbit]],
+    limit: int,
+    steps: Steps,
+    stage: Stage = nullcontext,
+) -> Tree:
+    """All branches that waves of orbits lead to.
+
+    Args:
+        families: the map, and the same with 2 and 4 times the steps, for the errors of parameters.
+        waves: orbits to begin with.
+        limit: largest period.
+        steps: how branches are followed.
+        stage: shows what is done inside, by its label.
+    """
+    tree = Tree([], [], 0)
+    for wave in waves:
+        open_ = list(wave)
+        begun: dict[int, list[Orbits]] = {}
+        while open_ or begun:
+            n = min([*(len(orbit.points) for orbit in open_), *begun])
+            mine = [orbit for orbit in open_ if len(orbit.points) == n]
+            open_ = [orbit for orbit in open_ if len(orbit.points) != n]
+            new = _followed(families[0], tree, mine, begun.pop(n, []), steps, stage)
+            if not new:
+                continue
+            tree, more, parents = _with(families, tree, new, limit, stage)
+            open_ += parents
+            for orbits in more:
+                begun.setdefault(orbits.points.shape[1], []).append(orbits)
+    return tree
+
+
+def _followed(
+    family: Family, tree: Tree, some: Sequence[Orbit], begun: Sequence[Orbits], steps: Steps, stage: Stage
+) -> list[Branch]:
+    """The new branches through orbits, and on from orbits at bifurcations, all of one period."""
+    queue = [orbits.take(orbits.converged) for orbits in begun]  # first, as they begin where their branches do
+    beside = sum(len(orbits.value) for orbits in queue)
+    if some:
+        points, value = np.stack([orbit.points for orbit in some]), np.array([orbit.value for orbit in some])
+        orbits = correct(family, points, value, along_parameter(family, *points.shape[:2]), FINE)
+        queue.append(orbits.take(orbits.converged))
+    orbits: Orbits = jax.tree.map(lambda *leaves: np.concatenate(leaves), *queue)
+    n = orbits.points.shape[1]
+    known = [branch for branch in tree.branches if branch.period == n]
+
+    def is_new(others: Sequence[Branch], k: int) -> bool:
+        near = _BESIDE if k < beside else SAME
+        return not on_branch(family, others, orbits.points[k], float(orbits.value[k]), near)
+
+    with stage(f"branches of period {n} from {len(orbits.value)} orbits"):  # and back through bifurcations as well
+        followed = both_ways(family, orbits, steps, lambda found, k: is_new([*known, *found], k), _AT_ONCE)
+    new = list[Branch]()
+    for k, branch in followed.items():
+        if len(branch.value) > 1 and is_new(new, k) and not (k < beside and _is_known(family, [*known, *new], branch)):
+            new.append(branch)
+    return new
+
+
+def _is_known(family: Family, known: Sequence[Branch], branch: Branch) -> bool:
+    """Whether all of a branch, as far as some of its points tell, is on others."""
+    some = np.unique(np.linspace(0, len(branch.value) - 1, _LOOKED_AT).round().astype(int)).tolist()
+    return all(on_branch(family, known, branch.points[i], float(branch.value[i])) for i in some)
+
+
+def _with(
+    families: Sequence[Family], tree: Tree, new: Sequence[Branch], limit: int, stage: Stage
+) -> tuple[Tree, list[Orbits], list[Orbit]]:
+    """The tree with new branches of one period and their bifurcations; first orbits of the branches that leave there.
+
+    And orbits of the shorter period where a branch ends because it was born in a doubling.
+    """
+    count, n = len(tree.branches), new[0].period
+    tree = tree._replace(branches=[*tree.branches, *new])
+    parents = [orbit for branch in new for orbit in _parents(families[0], branch)]
+    stretch = brackets(families[0], new)
+    if stretch is None:
+        return tree, [], parents
+    with stage(f"{len(stretch.kind)} bifurcations of period {n}"):
+        points, first, vectors, lost = _located(families, stretch, count)
+        tree = tree._replace(lost=tree.lost + lost)
+        kept = list[int]()
+        for k, point in enumerate(points):
+            if not any(_same(families[0], point, other) for other in tree.bifurcations):
+                tree.bifurcations.append(point)
+                kept.append(k)
+        kind = np.array([points[k].kind for k in kept], int)
+        double, cross = (np.array(kept, int)[kind == which] for which in (DOUBLING, BRANCH_POINT))
+        begun = list[Orbits]()
+        if len(double) and 2 * n <= limit:
+            begun.append(doubled(families[0], first.take(double), vectors[double]))
+        if len(cross):
+            sides = [crossing(families[0], first.take(cross), sign) for sign in (1.0, -1.0)]
+            begun.append(jax.tree.map(lambda *leaves: np.concatenate(leaves), *sides))
+    return tree, begun, parents
+
+
+def _located(
+    families: Sequence[Family], stretch: Brackets, count: int
+) -> tuple[list[Bifurcation], Orbits, Float[np.ndarray, "some n d"], int]:
+    """Bifurcations in brackets, of branches that are numbered from `count` on; orbits of the first map there.
+
+    Also the critical vectors of real multipliers, and how many sign changes led to nothing.
+    """
+    first = locate(families[0], stretch)
+    neutral = np.isin(stretch.kind, (NEIMARK_SACKER, HOPF)) & first.found
+    neutral[neutral] = neutral_pair(families[0], first.orbits.take(neutral))
+    some = np.flatnonzero(first.found & ~neutral)
+    lost = int(np.sum(~first.found))
+    stretch, first = (jax.tree.map(lambda leaf: leaf[some], part) for part in (stretch, first))
+    if not len(some):
+        return [], first.orbits, np.zeros(first.orbits.points.shape), lost
+    second, third = (locate(finer, stretch, first.share, _NARROW) for finer in families[1:])
+    value = second.orbits.value
+    error = np.abs(value - first.orbits.value) + np.abs(third.orbits.value - value)
+    error += np.maximum(second.error, third.error)
+    sure = np.flatnonzero(second.found & third.found & np.isfinite(error))
+    orbits, kind = second.orbits.take(sure), stretch.kind[sure]
+    normal, values = cubic(families[1], orbits, kind), eigenvalues(families[1], orbits)
+    coefficient = np.where(kind == FOLD, second.bend[sure], normal.coefficient)
+    found = [
+        Bifurcation(
+            int(kind[k]),
+            float(orbits.value[k]),
+            float(error[at]),
+            count + int(stretch.branch[at]),
+            int(stretch.place[at]),
+            orbits.points[k],
+            values[k],
+            float(coefficient[k]),
+            int(normal.criticality[k]),
+        )
+        for k, at in enumerate(sure.tolist())
+    ]
+    return found, first.orbits.take(sure), np.real(normal.vectors), lost + len(some) - len(sure)
+
+
+def _parents(family: Family, branch: Branch) -> list[Orbit]:
+    """Orbits of half the period that a branch of doubled ones ends in."""
+    n = branch.period
+    ends = [k for k, end in zip((0, -1), branch.ends, strict=True) if end == COLLAPSED and n % 2 == 0]
+    return [Orbit(_middle(family, branch.points[k]), float(branch.value[k])) for k in ends]
+
+
+def _middle(family: Family, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "half d"]:
+    half = len(points) // 2
+    return points[:half] + 0.5 * family.wrap(points[half:] - points[:half])
+
+
+def _same(family: Family, one: Bifurcation, other: Bifurcation) -> bool:
+    """Whether two branches have a bifurcation in common."""
+    near = _SAME_POINT * family.width + one.error + other.error
+    if one.kind != other.kind or abs(one.value - other.value) > near:
+        return False
+    return same_orbit(family, one.points, other.points, 1e2 * _SAME_POINT)

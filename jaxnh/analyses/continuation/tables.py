@@ -1,0 +1,251 @@
+"""The groups `branches` and `bifurcations`: variables over branches and their points, and over bifurcations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from jaxnh.analyses.base import Entry, Table, variable
+from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
+from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
+from jaxnh.analyses.section_points import states_at
+from jaxnh.orbits.arclength import Family
+from jaxnh.orbits.branches import ENDS, Branch
+from jaxnh.orbits.kinds import KINDS, stable
+from jaxnh.orbits.normal_forms import CRITICALITIES
+from jaxnh.systems.flow import Output
+
+OWN_NAMES = (
+    "branch", "point", "iterate", "multiplier", "part", "bifurcation", "period", "stable", "multipliers", "residual",
+    "begins", "ends", "points", "kind", "criticality", "coefficient",
+)  # fmt: skip
+"""Names of variables and dimensions that no parameter or coordinate may have."""
+
+_MULTIPLIERS = "Floquet multipliers, real and imaginary part"
+_EIGENVALUES = "; of an equilibrium eigenvalues"
+
+
+class Grown(NamedTuple):
+    """Branches of one family: of orbits of a map, or of equilibria of its flow.
+
+    Attributes:
+        tree: them and their bifurcations.
+        family: the first of its maps.
+        scene: whose section coordinates their points have.
+    """
+
+    tree: Tree
+    family: Family
+    scene: Scene
+
+
+class _Table(Protocol):
+    def __call__(self, values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
+        """Rows of different lengths as one array, filled up."""
+        ...
+
+
+def datasets(lanes: LaneRunner, grown: Sequence[Grown], limit: int) -> dict[str, xr.Dataset]:
+    """Both groups: branches in the order of their periods, bifurcations in that of the parameter.
+
+    Args:
+        lanes: runs lanes.
+        grown: first the orbits, then, where there are any, the equilibria, whose period is 0.
+        limit: of the period.
+    """
+    scene = grown[0].scene
+    axis, trees = scene.line, [part.tree for part in grown]
+    all_ = [(of, k) for of, tree in enumerate(trees) for k in range(len(tree.branches))]
+    order = sorted(all_, key=lambda pair: (_period(grown[pair[0]], trees[pair[0]].branches[pair[1]].period), pair))
+    rank = {pair: place for place, pair in enumerate(order)}
+    found = [(of, point) for of, tree in enumerate(trees) for point in tree.bifurcations]
+    found.sort(key=lambda pair: (pair[1].value, pair[1].kind, len(pair[1].points)))
+    branches = _branches(lanes, grown, [(of, trees[of].branches[k]) for of, k in order])
+    drawn = f"{scene.system.plane[0]}_points"
+    attrs = {
+        "limit": limit,
+        "along": axis.name,
+        "lost": sum(tree.lost for tree in trees),
+        "panel": "branches",
+        "panel_variables": drawn,
+        **({"warnings": words} if (words := _warnings(axis, trees)) else {}),
+    }
+    points = _bifurcations(lanes, grown, found, [rank[of, point.branch] for of, point in found])
+    marks = {"along": axis.name, "panel": "marks", "panel_variables": drawn}
+    return {"branches": xr.Dataset(branches, attrs=attrs), "bifurcations": xr.Dataset(points, attrs=marks)}
+
+
+def _period(part: Grown, points: int) -> int:
+    return 0 if part.family.field else points
+
+
+def _warnings(axis: Axis, trees: Sequence[Tree]) -> str:
+    """Lines for the user."""
+    if not trees[0].branches:
+        return f"branches: no periodic orbit was found to follow along {axis.name}"
+    if lost := sum(tree.lost for tree in trees):
+        return f"branches: {lost} sign changes of test functions led to no bifurcation that could be located"
+    return ""
+
+
+def _branches(lanes: LaneRunner, grown: Sequence[Grown], branches: Sequence[tuple[int, Branch]]) -> dict[str, Entry]:
+    """Variables over (branch, point), filled up with NaN."""
+    axis, system, every = grown[0].scene.line, grown[0].scene.system, [branch for _, branch in branches]
+    shape = (len(every), max((len(branch.value) for branch in every), default=0))
+
+    def table(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
+        whole = np.full((*shape, *more), empty)
+        for k, one in enumerate(values):
+            whole[(k, slice(len(one)), *map(slice, one.shape[1:]))] = one
+        return whole
+
+    dims, flags = ("branch", "point"), _flags(ENDS)
+    periods = [_period(grown[of], branch.period) for of, branch in branches]
+    values = table([_parts(branch.multipliers) for branch in every], np.nan, _dimension(grown), 2)
+    attracts = [stable(grown[of].family, branch.multipliers) for of, branch in branches]
+    words = "1 where the orbit attracts, -1 beyond the end"
+    residual = "largest component of P(u) − u, in sizes of the motion"
+    return {
+        axis.name: variable(dims, table([branch.value for branch in every]), axis.long_name, axis.units),
+        "period": variable("branch", np.array(periods, np.int32), _of_periods(grown), counted_in(system)),
+        **_coordinates(lanes, grown, [(of, branch.points) for of, branch in branches], table, dims),
+        "multipliers": variable((*dims, "multiplier", "part"), values, _of_multipliers(grown)),
+        "stable": variable(dims, table(attracts, -1).astype(np.int8), words),
+        "residual": variable(dims, table([branch.residual for branch in every]), residual),
+        "begins": variable("branch", _column([b.ends[0] for b in every]), "why the branch begins there", **flags),
+        "ends": variable("branch", _column([b.ends[1] for b in every]), "why the branch ends there", **flags),
+    }
+
+
+def _bifurcations(
+    lanes: LaneRunner, grown: Sequence[Grown], found: Sequence[tuple[int, Bifurcation]], branch: Sequence[int]
+) -> dict[str, Entry]:
+    """Variables over (bifurcation,)."""
+    axis, system, every = grown[0].scene.line, grown[0].scene.system, [point for _, point in found]
+    dim, name = ("bifurcation",), axis.name
+
+    def column(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
+        whole = np.full((len(every), *more), empty)
+        for k, one in enumerate(values):
+            whole[(k, *map(slice, one.shape))] = one
+        return whole
+
+    def rows(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
+        return column([one[0] for one in values], empty, *more)
+
+    periods = [_period(grown[of], len(point.points)) for of, point in found]
+    multipliers = column([_parts(point.multipliers) for point in every], np.nan, _dimension(grown), 2)
+    signs = {"flag_values": np.arange(-1, 2, dtype=np.int8), "flag_meanings": " ".join(CRITICALITIES)}
+    error_words = f"largest error of {name}, from step refinement, interpolation and rounding"
+    coefficient = (
+        "cubic coefficient of the normal form in sizes of the motion; of a fold the curvature of the parameter"
+    )
+    return {
+        "kind": variable(dim, _column([point.kind for point in every]), "kind of bifurcation", **_flags(KINDS)),
+        name: variable(
+            dim,
+            np.array([point.value for point in every], float),
+            f"{axis.long_name} at the bifurcation",
+            axis.units,
+            ancillary_variables=f"{name}_error",
+        ),
+        f"{name}_error": variable(dim, np.array([point.error for point in every], float), error_words, axis.units),
+        "period": variable(dim, np.array(periods, np.int32), _of_periods(grown), counted_in(system)),
+        "branch": variable(dim, np.array(branch, np.int32), "number of the branch"),
+        "criticality": variable(
+            dim, _column([point.criticality for point in every]), "whether what is born is stable where it is", **signs
+        ),
+        "coefficient": variable(dim, np.array([point.coefficient for point in every], float), coefficient),
+        **_coordinates(lanes, grown, [(of, point.points[None]) for of, point in found], rows, dim),
+        "multipliers": variable((*dim, "multiplier", "part"), multipliers, _of_multipliers(grown)),
+    }
+
+
+def bifurcations_table(data: xr.Dataset) -> Table:
+    """A row a bifurcation, in the order of the parameter: what it is, of which orbit, where, and what is born there."""
+    name = str(data.attrs["along"])
+    kind, period, value, error, criticality = (
+        data[key].to_numpy() for key in ("kind", "period", name, f"{name}_error", "criticality")
+    )
+    rows = []
+    for k in range(data.sizes["bifurcation"]):
+        of = str(period[k]) if period[k] else "equilibrium"
+        born = CRITICALITIES[int(criticality[k]) + 1] if criticality[k] else "–"
+        decimals = int(np.clip(-np.floor(np.log10(error[k])), 0, 15)) if error[k] > 0 else 15
+        at = f"{value[k]:.{decimals}f} ± {error[k]:.1g}"
+        rows.append((KINDS[int(kind[k])].replace("_", " "), of, at, born))
+    return Table("Bifurcations", ("bifurcation", "period", name, "criticality"), tuple(rows), left=(0, 3))
+
+
+def _dimension(grown: Sequence[Grown]) -> int:
+    return max(part.scene.system.dimension for part in grown)
+
+
+def _of_periods(grown: Sequence[Grown]) -> str:
+    return "period of the orbit, 0 of an equilibrium" if len(grown) > 1 else "period of the orbit"
+
+
+def _of_multipliers(grown: Sequence[Grown]) -> str:
+    return _MULTIPLIERS + _EIGENVALUES if len(grown) > 1 else _MULTIPLIERS
+
+
+def _coordinates(
+    lanes: LaneRunner,
+    grown: Sequence[Grown],
+    points: Sequence[tuple[int, Float[np.ndarray, "k n d"]]],
+    table: _Table,
+    dims: tuple[str, ...],
+) -> dict[str, Entry]:
+    """Coordinates of the first point of every orbit, and under NAME_points of all of them."""
+    most = max((one.shape[1] for _, one in points), default=1)
+    columns, words = dict[str, dict[int, np.ndarray]](), dict[str, Output]()
+    for number, part in enumerate(grown):
+        mine = [place for place, (of, _) in enumerate(points) if of == number]
+        for name, (output, rows) in _outputs(lanes, part.scene, [points[place][1] for place in mine]).items():
+            words.setdefault(name, output)
+            columns.setdefault(name, {}).update(zip(mine, rows, strict=True))
+    found: dict[str, Entry] = {}
+    for name, rows in columns.items():
+        every, said = [rows[place] for place in range(len(points))], words[name]
+        first, attrs = [one[:, 0] for one in every], said.attrs
+        found[name] = variable(dims, table(first), f"{said.long_name} of the orbit's first point", **attrs)
+        whole = table(every, np.nan, most)
+        found[f"{name}_points"] = variable(
+            (*dims, "iterate"), whole, f"{said.long_name} of the orbit's points", **attrs
+        )
+    return found
+
+
+def _outputs(
+    lanes: LaneRunner, scene: Scene, points: Sequence[Float[np.ndarray, "k n d"]]
+) -> Mapping[str, tuple[Output, list[Float[np.ndarray, "k n"]]]]:
+    """Coordinates of the flow by name, of all points of some branches."""
+    flat = [one.reshape(-1, one.shape[-1]) for one in points]
+    whole = np.concatenate(flat) if flat else np.zeros((1, scene.system.dimension))
+    states = states_at(scene, lanes, whole)
+    named = scene.system.outputs(jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
+    cuts = np.cumsum([len(one) for one in flat])[:-1]
+    found = dict[str, tuple[Output, list[np.ndarray]]]()
+    for name in scene.system.coordinates:
+        if name in named:
+            parts = np.split(np.asarray(named[name].data)[:, 0], cuts) if flat else []
+            rows = [part.reshape(one.shape[:2]) for part, one in zip(parts, points, strict=True)]
+            found[name] = named[name], rows
+    return found
+
+
+def _parts(values: np.ndarray) -> np.ndarray:
+    return np.stack([np.real(values), np.imag(values)], axis=-1)
+
+
+def _column(values: Sequence[int]) -> np.ndarray:
+    return np.array(values, np.int8)
+
+
+def _flags(words: Sequence[str]) -> dict[str, Any]:
+    return {"flag_values": np.arange(len(words), dtype=np.int8), "flag_meanings": " ".join(words)}

@@ -1,0 +1,1 @@
+"""Sudden changes of chaotic attractors along a parameter."""

@@ -1,0 +1,1 @@
+"""Equilibria of flows without a clock."""

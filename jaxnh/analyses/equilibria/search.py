@@ -1,0 +1,90 @@
+"""Equilibria of a flow without a clock: zeros of its field that lanes have come to, and whether they attract."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.window_averages import Look, angles
+from jaxnh.systems.flow import Flow, Parameters
+
+_STEPS = 20  # of Newton
+_NEAR = 0.01  # of the range of a lane in its look: how far it may still be from its equilibrium
+_ROUNDING = 1e-9  # of sizes, and of the linearisation's norm in its eigenvalues
+_NOTHING = 1e-13  # of the largest size: coordinates that are zero
+
+
+class Zeros(NamedTuple):
+    """Zeros of the field near lanes that hardly move: whether there is one, whether it attracts, where, and how."""
+
+    found: Bool[np.ndarray, " lanes"]
+    stable: Bool[np.ndarray, " lanes"]
+    u: Float[np.ndarray, "lanes d"]
+    exponent: Float[np.ndarray, " lanes"]
+
+
+def zeros(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"], seen: Look
+) -> Zeros:
+    """Zeros of the field that lanes have come to: near their points, against how far they have moved in a look."""
+    found = rest_points(scene, lanes, u, size)
+    apart = np.abs(scene.system.wrap(found.u - u))
+    near = np.all(apart <= _NEAR * (seen.high - seen.low) + _rounding(scene, size), axis=1)
+    exponent = np.where(near, found.exponent, np.nan)
+    return Zeros(found.found & near, found.stable & near, found.u, exponent)
+
+
+def rest_points(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
+) -> Zeros:
+    """Newton for a zero of the field, least squares where that is singular, from points of lanes."""
+    at, step = u.copy(), np.zeros_like(u)
+    rates, change = _fields(scene, lanes, u)
+    for _ in range(_STEPS):
+        with np.errstate(invalid="ignore", over="ignore"):
+            finite = np.all(np.isfinite(change), axis=(1, 2)) & np.all(np.isfinite(rates), axis=1)
+        inverse = np.linalg.pinv(np.where(finite[:, None, None], change, 0.0))
+        step = -np.einsum("lij,lj->li", inverse, np.where(finite[:, None], rates, 0.0))
+        at = at + step
+        rates, change = _fields(scene, lanes, at)
+    finite = np.all(np.isfinite(change), axis=(1, 2)) & np.all(np.isfinite(rates), axis=1)  # else no step was taken
+    rounding = _rounding(scene, size)
+    found = finite & np.all(np.abs(step) <= rounding, axis=1)
+    # Least squares take no step either where the field is across the range of a singular linearisation.
+    with np.errstate(invalid="ignore"):
+        rest = np.einsum("lij,lj->li", np.abs(change), rounding) + rounding / scene.flow.period
+        found &= np.all(np.abs(rates) <= rest, axis=1)
+    real = np.sort(np.linalg.eigvals(np.where(found[:, None, None], change, 0.0)).real, axis=1)[:, ::-1]
+    hidden = scene.flow.dimension - scene.flow.exponents  # zeros, of what constraints keep
+    if hidden:
+        order = np.argsort(np.abs(real), axis=1)[:, hidden:]
+        real = np.sort(np.take_along_axis(real, order, axis=1), axis=1)[:, ::-1]
+    with np.errstate(invalid="ignore"):
+        least = _ROUNDING * np.linalg.norm(change, axis=(1, 2))
+    return Zeros(found, found & (real[:, 0] < -least), at, np.where(found, real[:, 0], np.nan))
+
+
+def _rounding(scene: Scene, size: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
+    unit = np.where(angles(scene.system), 1.0, size)
+    return _ROUNDING * unit + _NOTHING * unit.max(axis=1, keepdims=True)
+
+
+def _fields(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
+) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d d"]]:
+    return lanes(_field, (scene.flow,), (u, dict(scene.p)))
+
+
+def _field(flow: Flow, u: Float[Array, " d"], p: Parameters) -> tuple[Array, Array]:
+    """Rates of section coordinates and ∂(rate)/∂(coordinate), of one lane."""
+
+    def rate(u: Array) -> Array:
+        y = flow.unchart(u)
+        return jnp.stack(flow.lower(y, flow.rhs(0.0, y, p)))
+
+    return rate(u), jax.jacfwd(rate)(u)

@@ -1,0 +1,461 @@
+"""Lyapunov spectrum of the flow, with error bars and exact checks.
+
+Where a lane has settled on a stable periodic orbit, exponents are those of the orbit's multipliers, and where it has
+come to rest without a clock, those of the equilibrium's eigenvalues. Elsewhere they are averages of the growth of
+tangents: smooth ones where the motion is regular and they converge faster, else plain ones with the scatter of block
+means. `exponents_from` says which. Most lanes on an orbit are known early, and leave out the rest of their transient;
+all that are end after a sixteenth of their averages.
+
+Without a clock the flow carries its own direction along, whose exponent is zero unless the motion comes to rest: the
+tangents are those across it, one fewer, and no section is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int, Int8
+from pydantic import Field
+
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, variable
+from jaxnh.analyses.equilibria.detection import rest
+from jaxnh.analyses.exponents.errors import (
+    held_against_sum,
+    nearly_neutral,
+    of_blocks,
+    of_windows,
+    smooth_parts,
+    unseen_bursts,
+)
+from jaxnh.analyses.exponents.from_orbits import OrbitExponents, joined, no_orbits, of_orbits, on_orbits, settled_early
+from jaxnh.analyses.exponents.tangent_growth import (
+    BLOCKS,
+    Growth,
+    advance,
+    average,
+    begin,
+    one_by_one,
+    parts_of,
+    quadrature,
+)
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
+from jaxnh.maps.iterate import iterate
+
+SOURCES = ("average", "smooth_average", "orbit", "equilibrium")
+"""Meanings of the flags 0 to 3 of `exponents_from`."""
+
+_LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left
+_LARGEST_SEEN = 24.0  # beyond that a loss drowns in rounding
+_MOST_PARTS = 1024
+_PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
+_ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
+_AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
+_COMPARED = 16  # periods in which a smooth average is held against one with twice the steps
+_TANGENT_ERROR = 1e-4  # of the logarithm of a tangent's growth a period, and of its modulus where that is above one
+_TANGENT_ERRORS = 100.0  # or so many times the error of the map, of a coarse target
+_MOST_REFINED = 16
+_PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
+_COMMENT = (
+    "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
+    "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
+    "the whole, and twice what twice the steps change; of both, up to zero where a finite "
+    "window leaves that open, and at least the residual of the sum rule where that contradicts them; of an orbit: "
+    "twice what twice the steps change in its multipliers; of an equilibrium: "
+    "twice what a last step of Newton changes in its eigenvalues, and what rounding may"
+)
+
+
+class LyapunovOptions(Options):
+    """Options of `lyapunov`."""
+
+    transient: int = Field(default=256, ge=0, description="Periods before the average begins")
+    periods: int = Field(default=1024, ge=BLOCKS, description="Periods averaged over, at most")
+    error: float = Field(default=0.0, ge=0.0, description="Stop a lane whose error bars, 1/time, are below this")
+    exponents: int = Field(default=3, ge=1, description="How many of the largest exponents are wanted")
+    plain: bool | None = Field(
+        default=None, description="Whether plain averages are enough, of lanes on orbits too: quick and less exact"
+    )
+
+
+class Averages(NamedTuple):
+    """What the averages of lanes have left.
+
+    Attributes:
+        growth: of every lane at its end.
+        rates: growth a period in every block that was run: of the flow's direction without a clock, of each tangent,
+            of volume, and of volume by quadrature, (lanes, blocks, sums).
+        smooth: smooth averages over the whole, its first and its second half, without the last sum, (lanes, 3, sums).
+        blocks: number of blocks that were run, (lanes,).
+        settled: exponents of the lanes that were found on orbits by the end of the first block, which needed no others.
+    """
+
+    growth: Growth
+    rates: Float[np.ndarray, "lanes blocks sums"]
+    smooth: Float[np.ndarray, "lanes 3 sums"]
+    blocks: Int[np.ndarray, " lanes"]
+    settled: OrbitExponents
+
+
+def periods(options: LyapunovOptions, lanes: int) -> float:
+    """Lane-periods of a run; each costs one and about two more for every tangent."""
+    return float(lanes * (options.transient + options.periods * (1 + 2 * options.exponents)))
+
+
+def check(options: LyapunovOptions, setting: Setting) -> None:
+    """See that no more exponents are named than there are; the default is cut down to them."""
+    most = setting.flow.exponents
+    if "exponents" in options.model_fields_set and options.exponents > most:
+        raise OptionError(f"must be at most {most}, not {options.exponents}", "exponents")
+
+
+def choose(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> dict[str, int]:
+    """How many times a period tangents are orthonormalised, the same for all lanes of a sweep.
+
+    And, where tangents need more steps than states, how many times as many.
+    """
+    scene, k = scene.in_time(), tangents(options, scene.in_time())
+    if k == 1:
+        return {"parts": 1}
+    parts, growth = _parts_needed(scene, lanes, k)
+    refinement = _refinement_needed(scene, lanes, growth, parts)
+    return {"parts": parts} | ({"refinement": refinement} if refinement > 1 else {})
+
+
+def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """The `exponents` largest exponents of every lane, their errors, and the sum rule where all are found."""
+    scene = scene.in_time()
+    chosen = scene.chosen.get("lyapunov") or choose(options, scene, lanes)
+    parts, refinement = chosen["parts"], chosen.get("refinement", 1)
+    scene = replace(scene, steps=refinement * scene.steps)
+    found = averages(options, scene, lanes, parts)
+    data = _dataset(options, scene, found, spectrum(options, scene, lanes, found, parts), parts)
+    return data if refinement == 1 else data.assign_attrs(refinement_for_tangents=refinement)
+
+
+def averages(
+    options: LyapunovOptions, scene: Scene, lanes: LaneRunner, parts: int, *, to_the_end: bool = False
+) -> Averages:
+    """Growth of all lanes in blocks, after the transient.
+
+    Lanes whose errors are small enough stop early, and so do those that are on a stable orbit after the first block,
+    which gives their exponents at once, unless all averages are to go on `to_the_end`.
+    """
+    count, k, lead = scene.count, tangents(options, scene), int(scene.flow.autonomous)
+    strobes = parts_of(scene, parts)
+    nodes = quadrature(scene) if scene.flow.contraction and every_exponent(options, scene) else None
+    aligning = options.transient // _ALIGNING
+    settling = options.transient - aligning
+    block = options.periods // BLOCKS
+    state, p = scene.lanes
+    early = settled_early(scene, lanes, options.transient) if not to_the_end and _have_orbits(options, scene) else None
+    state, before = (early.state, early.periods) if early else (jax.tree.map(np.array, state), 0)
+    others = np.setdiff1d(np.arange(count), early.settled) if early else np.arange(count)
+    with lanes.stage(f"lyapunov: transient of {len(others)} lanes", len(others) * (options.transient - before)):
+        left = max(settling - before, 0)
+        if len(others):
+            shared = scene.strobe(), np.int32(left)
+            _put(state, others, lanes(iterate, shared, picked((state, p), others), periods=left))
+        growth = lanes(begin, (scene.system,), (state,), static=(k,))
+        if len(others):
+            some, some_p = picked((growth, p), others)
+            _put(growth, others, average(lanes, strobes, some, some_p, aligning)[0])
+    rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
+    smooth = np.zeros((count, 3, lead + k + 1))
+    done = np.zeros(count, int)
+    running = np.arange(count)
+    settled = no_orbits(lead + k)
+    with lanes.stage(f"lyapunov: averages of {count} lanes", count * options.periods):
+        for i in range(BLOCKS):
+            part, part_p = picked((growth, p), running)
+            part, rates[running, i] = average(lanes, strobes, part, part_p, block, i / BLOCKS, nodes)
+            smooth[running] += smooth_parts(part, block, i)
+            _put(growth, running, part)
+            done[running] += 1
+            if i == 0 and not to_the_end and _have_orbits(options, scene):
+                if early:
+                    found = picked(early.survey, early.settled)
+                    settled = of_orbits(scene, lanes, growth, early.settled, found, parts)
+                # A chaotic lane whose tangent shrinks in this block is looked at as well, and goes on.
+                candidates = others[~(rates[others, 0, lead] > 0.0)]
+                settled = joined(settled, on_orbits(scene, lanes, growth, candidates, parts, options.periods))
+                running = np.setdiff1d(running, settled.lanes)
+            if options.error and i + 1 >= BLOCKS // 4:
+                plain = of_blocks(rates[running, : i + 1, lead : lead + k])
+                error = nearly_neutral(plain, aligning, (i + 1) * block).error / scene.system.period
+                running = running[~(np.max(error, axis=1) < options.error)]
+            if not len(running):
+                break
+    return Averages(growth, rates, smooth, done, settled)
+
+
+def _put(whole: Any, lanes: Int[np.ndarray, " some"], part: Any) -> None:
+    """Write what some lanes have come to over what is known of all."""
+    for leaf, moved in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
+        leaf[lanes] = moved
+
+
+class Spectrum(NamedTuple):
+    """Exponents a period, and where they come from.
+
+    Attributes:
+        mean, error: of the flow's direction without a clock, and of each tangent, (lanes, sums).
+        source: number in `SOURCES`, (lanes,).
+    """
+
+    mean: Float[np.ndarray, "lanes sums"]
+    error: Float[np.ndarray, "lanes sums"]
+    source: Int8[np.ndarray, " lanes"]
+
+
+def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: Averages, parts: int) -> Spectrum:
+    """The best that is known of every lane: its orbit, a smooth average or a plain one."""
+    lead, k = int(scene.flow.autonomous), tangents(options, scene)
+    aligned, block = options.transient // _ALIGNING, options.periods // BLOCKS
+    mean, error = np.full((2, scene.count, lead + k), np.nan)
+    on_orbit = np.isin(np.arange(scene.count), found.settled.lanes)
+    for blocks in np.unique(found.blocks[~on_orbit]):
+        chosen = (found.blocks == blocks) & ~on_orbit
+        plain = of_blocks(found.rates[chosen, :blocks, : lead + k])
+        mean[chosen], error[chosen] = nearly_neutral(plain, aligned, blocks * block)
+    source = np.zeros(scene.count, np.int8)
+    if options.plain:
+        return Spectrum(mean, error, source)
+    number = np.arange(BLOCKS)
+    late = (number < found.blocks[:, None]) & (number >= (found.blocks - np.maximum(found.blocks // 4, 1))[:, None])
+    last = np.mean(found.rates[:, :, lead], axis=1, where=late)
+    open_ = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
+    open_ &= np.all(np.isfinite(mean), axis=1)
+    whole = np.flatnonzero(open_ & (found.blocks == BLOCKS))
+    smooth = of_windows(found.smooth[whole, :, : lead + k], aligned, BLOCKS * block)
+    smooth = nearly_neutral(smooth, aligned, BLOCKS * block)
+    better = smooth.error[:, lead] < error[whole, lead]
+    regular = whole[better]
+    source[regular] = SOURCES.index("smooth_average")
+    mean[regular] = smooth.mean[better]
+    error[regular] = smooth.error[better] + _of_steps(scene, lanes, picked(found.growth, regular), regular, parts)
+    drifting = whole[~better]
+    error[drifting] += unseen_bursts(found.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
+    candidates = np.flatnonzero(open_)
+    orbits = [found.settled]
+    if len(candidates) and _have_orbits(options, scene):
+        orbits.append(on_orbits(scene, lanes, found.growth, candidates, parts, BLOCKS * block))
+    for settled in orbits:
+        source[settled.lanes] = SOURCES.index("orbit")
+        mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
+    if len(candidates) and lead:
+        still, _, exponents, bound = rest(scene.take(candidates), lanes, options.transient + options.periods)
+        resting = candidates[still]
+        source[resting] = SOURCES.index("equilibrium")
+        complete = exponents.shape[1] == scene.flow.exponents  # else some eigenvalues are those of constraints
+        for values, found_there in ((mean, exponents), (error, bound)):
+            values[resting] = found_there[still, : lead + k] * scene.system.period if complete else np.nan
+    return Spectrum(mean, error, source)
+
+
+def _have_orbits(options: LyapunovOptions, scene: Scene) -> bool:
+    """Whether orbits of lanes are looked for: of a strobe map, whose multipliers are right to rounding."""
+    return not options.plain and not scene.flow.autonomous and scene.precision == "float64"
+
+
+def _of_steps(
+    scene: Scene, lanes: LaneRunner, growth: Growth, some: Int[np.ndarray, " some"], parts: int
+) -> Float[np.ndarray, "some sums"]:
+    """Twice what twice the steps change in the growth over a few periods from where these lanes of a scene are.
+
+    Regular motions from one state stay together for that long. In plain averages this is far below the scatter, as
+    steps are chosen for tangents as well (`_refinement_needed`).
+    """
+    if not len(some):
+        return np.zeros((0, len(growth.logs)))
+    p = picked(dict(scene.p), some)
+    coarse, fine = (average(lanes, parts_of(scene, parts, n), growth, p, _COMPARED)[1] for n in (1, 2))
+    return 2.0 * np.abs(coarse - fine)[:, : len(growth.logs)]
+
+
+def every_exponent(options: LyapunovOptions, scene: Scene) -> bool:
+    """Whether all exponents are asked for, so that there is a sum rule."""
+    return options.exponents >= scene.flow.exponents
+
+
+def tangents(options: LyapunovOptions, scene: Scene) -> int:
+    """How many tangents are carried: one for each exponent that is wanted and not known."""
+    return min(options.exponents, scene.flow.exponents - int(scene.flow.autonomous))
+
+
+def _pilots(scene: Scene) -> Scene:
+    """Some lanes across a sweep."""
+    return scene.take(np.unique(np.linspace(0, scene.count - 1, _PILOT_LANES).round().astype(int)))
+
+
+def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> tuple[int, Growth]:
+    """Orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
+
+    Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
+    bounds what a longer part does; where that is all that rounding lets one see, a smaller part is looked at. Also
+    these lanes some periods from their start.
+    """
+    few = _pilots(scene)
+    parts = _PILOT_PARTS
+    while True:
+        state, p = few.lanes
+        growth = lanes(begin, (scene.system,), (state,), static=(k,))
+        # The first number of parts one at a time, through the program of a whole period, which is needed anyway.
+        single = parts == _PILOT_PARTS
+        strobes = parts_of(scene, parts)
+        loss = 0.0
+        for strobe in one_by_one(strobes, parts_of(scene, 1)) * _PILOT_PERIODS if single else (strobes,):
+            growth, _ = average(lanes, strobe, growth, p, 1 if single else _PILOT_PERIODS)
+            loss = float(np.max(growth.loss, initial=loss, where=np.isfinite(growth.loss)))
+        if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
+            break
+        parts *= 4
+    return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / _LARGEST_LOSS, 1.0))), 1, _MOST_PARTS)), growth
+
+
+def _refinement_needed(scene: Scene, lanes: LaneRunner, growth: Growth, parts: int) -> int:
+    """Times the steps of the map, a power of two, with which tangents grow and shrink as twice as many have it.
+
+    Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
+    its polynomial can follow. Measured on lanes across the sweep, part by part from one state each, so that paths that
+    chaos parts do not count.
+    """
+    if not scene.target:
+        return 1
+    few, room = _pilots(scene), parts_of(scene, 1)
+    p, refinement, enough = dict(few.p), 1, max(_TANGENT_ERROR, _TANGENT_ERRORS * scene.error_estimate)
+    periods = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts)
+    while refinement < _MOST_REFINED:
+        pieces = (refinement * parts, 2 * refinement * parts)
+        coarse, fine = (one_by_one(parts_of(scene, n, n // parts), room) for n in pieces)
+        now, apart, whole = growth, *np.zeros((2, 1, 1))
+        for i in range(len(coarse) * periods):
+            i %= len(coarse)
+            _, once = average(lanes, coarse[i], now, p, 1)
+            now, first = average(lanes, fine[2 * i], now, p, 1)
+            now, second = average(lanes, fine[2 * i + 1], now, p, 1)
+            apart, whole = apart + once - first - second, whole + np.abs(first + second)
+        apart, whole = (np.abs(values[:, : len(growth.logs)]) / periods for values in (apart, whole))
+        short = apart > enough * np.maximum(whole, 1.0)
+        if not np.any(short & np.isfinite(apart)):
+            break
+        refinement *= 2
+    return refinement
+
+
+def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectrum: Spectrum, parts: int) -> xr.Dataset:
+    """All variables; the first sum without a clock is that along the flow."""
+    period, k = scene.system.period, spectrum.mean.shape[1]
+    wanted = min(options.exponents, k)
+    found, spread = spectrum.mean / period, spectrum.error / period
+    averaged = averages.blocks * (options.periods // BLOCKS)
+    symbols, residual = scene.flow.contraction, None
+    volume = averages.rates[:, :, k:].copy()
+    ran = np.arange(BLOCKS) < averages.blocks[:, None]
+    volume = np.sum(np.where(ran[:, :, None], volume, 0.0), axis=1) / averages.blocks[:, None] / period
+    sums = np.sum(np.where(ran[:, :, None], averages.rates[:, :, :k], 0.0), axis=(1, 2)) / averages.blocks / period
+    if every_exponent(options, scene):
+        # At rest the flow has no direction once its rate has come down to rounding.
+        sums = np.where(spectrum.source == SOURCES.index("equilibrium"), found.sum(axis=1), sums)
+        residual = sums - volume[:, 1 if symbols else 0]
+        of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
+        spread[of_average] = held_against_sum(spread[of_average], residual[of_average])
+    attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
+    if scene.flow.autonomous:
+        rests = (spectrum.mean[:, 0] * averaged < _AT_REST) | (spectrum.source == SOURCES.index("equilibrium"))
+        lost = ~np.isfinite(spectrum.mean[:, 0])
+        for values in (found, spread):
+            values[:, 0] = np.where(lost, np.nan, np.where(rests, values[:, 0], 0.0))
+        attrs["along_flow"] = "the exponent along the flow is known to be zero"
+    attrs |= {
+        "panel": "curves",
+        "panel_variables": "exponents",
+        "panel_label": "largest Lyapunov exponent" if wanted == 1 else "Lyapunov exponents",
+    }
+    order = np.argsort(-found, axis=1)[:, :wanted]
+    exponents, errors = np.take_along_axis(found, order, axis=1), np.take_along_axis(spread, order, axis=1)
+    each, unit = (LANE, "exponent"), "1/time"
+    words = "Lyapunov exponents, natural logarithm"
+    flags = {"flag_values": np.arange(len(SOURCES), dtype=np.int8), "flag_meanings": " ".join(SOURCES)}
+    variables = {
+        "exponent": variable("exponent", np.arange(1, wanted + 1), "number of the exponent, largest first"),
+        "exponents": variable(each, exponents, words, unit, ancillary_variables="exponents_error exponents_from"),
+        "exponents_error": variable(each, errors, "error of the exponents at 95 %", unit, comment=_COMMENT),
+        "exponents_from": variable(LANE, spectrum.source, "what the exponents of a lane are", **flags),
+    }
+    divergence = ""
+    if symbols:
+        divergence = f" −{symbols}"
+        words = f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
+        variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, unit)
+    variables["averaged"] = variable(LANE, averaged, "length of the average", counted_in(scene.system))
+    if residual is not None:
+        what = "sum of the plain averages, at rest of the exponents"
+        words = f"{what}, minus the mean divergence{divergence}, integrated by itself"
+        variables["sum_rule_residual"] = variable(LANE, residual, words, unit)
+        if divergence:
+            words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
+            variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, unit)
+        # Without a clock the exponent along the flow counts as well.
+        of = "of the flow" if scene.flow.autonomous else "of the Poincaré section"
+        variables["kaplan_yorke"] = variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {of}")
+    return xr.Dataset(variables, attrs=attrs)
+
+
+def kaplan_yorke(exponents: Float[np.ndarray, "lanes k"]) -> Float[np.ndarray, " lanes"]:
+    """Kaplan–Yorke dimension of descending exponents; k where their sum is not negative."""
+    total = np.cumsum(exponents, axis=1)
+    lanes, k = exponents.shape
+    whole = np.sum(total >= 0.0, axis=1)
+    before = np.where(whole > 0, total[np.arange(lanes), np.maximum(whole, 1) - 1], 0.0)
+    following = np.where(whole < k, np.abs(exponents[np.arange(lanes), np.minimum(whole, k - 1)]), 1.0)
+    return np.where(whole == k, float(k), whole + before / following)
+
+
+def program(scene: Scene, k: int, parts: int = _PRICED_PARTS) -> Program:
+    """A period of k tangents, orthonormalised so many times; of none the map alone."""
+    scene = scene.in_time()
+    if not k:
+        return map_alone(scene)
+    state, p = scene.lanes
+    state = jax.tree.map(jnp.asarray, state)
+    begun = jax.vmap(lambda z: begin(scene.flow, z, k))(state)
+    strobes = parts_of(scene, parts)
+    shared = (strobes, None, np.int32(1), np.float64(0.0))
+    return Program(advance, shared, (jax.tree.map(np.asarray, begun), p), (1.0, float(parts), *strobes.turns))
+
+
+def price(options: LyapunovOptions, scene: Scene) -> Price:
+    """All tangents against the map alone."""
+    k = tangents(options, scene)
+    return Price(program(scene, k), program(scene, 0), f"{k} tangent{'s' if k > 1 else ''}")
+
+
+def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
+    """Sign of the largest exponent, 0 where its bar covers zero, 2 where there is no exponent."""
+    largest, error = (data[name].to_numpy()[..., 0] for name in ("exponents", "exponents_error"))
+    sign = np.where(np.abs(largest) > error, np.sign(largest), 0.0)
+    return np.where(np.isfinite(largest), sign, 2.0).astype(int)
+
+
+ANALYSIS = Analysis(
+    "lyapunov",
+    LyapunovOptions,
+    periods,
+    run,
+    in_time=True,
+    rows=True,
+    choose=choose,
+    classes=classes,
+    smooth=("exponents", "exponents_error"),
+    check=check,
+    price=price,
+    brief={"transient": 1, "periods": BLOCKS},
+)
+"""The entry of this analysis in the table."""

@@ -1,0 +1,334 @@
+"""Attractors of lanes and their least periods, from Newton on their orbits: not from how near strobe points come.
+
+Strobe points after a transient only name candidates. What decides is whether Newton finds a stable orbit of that
+period there, so that neither the slow convergence near a doubling (a decaying oscillation of period 2n) nor a
+coexisting partner orbit is taken for another period.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxnh.analyses.periodic.newton_on_lanes import (
+    CONVERGED,
+    ORBIT_TILE,
+    apart,
+    largest_multiplier,
+    least_period,
+    orbits,
+    sizes,
+)
+from jaxnh.analyses.scene import LaneRunner, Scene, picked, section_points
+from jaxnh.maps.iterate import iterate, record
+from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.rows import row_by_row
+from jaxnh.orbits.newton import find_doubled
+from jaxnh.systems.flow import Flow, Parameters, State
+
+_CLOSE = 0.03  # sizes of the motion: strobe points nearer than this may be one point of a slowly converging orbit
+_SMALLEST = 1e-4  # of the size at the start: branches, followed to 1e-9 of a size, then are so to hundreds of roundings
+_NEARLY_NEUTRAL = 1e-3  # |1 − μ| below which an orbit of even period may be one that has just been born in a doubling
+# Lanes are looked at first after this share of the transient, for orbits no longer than this.
+_EARLY, _EARLY_LIMIT = 8, 16
+
+
+class Survey(NamedTuple):
+    """Lanes on their attractors.
+
+    Attributes:
+        period: least period of the attractor, 0 where it is none up to the limit, (lanes,).
+        u: a point of the orbit in section coordinates, (lanes, d).
+        residual: largest component of Pⁿ(u) − u in sizes of the motion, NaN where no orbit was found, (lanes,).
+        multiplier: largest modulus of the multipliers, NaN likewise, (lanes,).
+        monodromy: ∂Pⁿ/∂u at the point, NaN likewise, (lanes, d, d).
+        failed: whether the state of the lane is not finite, (lanes,).
+        size: of the motion in each section coordinate, (lanes, d): what `near` means.
+    """
+
+    period: Int[np.ndarray, " lanes"]
+    u: Float[np.ndarray, "lanes d"]
+    residual: Float[np.ndarray, " lanes"]
+    multiplier: Float[np.ndarray, " lanes"]
+    monodromy: Float[np.ndarray, "lanes d d"]
+    failed: Bool[np.ndarray, " lanes"]
+    size: Float[np.ndarray, "lanes d"]
+
+
+def survey_from_start(scene: Scene, lanes: LaneRunner, limit: int, label: str, transient: int) -> Survey:
+    """Attractor and period, up to a limit, of every lane of a scene from its start state."""
+    early, *late = _looks(transient, limit)
+    if not late:
+        return survey(scene, lanes, first_points(scene, lanes), limit, label, transient)
+    return _continued(scene, lanes, first_look(scene, lanes, label, early), late, label)
+
+
+def survey(
+    scene: Scene,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, "lanes d"],
+    limit: int,
+    label: str,
+    transient: int,
+    least: int = 1,
+    only_doublings: bool = False,
+    tile: int | None = None,
+) -> Survey:
+    """Attractor and period (from `least` up to a limit) of every lane of a scene, from start points u.
+
+    Lanes whose orbit is not found early are looked at again after the whole transient. The period is a multiple of the
+    least n after which the points roughly recur; with `only_doublings`, for a cascade, 2, 4, 8, … times that alone are
+    tried.
+
+    Args:
+        tile: lanes a tile on their way, where they are few.
+    """
+    first, *late = _looks(transient, limit)
+    how = label, least, only_doublings, tile
+    return _continued(scene, lanes, _look(scene, lanes, u, first, *how), late, *how)
+
+
+class Timing(NamedTuple):
+    """When lanes are looked at, and how closely.
+
+    Attributes:
+        wait: periods before.
+        limit: of the period; there are twice as many points.
+        tries: how many periods of a lane are tried at most.
+    """
+
+    wait: int
+    limit: int
+    tries: float = math.inf
+
+    @property
+    def periods(self) -> int:
+        """That it takes."""
+        return self.wait + 2 * self.limit
+
+
+class Seen(NamedTuple):
+    """What was seen of lanes at one time, and their last points, (lanes, d)."""
+
+    survey: Survey
+    ends: Float[np.ndarray, "lanes d"]
+
+
+def _looks(transient: int, limit: int) -> list[Timing]:
+    """When lanes are looked at: the last time after the whole transient.
+
+    All lanes are looked at early, since most are on their orbits long before the transient is over: only the least
+    period that they recur after is tried, so that the others lose little. Those are looked at again after all of it.
+    """
+    if (early := early_look(transient, limit)) is None:
+        return [Timing(transient, limit)]
+    return [early, Timing(transient - early.periods, limit)]
+
+
+def early_look(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:
+    """The look before a transient is over; None where it is too short for one."""
+    early = Timing(transient // _EARLY, min(limit, _EARLY_LIMIT), 1)
+    return early if early.wait and early.periods < transient else None
+
+
+def first_look(scene: Scene, lanes: LaneRunner, label: str, early: Timing) -> Seen:
+    """What is seen of all lanes from their start states; the same for whichever analyses of a scene ask for it."""
+    if early not in scene.seen:
+        scene.seen[early] = _look(scene, lanes, first_points(scene, lanes), early, label)
+    return scene.seen[early]
+
+
+def _continued(
+    scene: Scene,
+    lanes: LaneRunner,
+    seen: Seen,
+    late: Sequence[Timing],
+    label: str,
+    least: int = 1,
+    only_doublings: bool = False,
+    tile: int | None = None,
+) -> Survey:
+    """Those lanes whose orbits have not been seen are looked at again."""
+    found = jax.tree.map(np.copy, seen.survey)
+    open_, ends = np.arange(scene.count), seen.ends
+    for timing in late:
+        left = np.flatnonzero((found.period[open_] == 0) & ~found.failed[open_])
+        if not len(left):
+            break
+        open_ = open_[left]
+        part, ends = _look(scene.take(open_), lanes, ends[left], timing, label, least, only_doublings, tile)
+        for whole, some in zip(found, part, strict=True):
+            whole[open_] = some
+    return found
+
+
+def _nothing_found(u: Float[np.ndarray, "lanes d"]) -> Survey:
+    """A survey of lanes that have not been looked at."""
+    count, d = u.shape
+    nan, none = np.full(count, np.nan), np.zeros(count, np.bool_)
+    monodromy = np.full((count, d, d), np.nan)
+    return Survey(np.zeros(count, int), u.copy(), nan, nan.copy(), monodromy, none, np.ones_like(u))
+
+
+def _look(
+    scene: Scene,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, "lanes d"],
+    timing: Timing,
+    label: str,
+    least: int = 1,
+    only_doublings: bool = False,
+    tile: int | None = None,
+) -> Seen:
+    """What is seen of lanes some periods on, in 2 limit points of each."""
+    strobe, count, p = scene.strobe(), scene.count, dict(scene.p)
+    (wait, limit, tries), cost = timing, timing.periods
+    with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
+        shared, static = (strobe, np.int32(wait)), (2 * limit,)
+        if scene.system.dimensionless:
+            points = lanes(strobe_points, shared, (u, p), periods=cost, static=static, tile=tile)
+            size = np.ones_like(u)
+        else:
+            shared = (*shared, scene.system.period / (2 * np.pi))
+            points, size = lanes(_sized_points, shared, (u, p, scene.start), periods=cost, static=static, tile=tile)
+    recurs = _recurrences(scene.system, points, size, limit, least, only_doublings)
+    period, found, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
+    failed |= ~np.all(np.isfinite(points), axis=(1, 2))
+    rank, first, last = np.cumsum(recurs, axis=0), 1, 1
+    while first <= tries and np.any(rank[-1, period == 0] >= first):
+        # The next 1, 2, 4, … of every lane at once: few lanes have many, and those would wait for each other.
+        n, lane = np.nonzero(recurs & (rank >= first) & (rank <= last) & (period == 0))
+        first, last = last + 1, 2 * last + 1
+        with lanes.stage(f"{label}: orbits of {len(np.unique(lane))} lanes", 0):
+            orbit = orbits(lanes, strobe, found[lane], picked(p, lane), n, size[lane])
+        near = apart(scene.system, orbit.u, found[lane], size[lane]) < 2 * _CLOSE
+        largest = largest_multiplier(orbit.monodromy)
+        settled = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
+        here, least_of = np.unique(lane[settled], return_index=True)
+        if not len(here):
+            continue
+        settled = settled[least_of]
+        exact = picked(orbit, settled)
+        shortest = least_period(lanes, strobe, exact.u, picked(p, here), n[settled], size[here])
+        shorter = np.flatnonzero(shortest != n[settled])
+        if len(shorter):
+            some = here[shorter]
+            turned = orbits(lanes, strobe, exact.u[shorter], picked(p, some), shortest[shorter], size[some])
+            for whole, part in zip(exact, turned, strict=True):
+                whole[shorter] = part
+        period[here], found[here] = shortest, exact.u
+        residual[here], monodromy[here] = exact.residual, exact.monodromy
+        multiplier[here] = largest[settled]
+        multiplier[here[shorter]] = largest_multiplier(exact.monodromy[shorter])
+    return Seen(Survey(period, found, residual, multiplier, monodromy, failed, size), points[:, -1])
+
+
+def _recurrences(
+    system: Flow,
+    points: Float[np.ndarray, "lanes points d"],
+    size: Float[np.ndarray, "lanes d"],
+    limit: int,
+    least: int,
+    only_doublings: bool,
+) -> Bool[np.ndarray, "periods lanes"]:
+    """Whether n may be the period of a lane, for n from 0 to a limit: a multiple of the least after which points recur.
+
+    Newton decides: points that nearly recur do so too where a lane is still on its way. Just after a doubling an orbit
+    and its daughter cannot be told apart; points of other multiples of the least are apart from each other, and recur
+    twice as near after the whole period. Bands of chaos do so after no multiple.
+    """
+    possible = np.zeros((limit + 1, len(points)), np.bool_)
+    base, nearest = np.zeros(len(points), int), np.zeros(len(points))
+    for n in range(least, limit + 1):
+        lanes = np.flatnonzero((base == 0) | (n % np.maximum(base, 1) == 0))
+        lanes = lanes[apart(system, points[lanes, n], points[lanes, 0], size[lanes]) < _CLOSE]  # most do not recur
+        if not len(lanes):
+            continue
+        ahead, behind = points[lanes, n : n + limit], points[lanes, :limit]
+        distance = np.max(apart(system, ahead, behind, size[lanes, None]), axis=1)
+        lanes, distance = lanes[distance < _CLOSE], distance[distance < _CLOSE]
+        first = base[lanes] == 0
+        base[lanes[first]], nearest[lanes[first]] = n, distance[first]
+        ratio = n // base[lanes]
+        doubled = ratio & (ratio - 1) == 0
+        nearer = distance < 0.5 * nearest[lanes]
+        possible[n, lanes] = doubled | (nearer & (not only_doublings))
+    return possible
+
+
+def beyond_doublings(lanes: LaneRunner, strobe: Strobe, p: Parameters, found: Survey) -> Survey:
+    """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
+    period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in found)
+    system = strobe.system
+    near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
+    for of_row, own, own_p in row_by_row(strobe, p, len(u)):
+        for n in np.unique(period[of_row][near[of_row]]):
+            some = np.flatnonzero(near[of_row] & (period[of_row] == n))
+            here = of_row[some]
+            arguments = (u[here], picked(own_p, some), *sizes(system, size[here]))
+            orbit = lanes(find_doubled, (own, np.int32(n // 2)), arguments, tile=ORBIT_TILE)
+            settled = (orbit.residual < CONVERGED) & (apart(system, orbit.u, u[here], size[here]) < 2 * _CLOSE)
+            part = here[settled]
+            u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
+            multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]
+    return Survey(period, u, residual, multiplier, monodromy, failed, size)
+
+
+def first_points(scene: Scene, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
+    """Section coordinates of every lane's start, or of its first crossing where there is a section."""
+    if scene.flow is scene.system:
+        return section_points(scene)
+    return lanes(_first_crossing, (scene.strobe(),), scene.lanes, periods=1)
+
+
+def _first_crossing(strobe: Strobe, state: State, p: Parameters) -> Float[Array, " d"]:
+    return strobe.system.chart(strobe(state, p))
+
+
+def strobe_points(
+    strobe: Strobe, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, count: int
+) -> Float[Array, "points d"]:
+    """Section points after a transient, of one lane."""
+    system = strobe.system
+    settled = iterate(strobe, transient, system.unchart(u), p)
+    return jax.vmap(system.chart)(record(strobe, settled, p, count)[1])
+
+
+def _sized_points(
+    strobe: Strobe,
+    transient: ArrayLike,
+    radian: ArrayLike,
+    u: Float[Array, " d"],
+    p: Parameters,
+    start: State,
+    count: int,
+) -> tuple[Float[Array, "points d"], Float[Array, " d"]]:
+    """Section points after a transient, of one lane, and the size of its motion in each section coordinate.
+
+    The largest of a coordinate at the points, or with a clock of its rate over a radian of the period, which is not
+    small as well where the coordinate happens to be; of an angle it is one. Where an attractor has a coordinate that
+    vanishes, all of that decays for ever: it is never less than a small share of the same at the start of the lane.
+    Where that is zero too, one.
+
+    Args:
+        radian: of the period, a length of time.
+    """
+    system = strobe.system
+
+    def size_at(y: State) -> Float[Array, " d"]:
+        rate = jnp.stack(system.lower(y, system.rhs(0.0, y, p)))
+        return jnp.maximum(jnp.abs(system.chart(y)), jnp.abs(rate) * radian)
+
+    states = record(strobe, iterate(strobe, transient, system.unchart(u), p), p, count)[1]
+    points = jax.vmap(system.chart)(states)
+    sizes = jnp.abs(points) if system.autonomous else jax.vmap(size_at)(states)
+    size = jnp.maximum(jnp.max(sizes, axis=0), _SMALLEST * size_at(start))
+    turns = np.abs(system.wrap(np.full(system.dimension, 2 * np.pi))) < 1.0
+    return points, jnp.where(~turns & (size > 0.0) & (size < jnp.inf), size, 1.0)

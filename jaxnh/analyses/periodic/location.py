@@ -1,0 +1,115 @@
+"""How a doubling of a scene is located: `orbits.doubling_points` on lanes, with the map in several refinements."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.analyses.base import Options
+from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
+from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.maps.iterate import Derivatives, derivatives, section_map
+from jaxnh.maps.protocol import Strobe
+from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch, moved_doubling
+from jaxnh.orbits.shooting import Period
+
+PERIOD_TILE = 32
+"""Lanes a tile of the derivatives of a period: an orbit has few points."""
+
+REFINEMENTS = (1, 2, 4)
+"""Of the steps that the accuracy asks for, in maps that a doubling is located with."""
+
+_SAFETY = 8.0
+_LEAST = 32.0  # 2ᵖ at order 5; methods that are chosen have more
+
+
+class Located(NamedTuple):
+    """A doubling of a scene, by maps with the steps that the accuracy asks for and with twice and four times as many.
+
+    Attributes:
+        refined: the doubling of each of these maps.
+    """
+
+    refined: tuple[DoublingPoint, DoublingPoint, DoublingPoint]
+
+    @property
+    def point(self) -> DoublingPoint:
+        """It with twice the steps."""
+        return self.refined[1]
+
+    @property
+    def error(self) -> float:
+        """Bound of the error of its value, by truncation of the map, interpolation and rounding.
+
+        With steps h, h/2 and h/4 values are off by C hᵖ and so on: the second by little more than it is from the third,
+        which is `_SAFETY` times that with what the leading term leaves out. The difference of the first two, the error
+        of the first, is 2ᵖ of that; a `_LEAST` part of it is kept where the other two happen to agree. Where the values
+        do not converge as an order has it, the bound is the sum of both differences.
+        """
+        first, second, third = (point.value for point in self.refined)
+        coarse, fine = abs(second - first), abs(third - second)
+        return min(max(_SAFETY * fine, coarse / _LEAST), coarse + fine) + self.point.error
+
+
+def locate(
+    scene: Scene, lanes: LaneRunner, points: Float[np.ndarray, "some d"], start: float, stop: float, n: int
+) -> Located | None:
+    """The doubling between two values of the first axis of the period-n orbit that is stable at the first.
+
+    Args:
+        points: of the orbit at the first value, in order: one or more of them.
+
+    Returns:
+        None where the orbit does not double before `stop`.
+    """
+    wrap = scene.system.wrap
+    coarse, fine, finest = (period_map(scene, lanes, strobe) for strobe in refined(scene))
+    branch = follow_branch(coarse, walk(scene, lanes, points, start, n), start, stop, wrap)
+    first = branch and doubling_point(coarse, branch, wrap)
+    second = first and moved_doubling(fine, first, wrap)
+    third = second and moved_doubling(finest, second, wrap)
+    if first is None or second is None or third is None:
+        return None
+    return Located((first, second, third))
+
+
+def refined(scene: Scene) -> tuple[Strobe, ...]:
+    """The map with 1, 2 and 4 times the steps, all of one shape, so that they run through one program.
+
+    Sums are compensated where they can be, whatever the accuracy needs: doublings deep in a cascade are as near to each
+    other as plain sums scatter them.
+    """
+    exact = replace(scene, compensated=True)
+    strobes = [exact.strobe(refinement) for refinement in REFINEMENTS]
+    return tuple(strobe.with_room_of(strobes[-1]) for strobe in strobes)
+
+
+def period_map(scene: Scene, lanes: LaneRunner, strobe: Strobe) -> Period:
+    """P and ∂P/∂u at points and values of the first axis."""
+
+    def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
+        return lanes(derivatives, (strobe, np.int32(1)), (u, scene.at(values).p), tile=PERIOD_TILE)
+
+    return period
+
+
+def walk(
+    scene: Scene, lanes: LaneRunner, points: Float[np.ndarray, "some d"], value: float, n: int
+) -> Float[np.ndarray, "n d"]:
+    """The n points of an orbit from its first ones: all that there are go on by as many periods as they are."""
+    strobe = scene.strobe()
+    while len(points) < n:
+        here = points[: n - len(points)]
+        p = scene.at(np.full(len(here), value)).p
+        image = lanes(section_map, (strobe, np.int32(len(points))), (here, p), tile=ORBIT_TILE)
+        points = np.concatenate([points, image])
+    return points
+
+
+def price_of_orbits(options: Options, scene: Scene) -> Price:
+    """Orbits and their multipliers, at several values of a parameter, need the derivatives of a period."""
+    return newton_price(scene, PERIOD_TILE)

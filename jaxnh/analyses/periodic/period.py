@@ -1,0 +1,79 @@
+"""Least period of the attractor of every lane, with the residual and the largest multiplier of its orbit."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Int
+from pydantic import Field
+
+from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey_from_start
+from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
+from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.scene import LaneRunner, Scene, counted_in
+
+
+class PeriodOptions(Options):
+    """Options of `period`."""
+
+    limit: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
+    transient: int = Field(default=512, ge=0, description="Periods before the last look at the strobe points")
+
+
+def periods(options: PeriodOptions, lanes: int) -> float:
+    """Lane-periods of a run: the transient, the points looked at, and as much again for Newton."""
+    return 2.0 * lanes * (options.transient + 2 * options.limit)
+
+
+def numbers(options: PeriodOptions) -> int:
+    """Numbers that a lane needs: the strobe points it is judged by."""
+    return 6 * options.limit
+
+
+def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """Least period of every lane with its residual and largest multiplier."""
+    found = survey_from_start(scene, lanes, options.limit, "period", options.transient)
+    found = beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
+    unit = counted_in(scene.system)
+    variables = {
+        "period": variable(LANE, found.period, "least period, 0: none up to the limit", unit),
+        "residual": variable(
+            LANE, found.residual, "largest component of Pⁿ(u) − u of the orbit, in sizes of the motion"
+        ),
+        "multiplier": variable(LANE, found.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
+        "failed": variable(LANE, found.failed.astype(np.int8), "1 where the state is not finite"),
+    }
+    attrs = {
+        "limit": options.limit,
+        "transient": options.transient,
+        "panel": "integers",
+        "panel_variables": "period",
+        "panel_label": "least period",
+    }
+    return xr.Dataset(variables, attrs=attrs)
+
+
+def price(options: PeriodOptions, scene: Scene) -> Price:
+    """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
+    return newton_price(scene, ORBIT_TILE)
+
+
+def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
+    """Kind of motion: the period, 0 where there is none, -1 where the state is not finite."""
+    return np.where(data["failed"].to_numpy() > 0, -1, data["period"].to_numpy())
+
+
+ANALYSIS = Analysis(
+    "period",
+    PeriodOptions,
+    periods,
+    run,
+    newton=True,
+    rows=True,
+    numbers=numbers,
+    classes=classes,
+    price=price,
+    brief={"transient": 1, "limit": 1},
+)
+"""The entry of this analysis in the table."""

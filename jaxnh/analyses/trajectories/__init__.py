@@ -1,0 +1,1 @@
+"""States along trajectories."""

@@ -1,0 +1,301 @@
+"""Bifurcation diagram: strobe points after a transient over thousands of values of a parameter.
+
+Where the attractor depends on where one comes from, the start decides: the same state in every lane, a state carried
+along the first axis upward or downward, or random states. Fixed and random starts are lanes side by side; a carried
+state is one lane that meets the values in turn: a period then takes what a core waits for each kick, measured 15 times
+as long as side by side on one core, and no other core can help.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import jax
+import numpy as np
+import xarray as xr
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Int
+from pydantic import Field, model_validator
+
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, Starts, rule
+from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.section_points import points_at, states_at
+from jaxnh.analyses.trajectories.poincare import recording, strobe_states
+from jaxnh.analyses.trajectories.states import (
+    check_transient,
+    count,
+    section_attrs,
+    settled,
+    state_variables,
+    statistics,
+)
+from jaxnh.maps.build import make_strobe
+from jaxnh.maps.iterate import iterate
+from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.single_precision import in_precision
+from jaxnh.systems.flow import Parameters, State
+
+_CARRIED_AT_ONCE = 32  # values that a call carries a state along at most: the steps of the progress shown
+_CARRIED_PERIODS = 1 << 15  # of such a call: some seconds, that a run that is killed may lose
+_PRICED = 4, 17  # values and strobes of the program of a carried state that is priced
+_FOR_RANDOM = ("starts", "seed", "box")
+_CARRIED = ("up", "down")
+
+
+class DiagramOptions(Options):
+    """Options of `diagram`."""
+
+    transient: int = Field(default=512, ge=0, description="Periods before the first strobe; 0: it is the start state")
+    strobes: int = Field(default=128, ge=1, description="Number of strobes kept, one period apart")
+    start: Literal["fixed", "up", "down", "random"] = Field(
+        default="fixed",
+        description="Start state: the same in every lane, carried along rising or falling values of the first axis, or "
+        "random ones in every lane",
+    )
+    orbits: int | None = Field(
+        default=None,
+        ge=1,
+        le=64,
+        description="Strobes of lanes that settle on a periodic orbit up to this period are those of the orbit itself, "
+        "found by Newton; nothing: of none",
+    )
+    statistics: bool | None = Field(
+        default=None,
+        description="Of the strobes of each trajectory keep the largest, smallest, mean and standard deviation alone",
+    )
+    phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
+    starts: int = Field(default=16, ge=1, description="Number of random start states a lane")
+    seed: int = Field(default=0, ge=0, description="Seed of the random start states")
+    box: float = Field(
+        default=4.0, gt=0, description="Random starts have x1 and y1 in [-box, box] and any direction, evenly"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> DiagramOptions:
+        for name in _FOR_RANDOM:
+            if self.start != "random" and name in self.model_fields_set:
+                raise rule(f"{name} goes with start: random, and start is {self.start}", name, "start")
+        if self.orbits and (self.start in _CARRIED or self.phase):
+            other = "start" if self.start in _CARRIED else "phase"
+            raise rule("orbits are found for starts side by side and strobes at phase 0", "orbits", other)
+        return self
+
+
+def periods(options: DiagramOptions, lanes: int) -> float:
+    """Lane-periods of a run."""
+    each = options.transient + options.strobes - 1 + options.phase
+    return lanes * each * (options.starts if options.start == "random" else 1)
+
+
+def independent(options: DiagramOptions) -> bool:
+    """Whether lanes know nothing of each other: a carried state knows where it comes from."""
+    return options.start not in _CARRIED
+
+
+def numbers(options: DiagramOptions) -> int:
+    """Numbers that a lane leaves."""
+    return 4 * options.strobes * (options.starts if options.start == "random" else 1)
+
+
+def check(options: DiagramOptions, setting: Setting) -> None:
+    """See that there is a period for a phase, a parameter to carry a state along, and one kind of start states."""
+    check_transient(options.transient, setting)
+    if setting.autonomous and options.phase:
+        raise OptionError("there is no period to have a phase in; leave it out", "phase")
+    first = setting.axes[0]
+    if options.start in _CARRIED and first.kind == "start":
+        message = f"there is nothing to carry along {first.name}, a coordinate of the start state"
+        raise OptionError(message + setting.advice, "start")
+    for axis in setting.axes if options.start == "random" else ():
+        if axis.kind == "start":
+            message = f"random starts and the axis {axis.name} of start states exclude each other; leave one out"
+            raise OptionError(message, "start")
+
+
+def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """States at `strobes` strobes after the transient, dimensions (lane, strobe), or (lane, start, strobe) if random.
+
+    With `statistics` those of the strobes take their place, (lane,) or (lane, start).
+
+    With `start: up` or `down` the last state at a value of the first axis is the start state at the next.
+    """
+    dims = (LANE, "strobe")
+    where = (
+        f"at {scene.count:,} values of {scene.line.name}" if options.start in _CARRIED else f"of {scene.count:,} lanes"
+    )
+    label = f"diagram: {options.strobes} strobes {where}, start {options.start}"
+    with lanes.stage(label, periods(options, scene.count)):
+        if options.start == "random":
+            dims = (LANE, "start", "strobe")
+            states = _side_by_side(options, scene, lanes, *random_starts(options, scene))
+            states = jax.tree.map(lambda leaf: leaf.reshape(scene.count, options.starts, -1), states)
+        elif options.start == "fixed":
+            states = _side_by_side(options, scene, lanes, *scene.lanes)
+        else:
+            states = _in_turn(options, scene, lanes)
+    t = np.array([options.phase * scene.system.period])
+    attrs = {
+        "start": options.start,
+        "phase": options.phase,
+        **section_attrs(scene),
+        "panel": "density",
+        "panel_variables": scene.system.plane[0],
+    }
+    variables, first = state_variables(scene.system, states, t, dims), scene.system.plane[0]
+    if options.statistics:
+        variables = statistics(variables, "strobe")
+        shown = " ".join(name for name in (f"{first}_{kind}" for kind in ("max", "mean", "min")) if name in variables)
+        attrs |= {"panel": "curves", "panel_variables": shown, "panel_label": f"{first} at the strobes"}
+        attrs |= {"panel_levels": "none"}
+    return xr.Dataset(variables, attrs=attrs)
+
+
+def random_starts(options: DiagramOptions, scene: Scene) -> tuple[State, Parameters]:
+    """Random states at t = 0 and parameters, (lanes · starts,), the starts of a lane one after the other.
+
+    A lane has its states by its place along the first axis, whatever lanes it is computed with.
+    """
+    first, place = int(scene.places.min()), scene.places
+    bits = np.random.PCG64(options.seed)
+    d = scene.flow.dimension
+    bits.advance(first * options.starts * d)  # a draw of 64 bits a number
+    shape = int(place.max()) - first + 1, options.starts, d
+    draws = np.random.Generator(bits).uniform(-1.0, 1.0, shape)[place - first]
+    p = {name: np.repeat(values, options.starts) for name, values in scene.p.items()}
+    return scene.system.random_states(draws.reshape(-1, d), options.box, p), p
+
+
+def starts(options: DiagramOptions) -> Starts | None:
+    """Where lanes start at random, if they do."""
+    if options.start != "random":
+        return None
+    return lambda scene: (random_starts(options, scene)[0], np.repeat(np.arange(scene.count), options.starts))
+
+
+def _side_by_side(options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, p: Parameters) -> State:
+    """A lane for each start state and its parameters: components (lanes, strobes)."""
+    state, strobe = _at_phase(options, scene, lanes, start, p)
+    state = settled(lanes, strobe, options.transient, state, p)
+    if options.orbits:
+        state = _on_orbits(replace(scene, start=state, p=p, place=None, along=None), lanes, options.orbits)
+    return lanes(strobe_states, (strobe,), (state, p), periods=options.strobes - 1, static=(options.strobes,))
+
+
+def _on_orbits(scene: Scene, lanes: LaneRunner, limit: int) -> State:
+    """Start states, of lanes near a stable orbit up to a period a point of that: they need not wait to come to it."""
+    found = survey(scene, lanes, points_at(scene, lanes, scene.start), limit, "diagram", 0)
+    found = beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
+    on_orbit, states = found.period > 0, states_at(scene, lanes, found.u)
+    return jax.tree.map(lambda orbit, start: np.where(on_orbit, orbit, start), states, scene.start)
+
+
+def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:
+    """The start state carried along the first axis in one lane: components (lanes, strobes) in the scene's order."""
+    values = scene.line.values
+    order = np.argsort(values, kind="stable")
+    if options.start == "down":
+        order = order[::-1]
+    if scene.flow_at is not None:
+        return _under_each_flow(options, scene, lanes, order)
+    state, strobe = _at_phase(options, scene, lanes, *scene.take(order[:1]).lanes)
+    each = options.transient + options.strobes - 1
+    at_once = min(_CARRIED_AT_ONCE, max(1, _CARRIED_PERIODS // max(each, 1)))
+    met = []
+    for first in range(0, len(order), at_once):
+        part = order[first : first + at_once]
+        padded = np.append(part, np.full(at_once - len(part), part[-1]))
+        p = {name: lane_values[None, padded] for name, lane_values in scene.p.items()}
+        state, states = lanes(
+            carried,
+            (strobe, np.int32(options.transient)),
+            (state, p),
+            periods=len(part) * each,
+            tile=1,
+            static=(options.strobes,),
+        )
+        met.append(states)
+    back = np.argsort(order)
+    return jax.tree.map(lambda *components: np.concatenate(components, axis=1)[0, back], *met)
+
+
+def _under_each_flow(
+    options: DiagramOptions, scene: Scene, lanes: LaneRunner, order: Int[np.ndarray, " lanes"]
+) -> State:
+    """As `_in_turn`, along a parameter that all lanes share: a call for each value, in that order."""
+    met, (state, p) = [], scene.take(order[:1]).lanes
+    for value in scene.line.values[order].tolist():
+        here = scene.moved(value)
+        begun, strobe = _at_phase(options, here, lanes, state, p)
+        state = settled(lanes, strobe, options.transient, state if met else begun, p, tile=1)
+        periods = options.strobes - 1
+        met.append(lanes(strobe_states, (strobe,), (state, p), periods=periods, tile=1, static=(options.strobes,)))
+        state = jax.tree.map(lambda component: component[:, -1], met[-1])
+    back = np.argsort(order)
+    return jax.tree.map(lambda *components: np.concatenate(components)[back], *met)
+
+
+def _at_phase(
+    options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, p: Parameters
+) -> tuple[State, Strobe]:
+    """States at t = 0 brought to the phase of the strobes, and the map of a period from there."""
+    if not options.phase:
+        return start, scene.strobe()
+    t, period = options.phase * scene.system.period, scene.system.period
+    first, strobe = (
+        in_precision(
+            make_strobe(scene.system, scene.solver, scene.steps, compensated=scene.compensated, span=span),
+            scene.precision,
+        )
+        for span in ((0.0, t), (t, t + period))
+    )
+    return lanes(iterate, (first, np.int32(1)), (start, p), periods=options.phase), strobe
+
+
+def carried(strobe: Strobe, transient: ArrayLike, state: State, p: Parameters, count: int) -> tuple[State, State]:
+    """Of one lane: a state carried along parameters (values,), and the states (values, count) met at each of them."""
+
+    def at(z: State, p: Parameters) -> tuple[State, State]:
+        states = strobe_states(strobe, iterate(strobe, transient, z, p), p, count)
+        return jax.tree.map(lambda component: component[-1], states), states
+
+    return lax.scan(at, state, p)
+
+
+def price(options: DiagramOptions, scene: Scene) -> Price:
+    """Every strobe is kept; a carried state is one lane, against the map of one lane."""
+    if options.start not in _CARRIED:
+        return Price(recording(scene), map_alone(scene), "every strobe is kept")
+    strobe, (values, strobes) = scene.strobe(), _PRICED
+    one = scene.take(slice(1))
+    p = {name: np.resize(found, (1, values)) for name, found in scene.p.items()}
+    program = Program(
+        carried,
+        (strobe, np.zeros((), np.int32)),
+        (one.start, p),
+        (1.0, 0.0, *strobe.turns),
+        (strobes,),
+        values * (strobes - 1),
+        1,
+        whole=True,
+    )
+    return Price(program, map_alone(one, strobe, tile=1), "one lane after the other; every strobe is kept")
+
+
+ANALYSIS = Analysis(
+    "diagram",
+    DiagramOptions,
+    periods,
+    run,
+    independent=independent,
+    numbers=numbers,
+    starts=starts,
+    count=count,
+    check=check,
+    price=price,
+    brief={"transient": 1},
+)
+"""The entry of this analysis in the table."""

@@ -1,0 +1,101 @@
+"""Poincaré map: the states at successive strobes after a transient, of every lane.
+
+Without a clock these are successive crossings of the section, and transients are counted in crossings as well.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from pydantic import Field
+
+from jaxnh.analyses.base import LANE, Analysis, Options, Setting, variable
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.trajectories.states import TILE, check_transient, count, section_attrs, settled, state_variables
+from jaxnh.maps.iterate import record
+from jaxnh.maps.protocol import Strobe
+from jaxnh.systems.flow import Parameters, State
+
+_PRICED_STROBES = 65
+
+
+class PoincareOptions(Options):
+    """Options of `poincare`."""
+
+    transient: int = Field(default=512, ge=0, description="Periods before the first strobe; 0: it is the start state")
+    strobes: int = Field(default=1024, ge=1, description="Number of strobes kept, one period apart")
+
+
+def periods(options: PoincareOptions, lanes: int) -> float:
+    """Lane-periods of a run."""
+    return float(lanes * (options.transient + options.strobes - 1))
+
+
+def numbers(options: PoincareOptions) -> int:
+    """Numbers that a lane leaves."""
+    return 4 * options.strobes
+
+
+def check(options: PoincareOptions, setting: Setting) -> None:
+    """See that the first strobe is on the section."""
+    check_transient(options.transient, setting)
+
+
+def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """States at `strobes` strobes after the transient, from the start states, dimensions (lane, strobe)."""
+    strobe, (start, p) = scene.strobe(), scene.lanes
+    with lanes.stage(f"poincare: {options.strobes} strobes of {scene.count:,} lanes", periods(options, scene.count)):
+        start = settled(lanes, strobe, options.transient, start, p, TILE)
+        states = lanes(
+            strobe_states, (strobe,), (start, p), periods=options.strobes - 1, tile=TILE, static=(options.strobes,)
+        )
+    variables = {}
+    if scene.flow is scene.system:  # else every crossing has its own time
+        time = scene.system.period * (options.transient + np.arange(options.strobes))
+        variables["t"] = variable("strobe", time, "time since the start", scene.flow.units("t"))
+    variables |= state_variables(scene.system, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
+    panel = {"panel": "points", "panel_variables": " ".join(scene.system.plane)}
+    return xr.Dataset(variables, attrs={**section_attrs(scene), **panel})
+
+
+def strobe_states(strobe: Strobe, state: State, p: Parameters, count: int) -> State:
+    """Of one lane: its state and those after each of the next periods, (count,)."""
+    _, following = record(strobe, state, p, count - 1)
+    return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), state, following)
+
+
+def price(options: PoincareOptions, scene: Scene) -> Price:
+    """Every strobe is kept; the transient is the map alone."""
+    return Price(recording(scene, TILE), map_alone(scene, tile=TILE), "every strobe is kept")
+
+
+def recording(scene: Scene, tile: int | None = None) -> Program:
+    """The program that keeps every strobe, of some periods."""
+    strobe = scene.strobe()
+    return Program(
+        strobe_states,
+        (strobe,),
+        scene.lanes,
+        (0.0, *strobe.turns),
+        (_PRICED_STROBES,),
+        _PRICED_STROBES - 1,
+        tile,
+        whole=True,
+    )
+
+
+ANALYSIS = Analysis(
+    "poincare",
+    PoincareOptions,
+    periods,
+    run,
+    numbers=numbers,
+    count=count,
+    check=check,
+    price=price,
+    brief={"transient": 1},
+)
+"""The entry of this analysis in the table."""

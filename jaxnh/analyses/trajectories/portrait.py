@@ -1,0 +1,107 @@
+"""Phase portraits: trajectories after a transient, sampled many times a period, of every lane."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import xarray as xr
+from jax import lax
+from pydantic import Field
+
+from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.trajectories.states import TILE, count, settled, state_variables
+from jaxnh.maps.build import make_parts
+from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.single_precision import in_precision
+from jaxnh.systems.flow import Parameters, State
+
+_PRICED_PERIODS = 2
+
+
+class PortraitOptions(Options):
+    """Options of `portrait`."""
+
+    transient: int = Field(default=512, ge=0, description="Periods before the first sample; 0: it is the start state")
+    periods: int = Field(default=16, ge=1, description="Length of the trajectory, in periods")
+    samples: int = Field(default=256, ge=1, le=65536, description="Samples a period, evenly spaced in time")
+
+
+def periods(options: PortraitOptions, lanes: int) -> float:
+    """Lane-periods of a run."""
+    return float(lanes * (options.transient + options.periods))
+
+
+def numbers(options: PortraitOptions) -> int:
+    """Numbers that a lane leaves."""
+    return 4 * options.periods * options.samples
+
+
+def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """Trajectories of `periods` periods after the transient, from the start states, dimensions (lane, time)."""
+    scene = scene.in_time()
+    start, p = scene.lanes
+    with lanes.stage(f"portrait: {options.periods} periods of {scene.count:,} lanes", periods(options, scene.count)):
+        start = settled(lanes, scene.strobe(), options.transient, start, p, TILE)
+        states = lanes(
+            trajectory,
+            (_parts(options, scene),),
+            (start, p),
+            periods=options.periods,
+            tile=TILE,
+            static=(options.periods,),
+        )
+    in_period = scene.system.period * np.arange(options.samples) / options.samples
+    elapsed = np.arange(options.periods * options.samples) / options.samples
+    time = scene.system.period * (options.transient + elapsed)
+    variables = {
+        "t": variable("time", time, "time since the start", scene.flow.units("t")),
+        **state_variables(scene.system, states, in_period, (LANE, "time"), {"coordinates": "t"}),
+    }
+    return xr.Dataset(variables, attrs={"panel": "trajectories", "panel_variables": " ".join(scene.system.plane)})
+
+
+def trajectory(parts: Strobe, state: State, p: Parameters, count: int) -> State:
+    """Of one lane: states (count · samples,) over `count` periods.
+
+    `parts` are the maps over the parts of a period, stacked (`maps.build.make_parts`).
+    """
+
+    def sample(z: State, part: Strobe) -> tuple[State, State]:
+        return part(z, p), z
+
+    def period(z: State, _: None) -> tuple[State, State]:
+        return lax.scan(sample, z, parts)
+
+    _, path = lax.scan(period, state, length=count)
+    return jax.tree.map(lambda component: component.reshape(-1), path)
+
+
+def price(options: PortraitOptions, scene: Scene) -> Price:
+    """Every sample ends a step, which is then shorter than that of the map."""
+    scene = scene.in_time()
+    parts = _parts(options, scene)
+    turns = (1.0, float(options.samples), *parts.turns)
+    program = Program(trajectory, (parts,), scene.lanes, turns, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)
+    return Price(program, map_alone(scene, tile=TILE), "every sample ends a step, and is kept")
+
+
+def _parts(options: PortraitOptions, scene: Scene) -> Strobe:
+    """The maps from sample to sample."""
+    parts = make_parts(scene.flow, scene.solver, scene.steps, options.samples, compensated=scene.compensated)
+    return in_precision(parts, scene.precision)
+
+
+ANALYSIS = Analysis(
+    "portrait",
+    PortraitOptions,
+    periods,
+    run,
+    in_time=True,
+    numbers=numbers,
+    count=count,
+    price=price,
+    brief={"transient": 1},
+)
+"""The entry of this analysis in the table."""

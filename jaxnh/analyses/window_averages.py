@@ -1,0 +1,169 @@
+"""Looks at a lane's motion: running means that tell attractors apart, whatever phase a lane arrives in.
+
+Means are taken of each section coordinate and of its square, of an angle of its cosine and sine and of how far it turns
+a period, at the strobes or, without a clock, several times a unit of time, so that a cycle that the unit of time is a
+multiple of has no phase either. Under the smooth window of `growth.window` they converge faster than any power of their
+length on periodic and quasiperiodic motion. Twins by a symmetry differ in odd means, running solutions in their turns.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+from jaxnh.analyses.exponents.tangent_growth import BLOCKS, windows
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.maps.build import make_parts
+from jaxnh.maps.of_lane import of_lane
+from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.single_precision import in_precision
+from jaxnh.systems.flow import Flow, Parameters, State
+
+_STILL = 1e-9  # of its modulus: a coordinate that changes by no more is at rest
+_MOST_PARTS = 8
+"""Points of a unit of time that means are taken over, at most, where there is no clock.
+
+Fewer where a unit has fewer steps: what these resolve to the accuracy asked for has no harmonics worth mention at as
+many points, so that a cycle that the unit is a multiple of has the same means at every phase.
+"""
+
+
+class Look(NamedTuple):
+    """Lanes after a look, and what was seen; as arrays of one lane, or of all with the lanes as first axis.
+
+    Attributes:
+        state: at the end.
+        whole: smooth means over the look, (F,).
+        halves: smooth means over its halves, (2, F).
+        blocks: plain means over sixteenths of it, (BLOCKS, F).
+        low, high: of each section coordinate, (d,).
+        path: how far each has gone to and fro, (d,).
+    """
+
+    state: State
+    whole: Float[Array, " F"]
+    halves: Float[Array, "2 F"]
+    blocks: Float[Array, "blocks F"]
+    low: Float[Array, " d"]
+    high: Float[Array, " d"]
+    path: Float[Array, " d"]
+
+    @property
+    def largest(self) -> np.ndarray:
+        """Largest modulus of each section coordinate."""
+        return np.maximum(np.abs(self.low), np.abs(self.high))
+
+
+class _Sums(NamedTuple):
+    """What is summed over periods, and the range so far."""
+
+    state: State
+    whole: Array
+    halves: Array
+    block: Array
+    low: Array
+    high: Array
+    path: Array
+
+
+def angles(system: Flow) -> Bool[np.ndarray, " d"]:
+    """Which section coordinates return after 2π."""
+    return np.abs(system.wrap(np.full(system.dimension, 2 * np.pi))) < 1.0
+
+
+def features(turns: Bool[np.ndarray, " d"], u: Array, moved: Array) -> Array:
+    """What means are taken of at a point, (F,), from its section coordinates and how far they have moved, (d,)."""
+    found = []
+    for i, turning in enumerate(turns):
+        found += [jnp.cos(u[i]), jnp.sin(u[i]), moved[i]] if turning else [u[i], u[i] * u[i]]
+    return jnp.stack(found)
+
+
+def units(turns: Bool[np.ndarray, " d"], size: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes F"]:
+    """The size of each of the features where coordinates have these sizes; those of an angle have none but one."""
+    found = []
+    for i, turning in enumerate(turns):
+        found += [np.ones(len(size))] * 3 if turning else [size[:, i], size[:, i] ** 2]
+    return np.stack(found, axis=-1)
+
+
+def extents(
+    turns: Bool[np.ndarray, " d"], low: Float[np.ndarray, "lanes d"], high: Float[np.ndarray, "lanes d"]
+) -> Float[np.ndarray, "lanes F"]:
+    """How far each of the features goes where coordinates go from low to high; of an angle and of its turns 1."""
+    found = []
+    for i, turning in enumerate(turns):
+        far, extent = np.maximum(np.abs(low), np.abs(high))[:, i], (high - low)[:, i]
+        extent = np.where(extent > _STILL * far, extent, np.where(far > 0.0, far, 1.0))
+        found += [np.ones(len(low))] * 3 if turning else [extent, 2.0 * far * extent]
+    return np.stack(found, axis=-1)
+
+
+def points_a_unit(scene: Scene) -> int:
+    """Points of a unit of time that means are taken over where there is no clock."""
+    return min(_MOST_PARTS, scene.steps)
+
+
+def maps(scene: Scene) -> tuple[Strobe, int]:
+    """The map of a period, and 0, or without a clock those of the parts of a unit of time, stacked, and how many."""
+    if not scene.flow.autonomous:
+        return scene.strobe(), 0
+    parts = points_a_unit(scene)
+    strobes = make_parts(scene.flow, scene.solver, scene.steps, parts, compensated=scene.compensated)
+    return in_precision(strobes, scene.precision), parts
+
+
+def look_at(scene: Scene, lanes: LaneRunner, state: State, count: int) -> Look:
+    """Lanes of a scene from a state over `count` periods, a multiple of `BLOCKS`."""
+    strobe, parts = maps(scene)
+    shared, static = (strobe, np.int32(count // BLOCKS)), (parts,)
+    return lanes(look, shared, (state, dict(scene.p)), periods=count, static=static)
+
+
+def look(strobe: Strobe, each: ArrayLike, state: State, p: Parameters, parts: int) -> Look:
+    """One lane over `BLOCKS` times `each` periods."""
+    flow = strobe.system
+    turns, d = angles(flow), flow.dimension
+    width = int(3 * turns.sum() + 2 * (~turns).sum())
+
+    def point(sums: _Sums, strobe: Strobe) -> tuple[_Sums, Array]:
+        system, before = strobe.system, sums.state
+        after = strobe(before, p)
+        moved = jnp.stack(system.lower(before, jax.tree.map(jnp.subtract, after, before)))
+        u = system.chart(after)
+        low, high = jnp.minimum(sums.low, u), jnp.maximum(sums.high, u)
+        sums = sums._replace(state=after, low=low, high=high, path=sums.path + jnp.abs(moved))
+        return sums, features(turns, u, moved)
+
+    def period(k: Array, carry: tuple[_Sums, Array]) -> tuple[_Sums, Array]:
+        sums, weights = carry
+        if parts:
+            sums, seen = lax.scan(point, sums, strobe)
+            seen = jnp.mean(seen, axis=0)
+        else:
+            sums, seen = point(sums, strobe)
+        at = (jnp.float64(k) + 0.5) / (BLOCKS * jnp.float64(each))
+        of_whole, of_half = windows(at)
+        of_halves = jnp.stack([jnp.where(at < 0.5, of_half, 0.0), jnp.where(at < 0.5, 0.0, of_half)])
+        halves = sums.halves + of_halves[:, None] * seen[None, :]
+        sums = sums._replace(whole=sums.whole + of_whole * seen, halves=halves, block=sums.block + seen)
+        return sums, weights + jnp.stack([of_whole, *of_halves])
+
+    def block(carry: tuple[_Sums, Array], number: Array) -> tuple[tuple[_Sums, Array], Array]:
+        sums, weights = carry
+        begun = sums._replace(block=of_lane(jnp.zeros_like(sums.block), sums.path[0])), weights
+        ended = lax.fori_loop(number * each, (number + 1) * each, period, begun)
+        return ended, ended[0].block / jnp.float64(each)
+
+    zero, far = jnp.zeros(width), jnp.full(d, jnp.inf)
+    begun = _Sums(state, zero, jnp.zeros((2, width)), zero, far, -far, jnp.zeros(d))
+    begun = of_lane(begun, jax.tree.leaves(state)[0])
+    (sums, weights), blocks = lax.scan(block, (begun, jnp.zeros(3)), jnp.arange(BLOCKS, dtype=jnp.int32))
+    whole, halves = sums.whole / weights[0], sums.halves / weights[1:, None]
+    return Look(sums.state, whole, halves, blocks, sums.low, sums.high, sums.path)

@@ -1,0 +1,170 @@
+"""The group `windows`: variables over windows, and their table for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from jaxnh.analyses.base import Entry, Table, variable
+from jaxnh.analyses.cascade.plateaus import Line
+from jaxnh.analyses.periodic.location import Located
+from jaxnh.analyses.scene import Axis, Scene, counted_in
+from jaxnh.analyses.windows.search import DOUBLED, ENDS, End, Window, all_lanes
+
+_NO_LIMIT = "NaN of fewer than four doublings"
+_NO_CRISIS = (
+    "NaN of orbits of period 1, where no limit of doublings is known within the sweep, and where no path was seen to "
+    "leave the bands, or one at once, from the limit to three times as far beyond as the first doubling is before it"
+)
+_DIGITS = 9  # behind the point, in the table
+_WORDS = ("fold", "branch point", "range", "not located", "torus", "doubling")
+
+
+class Place(NamedTuple):
+    """A value of the parameter and its error; not numbers where there is none, or it was not looked for."""
+
+    value: float
+    error: float
+
+
+NOWHERE = Place(np.nan, np.nan)
+"""No place."""
+
+
+def dataset(
+    limit: int,
+    levels: int,
+    scene: Scene,
+    line: Line,
+    found: Sequence[Sequence[Window]],
+    doublings: Sequence[Sequence[Located]],
+    limits: Sequence[Place],
+    crises: Sequence[Place],
+) -> xr.Dataset:
+    """Variables over (window,), and the doublings over (window, level)."""
+    axis, unit = scene.line, counted_in(scene.system)
+    value, error = np.full((2, len(found), levels), np.nan)
+    for k, located in enumerate(doublings):
+        value[k, : len(located)] = [one.point.value for one in located]
+        error[k, : len(located)] = [one.error for one in located]
+    lanes = [all_lanes(group) for group in found]
+    count = [len(some) for some in lanes]
+    first, last = (np.array([line.value[some[end]] for some in lanes], float) for end in (0, -1))
+    period = np.array([group[0].period for group in found], np.int32)
+    variables = {
+        "period": variable("window", period, "period of the orbits that the window begins with", unit),
+        "orbits": variable("window", np.array([len(group) for group in found], np.int32), "number of such orbits"),
+        "lanes": variable("window", np.array(count, np.int32), "number of lanes that have settled in the window"),
+        "first": variable("window", first, f"{axis.long_name} of the first of these lanes", axis.units),
+        "last": variable("window", last, f"{axis.long_name} of the last of these lanes", axis.units),
+        **_end_variables("begin", "begin to attract", axis, [group[0].begin for group in found], scene),
+        **_end_variables("end", "cease to attract", axis, [group[0].end for group in found], scene),
+        "doubling": variable(
+            ("window", "level"),
+            value,
+            f"{axis.long_name} at the doublings of the orbits",
+            axis.units,
+            ancillary_variables="doubling_error",
+        ),
+        "doubling_error": variable(("window", "level"), error, "error of the doublings", axis.units),
+        **_place_variables("limit", "where the doublings accumulate", axis, limits, _NO_LIMIT),
+        **_place_variables("crisis", "where the bands beyond the doublings grow", axis, crises, _NO_CRISIS),
+    }
+    warnings = _unlocated(axis.name, levels, found, doublings)
+    if not found:
+        warnings = [f"windows: {_searched(limit, axis.name, line.value)}: none was found"]
+    attrs = {
+        "along": axis.name,
+        "largest_period": limit,
+        "lowest": float(line.value[0]),
+        "highest": float(line.value[-1]),
+        "spacing": float(np.diff(line.value).max()),
+        "panel": "windows",
+        "panel_variables": "period",
+        "panel_label": axis.long_name,
+        **({"warnings": "\n".join(warnings)} if warnings else {}),
+    }
+    return xr.Dataset(variables, attrs=attrs)
+
+
+def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], scene: Scene) -> dict[str, Entry]:
+    """The place, its error, its kind and the multipliers there of one end of all windows."""
+    flags: dict[str, Any] = {"flag_values": np.arange(len(ENDS), dtype=np.int8), "flag_meanings": " ".join(ENDS)}
+    multipliers = np.full((len(ends), scene.system.dimension, 2), np.nan)
+    for k, end in enumerate(ends):
+        multipliers[k] = np.stack([np.real(end.multipliers), np.imag(end.multipliers)], axis=-1)
+    return {
+        **_place_variables(name, f"where orbits of the period {words}", axis, ends),
+        f"{name}_kind": variable(
+            "window", np.array([end.kind for end in ends], np.int8), f"what is where they {words}", **flags
+        ),
+        f"{name}_multipliers": variable(
+            ("window", "multiplier", "part"),
+            multipliers,
+            f"Floquet multipliers where they {words}, real and imaginary part",
+        ),
+    }
+
+
+def _place_variables(
+    name: str, words: str, axis: Axis, places: Sequence[Place | End], comment: str = ""
+) -> dict[str, Entry]:
+    """Values of the parameter and their errors."""
+    value, error = (np.array([getattr(place, key) for place in places], float) for key in ("value", "error"))
+    attrs = {"ancillary_variables": f"{name}_error", **({"comment": comment} if comment else {})}
+    return {
+        name: variable("window", value, f"{axis.long_name} {words}", axis.units, **attrs),
+        f"{name}_error": variable("window", error, f"largest error of {name}", axis.units),
+    }
+
+
+def _unlocated(
+    name: str, levels: int, found: Sequence[Sequence[Window]], doublings: Sequence[Sequence[Located]]
+) -> list[str]:
+    """Lines for the user: windows that end in a doubling, and of whose doublings some are not numbers."""
+    return [
+        f"windows: {len(located)} of {levels} doublings of the orbits of period {group[0].period} that double at "
+        f"{name} = {group[0].end.value:.9g} were located within the sweep"
+        for group, located in zip(found, doublings, strict=True)
+        if group[0].end.kind == DOUBLED and len(located) < levels
+    ]
+
+
+def _searched(limit: int, name: str, values: Float[np.ndarray, " lanes"]) -> str:
+    """In words, what was searched."""
+    lane, where = f"one lane of {np.diff(values).max():.3g}", f"{name} = {values[0]:.6g} to {values[-1]:.6g}"
+    return f"windows of periods up to {limit} wider than {lane} in {where}"
+
+
+def count(data: xr.Dataset) -> dict[str, int]:
+    """Number of windows."""
+    return {"windows": data.sizes["window"]}
+
+
+def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
+    """A row a window: its period, where it begins, where its orbits double, and where the doublings accumulate."""
+    rows = []
+    for k in range(data.sizes["window"]):
+        one = data.isel(window=k)
+        ends = (cell for name in ("begin", "end") for cell in (_known(one, name), _WORDS[int(one[f"{name}_kind"])]))
+        orbits, last = int(one["orbits"]), (_known(one, name) for name in ("limit", "crisis"))
+        rows.append((f"{int(one['period'])}{f' ×{orbits}' if orbits > 1 else ''}", *ends, *last))
+    heads = ("period", "from", "", "to", "", "limit", "crisis")
+    lane = f"one lane of {data.attrs['spacing']:.3g}"
+    words = f"windows of periods up to {data.attrs['largest_period']} wider than {lane}"
+    words += "; (2): ± 2 in the last digit; ×2: twins"
+    return Table(f"Windows over {data.attrs['along']}", heads, tuple(rows), words, left=(2, 4), ruled=False)
+
+
+def _known(one: xr.Dataset, name: str) -> str:
+    """A number with its error in units of the last digit, in brackets."""
+    value, error = float(one[name]), float(one[f"{name}_error"])
+    if not np.isfinite(value + error) or error <= 0.0:
+        return "–"
+    digits = min(max(math.ceil(-math.log10(error)), 0), _DIGITS)
+    return f"{value:.{digits}f}({math.ceil(error * 10**digits)})"

@@ -1,0 +1,203 @@
+"""Windows of periodic orbits over the first axis that are wider than one lane, with where each begins and ends.
+
+What lanes settle on says where windows are; orbits followed from there say where they begin and end (`window_search`),
+and the doublings of each where these accumulate (`cascade`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
+from pydantic import Field
+
+from jaxnh.analyses.base import Analysis, OptionError, Options, Setting
+from jaxnh.analyses.cascade.follow import along_line
+from jaxnh.analyses.cascade.limits import doublings_limit
+from jaxnh.analyses.cascade.plateaus import Line
+from jaxnh.analyses.continuation.families import orbits_of
+from jaxnh.analyses.continuation.family_tree import Orbit
+from jaxnh.analyses.continuation.known_branches import orbits_at
+from jaxnh.analyses.continuation.seeds import settled_waves
+from jaxnh.analyses.crises.band_phase import embedded
+from jaxnh.analyses.periodic.attractor_survey import strobe_points, survey_from_start
+from jaxnh.analyses.periodic.location import Located, price_of_orbits, refined, walk
+from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.window_averages import angles
+from jaxnh.analyses.windows.crisis import locate_crisis
+from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
+from jaxnh.analyses.windows.tables import NOWHERE, Place, count, dataset, table
+from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
+from jaxnh.orbits.branches import Steps, both_ways
+
+_DOUBLED = 4  # times the limit: lanes of orbits up to this period are seen, as those of doublings are
+_REACH = 3.0  # distances from the first doubling to where they end that a crisis is looked for beyond; it is near one
+_OFF = 1e-7  # sizes: paths start so far from an orbit that repels
+_AWAY = 32  # turns of a path until it is all over the bands, from there
+_AT_ONCE = 256  # strobes of a call
+_STEPS = Steps(0.04)  # of the branch of that orbit
+_WORK = 3.0  # of a run, in those of settling: a guess
+
+
+class WindowsOptions(Options):
+    """Options of `windows`."""
+
+    limit: int = Field(default=12, ge=1, le=64, description="Largest period of the orbits that windows begin with")
+    transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
+    levels: int = Field(
+        default=4, ge=0, le=8, description="Doublings of a window to locate; four or more say where they accumulate"
+    )
+    crisis: int = Field(
+        default=4096,
+        ge=0,
+        description="Periods of a path, at most, that looks for the crisis beyond where doublings accumulate; 0: none",
+    )
+
+
+def periods(options: WindowsOptions, lanes: int) -> float:
+    """Lane-periods of a run: a guess, as nobody knows how many windows there are."""
+    return _WORK * lanes * (options.transient + 2 * _DOUBLED * options.limit)
+
+
+def check(options: WindowsOptions, setting: Setting) -> None:
+    """See that there is one axis, a parameter that lanes may differ in, with values to be neighbours."""
+    first, *others = setting.axes
+    if first.kind != "lane":
+        what = "a coordinate of the start state" if first.kind == "start" else "what all lanes of a program share"
+        raise OptionError(f"windows are looked for along a parameter, and {first.name} is {what}" + setting.advice)
+    if others:
+        names = " and ".join(axis.name for axis in others)
+        raise OptionError(f"windows are looked for along one axis; leave out {names}")
+    if len(np.unique(first.values)) < 2:
+        raise OptionError(f"windows are looked for over a range of {first.name}, and the sweep has one value of it")
+
+
+def independent(options: WindowsOptions) -> bool:
+    """Never: a window is found by comparing neighbouring lanes."""
+    return False
+
+
+def run(options: WindowsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+    """The windows that lanes along the first axis have settled in, in the order of the axis."""
+    scene = scene.take(np.unique(scene.line.values, return_index=True)[1])
+    found = survey_from_start(scene, lanes, _DOUBLED * options.limit, "windows", options.transient)
+    size = np.median(found.size[~found.failed], axis=0) if not found.failed.all() else found.size[0]
+    line = Line(scene.line.values, np.where(found.failed, 0, found.period), found.u)
+
+    def stage(label: str) -> AbstractContextManager[object]:
+        return lanes.stage(f"windows: {label}", 0)
+
+    def orbits(some: Int[np.ndarray, " some"]) -> list[Orbit]:
+        waves = settled_waves(scene.take(some), lanes, line.u[some], line.period[some])
+        return [orbit for wave in waves for orbit in wave]
+
+    def families(low: float, high: float) -> list[Family]:
+        return [orbits_of(scene, lanes, strobe, size, (low, high)) for strobe in strobes]
+
+    strobes = refined(scene)
+    windows = search(line, options.limit, orbits, families, stage)
+    windows.sort(key=lambda group: float(line.value[all_lanes(group)[0]]))
+    doublings = [_doublings(options.levels, scene, lanes, line, group[0], size) for group in windows]
+    limits = [_limit(located) for located in doublings]
+    crises = [
+        _crisis(options.crisis, scene, lanes, families, group[0], limit, size)
+        for group, limit in zip(windows, limits, strict=True)
+    ]
+    return dataset(options.limit, options.levels, scene, line, windows, doublings, limits, crises)
+
+
+def _doublings(
+    levels: int, scene: Scene, lanes: LaneRunner, line: Line, window: Window, size: Float[np.ndarray, " d"]
+) -> tuple[Located, ...]:
+    """Doublings of a window beyond its end: between its lanes, or as far beyond as the sweep goes."""
+    if not levels or window.end.kind != DOUBLED:
+        return ()
+    value = float(window.inside.value[0])
+    up = window.beyond > value
+    beyond = line.value > window.beyond if up else line.value < window.beyond  # what doubles first is known up to there
+    order = np.flatnonzero(beyond) if up else np.flatnonzero(beyond)[::-1]
+    own = np.flatnonzero(np.isin(order, window.lanes))
+    others = line.take(order[: own.max(initial=-1) + 2])
+    no_orbit = [
+        Line(np.array([at]), np.zeros(1, int), window.inside.u) for at in (window.beyond, line.value[-1 if up else 0])
+    ]
+    begun = Line(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
+    with lanes.stage(f"windows: doublings of period {window.period}", 0):
+        return along_line(scene, lanes, begun.joined(others).joined(no_orbit[1]), levels, size)
+
+
+def _limit(doublings: Sequence[Located]) -> Place:
+    """Where the doublings of a window accumulate."""
+    if not doublings:
+        return NOWHERE
+    values, errors = (
+        np.array(column) for column in zip(*((d.point.value, d.point.error) for d in doublings), strict=True)
+    )
+    limit = doublings_limit(values, errors)
+    return Place(limit.value, limit.error + doublings[-1].error)
+
+
+def _crisis(
+    most: int,
+    scene: Scene,
+    lanes: LaneRunner,
+    families: Callable[[float, float], Sequence[Family]],
+    window: Window,
+    limit: Place,
+    size: Float[np.ndarray, " d"],
+) -> Place:
+    """Where the bands beyond the doublings of a window grow, no further than the sweep goes."""
+    start, (low, high) = limit.value, (float(end(scene.line.values)) for end in (np.min, np.max))
+    if not most or window.period == 1 or not low < start < high:  # of one band no path is ever out of turn
+        return NOWHERE
+    stop = float(np.clip(start + _REACH * (start - window.end.value), low, high))
+    inside, n = float(window.inside.value[0]), window.period
+    family = families(min(inside, stop), max(inside, stop))[0]
+    u, turning = window.inside.u, angles(scene.system)
+    with lanes.stage(f"windows: bands of period {n} up to {scene.line.name} = {stop:.9g}", 0):
+        points = walk(scene, lanes, u, inside, n)[None]
+        begun = correct(family, points, window.inside.value, along_parameter(family, 1, n), FINE)
+        if not begun.converged[0]:
+            return NOWHERE
+        branch = both_ways(family, begun, _STEPS)[0]
+
+        def paths(values: Float[np.ndarray, " values"], count: int) -> Float[np.ndarray, "values points k"]:
+            found = (orbits_at(family, [branch], value) for value in values.tolist())
+            begin = np.stack([orbits[0, 0] if len(orbits) else points[0, 0] for orbits in found]) + _OFF * size
+            return embedded(_paths(scene.at(values), lanes, begin, _AWAY * n, count), turning, size)
+
+        found = locate_crisis(paths, start, stop, n, most)
+    return Place(found.value, found.error + window.end.error) if found else NOWHERE
+
+
+def _paths(
+    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], transient: int, count: int
+) -> Float[np.ndarray, "lanes count d"]:
+    """Strobes of lanes after a transient, by as many calls of one program as they need."""
+    strobe, parts = scene.strobe(), list[np.ndarray]()
+    for begun in range(0, count, _AT_ONCE):
+        wait = 0 if begun else transient
+        arguments = (strobe, np.int32(wait)), (u, scene.p)
+        part = lanes(strobe_points, *arguments, periods=wait + _AT_ONCE, tile=len(u), static=(_AT_ONCE,))
+        parts.append(part)
+        u = part[:, -1]
+    return np.concatenate(parts, axis=1)[:, :count]
+
+
+ANALYSIS = Analysis(
+    "windows",
+    WindowsOptions,
+    periods,
+    run,
+    independent=independent,
+    newton=True,
+    count=count,
+    check=check,
+    table=table,
+    price=price_of_orbits,
+    brief={"transient": 1, "limit": 1, "crisis": 64},
+)
+"""The entry of this analysis in the table."""
