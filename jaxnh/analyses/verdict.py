@@ -51,9 +51,9 @@ from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, Options, variable
 from jaxnh.analyses.equilibria.detection import rest
-from jaxnh.analyses.exponents.tangent_growth import BLOCKS
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
+from jaxnh.analyses.smooth_window import BLOCKS
 from jaxnh.analyses.window_averages import angles, extents, look_at
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import Strobe

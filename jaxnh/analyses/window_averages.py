@@ -17,8 +17,8 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.analyses.exponents.tangent_growth import BLOCKS, windows
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.smooth_window import BLOCKS, windows
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Strobe

@@ -7,7 +7,7 @@ import pytest
 
 import jaxnh
 from jaxnh.analyses.exponents.lyapunov import SOURCES
-from jaxnh.analyses.exponents.tangent_growth import BLOCKS
+from jaxnh.analyses.smooth_window import BLOCKS
 
 UNCALIBRATED = True
 OSCILLATOR = """

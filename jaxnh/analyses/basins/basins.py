@@ -24,11 +24,11 @@ from jaxnh.analyses.basins.continuation import Grid, Tracked, track
 from jaxnh.analyses.basins.settling import FAILED, Lot, settle
 from jaxnh.analyses.basins.steps_after_transient import settled_steps
 from jaxnh.analyses.basins.tables import Known, attractors_group, basins_group, shares
-from jaxnh.analyses.exponents.tangent_growth import BLOCKS
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.random_starts import Side, check_box, started
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.section_points import states_at
+from jaxnh.analyses.smooth_window import BLOCKS
 from jaxnh.analyses.window_averages import look, look_at, maps
 from jaxnh.systems.flow import Output
 

@@ -9,9 +9,9 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.analyses.exponents.tangent_growth import window
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.section_points import states_at
+from jaxnh.analyses.smooth_window import window
 from jaxnh.analyses.window_averages import maps
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.of_lane import of_lane

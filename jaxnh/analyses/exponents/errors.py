@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.exponents.tangent_growth import BLOCKS, Growth, window, windows
+from jaxnh.analyses.exponents.tangent_growth import Growth
+from jaxnh.analyses.smooth_window import BLOCKS, window, windows
 
 STUDENT = {16: 2.131, 15: 2.145, 14: 2.160, 13: 2.179, 12: 2.201, 11: 2.228, 10: 2.262, 9: 2.306, 8: 2.365}
 STUDENT |= {7: 2.447, 6: 2.571, 5: 2.776, 4: 3.182, 3: 4.303, 2: 12.706}

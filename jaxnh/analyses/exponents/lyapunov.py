@@ -34,18 +34,10 @@ from jaxnh.analyses.exponents.errors import (
     unseen_bursts,
 )
 from jaxnh.analyses.exponents.from_orbits import OrbitExponents, joined, no_orbits, of_orbits, on_orbits, settled_early
-from jaxnh.analyses.exponents.tangent_growth import (
-    BLOCKS,
-    Growth,
-    advance,
-    average,
-    begin,
-    one_by_one,
-    parts_of,
-    quadrature,
-)
+from jaxnh.analyses.exponents.tangent_growth import Growth, advance, average, begin, one_by_one, parts_of, quadrature
 from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
+from jaxnh.analyses.smooth_window import BLOCKS
 from jaxnh.maps.iterate import iterate
 
 SOURCES = ("average", "smooth_average", "orbit", "equilibrium")

@@ -19,6 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.smooth_window import BLOCKS, windows
 from jaxnh.maps.build import between, cut_strobe
 from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import Strobe, Tangent
@@ -27,9 +28,6 @@ from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.flow import Flow, Parameters, State, Vector
-
-BLOCKS = 16
-"""Equal parts of an average, each a mean of its own."""
 
 _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
@@ -213,21 +211,6 @@ def _across(
 
     (_, *tangents), (along, *grown) = gram_schmidt([direction(after), *moved])
     return tuple(tangents), (along - gram_schmidt([direction(before)])[1][0], *grown)
-
-
-def window(at: Any) -> Any:
-    """Weight exp(−1/(x(1−x))) of a smooth average at x in (0, 1) (Das and co-workers, Nonlinearity 30 (2017) 4111).
-
-    On periodic and quasiperiodic motion such an average converges faster than any power of its length, where a plain
-    one does so like its inverse: rotating tangents (complex multipliers) do no harm.
-    """
-    xp = np if isinstance(at, np.ndarray) else jnp
-    return xp.exp(-1.0 / (at * (1.0 - at)))
-
-
-def windows(at: Any) -> tuple[Any, Any]:
-    """Weights of two smooth averages at x in (0, 1): of the whole, and of the half that x lies in."""
-    return window(at), window((2.0 * at) % 1.0)
 
 
 def gram_schmidt(vectors: Sequence[Vector]) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
