@@ -16,7 +16,7 @@ import numpy as np
 
 import jaxnh
 from jaxnh.analyses import ANALYSES
-from jaxnh.engine.levels import near_changes
+from jaxnh.engine.levels.levels import near_changes
 
 
 class Refined(NamedTuple):

@@ -20,7 +20,7 @@ from rich.markdown import Markdown
 
 import jaxnh
 from jaxnh.cli import terminal
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_strobe
 from jaxnh.solvers import SPLITTINGS

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.maps.iterate import iterate

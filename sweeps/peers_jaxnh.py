@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate

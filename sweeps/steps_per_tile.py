@@ -19,7 +19,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxnh.engine.lanes import TILE, Lanes
+from jaxnh.engine.executor.lanes import TILE, Lanes
 from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate

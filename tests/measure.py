@@ -11,8 +11,8 @@ import pytest
 import taylor
 
 from jaxnh.analyses.scene import Axis, Scene, spread
+from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.axes import Points
-from jaxnh.engine.calibration import Calibration
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
 from jaxnh.solvers import IsokineticSplitting, isokinetic_terms

@@ -225,7 +225,7 @@ def test_arguments_that_cannot_be_used(experiment, arguments, said):
 @pytest.mark.parametrize("output", [None, "job.h5"])
 def test_progress(tmp_path, experiment, output, monkeypatch):
     """(label, done, total) of stage after stage, what is done growing to the total."""
-    monkeypatch.setattr("jaxnh.engine.kept_decisions.find", lambda _: None)  # a first run
+    monkeypatch.setattr("jaxnh.engine.cache.calibrations.find", lambda _: None)  # a first run
     said = []
     jaxnh.run(experiment, output and tmp_path / output, progress=lambda *told: said.append(told))
     labels = list(dict.fromkeys(label for label, _, _ in said))

@@ -20,10 +20,10 @@ from jaxnh.cli.terminal import progress, show
 from jaxnh.config.experiment import Experiment
 from jaxnh.costs import STUDIES, solvers, tables
 from jaxnh.costs import effects as costs_of_effects
+from jaxnh.engine.accuracy.calibration import Calibration, Plan
 from jaxnh.engine.axes import points
-from jaxnh.engine.calibration import Calibration, Plan
 from jaxnh.engine.compute import scene_of, spent
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.engine.output import check_output
 from jaxnh.engine.plan import calibrate, job_of, plan_of, work_of
 from jaxnh.engine.result_attributes import attributes

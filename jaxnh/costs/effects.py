@@ -22,7 +22,7 @@ from jaxnh.analyses.price import Price, Program, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.costs.operations import count
 from jaxnh.costs.stage import Inside
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver, dopri8
 from jaxnh.systems.flow import Flow

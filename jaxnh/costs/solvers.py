@@ -22,8 +22,8 @@ from jaxtyping import Float
 
 from jaxnh.analyses.base import Entry, variable
 from jaxnh.analyses.scene import Scene
-from jaxnh.engine.calibration import Calibration
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.accuracy.calibration import Calibration
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS, IsokineticSplitting

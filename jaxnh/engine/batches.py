@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from jaxnh.analyses.base import Analysis, Options
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine.lanes import TILE
-from jaxnh.engine.levels import Level
+from jaxnh.engine.executor.lanes import TILE
+from jaxnh.engine.levels.levels import Level
 from jaxnh.maps.build import way_of
 from jaxnh.maps.rows import ROWS
 from jaxnh.solvers import SOLVERS

@@ -14,11 +14,11 @@ from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, Sweep
 from jaxnh.analyses.scene import Axis, Rows, Scene
 from jaxnh.config.experiment import Experiment
+from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.axes import Points, on_axes, places_of, points, points_in_rows, whole_on_axes
 from jaxnh.engine.batches import Requested, in_rows, lanes_of
-from jaxnh.engine.calibration import Plan
-from jaxnh.engine.lanes import Lanes
-from jaxnh.engine.levels import Level, filled, with_computed
+from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.levels.levels import Level, filled, with_computed
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece
 from jaxnh.storage.tiles import Spent

@@ -18,10 +18,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine import level_files, xla_options
+from jaxnh.engine import xla_options
 from jaxnh.engine.compute import compute
-from jaxnh.engine.lanes import Lanes
-from jaxnh.engine.levels import Level, axes_of
+from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.levels import files
+from jaxnh.engine.levels.levels import Level, axes_of
 from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
 from jaxnh.storage import tiles
 from jaxnh.storage.calls import Calls
@@ -253,7 +254,7 @@ def _task(folder: Path, job_id: str) -> _Task:
         raise RuntimeError(f"{folder}, as a worker sees it, is not the folder of this run")
     origin = tiles.origin(folder)
     experiment = Experiment.from_text(origin.config, origin.user_text)
-    return _Task(experiment, job, level_files.read(folder, whole, job))
+    return _Task(experiment, job, files.read(folder, whole, job))
 
 
 def _machine() -> dict[str, str]:

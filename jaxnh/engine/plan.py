@@ -15,14 +15,14 @@ from jaxnh.analyses.base import Starts
 from jaxnh.analyses.scene import Axis, Scene, picked
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine import kept_decisions
+from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
 from jaxnh.engine.axes import Points, points, sampled
 from jaxnh.engine.batches import Requested, lanes_of, rows_a_tile
-from jaxnh.engine.calibration import SAMPLED_LANES, Calibration, Plan
+from jaxnh.engine.cache import calibrations
+from jaxnh.engine.cache.calibrations import Decision
 from jaxnh.engine.compute import scene_of
-from jaxnh.engine.kept_decisions import Decision
-from jaxnh.engine.lanes import Lanes, turns_of
-from jaxnh.engine.levels import Level
+from jaxnh.engine.executor.lanes import Lanes, turns_of
+from jaxnh.engine.levels.levels import Level
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.solvers import SOLVERS
@@ -183,8 +183,8 @@ def decide(
         ConfigError: it is too large.
     """
     axes, requested = experiment.axes, experiment.requested()
-    name = kept_decisions.name_of(experiment, lanes)
-    if kept := kept_decisions.find(name):
+    name = calibrations.name_of(experiment, lanes.devices, lanes.tile)
+    if kept := calibrations.find(name):
         plan, chosen = Plan(SOLVERS[kept.solver], kept.steps, kept.compensated, kept.error_estimate), kept.chosen
         lanes.fastest = min(lanes.fastest, kept.fastest)
         if not asked:
@@ -195,7 +195,7 @@ def decide(
             if not asked:
                 check_size(experiment, axes, plan, requested, lanes)
             chosen = choose(experiment, axes, plan, requested, lanes)
-        kept_decisions.keep(name, Decision(plan.solver.name, *plan[1:], chosen, lanes.fastest))
+        calibrations.keep(name, Decision(plan.solver.name, *plan[1:], chosen, lanes.fastest))
     return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
 
 

@@ -14,16 +14,17 @@ from threading import Lock
 from typing import Any, NamedTuple
 
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine import dask_workers, early_imports, level_files
+from jaxnh.engine import dask_workers, early_imports
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import Done, compute, spent
-from jaxnh.engine.lanes import Lanes
-from jaxnh.engine.levels import Level, axes_of
+from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.threads import side_by_side
+from jaxnh.engine.levels import files
+from jaxnh.engine.levels.levels import Level, axes_of
 from jaxnh.engine.output import other_than
 from jaxnh.engine.plan import decide, work_of_pieces
 from jaxnh.engine.progress import Heeding, Progress, Silent
 from jaxnh.engine.result_attributes import attributes, extras_of
-from jaxnh.engine.side_by_side import side_by_side
 from jaxnh.engine.xla_options import configure, differing
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
 from jaxnh.storage import tiles
@@ -154,7 +155,7 @@ class _Run:
         """A level of the sweep, or without levels all of it, from what is there of it to its result."""
         part, last = self._how.part, stage.level in (0, job.levels)
         if not self._how.merge:
-            self._level = level_files.read(self._folder, job, stage)
+            self._level = files.read(self._folder, job, stage)
         every = [piece for piece in stage.pieces() if not (part and stage.is_whole(piece))]
         mine = every
         if part:
@@ -388,8 +389,8 @@ class _Run:
 
     def _publish(self, stage: Job) -> None:
         """The result of a level, in the folder for the next one, and in place of the result that comes in the end."""
-        kept = level_files.path_of(self._folder, stage)
-        if not level_files.is_there(self._folder, stage):
+        kept = files.path_of(self._folder, stage)
+        if not files.is_there(self._folder, stage):
             self._merge(stage, kept)
         same_file(kept, self._path)
 

@@ -20,11 +20,11 @@ from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
 from jaxnh.config.from_python import System, experiment_of
 from jaxnh.engine import dask_workers, early_imports
+from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import Requested, batches
-from jaxnh.engine.calibration import Plan
 from jaxnh.engine.compute import compute, spent
-from jaxnh.engine.lanes import Lanes
-from jaxnh.engine.levels import Level, axes_of, level_of
+from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.levels.levels import Level, axes_of, level_of
 from jaxnh.engine.output import check_output, file_of, is_there
 from jaxnh.engine.plan import calibrate, choose, count_warnings, draws, job_of, plan_of
 from jaxnh.engine.progress import Calling, Progress, Silent

@@ -12,8 +12,8 @@ import xarray as xr
 
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.compute import compute
-from jaxnh.engine.lanes import Lanes
-from jaxnh.engine.levels import COMPUTED, axes_of
+from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.levels.levels import COMPUTED, axes_of
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ResultError, RunError
 from jaxnh.storage import hdf5

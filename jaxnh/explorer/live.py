@@ -11,7 +11,7 @@ import xarray as xr
 from jaxtyping import Bool
 
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine.lanes import TILE
+from jaxnh.engine.executor.lanes import TILE
 from jaxnh.engine.progress import Progress
 from jaxnh.engine.session import Session
 from jaxnh.exceptions import InputError

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine.lanes import TILE
+from jaxnh.engine.executor.lanes import TILE
 from jaxnh.engine.progress import Progress
 from jaxnh.engine.session import Session
 from jaxnh.exceptions import InputError

@@ -59,11 +59,11 @@ class StrobeRows(Strobe):
         return self.maps.at(row)
 
     def __call__(self, state: State, p: Parameters) -> State:
-        """Not in a lane: `engine.row_blocks` puts the map of its row in its place."""
+        """Not in a lane: `engine.executor.row_blocks` puts the map of its row in its place."""
         raise NotImplementedError
 
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
-        """Not in a lane: `engine.row_blocks` puts the map of its row in its place."""
+        """Not in a lane: `engine.executor.row_blocks` puts the map of its row in its place."""
         raise NotImplementedError
 
 

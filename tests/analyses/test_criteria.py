@@ -22,7 +22,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import least_period
 from jaxnh.analyses.scene import Scene, spread
 from jaxnh.analyses.trajectories import diagram
 from jaxnh.costs.operations import count
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS

@@ -17,7 +17,7 @@ from jaxnh.analyses.trajectories import diagram, portrait
 from jaxnh.analyses.trajectories.diagram import DiagramOptions, random_starts, run
 from jaxnh.config.experiment import load
 from jaxnh.config.yaml_source import ConfigError
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS
 

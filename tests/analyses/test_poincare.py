@@ -11,7 +11,7 @@ from measure import SYSTEMS, scene_of, twin
 from jaxnh.analyses.base import LANE
 from jaxnh.analyses.trajectories import poincare
 from jaxnh.analyses.trajectories.poincare import PoincareOptions, run
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS
 

@@ -10,7 +10,7 @@ from measure import SYSTEMS, scene_of, twin
 
 from jaxnh.analyses.base import LANE
 from jaxnh.analyses.trajectories.portrait import PortraitOptions, run
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.build import make_parts, make_strobe
 from jaxnh.solvers import SOLVERS
 

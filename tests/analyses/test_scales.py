@@ -13,7 +13,7 @@ from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.scene import Axis, Scene, spread
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.solvers import dopri8
 from jaxnh.systems.first_order import Point, first_order
 from jaxnh.systems.lagrangian import Motion, lagrangian

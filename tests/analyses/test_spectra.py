@@ -11,7 +11,7 @@ from conftest import ROOT, session_of
 import jaxnh
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import Scene
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.solvers import dopri8
 
 pytestmark = pytest.mark.slow

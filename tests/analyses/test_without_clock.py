@@ -10,7 +10,7 @@ import jaxnh
 from jaxnh.analyses.equilibria.detection import rest
 from jaxnh.analyses.scene import Scene, spread
 from jaxnh.analyses.verdict import KINDS, across
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.solvers import dopri8
 
 CONFIG = f"""system: {{file: {ROOT}/configs/flows/lorenz.py}}

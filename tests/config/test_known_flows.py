@@ -19,7 +19,7 @@ from measure import some_slow
 
 import jaxnh
 from jaxnh.analyses.periodic.newton_on_lanes import orbits
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import SectionedFlow

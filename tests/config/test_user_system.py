@@ -25,7 +25,7 @@ from jaxnh.config.experiment import load
 from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
 from jaxnh.engine.axes import points
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.exceptions import ConfigError, UserFileError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.general_flow import GeneralStrobe

@@ -15,7 +15,7 @@ from measure import scene_of
 from jaxnh.config.experiment import load
 from jaxnh.costs import exponent
 from jaxnh.costs import solvers as costs_of_solvers
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS
 from jaxnh.systems.particle import constant_speed
 

@@ -227,7 +227,7 @@ def test_machine_of_another_kind(job, whole, key):
     def elsewhere(*arguments):
         return here(*arguments) | {key: OTHER[key]}
 
-    with mock.patch("jaxnh.engine.lanes.machine", elsewhere):
+    with mock.patch("jaxnh.engine.executor.lanes.machine", elsewhere):
         assert job.run_here("--part", "1/12")[0] == 0
     before = {path: path.read_bytes() for path in job.done()}
     assert len(before) == 1

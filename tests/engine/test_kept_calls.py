@@ -16,8 +16,8 @@ from measure import SYSTEMS
 from test_batch import CONFIG, GO_ON, Job, content
 from test_pieces import job
 
-from jaxnh.engine import lanes as engine
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor import lanes as engine
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.exceptions import Stopped
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
@@ -182,8 +182,8 @@ import sys
 import numpy as np
 from jaxnh.config.experiment import load
 from jaxnh.engine.axes import points
-from jaxnh.engine.call_names import CallNames
-from jaxnh.engine.row_blocks import of_block
+from jaxnh.engine.cache.fingerprints import CallNames
+from jaxnh.engine.executor.row_blocks import of_block
 from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate

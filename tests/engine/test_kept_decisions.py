@@ -7,8 +7,9 @@ import pytest
 from conftest import lanes_with_kept_programs
 
 from jaxnh.config.experiment import Experiment, load
-from jaxnh.engine import kept_decisions, kept_programs, plan
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine import plan
+from jaxnh.engine.cache import calibrations, executables
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.exceptions import AccuracyError, ConfigError
 
 # A target of a few steps, and an analysis that chooses (`lyapunov` its parts).
@@ -57,6 +58,10 @@ def decisions(folder):
     return [path for path in folder.iterdir() if b'{"solver"' in path.read_bytes()]
 
 
+def name_of(experiment, lanes):
+    return calibrations.name_of(experiment, lanes.devices, lanes.tile)
+
+
 def test_a_second_run_calibrates_nothing(folder, calibrated):
     """Its job is the first one's in every bit, and no lane is run for it; a title decides nothing."""
     first = decided()
@@ -82,15 +87,15 @@ def test_a_damaged_decision_is_taken_anew(folder, calibrated, fault):
 def test_what_decides_is_in_the_name(folder, monkeypatch):
     """Values, accuracy, analyses, lanes a tile, devices, the text of the package."""
     one = experiment()
-    names = [kept_decisions.name_of(one, Lanes(*how)) for how in ((), (None, None, 32), (None, jax.devices()[:1]))]
+    names = [name_of(one, Lanes(*how)) for how in ((), (None, None, 32), (None, jax.devices()[:1]))]
     for other in ({"stop": 5.5}, {"accuracy": "{target: 1.0e-3}"}, {"exponents": 2}):
-        names.append(kept_decisions.name_of(experiment(**other), Lanes()))
-    monkeypatch.setattr(kept_programs, "_versions", lambda: ["another text of the package"])
-    names.append(kept_decisions.name_of(one, Lanes()))
+        names.append(name_of(experiment(**other), Lanes()))
+    monkeypatch.setattr(executables, "_versions", lambda: ["another text of the package"])
+    names.append(name_of(one, Lanes()))
     assert None not in names
     assert len(set(names)) == len(names)
     monkeypatch.setenv("JAXNH_KEEP_PROGRAMS", "0")
-    assert kept_decisions.name_of(one, Lanes()) is None
+    assert calibrations.name_of(one, Lanes()) is None
 
 
 def test_what_cannot_be_met_is_not_kept(folder, monkeypatch):
@@ -135,7 +140,7 @@ analyses: {diagram: {transient: 4, strobes: 2}}
 def name_of_user(folder, before="", force="y[0]"):
     (folder / "own.py").write_text(SYSTEM.format(before=before, force=force))
     (folder / "own.yaml").write_text(OF_USER)
-    return kept_decisions.name_of(load(folder / "own.yaml"), Lanes())
+    return name_of(load(folder / "own.yaml"), Lanes())
 
 
 def test_data_of_users_are_in_the_name(folder, tmp_path):

@@ -16,8 +16,8 @@ import pytest
 from conftest import ROOT
 from measure import SYSTEMS, some_slow
 
-from jaxnh.engine import kept_programs
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.cache import executables
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import SPLITTINGS, tsit5
@@ -107,7 +107,7 @@ def test_a_file_that_is_no_program_is_written_anew(folder, fault):
         for one, other in zip(jax.tree.leaves(result), jax.tree.leaves(expected), strict=True):
             np.testing.assert_array_equal(one, other)
         assert path.read_bytes() != bad
-    assert kept_programs.find(
+    assert executables.find(
         path.name, jax.tree.structure((tuple(map(jax.tree.leaves, (shared, LANES))), {})), jax.devices()
     )
 
@@ -159,7 +159,7 @@ def test_a_folder_that_cannot_be_written_keeps_nothing(folder):
 
 def name(function=iterate, static=(), shared=None, lanes=LANES, devices=None):
     shared = (strobe(), np.int32(3)) if shared is None else shared
-    return kept_programs.name_of(function, static, (shared, lanes), devices or jax.devices())
+    return executables.name_of(function, static, (shared, lanes), devices or jax.devices())
 
 
 def test_one_program_one_name(folder):
@@ -187,7 +187,7 @@ def test_other_programs_have_other_names(folder, monkeypatch):
         name(derivatives, (True,)),
         name(partial(iterate, 1)),
     ]
-    monkeypatch.setattr(kept_programs, "_versions", lambda: ["another text of the package"])
+    monkeypatch.setattr(executables, "_versions", lambda: ["another text of the package"])
     names.append(name())
     assert None not in names
     assert len(set(names)) == len(names)

@@ -14,7 +14,7 @@ import pytest
 from conftest import ROOT
 from measure import SYSTEMS
 
-from jaxnh.engine.lanes import TILE, Lanes
+from jaxnh.engine.executor.lanes import TILE, Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import SPLITTINGS, tsit5
@@ -176,7 +176,7 @@ def test_stage_ends_when_something_fails():
 def test_configure(number, set_before, devices):
     """So many devices as asked for, unless the environment says otherwise, and all of them at work."""
     code = (
-        f"from jaxnh.engine.xla_options import configure; from jaxnh.engine.lanes import Lanes; configure({number}); import jax, numpy as np;"
+        f"from jaxnh.engine.xla_options import configure; from jaxnh.engine.executor.lanes import Lanes; configure({number}); import jax, numpy as np;"
         "r = Lanes()(abs, (), (np.linspace(-1, 0, 10),)); print(len(jax.devices()), r.sum())"
     )
     environment = {**os.environ, **set_before}

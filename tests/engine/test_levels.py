@@ -9,7 +9,7 @@ from measure import some_slow
 
 from jaxnh.analyses import ANALYSES as KINDS
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine.levels import near_changes
+from jaxnh.engine.levels.levels import near_changes
 from jaxnh.exceptions import ConfigError
 from sweeps.adaptive_charts import refined
 

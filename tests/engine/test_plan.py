@@ -12,7 +12,7 @@ from jaxnh.analyses import ANALYSES
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import compute as pieces
 from jaxnh.engine import plan as work
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.storage.pieces import Piece
 
 UNCALIBRATED = True

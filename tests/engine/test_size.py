@@ -10,8 +10,8 @@ from conftest import run_here
 import jaxnh
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import plan as work
-from jaxnh.engine.calibration import Plan
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.accuracy.calibration import Plan
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.exceptions import ConfigError
 from jaxnh.solvers import SOLVERS
 

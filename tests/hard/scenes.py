@@ -9,7 +9,7 @@ import taylor
 from battery import worst
 from measure import UNIT, apart, calibrated, twin
 
-from jaxnh.engine.calibration import Plan
+from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import section_map

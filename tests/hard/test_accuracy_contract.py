@@ -14,7 +14,7 @@ import taylor
 from jax import lax
 
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.engine.plan import calibrate
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe

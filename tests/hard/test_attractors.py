@@ -23,7 +23,7 @@ from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import attractor_survey, period
 from jaxnh.analyses.trajectories import diagram
 from jaxnh.config.experiment import load
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate, record

@@ -16,7 +16,7 @@ from measure import calibrated, scene_of, twin
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import attractor_survey
 from jaxnh.analyses.scene import Scene
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.iterate import record
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.lagrangian import Motion, lagrangian

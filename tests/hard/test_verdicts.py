@@ -15,7 +15,7 @@ from measure import scene_of
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed, disturbed_speed

@@ -12,8 +12,8 @@ import pytest
 import taylor
 from unforced import ANGLE, LANES, SPLITTING, START, B, P, spread, without
 
+from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.axes import Points
-from jaxnh.engine.calibration import Calibration
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.maps.section import Crossing, SectionedFlow

@@ -13,7 +13,7 @@ from calm import check_convergence, check_derivatives, image
 from measure import CALM, UNIT, apart, some_slow
 
 from jaxnh.analyses.scene import spread
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.general_flow import general_strobe
 from jaxnh.maps.iterate import derivatives, iterate, section_map

@@ -23,7 +23,7 @@ from calm import (
 )
 from measure import CALM, CALM_B, CALM_STATES, apart, some_slow, twin
 
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.step_grids import step_grid

@@ -12,7 +12,7 @@ import pytest
 from measure import CALM, LANES, STATES, SYSTEMS, UNIT, B, order_of, some_slow
 from scipy.special import ellipe
 
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS, isokinetic_terms, kick

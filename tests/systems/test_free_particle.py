@@ -11,7 +11,7 @@ import pytest
 from measure import UNIT
 
 from jaxnh.analyses.scene import spread
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.maps.build import make_strobe
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import dopri8

@@ -18,10 +18,10 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxnh.engine import kept_programs
-from jaxnh.engine.call_names import CallNames
+from jaxnh.engine.cache import executables
+from jaxnh.engine.cache.fingerprints import CallNames
+from jaxnh.engine.executor.row_blocks import has_rows, in_blocks, of_block
 from jaxnh.engine.progress import Progress, Silent
-from jaxnh.engine.row_blocks import has_rows, in_blocks, of_block
 from jaxnh.engine.xla_options import machine
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import Strobe
@@ -299,8 +299,8 @@ class Lanes:
         """The program of such calls, a function of the leaves of (shared, lanes): an earlier run's, or a new one."""
         structure = jax.tree.structure(arguments)
         leaves = tuple(map(jax.tree.leaves, arguments))
-        name = kept_programs.name_of(function, static, arguments, self.devices)
-        if name and (found := kept_programs.find(name, jax.tree.structure((leaves, {})), self.devices)):
+        name = executables.name_of(function, static, arguments, self.devices)
+        if name and (found := executables.find(name, jax.tree.structure((leaves, {})), self.devices)):
             return found
 
         def tile(*leaves: Any) -> Any:
@@ -313,9 +313,9 @@ class Lanes:
         lowered = jax.jit(sharded).lower(*leaves)
         if not name:
             return lowered.compile()
-        with kept_programs.compiling():
+        with executables.compiling():
             program = lowered.compile()
-        kept_programs.keep(name, program)
+        executables.keep(name, program)
         return program
 
 

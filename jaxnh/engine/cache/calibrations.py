@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine import kept_files, kept_programs
-from jaxnh.engine.lanes import Lanes
+from jaxnh.engine.cache import executables, store
 
 
 @dataclass(frozen=True)
@@ -37,23 +37,23 @@ class Decision:
     fastest: float
 
 
-def name_of(experiment: Experiment, lanes: Lanes) -> str | None:
+def name_of(experiment: Experiment, devices: Sequence[Any], tile: int | None) -> str | None:
     """The name of a decision, the same in every process; None where it is not to be kept."""
     user = experiment.user_file
-    said = kept_programs.of_user_file(user) if user else ""
-    if kept_files.folder() is None or said is None:
+    said = executables.of_user_file(user) if user else ""
+    if store.folder() is None or said is None:
         return None
-    words = ["decision", kept_programs.surroundings(), kept_programs.of_devices(lanes.devices)]
-    return hashlib.sha256("\n".join([*words, str(lanes.tile), said, experiment.sha256]).encode()).hexdigest()
+    words = ["decision", executables.surroundings(), executables.of_devices(devices)]
+    return hashlib.sha256("\n".join([*words, str(tile), said, experiment.sha256]).encode()).hexdigest()
 
 
 def find(name: str | None) -> Decision | None:
     """The decision of that name, if it is kept."""
-    data = kept_files.find(name) if name else None
+    data = store.find(name) if name else None
     return Decision(**json.loads(data)) if data else None
 
 
 def keep(name: str | None, decision: Decision) -> None:
     """Have a decision found by later runs; where it cannot be kept, it is not."""
     if name:
-        kept_files.keep(name, json.dumps(asdict(decision)).encode())
+        store.keep(name, json.dumps(asdict(decision)).encode())

@@ -31,7 +31,7 @@ import numpy as np
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
-from jaxnh.engine import kept_files
+from jaxnh.engine.cache import store
 from jaxnh.engine.xla_options import host, machine
 from jaxnh.systems.user_file import UserFile
 
@@ -66,7 +66,7 @@ def name_of(
         arguments: pytree of all others, arrays, whose shapes and types count alone.
         devices: those that it runs on.
     """
-    if kept_files.folder() is None:
+    if store.folder() is None:
         return None
     try:
         words = [surroundings(), of_devices(devices), *_constant(function), *_constant(static), *_shapes(arguments)]
@@ -85,7 +85,7 @@ def surroundings() -> str:
 def _versions() -> list[str]:
     """Of Python and libraries, and the text of this package."""
     text = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+    for path in sorted(Path(__file__).parents[2].rglob("*.py")):
         content = path.read_bytes()
         text.update(f"{path.name} {len(content)} ".encode() + content)
     return [sys.version, *(f"{name} {version(name)}" for name in _LIBRARIES), text.hexdigest()]
@@ -191,7 +191,7 @@ def find(name: str, inputs: Any, devices: Sequence[Any]) -> Any:
         inputs: structure of its arguments, ((…), {}).
         devices: those that it runs on.
     """
-    data = kept_files.find(name)
+    data = store.find(name)
     if data is None:
         return None
     try:
@@ -203,14 +203,14 @@ def find(name: str, inputs: Any, devices: Sequence[Any]) -> Any:
 
 def keep(name: str, program: Any) -> None:
     """Have a program that `compiling` has made found by later runs; where it cannot be kept, it is not."""
-    if kept_files.folder() is None:
+    if store.folder() is None:
         return
     try:
         payload, _, outputs = serialize_executable.serialize(program)
         data = pickle.dumps((payload, outputs))
     except Exception:  # programs that call back, or constants: JAX names no set of errors for what it cannot write
         return
-    kept_files.keep(name, data)
+    store.keep(name, data)
 
 
 @contextmanager

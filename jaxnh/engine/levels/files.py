@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from jaxnh.engine.levels import Level, level_of
+from jaxnh.engine.levels.levels import Level, level_of
 from jaxnh.exceptions import DamagedError, ResultError
 from jaxnh.storage.hdf5 import open_result, verify
 from jaxnh.storage.merge import gathered

@@ -12,9 +12,9 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnh.engine.accuracy.diagnostics import ROUGH, fault_of, of_long_returns, of_motion, of_slow_convergence
 from jaxnh.engine.axes import Points
-from jaxnh.engine.lanes import Lanes
-from jaxnh.engine.unmet_accuracy import ROUGH, fault_of, of_long_returns, of_motion, of_slow_convergence
+from jaxnh.engine.executor.lanes import Lanes
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_strobe, way_of
 from jaxnh.maps.iterate import iterate, record

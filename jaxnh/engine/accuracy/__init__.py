@@ -1,0 +1,1 @@
+"""Which solver and steps meet an accuracy."""

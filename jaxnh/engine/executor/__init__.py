@@ -1,0 +1,1 @@
+"""Functions over lanes, on devices, in tiles."""
