@@ -1,6 +1,6 @@
 """One verdict a lane from all criteria together: what kind of motion it is, or undecided, or failed.
 
-The rule, with λ1 the largest exponent, ε its error bar of 95 % (`exponent_errors`), n the period found by Newton (0:
+The rule, with λ1 the largest exponent, ε its error bar of 95 % (`exponents.errors`), n the period found by Newton (0:
 none up to the limit), μ its largest multiplier, K the 0–1 test, T the strobe period and N the periods that λ1 was
 averaged over:
 
@@ -10,7 +10,8 @@ averaged over:
 - chaotic: n = 0, (λ1 − ε) NT > 2 ln N, K > 0.5, and the motion still does not repeat itself in a run ten times as long.
 - quasiperiodic: n = 0, |λ1| ≤ ε with ε ≤ 0.005 · 2π/T, and K < 0.5, in a flow that knows the time; and smooth averages
   over four runs, one after the other, agree.
-- equilibrium, limit_cycle: of a flow without a clock, what is at rest (`rest`), or else periodic and not dying down.
+- equilibrium, limit_cycle: of a flow without a clock, what is at rest (`equilibria.detection`), or else periodic and
+  not dying down.
 - undecided: everything else, that is whenever the criteria disagree.
 
 On a torus tangents grow in proportion to time, so that λ1 is positive in any finite average: ln N / NT, and twice that
@@ -209,7 +210,8 @@ def _followed(scene: Scene, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"])
 def unsteadiness(scene: Scene, lanes: LaneRunner, begun: int, count: int) -> Float[np.ndarray, " lanes"]:
     """Largest third difference of smooth averages over four runs of `count`/4 periods each, of the motion's size.
 
-    The first begins so many periods from the start. Averages are those of `looks`. Not a number where a lane is lost.
+    The first begins so many periods from the start. Averages are those of `window_averages`. Not a number where a lane
+    is lost.
     """
     each = BLOCKS * max(count // (2 * BLOCKS), 1)
     with lanes.stage(f"verdict: {scene.count} lanes that look quasiperiodic, longer", scene.count * (begun + 2 * each)):

@@ -95,7 +95,7 @@ def test_what_decides_is_in_the_name(folder, monkeypatch):
     assert None not in names
     assert len(set(names)) == len(names)
     monkeypatch.setenv("JAXNH_KEEP_PROGRAMS", "0")
-    assert calibrations.name_of(one, Lanes()) is None
+    assert name_of(one, Lanes()) is None
 
 
 def test_what_cannot_be_met_is_not_kept(folder, monkeypatch):

@@ -1,7 +1,8 @@
 """Basins of attraction: which attractor every start state leads to, and which there are. None is named before.
 
 First every lane is run by itself until its means have settled (`settling`), in tiles like any other analysis. From what
-all of them have left the attractors are found (`matching`, `attractors`), numbered from 1 by the size of their basins.
+all of them have left the attractors are found (`clustering`, `classification`), numbered from 1 by the size of their
+basins.
 """
 
 from __future__ import annotations

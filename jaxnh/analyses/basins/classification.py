@@ -1,6 +1,6 @@
 """What lanes have settled on: representatives judged by the criteria of `verdict`, and confirmed by a longer look.
 
-- periodic: Newton finds a stable orbit at the strobes, up to a period (`survey.survey`).
+- periodic: Newton finds a stable orbit at the strobes, up to a period (`periodic.attractor_survey.survey`).
 - equilibrium: without a clock, a zero of the field near by whose eigenvalues all have negative real parts.
 - chaotic: the largest exponent, that along the flow aside, is positive as `verdict` asks for.
 - limit_cycle: without a clock that exponent is negative, and the motion has gone to and fro.

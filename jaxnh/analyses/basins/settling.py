@@ -27,7 +27,7 @@ _RESTLESS = 1e-2  # likewise, of one whose motion is no slow approach
 _FALLS = 0.25  # from a look to the next of what an approach or a smooth mean leaves; of chaos half is left, or more
 _GROWN = 1.5  # from one look to one twice as long, of what goes to infinity in proportion to time
 OPEN, SETTLED, RESTLESS, FAILED, CONSERVATIVE = range(5)
-"""What is known of a lane; that it is conservative is for `matching` to say."""
+"""What is known of a lane; that it is conservative is for `clustering` to say."""
 
 REASONS = (*FAULTS, "escaped")
 """Why a lane has failed: as of trajectories, or it goes to infinity."""
@@ -62,7 +62,7 @@ class Lot(NamedTuple):
 def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps: int | None = None) -> Lot:
     """Lanes from their start states: looked at from `transient` periods on, until `longest` are over at most.
 
-    After half of the transient a period has `steps` steps (`settled_steps`), or as many as before.
+    After half of the transient a period has `steps` steps (`steps_after_transient`), or as many as before.
     """
     start, count, d = scene.start, scene.count, scene.system.dimension
     width = units(angles(scene.system), np.ones((1, d))).shape[1]

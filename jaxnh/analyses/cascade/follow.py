@@ -1,11 +1,11 @@
 """The cascade of period doublings along the first axis that the start state leads to: its points, each with an error.
 
 A survey sends thousands of lanes to their attractors and finds the period of each: candidates come from the strobe
-points, the decision from Newton on the orbit and its multipliers, so that slow convergence near a doubling does not
-bias it. Wherever a run of equal periods ends a cascade may begin (`runs`), and each is tried, the most promising first.
-Between neighbouring lanes the orbit is followed by Newton to where its multiplier passes −1 (`locating`). Where the
-survey is too coarse for the next level, the orbit of twice the period is looked for where the distances so far put it
-(`daughter`).
+    points, the decision from Newton on the orbit and its multipliers, so that slow convergence near a doubling does not
+    bias it. Wherever a run of equal periods ends a cascade may begin (`plateaus`), and each is tried, the most
+    promising first. Between neighbouring lanes the orbit is followed by Newton to where its multiplier passes −1
+    (`periodic.location`). Where the survey is too coarse for the next level, the orbit of twice the period is looked
+    for where the distances so far put it (`doubled_orbit`).
 """
 
 from __future__ import annotations

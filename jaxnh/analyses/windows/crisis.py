@@ -1,8 +1,9 @@
 """The crisis of a window: where its bands meet the unstable orbit that bounds them.
 
-Beyond it a path loses its phase on the bands (`band_phase`) after a mean time τ ~ (b − b_c)^−γ, where γ is 1/2 for maps
-of one maximum on a line and larger in more dimensions (Grebogi, Ott, Romeiras, Yorke, Phys. Rev. A 36 (1987) 5365). So
-within a finite time no phase is lost just beyond the crisis, and where the first one is lost is too far. What is known
+Beyond it a path loses its phase on the bands (`crises.band_phase`) after a mean time τ ~ (b − b_c)^−γ, where γ is 1/2
+for maps of one maximum on a line and larger in more dimensions (Grebogi, Ott, Romeiras, Yorke, Phys. Rev. A 36 (1987)
+5365). So within a finite time no phase is lost just beyond the crisis, and where the first one is lost is too far. What
+is known
 is how long each path has kept its phase, also of those that have not lost it: given b_c, γ and a scale these times are
 exponential. The posterior of b_c, with γ and the scale integrated out, has this bias in its interval.
 """

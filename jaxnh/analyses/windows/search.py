@@ -1,7 +1,7 @@
 """Windows of stable orbits along the first axis: lanes in runs, the orbits followed both ways to where they change.
 
 A run is neighbouring lanes whose periods differ by powers of two. Orbits of the shortest period of a run are followed
-(`family_tree`), those of half of it where they were born in a doubling, as far as they are stable.
+(`continuation.family_tree`), those of half of it where they were born in a doubling, as far as they are stable.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Windows of periodic orbits over the first axis that are wider than one lane, with where each begins and ends.
 
-What lanes settle on says where windows are; orbits followed from there say where they begin and end (`window_search`),
+What lanes settle on says where windows are; orbits followed from there say where they begin and end (`search`),
 and the doublings of each where these accumulate (`cascade`).
 """
 

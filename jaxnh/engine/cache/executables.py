@@ -6,7 +6,7 @@ others. What cannot be named for certain, as a function of another package, is n
 program has been traced and lowered, which is most of the time to a result (Newton's: 5 s of 8 s without a cache, and
 0.2 s from here); programs kept here are not kept there as well.
 
-Their files (`kept_files`) are as much to be trusted as JAX's cache: they are code that runs.
+Their files (`cache.store`) are as much to be trusted as JAX's cache: they are code that runs.
 """
 
 from __future__ import annotations
