@@ -42,19 +42,19 @@ paper: $(INSTALLED)
 # What each effect and analysis costs; writes results/effects.md.
 effects: $(INSTALLED)
 	for scene in $(EFFECTS); do $(RUN)/python -m jaxnh.cost configs/$$scene.yaml --effects --repeats 11 || exit; done
-	$(RUN)/python -m sweeps.effects
+	$(RUN)/python -m sweeps.timing.effects
 
 # Time from command to result, in its parts; writes results/startup.md. On a machine that does nothing else.
 startup: $(INSTALLED)
-	$(RUN)/python -m sweeps.startup
+	$(RUN)/python -m sweeps.timing.startup
 
 # What the README, the how-to pages and three strangers' flows have, run as it stands there, against results/newcomer.md.
 newcomer: $(INSTALLED)
-	$(RUN)/python -m sweeps.newcomer
+	$(RUN)/python -m sweeps.checks.newcomer
 
 # What every quantitative claim rests on, checked; writes results/claims.md. Times nothing, computes nothing anew.
 claims: $(INSTALLED)
-	$(RUN)/python -m sweeps.claims
+	$(RUN)/python -m sweeps.checks.claims
 
 # The documentation, in docs/_build/html: its notebooks are run, and a warning or a broken link in it is an error.
 DOCS_INSTALLED := $(VENV)/.docs_installed
@@ -69,7 +69,7 @@ $(DOCS_INSTALLED): $(INSTALLED)
 # this machine, or one named by NEWEST=PYTHON.
 NEWEST ?= $(lastword $(wildcard $(foreach minor,11 12 13 14 15,$(HOME)/.pyenv/versions/3.$(minor).*/bin/python /usr/bin/python3.$(minor) /usr/local/bin/python3.$(minor))))
 release-check: $(INSTALLED)
-	$(RUN)/python -m sweeps.release_check --newest '$(NEWEST)'
+	$(RUN)/python -m sweeps.checks.release_check --newest '$(NEWEST)'
 
 # Style, layers, types and all tests but those marked slow. Types are checked beside the tests, by one core for a minute.
 test: $(INSTALLED)

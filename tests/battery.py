@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import pytest
 
-from sweeps.measured_at import stamp
+from sweeps.checks.measured_at import stamp
 
 CASES = (
     "Off the constraint",

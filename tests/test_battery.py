@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from battery import CASES, Battery, Measured, page
 
-from sweeps.measured_at import Stamp, stamps_of
+from sweeps.checks.measured_at import Stamp, stamps_of
 
 FIRST, SECOND = Stamp("0" * 12, "a" * 12), Stamp("1" * 12, "b" * 12)
 

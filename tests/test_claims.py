@@ -8,9 +8,9 @@ import subprocess
 import pytest
 from conftest import ROOT
 
-from sweeps import claims, claims_reading, claims_table, measured_at
-from sweeps.claims_table import Claim
-from sweeps.measured_at import Stamp
+from sweeps.checks import claims, claims_reading, claims_table, measured_at
+from sweeps.checks.claims_table import Claim
+from sweeps.checks.measured_at import Stamp
 
 
 @pytest.mark.parametrize("claim", claims_table.CLAIMS, ids=lambda claim: claim.words[:40])

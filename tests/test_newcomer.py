@@ -7,7 +7,7 @@ import functools
 import pytest
 from conftest import ROOT
 
-from sweeps import newcomer
+from sweeps.checks import newcomer
 
 EXAMPLES = {example.name: example for example in newcomer.examples()}
 WITHOUT = {"config.md", "without_clock.md"}  # pages with configs alone, in parts

@@ -9,15 +9,15 @@ import pytest
 
 from jaxnh.maps.build import make_strobe
 from jaxnh.solvers import dopri8
-from sweeps.peers_flow_cases import CASES
-from sweeps.peers_flow_heyoka import Contestant as Heyoka
-from sweeps.peers_flow_heyoka import clocks, true_scene
-from sweeps.peers_flow_jaxnh import Contestant, placed
-from sweeps.peers_flow_pynamicalsys_tangent import MODELS
-from sweeps.peers_flows_report import FlowStudy, Measured, markdown
-from sweeps.peers_heyoka_tangent import tangent_equations
-from sweeps.peers_report import AT_OWN_ERROR, Row
-from sweeps.peers_scene import Errors, Setting
+from sweeps.peers.flows.peers_flow_cases import CASES
+from sweeps.peers.flows.peers_flow_heyoka import Contestant as Heyoka
+from sweeps.peers.flows.peers_flow_heyoka import clocks, true_scene
+from sweeps.peers.flows.peers_flow_jaxnh import Contestant, placed
+from sweeps.peers.flows.peers_flow_pynamicalsys_tangent import MODELS
+from sweeps.peers.flows.peers_flows_report import FlowStudy, Measured, markdown
+from sweeps.peers.particle.peers_heyoka_tangent import tangent_equations
+from sweeps.peers.particle.peers_report import AT_OWN_ERROR, Row
+from sweeps.peers.particle.peers_scene import Errors, Setting
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -96,7 +96,7 @@ def test_page_of_flows():
 
     rows = [row("jaxnh", 1.0), row("heyoka batch", 9.0), row("diffrax Dopri8", 40.0), row(AT_OWN_ERROR, 7.0)]
     flows = [Measured(CASES["duffing"], rows, []), Measured(CASES["double_pendulum"], rows, [])]
-    study = FlowStudy("python -m sweeps.peers_flows", "Measured at commit 0.", 3, 256, flows, 1.0)
+    study = FlowStudy("python -m sweeps.peers.flows.peers_flows", "Measured at commit 0.", 3, 256, flows, 1.0)
     page = markdown(study, "old\n<!-- Below this line: written by hand, kept by the next run. -->\nby hand\n")
     assert "| duffing | 7.00 ± 0.00× (meets 6) |" in page
     assert "| double_pendulum | 7.00 ± 0.00× |" in page

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from sweeps import release_check
+from sweeps.checks import release_check
 
 
 def test_options_are_those_of_the_package(tmp_path):

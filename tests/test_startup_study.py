@@ -1,12 +1,12 @@
-"""sweeps/startup.py: what a run is split into, the table of its medians, and a checkout that is none."""
+"""sweeps/timing/startup.py: what a run is split into, the table of its medians, and a checkout that is none."""
 
 from __future__ import annotations
 
 import pytest
 from conftest import ROOT
 
-from sweeps import startup
-from sweeps.startup import CACHES, PARTS, Checkout, Sample
+from sweeps.timing import startup
+from sweeps.timing.startup import CACHES, PARTS, Checkout, Sample
 
 
 def sample(whole, each):

@@ -18,8 +18,15 @@ import jaxnh
 from jaxnh.maps.build import make_strobe
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.storage import hdf5
-from sweeps import compositions, critical_slowing, effects
-from sweeps.critical_slowing_study import (
+from sweeps.peers.particle.peers_cases import held_out, paper
+from sweeps.peers.particle.peers_heyoka_tangent import Contestant as HeyokaTangent
+from sweeps.peers.particle.peers_jaxnh import Contestant
+from sweeps.peers.particle.peers_report import AT_OWN_ERROR, WITHOUT, HeldOut, Row, Scaling, markdown, with_spectra
+from sweeps.peers.particle.peers_report import Study as Peers
+from sweeps.peers.particle.peers_report import spectra as section_of_spectra
+from sweeps.peers.particle.peers_scene import Errors, Scene, Setting, TangentScene, best, least_effort, unit
+from sweeps.studies import compositions, critical_slowing
+from sweeps.studies.critical_slowing_study import (
     THRESHOLDS,
     Cascade,
     Law,
@@ -29,13 +36,7 @@ from sweeps.critical_slowing_study import (
     detected_period,
     needed_transient,
 )
-from sweeps.peers_cases import held_out, paper
-from sweeps.peers_heyoka_tangent import Contestant as HeyokaTangent
-from sweeps.peers_jaxnh import Contestant
-from sweeps.peers_report import AT_OWN_ERROR, WITHOUT, HeldOut, Row, Scaling, markdown, with_spectra
-from sweeps.peers_report import Study as Peers
-from sweeps.peers_report import spectra as section_of_spectra
-from sweeps.peers_scene import Errors, Scene, Setting, TangentScene, best, least_effort, unit
+from sweeps.timing import effects
 
 # ---- prices of effects
 
@@ -262,7 +263,7 @@ def test_page_of_peers():
     spectra = [row("jaxnh", 1.0), row("heyoka batch", 3.0, "time", [0.25]), row(AT_OWN_ERROR, 2.0)]
     others = [row("heyoka batch", 3.0), row(AT_OWN_ERROR, 2.0), row(AT_OWN_ERROR + WITHOUT, 1.25, "blanes_moan6")]
     study = Peers(
-        command="python -m sweeps.peers",
+        command="python -m sweeps.peers.particle.peers",
         case=paper(),
         measured_at="Measured at commit 0.",
         cores=1,
@@ -288,9 +289,9 @@ def test_page_of_peers():
     assert "| 1,024 × 16 | 1 ± 0% | 1.00 | 0.50 ± 0.00× | misses within 15% of 1 |" in page
     assert page.endswith("-->\nby hand\n")
     again = with_spectra(
-        page, section_of_spectra([row("jaxnh", 1.0)], "python -m sweeps.peers --only lyapunov", "At 1.")
+        page, section_of_spectra([row("jaxnh", 1.0)], "python -m sweeps.peers.particle.peers --only lyapunov", "At 1.")
     )
-    assert "`python -m sweeps.peers --only lyapunov`" in again
+    assert "`python -m sweeps.peers.particle.peers --only lyapunov`" in again
     assert "At 1. A row of jaxnh averages" in again
     assert "Python's share 25.0%" not in again
     assert again.partition("## Lyapunov")[0] == page.partition("## Lyapunov")[0]

@@ -62,7 +62,7 @@ _PROCESSED_6 = IsokineticSplitting(
     kicks=_mirror((0.0254067971377701, -0.09139409858407993, 0.288972648972962)),
     convergence_order=6,
     name="processed6",
-    source="this project, sweeps/compositions.py: processed, its errors of degree seven weighed by this flow",
+    source="this project, sweeps/studies/compositions.py: processed, its errors of degree seven weighed by this flow",
     processor=(
         _to_zero(
             (

@@ -24,8 +24,8 @@ PARTS = {"duffing": 2, "pendulum": 1, "governor": 2, "lorenz": 4, "roessler": 2,
 
 def by_heyoka(name):
     """Exponents of COUNT lanes, (lanes, d), LONGER times as long as ours, and the states that they are taken from."""
-    from sweeps.peers_flow_cases import CASES, FlowScene
-    from sweeps.peers_flow_heyoka_tangent import Contestant
+    from sweeps.peers.flows.peers_flow_cases import CASES, FlowScene
+    from sweeps.peers.flows.peers_flow_heyoka_tangent import Contestant
 
     case = CASES[name]
     values, start = np.linspace(case.low, case.high, COUNT), np.array(case.start)
@@ -47,8 +47,8 @@ def test_spectra_beside_heyoka(name):
     That is half of a bar, and what a finite window keeps of the tangents: a factor of 100 in their lengths, and of its
     length in neutral ones, which grow in proportion to time where the frequencies of a motion depend on its energy.
     """
-    from sweeps.peers_flow_cases import CASES
-    from sweeps.peers_flow_jaxnh import placed
+    from sweeps.peers.flows.peers_flow_cases import CASES
+    from sweeps.peers.flows.peers_flow_jaxnh import placed
 
     case, there = CASES[name], placed(CASES[name])
     reference, states = by_heyoka(name)

@@ -29,7 +29,7 @@ from jaxnh.solvers import SPLITTINGS, tsit5
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.particle import constant_speed, disturbed_speed
-from sweeps import effects as page_of_effects
+from sweeps.timing import effects as page_of_effects
 
 EFFECTS = ("forcing", "coupling", "cubic_stiffness")
 

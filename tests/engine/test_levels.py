@@ -11,7 +11,7 @@ from jaxnh.analyses import ANALYSES as KINDS
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.levels.levels import near_changes
 from jaxnh.exceptions import ConfigError
-from sweeps.adaptive_charts import refined
+from sweeps.timing.adaptive_charts import refined
 
 UNCALIBRATED = True
 LANE_AXES = {"b": {"start": 4.6, "stop": 5.6, "count": 20}, "a": {"start": 0.45, "stop": 0.55, "count": 9}}
