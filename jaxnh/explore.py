@@ -43,11 +43,11 @@ def explore(
         raise InputError("command line: CONFIG: name a YAML file or a result file")
     if any(find_spec(name) is None for name in _NEEDED):
         raise InputError("command line: explore needs Panel and Bokeh: pip install 'jaxnh[explore]'")
-    from jaxnh.explorer.source import Source
+    from jaxnh.explorer.source import PictureSource
     from jaxnh.explorer.worker import Watch, Worker
 
     worker = Worker()
-    source: Source
+    source: PictureSource
     if config.suffix == ".h5":
         from jaxnh.explorer.recorded import recorded
 

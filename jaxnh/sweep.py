@@ -18,7 +18,7 @@ from jaxnh.exceptions import ArgumentError, BusyError
 
 if TYPE_CHECKING:
     from jaxnh.config.experiment import Experiment
-    from jaxnh.engine.run import How
+    from jaxnh.engine.run import RunOptions
 
 _SCHEMA = Path(__file__).parent / "config" / "schema.json"
 
@@ -66,7 +66,7 @@ def sweep(
     check_text(config, overrides)
     from jaxnh.engine import dask_workers
     from jaxnh.engine.output import check_output, file_of, is_there
-    from jaxnh.engine.run import How
+    from jaxnh.engine.run import RunOptions
     from jaxnh.storage import tiles
 
     if dask:
@@ -79,10 +79,10 @@ def sweep(
             print(f"{path}: the result of this config is there; --fresh runs it again")
         return
     check_output(path)
-    _run(experiment, path, How(fresh, share, merge_only, dask, tile, called("jaxnh.sweep"), yes), quiet=quiet)
+    _run(experiment, path, RunOptions(fresh, share, merge_only, dask, tile, called("jaxnh.sweep"), yes), quiet=quiet)
 
 
-def _run(experiment: Experiment, path: Path, how: How, *, quiet: bool) -> None:
+def _run(experiment: Experiment, path: Path, how: RunOptions, *, quiet: bool) -> None:
     """Run it, with progress on the terminal, and say what has come of it."""
     from rich.console import Console
 

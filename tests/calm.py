@@ -11,7 +11,7 @@ import pytest
 import taylor
 from measure import CALM, CALM_B, CALM_STATES, apart, twin
 
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import unchart
@@ -46,7 +46,7 @@ def check_convergence(lanes, system, solver):
     Errors are geometric means over lanes, as some lanes are late to follow the law and others cross zero.
     """
     steps = 600 // solver.stages
-    coarse, fine = (image(lanes, make_strobe(system, solver, n)) for n in (steps, 2 * steps))
+    coarse, fine = (image(lanes, make_return_map(system, solver, n)) for n in (steps, 2 * steps))
     moved = math.exp(np.log(apart(fine, coarse)).mean())
     error = math.exp(np.log(apart(fine, taylor.strobe(twin(system), CALM_B, CALM_STATES))).mean())
     assert moved > 10 * ROUNDOFF

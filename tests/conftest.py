@@ -49,7 +49,7 @@ from jaxnh.analyses.scene import Axis  # noqa: E402
 from jaxnh.config.experiment import Experiment  # noqa: E402
 from jaxnh.engine import plan, session  # noqa: E402
 from jaxnh.engine.accuracy.calibration import Calibration  # noqa: E402
-from jaxnh.engine.executor.lanes import Lanes  # noqa: E402
+from jaxnh.engine.executor.lanes import LaneExecutor  # noqa: E402
 from jaxnh.engine.session import Session  # noqa: E402
 
 pytest_plugins = ["battery", "parts"]
@@ -60,9 +60,9 @@ Command = Callable[..., subprocess.CompletedProcess]
 _PROGRAMS: dict = {}
 
 
-def lanes_with_kept_programs(*arguments: object) -> Lanes:
+def lanes_with_kept_programs(*arguments: object) -> LaneExecutor:
     """Lanes on all devices that find the programs of earlier runs in this process; their keys say all there is."""
-    lanes = Lanes(*arguments)
+    lanes = LaneExecutor(*arguments)
     lanes._programs = _PROGRAMS
     return lanes
 
@@ -75,7 +75,7 @@ _uncalibrated = False
 def calibrate_once(
     experiment: Experiment,
     axes: Sequence[Axis],
-    lanes: Lanes,
+    lanes: LaneExecutor,
     target: float | None = None,
     requested: plan.Requested | None = None,
 ) -> Calibration:
@@ -120,8 +120,8 @@ def run_here(*arguments: object, cwd: Path = ROOT, command: str = "sweep") -> su
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
         mock.patch.object(sys, "argv", argv),
-        mock.patch("jaxnh.engine.run.Lanes", lanes_with_kept_programs),
-        mock.patch("jaxnh.engine.verification.Lanes", lanes_with_kept_programs),
+        mock.patch("jaxnh.engine.run.LaneExecutor", lanes_with_kept_programs),
+        mock.patch("jaxnh.engine.verification.LaneExecutor", lanes_with_kept_programs),
     ):
         code = main()
     return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())
@@ -192,7 +192,7 @@ def no_scheduler_left() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def lanes() -> Lanes:
+def lanes() -> LaneExecutor:
     """One runner for all tests, so that equal programs are traced and compiled once; few lanes are padded to 64."""
     return lanes_with_kept_programs(None, None, 32)
 

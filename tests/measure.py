@@ -12,8 +12,8 @@ import taylor
 
 from jaxnh.analyses.scene import Axis, Scene, spread
 from jaxnh.engine.accuracy.calibration import Calibration
-from jaxnh.engine.axes import Points
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.axes import SweepPoints
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import section_map
 from jaxnh.solvers import IsokineticSplitting, isokinetic_terms
 from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart
@@ -58,7 +58,7 @@ def scene_of(system, start, values, solver, steps, compensated=False, error=0.0,
 def calibrated(system, start, values, lanes, precision="float64", *, name="b"):
     """The calibration of lanes along one axis, all of them samples and all from the same start state of floats."""
     p = {name: np.asarray(values, float)}
-    return Calibration([Points(system, spread(start, len(values)), p, p)], lanes, precision)
+    return Calibration([SweepPoints(system, spread(start, len(values)), p, p)], lanes, precision)
 
 
 def apart(one, other):
@@ -102,7 +102,7 @@ def order_of(system, solver):
     steps = np.unique(np.rint(np.geomspace(50, 2000, 22) / solver.stages).astype(int))
     if isinstance(solver, IsokineticSplitting) and solver.processor[1]:
         run = jax.jit(jax.vmap(section_map, in_axes=(None, None, 0, 0)))
-        images = (run(make_strobe(system, solver, n), 1, CALM_STATES, {"b": CALM_B}) for n in steps.tolist())
+        images = (run(make_return_map(system, solver, n), 1, CALM_STATES, {"b": CALM_B}) for n in steps.tolist())
     else:
         images = (stock(system, solver)(CALM_STATES, CALM_B, system.period / n) for n in steps)
     errors = np.array([np.exp(np.log(apart(image, exact)).mean()) for image in images])

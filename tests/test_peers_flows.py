@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import dopri8
 from sweeps.peers.flows.peers_flow_cases import CASES
 from sweeps.peers.flows.peers_flow_heyoka import Contestant as Heyoka
@@ -41,7 +41,7 @@ def test_errors_of_both_contestants():
     case = CASES["pendulum"]
     scene = true_scene(case, np.linspace(case.low, case.high, 4))
     ours, theirs = Contestant(scene), Heyoka(scene)
-    errors = [ours.errors(make_strobe(ours.placed.flow, dopri8, steps)).max for steps in (40, 80)]
+    errors = [ours.errors(make_return_map(ours.placed.flow, dopri8, steps)).max for steps in (40, 80)]
     assert errors[1] < 2.0**-7 * errors[0] < 1e-5  # order eight, one power left for the terms that follow
     for clock in clocks(case):
         measured = [theirs._measured(clock, 4, (), order).max for order in (10, 18)]
@@ -54,7 +54,7 @@ def test_variational_equations_of_a_flow():
     scene = true_scene(case, np.array([30.0]))
     assert scene.derivatives.shape == (1, 3, 3)
     flow = placed(case).flow
-    strobe = make_strobe(flow, dopri8, 160)
+    strobe = make_return_map(flow, dopri8, 160)
     run = jax.jit(lambda z: strobe(z, {"rho": 30.0}))
 
     def end(y):

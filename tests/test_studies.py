@@ -15,7 +15,7 @@ from conftest import ROOT
 from measure import CALM, CALM_B, CALM_STATES, twin
 
 import jaxnh
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.storage import hdf5
 from sweeps.peers.particle.peers_cases import held_out, paper
@@ -237,7 +237,9 @@ def test_errors_of_a_contestant(name):
     ends = taylor.strobe(twin(system), CALM_B, CALM_STATES)
     scene = Scene(system.a, system.c, system.d, CALM_B, CALM_STATES, unit(ends))
     contestant = Contestant(scene)
-    coarse, fine = (contestant.errors(make_strobe(contestant.system, SPLITTINGS["kahan_li8"], n)).max for n in (40, 80))
+    coarse, fine = (
+        contestant.errors(make_return_map(contestant.system, SPLITTINGS["kahan_li8"], n)).max for n in (40, 80)
+    )
     assert fine < 2.0**-7 * coarse + ROUNDOFF < 1e-10  # order eight, one power left for the terms that follow
 
 

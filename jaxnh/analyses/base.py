@@ -139,7 +139,7 @@ class Table(NamedTuple):
     breaks: tuple[int, ...] = ()
 
 
-class Sweep(NamedTuple):
+class SweepLanes(NamedTuple):
     """All lanes of a sweep, for what is made of them together.
 
     Attributes:
@@ -151,7 +151,7 @@ class Sweep(NamedTuple):
     rows: tuple[tuple[Int[np.ndarray, " some"], Scene], ...]
 
 
-class Whole(NamedTuple):
+class SweepReduction(NamedTuple):
     """The second half of an analysis: what is made of all lanes of a sweep, once each has been run by itself.
 
     Attributes:
@@ -161,7 +161,7 @@ class Whole(NamedTuple):
     """
 
     brings: tuple[str, ...]
-    run: Callable[[Any, Sweep, LaneRunner, xr.Dataset], Mapping[str, xr.Dataset]]
+    run: Callable[[Any, SweepLanes, LaneRunner, xr.Dataset], Mapping[str, xr.Dataset]]
 
 
 Starts = Callable[[Scene], tuple[State, Int[np.ndarray, " starts"]]]
@@ -229,7 +229,7 @@ class Analysis:
     options: type[Options]
     periods: Callable[[Any, int], float]
     run: Callable[..., xr.Dataset]
-    whole: Whole | None = None
+    whole: SweepReduction | None = None
     needs: tuple[str, ...] = ()
     independent: Callable[[Any], bool] = _always
     newton: bool = False

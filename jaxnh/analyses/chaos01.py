@@ -25,10 +25,10 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, Options, variable
-from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import iterate, record
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters, State
 
 _ANGLES = 64
@@ -80,7 +80,7 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
 
 
 def _growth(
-    strobe: Strobe, transient: ArrayLike, angles: Float[Array, " angles"], state: State, p: Parameters, count: int
+    strobe: ReturnMap, transient: ArrayLike, angles: Float[Array, " angles"], state: State, p: Parameters, count: int
 ) -> Float[Array, " angles"]:
     """K of one lane for every angle."""
     signals = strobe.system.signal(record(strobe, iterate(strobe, transient, state, p), p, count)[1])
@@ -151,7 +151,7 @@ def price(options: Chaos01Options, scene: Scene) -> Price:
     angles = np.linspace(np.pi / 5, 4 * np.pi / 5, _ANGLES)  # others than in a run, of the same price
     shared = (strobe, np.asarray(options.transient, np.int32), angles)
     turns, total = (float(options.transient), *strobe.turns), options.transient + options.periods
-    program = Program(_growth, shared, scene.lanes, turns, (options.periods,), total, _TILE, whole=True)
+    program = PricedProgram(_growth, shared, scene.lanes, turns, (options.periods,), total, _TILE, whole=True)
     note = f"walks of {_ANGLES} angles over {options.periods:,} strobes at the end, shared out over {total:,} periods"
     return Price(program, map_alone(scene, strobe, tile=_TILE), note)
 

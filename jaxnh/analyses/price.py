@@ -9,10 +9,10 @@ import numpy as np
 
 from jaxnh.analyses.scene import Scene, section_points
 from jaxnh.maps.iterate import derivatives, iterate
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 
 
-class Program(NamedTuple):
+class PricedProgram(NamedTuple):
     """A compiled function of lanes that stands for a period of an analysis, for `jaxnh.cost --effects`.
 
     Attributes:
@@ -36,21 +36,21 @@ class Program(NamedTuple):
 class Price(NamedTuple):
     """The program of an analysis (None: it is not measured), that without it, and a note that says why or how."""
 
-    with_it: Program | None
-    without_it: Program
+    with_it: PricedProgram | None
+    without_it: PricedProgram
     note: str
 
 
-def map_alone(scene: Scene, strobe: Strobe | None = None, tile: int | None = None) -> Program:
+def map_alone(scene: Scene, strobe: ReturnMap | None = None, tile: int | None = None) -> PricedProgram:
     """One period of the scene's own map, or of another one of the same lanes, and nothing else."""
     strobe = scene.strobe() if strobe is None else strobe
-    return Program(iterate, (strobe, np.int32(1)), scene.lanes, (1.0, *strobe.turns), tile=tile)
+    return PricedProgram(iterate, (strobe, np.int32(1)), scene.lanes, (1.0, *strobe.turns), tile=tile)
 
 
 def newton_price(scene: Scene, tile: int) -> Price:
     """A period of Newton on orbits: the map with a tangent for every coordinate, against the map alone."""
     strobe = scene.strobe()
     lanes = section_points(scene), dict(scene.p)
-    program = Program(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=tile)
+    program = PricedProgram(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=tile)
     note = f"{scene.system.dimension} tangents in every period of Newton, the map alone before it"
     return Price(program, map_alone(scene, tile=tile), note)

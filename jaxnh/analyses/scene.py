@@ -12,9 +12,9 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.maps.along import StrobeAlong
-from jaxnh.maps.build import make_strobe
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.along import MapFamily
+from jaxnh.maps.build import make_return_map
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.rows import StrobeRows, strobe_rows
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
@@ -52,7 +52,7 @@ class Rows:
         self.flows = tuple(flows)
         self._maps: dict[Any, StrobeRows] = {}
 
-    def maps(self, name: Any, of_row: Callable[[Flow], Strobe]) -> StrobeRows:
+    def maps(self, name: Any, of_row: Callable[[Flow], ReturnMap]) -> StrobeRows:
         """Maps of all rows, made once under each name."""
         if name not in self._maps:
             self._maps[name] = strobe_rows([of_row(flow) for flow in self.flows])
@@ -158,19 +158,19 @@ class Scene:
         """The scene under the flow of one of its rows."""
         return replace(self, system=flow, rows=None)
 
-    def strobe(self, refinement: float = 1) -> Strobe:
+    def strobe(self, refinement: float = 1) -> ReturnMap:
         """P with `refinement` times the steps that the accuracy asks for; of a shared axis, one for each value."""
         if self.flow_at is not None:
 
             @functools.cache
-            def at(value: float) -> Strobe:
+            def at(value: float) -> ReturnMap:
                 return self.moved(value).strobe(refinement)
 
-            return StrobeAlong(self.system, self.line.name, at)
+            return MapFamily(self.system, self.line.name, at)
         if self.rows is not None:
             return self.rows.maps(("period", refinement), lambda flow: self.of_row(flow).strobe(refinement))
         steps = round(self.steps * refinement)
-        strobe = make_strobe(self.system, self.solver, steps, compensated=self.compensated)
+        strobe = make_return_map(self.system, self.solver, steps, compensated=self.compensated)
         return in_precision(strobe, self.precision)
 
 

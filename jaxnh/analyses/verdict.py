@@ -51,13 +51,13 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, Options, variable
-from jaxnh.analyses.equilibria.detection import rest
+from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.smooth_window import BLOCKS
-from jaxnh.analyses.window_averages import angles, extents, look_at
+from jaxnh.analyses.window_averages import angles, average_window, extents
 from jaxnh.maps.iterate import iterate, record
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Flow, Parameters, State
 
 KINDS = ("periodic", "quasiperiodic", "chaotic", "undecided", "failed", "equilibrium", "limit_cycle")
@@ -169,7 +169,7 @@ def _returns(
         return lanes(_returned, shared, each, periods=transient + _RETURNS) / count
 
 
-def _returned(strobe: Strobe, transient: ArrayLike, state: State, p: Parameters, count: Array) -> Array:
+def _returned(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters, count: Array) -> Array:
     """Time of `count` returns after a transient, of one lane."""
     begun = iterate(strobe, transient, state, p)
     return iterate(strobe, count, begun, p).t - begun.t
@@ -182,7 +182,7 @@ def _without_clock(
     if not len(kind):
         return kind
     with lanes.stage(f"verdict: {scene.count} lanes, whether they rest", scene.count * units):
-        still, fading, *_ = rest(scene, lanes, units)
+        still, fading, *_ = detect_equilibrium(scene, lanes, units)
     cycle = np.where(fading, _UNDECIDED, _LIMIT_CYCLE)
     return np.where(still, _EQUILIBRIUM, np.where(kind == _PERIODIC, cycle, kind)).astype(np.int8)
 
@@ -216,8 +216,8 @@ def unsteadiness(scene: Scene, lanes: LaneRunner, begun: int, count: int) -> Flo
     each = BLOCKS * max(count // (2 * BLOCKS), 1)
     with lanes.stage(f"verdict: {scene.count} lanes that look quasiperiodic, longer", scene.count * (begun + 2 * each)):
         state = lanes(iterate, (scene.strobe(), np.int32(begun)), scene.lanes, periods=begun)
-        first = look_at(scene, lanes, state, each)
-        second = look_at(scene, lanes, first.state, each)
+        first = average_window(scene, lanes, state, each)
+        second = average_window(scene, lanes, first.state, each)
     low, high = np.minimum(first.low, second.low), np.maximum(first.high, second.high)
     runs = np.concatenate([first.halves, second.halves], axis=1)
     change = np.abs(runs[:, 0] - 3.0 * runs[:, 1] + 3.0 * runs[:, 2] - runs[:, 3])
@@ -225,7 +225,7 @@ def unsteadiness(scene: Scene, lanes: LaneRunner, begun: int, count: int) -> Flo
         return np.max(change / extents(angles(scene.flow), low, high), axis=1)
 
 
-def repeats(strobe: Strobe, count: ArrayLike, state: State, p: Parameters, longest: int) -> Array:
+def repeats(strobe: ReturnMap, count: ArrayLike, state: State, p: Parameters, longest: int) -> Array:
     """Least lag up to `longest` at which as many points, `count` periods from a state, come back; 0: none.
 
     Of a lane that does not come so far `_LOST`.
@@ -245,7 +245,7 @@ def repeats(strobe: Strobe, count: ArrayLike, state: State, p: Parameters, longe
     return jnp.where(jnp.all(jnp.isfinite(points)), lag, _LOST)
 
 
-def knows_no_time(strobe: Strobe, flow: Flow, times: Float[Array, " times"], state: State, p: Parameters) -> Array:
+def knows_no_time(strobe: ReturnMap, flow: Flow, times: Float[Array, " times"], state: State, p: Parameters) -> Array:
     """Whether the right-hand side is the same at all times, to the bit, in states that a lane comes to."""
     _, states = record(strobe, state, p, _LOOKS)
 

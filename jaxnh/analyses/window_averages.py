@@ -22,7 +22,7 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.smooth_window import BLOCKS, windows
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.of_lane import of_lane
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Flow, Parameters, State
 
@@ -35,7 +35,7 @@ many points, so that a cycle that the unit is a multiple of has the same means a
 """
 
 
-class Look(NamedTuple):
+class WindowAverages(NamedTuple):
     """Lanes after a look, and what was seen; as arrays of one lane, or of all with the lanes as first axis.
 
     Attributes:
@@ -111,7 +111,7 @@ def points_a_unit(scene: Scene) -> int:
     return min(_MOST_PARTS, scene.steps)
 
 
-def maps(scene: Scene) -> tuple[Strobe, int]:
+def maps(scene: Scene) -> tuple[ReturnMap, int]:
     """The map of a period, and 0, or without a clock those of the parts of a unit of time, stacked, and how many."""
     if not scene.flow.autonomous:
         return scene.strobe(), 0
@@ -120,20 +120,20 @@ def maps(scene: Scene) -> tuple[Strobe, int]:
     return in_precision(strobes, scene.precision), parts
 
 
-def look_at(scene: Scene, lanes: LaneRunner, state: State, count: int) -> Look:
+def average_window(scene: Scene, lanes: LaneRunner, state: State, count: int) -> WindowAverages:
     """Lanes of a scene from a state over `count` periods, a multiple of `BLOCKS`."""
     strobe, parts = maps(scene)
     shared, static = (strobe, np.int32(count // BLOCKS)), (parts,)
-    return lanes(look, shared, (state, dict(scene.p)), periods=count, static=static)
+    return lanes(window_averages, shared, (state, dict(scene.p)), periods=count, static=static)
 
 
-def look(strobe: Strobe, each: ArrayLike, state: State, p: Parameters, parts: int) -> Look:
+def window_averages(strobe: ReturnMap, each: ArrayLike, state: State, p: Parameters, parts: int) -> WindowAverages:
     """One lane over `BLOCKS` times `each` periods."""
     flow = strobe.system
     turns, d = angles(flow), flow.dimension
     width = int(3 * turns.sum() + 2 * (~turns).sum())
 
-    def point(sums: _Sums, strobe: Strobe) -> tuple[_Sums, Array]:
+    def point(sums: _Sums, strobe: ReturnMap) -> tuple[_Sums, Array]:
         system, before = strobe.system, sums.state
         after = strobe(before, p)
         moved = jnp.stack(system.lower(before, jax.tree.map(jnp.subtract, after, before)))
@@ -167,4 +167,4 @@ def look(strobe: Strobe, each: ArrayLike, state: State, p: Parameters, parts: in
     begun = of_lane(begun, jax.tree.leaves(state)[0])
     (sums, weights), blocks = lax.scan(block, (begun, jnp.zeros(3)), jnp.arange(BLOCKS, dtype=jnp.int32))
     whole, halves = sums.whole / weights[0], sums.halves / weights[1:, None]
-    return Look(sums.state, whole, halves, blocks, sums.low, sums.high, sums.path)
+    return WindowAverages(sums.state, whole, halves, blocks, sums.low, sums.high, sums.path)

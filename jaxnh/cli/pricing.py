@@ -23,7 +23,7 @@ from jaxnh.costs import effects as costs_of_effects
 from jaxnh.engine.accuracy.calibration import Calibration, Plan
 from jaxnh.engine.axes import points
 from jaxnh.engine.compute import scene_of, spent
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.output import check_output
 from jaxnh.engine.plan import calibrate, job_of, plan_of, work_of
 from jaxnh.engine.result_attributes import attributes
@@ -36,14 +36,14 @@ from jaxnh.storage import hdf5
 _LOG_WIDTH = 130  # columns where the output goes to a file
 
 
-class Bench(NamedTuple):
+class PricedExperiment(NamedTuple):
     """What is priced: an experiment, its lanes along the first axis that they do not share, and a runner."""
 
     experiment: Experiment
     scene: Scene
     plan: Plan
     calibration: Calibration
-    lanes: Lanes
+    lanes: LaneExecutor
     began: float
 
 
@@ -119,14 +119,14 @@ def price_effects(experiment: Experiment, path: Path, repeats: int, began: float
     print(f"wrote {path}")
 
 
-def _bench(experiment: Experiment, began: float) -> Bench:
+def _bench(experiment: Experiment, began: float) -> PricedExperiment:
     """The lanes along the first axis that is not shared, at the first point of all others.
 
     Raises:
         AccuracyError: nothing meets the accuracy asked for.
     """
     configure()
-    lanes, axes = Lanes(progress(Console(stderr=True))), experiment.axes
+    lanes, axes = LaneExecutor(progress(Console(stderr=True))), experiment.axes
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
         calibration = calibrate(experiment, axes, lanes)
         plan = plan_of(experiment, calibration)
@@ -135,17 +135,17 @@ def _bench(experiment: Experiment, began: float) -> Bench:
     places = [np.arange(count) if axis is along else np.zeros(count, int) for axis in axes]
     along = along if along and along.kind == "lane" else None
     scene = scene_of(points(experiment, axes, places), plan, experiment.precision, along=along)
-    return Bench(experiment, scene, plan, calibration, lanes, began)
+    return PricedExperiment(experiment, scene, plan, calibration, lanes, began)
 
 
-def _work(bench: Bench) -> float:
+def _work(bench: PricedExperiment) -> float:
     """Lane-periods of the whole run; devices always get whole tiles."""
     chunk = bench.lanes.tile * len(bench.lanes.devices)
     padded = chunk * math.ceil(math.prod(len(axis.values) for axis in bench.experiment.axes) / chunk)
     return padded * work_of(bench.experiment.requested(), padded)
 
 
-def _studies(bench: Bench, times: dict[str, float]) -> dict[str, xr.Dataset]:
+def _studies(bench: PricedExperiment, times: dict[str, float]) -> dict[str, xr.Dataset]:
     """The accuracy of what the config asks for and has a study, by the name of the analysis."""
     found: dict[str, xr.Dataset] = {}
     for analysis, _ in bench.experiment.requested():
@@ -164,7 +164,7 @@ def _studies(bench: Bench, times: dict[str, float]) -> dict[str, xr.Dataset]:
     return found
 
 
-def _write(bench: Bench, path: Path, groups: Mapping[str, xr.Dataset]) -> None:
+def _write(bench: PricedExperiment, path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     """The file, with what decides its numbers as attributes."""
     experiment = bench.experiment
     job = job_of(experiment, experiment.axes, bench.plan, {}, experiment.requested(), bench.lanes.machine)

@@ -12,14 +12,16 @@ from jaxnh.cli.inspection import failed_in
 from jaxnh.cli.terminal import show
 from jaxnh.config.experiment import Experiment
 from jaxnh.config.messages import listed
-from jaxnh.engine.run import Outcome
+from jaxnh.engine.run import RunSummary
 from jaxnh.storage.hdf5 import read_attrs, read_group
 from jaxnh.storage.provenance import steps_in_words
 
 _LOG_WIDTH = 100  # columns of a table that goes to a file
 
 
-def report(experiment: Experiment, path: Path, outcome: Outcome, part: tuple[int, int] | None, *, quiet: bool) -> None:
+def report(
+    experiment: Experiment, path: Path, outcome: RunSummary, part: tuple[int, int] | None, *, quiet: bool
+) -> None:
     """Print what a run has come to."""
     job, total = outcome.job, outcome.spent
     if not outcome.whole and part:

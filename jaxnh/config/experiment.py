@@ -28,7 +28,7 @@ from jaxnh.config.layout import layout, user_layout
 from jaxnh.config.messages import close_match, first_fault
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, PrescribedSpeed, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem, admitted
-from jaxnh.config.yaml_source import Source, from_dict, from_text, read
+from jaxnh.config.yaml_source import ConfigSource, from_dict, from_text, read
 from jaxnh.exceptions import ConfigError, InputError
 from jaxnh.maps.section import Crossing
 from jaxnh.systems.flow import Flow, State
@@ -60,7 +60,7 @@ class Experiment(Block):
         default=None, description="Published values to show beside ours: name of the analysis to source and numbers"
     )
 
-    _origin: Source | None = PrivateAttr(default=None)
+    _origin: ConfigSource | None = PrivateAttr(default=None)
     _filler: str = PrivateAttr(default="")
 
     # ---- how it is made
@@ -436,7 +436,7 @@ def _plain_options(options: Options | Mapping[str, Any]) -> dict[str, Any]:
 
 
 def validated(
-    source: Source, folder: Path, user_text: str | None = None, user_file: UserFile | None = None
+    source: ConfigSource, folder: Path, user_text: str | None = None, user_file: UserFile | None = None
 ) -> Experiment:
     """The experiment that a source says.
 
@@ -464,7 +464,7 @@ def validated(
     return experiment
 
 
-def _drop_analyses(source: Source) -> None:
+def _drop_analyses(source: ConfigSource) -> None:
     """Leave out the analyses that overrides say are null; in a file null stands for all defaults."""
     asked = source.data.get("analyses")
     for *block, name in source.overridden:

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from jaxnh.config.yaml_source import Source
+from jaxnh.config.yaml_source import ConfigSource
 from jaxnh.config.yaml_tree import KeyPath
 from jaxnh.exceptions import ConfigError
 
@@ -73,7 +73,7 @@ class _Finding:
     kind: str
 
 
-def first_fault(error: ValidationError, source: Source, layout: Layout) -> ConfigError:
+def first_fault(error: ValidationError, source: ConfigSource, layout: Layout) -> ConfigError:
     """The fault that comes first in the file, or if the file has none, on the command line."""
     findings = [_finding(detail, layout) for detail in error.errors(include_url=False)]
     # A misspelt key is unknown, and the one that was meant is missing: the first says more.

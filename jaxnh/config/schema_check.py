@@ -16,7 +16,7 @@ from typing import Any
 
 from jaxnh.config.messages import not_a, not_one_of, not_within, unknown
 from jaxnh.config.user_names import Names
-from jaxnh.config.yaml_source import Source
+from jaxnh.config.yaml_source import ConfigSource
 from jaxnh.config.yaml_tree import KeyPath
 
 SCHEMA = Path(__file__).with_name("schema.json")
@@ -37,7 +37,7 @@ _BOUNDS = {
 }
 
 
-def check_by_schema(source: Source, names: Names | None = None) -> None:
+def check_by_schema(source: ConfigSource, names: Names | None = None) -> None:
     """See that a config has no key and no value that its schema refuses.
 
     Args:

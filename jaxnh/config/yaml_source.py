@@ -21,7 +21,7 @@ _WITH_DEFAULTS = ("system", "initial", "sweep")  # blocks whose keys can be left
 
 
 @dataclass(frozen=True)
-class Source:
+class ConfigSource:
     """A config as read, with the overrides applied.
 
     Attributes:
@@ -77,7 +77,7 @@ class Source:
         return _config_error("command line" if self.is_overridden(key) else line, key, message)
 
 
-def read(path: Path, overrides: Sequence[str] = ()) -> Source:
+def read(path: Path, overrides: Sequence[str] = ()) -> ConfigSource:
     """Read a config file and apply KEY=VALUE overrides to it.
 
     Raises:
@@ -86,7 +86,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> Source:
     return _of_text(_decode(path), path, overrides)
 
 
-def from_text(text: str) -> Source:
+def from_text(text: str) -> ConfigSource:
     """The text of a config file as a source, without a file.
 
     Raises:
@@ -95,7 +95,7 @@ def from_text(text: str) -> Source:
     return _of_text(text, None, ())
 
 
-def from_dict(content: Mapping[str, Any], overrides: Sequence[str] = ()) -> Source:
+def from_dict(content: Mapping[str, Any], overrides: Sequence[str] = ()) -> ConfigSource:
     """A dict that says what a config file would say as a source, with KEY=VALUE overrides applied to it.
 
     Raises:
@@ -110,10 +110,10 @@ def from_dict(content: Mapping[str, Any], overrides: Sequence[str] = ()) -> Sour
         raise _config_error(_NAMELESS, fault.key, fault.message) from None
     roots = [_override(tree, override, _NAMELESS) for override in overrides]
     _drop_nulls(tree, roots, positions)
-    return Source(None, plain(tree), positions, roots, False, None, tree)
+    return ConfigSource(None, plain(tree), positions, roots, False, None, tree)
 
 
-def _of_text(text: str, path: Path | None, overrides: Sequence[str]) -> Source:
+def _of_text(text: str, path: Path | None, overrides: Sequence[str]) -> ConfigSource:
     try:
         positions, tree = scan(text), parse(text)
         if tree is None:
@@ -125,7 +125,7 @@ def _of_text(text: str, path: Path | None, overrides: Sequence[str]) -> Source:
         raise _config_error(f"{path or _NAMELESS}:{fault.line}", fault.key, fault.message) from None
     roots = [_override(tree, override, "command line") for override in overrides]
     _drop_nulls(tree, roots, positions)
-    return Source(path, plain(tree), positions, roots, True, None if overrides else text, tree)
+    return ConfigSource(path, plain(tree), positions, roots, True, None if overrides else text, tree)
 
 
 def _config_error(where: str, key: KeyPath | str, message: str) -> ConfigError:

@@ -25,7 +25,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, section_points
 from jaxnh.costs.stage import Inside
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.doubling_points import doubling_point, follow_branch, moved_doubling
 from jaxnh.orbits.newton import Orbit
 from jaxnh.orbits.shooting import Period
@@ -42,7 +42,7 @@ _ROUNDS = 12
 _BEHIND, _AHEAD = 2.0, 0.5  # ends of the bracket about the doubling, in distances to the next one
 
 
-class Place(NamedTuple):
+class DoublingBracket(NamedTuple):
     """Where to look: the orbit of period n, stable at the first end of the bracket, doubles before the second."""
 
     n: int
@@ -87,7 +87,7 @@ def price(scene: Scene, lanes: LaneRunner) -> xr.Dataset | None:
     return _dataset(scene, estimates, reference, place)
 
 
-def _first_doubling(scene: Scene, lanes: LaneRunner) -> Place | None:
+def _first_doubling(scene: Scene, lanes: LaneRunner) -> DoublingBracket | None:
     """The first doubling that the analysis finds, in a bracket of several times the distance to the next one."""
     found = follow.follow(scene, lanes, 2)
     if not found.points:
@@ -96,13 +96,13 @@ def _first_doubling(scene: Scene, lanes: LaneRunner) -> Place | None:
     low, high = scene.line.values.min(), scene.line.values.max()
     if len(found.points) == 1:  # then half of what the sweep has on either side, in the direction in which it doubles
         reach = min(first - low, high - first) / 2
-        tried = [Place(n, (first - ahead, first + ahead)) for ahead in (reach, -reach)]
+        tried = [DoublingBracket(n, (first - ahead, first + ahead)) for ahead in (reach, -reach)]
         return next((c for c in tried if _narrowed(scene, lanes, n, _settled(scene, lanes, c), c.bracket)), None)
     ends = np.clip(first + np.array([-_BEHIND, _AHEAD]) * (found.points[1].value - first), low, high)
-    return Place(n, (float(ends[0]), float(ends[1])))
+    return DoublingBracket(n, (float(ends[0]), float(ends[1])))
 
 
-def by_detection(scene: Scene, lanes: LaneRunner, place: Place, transients: Sequence[int]) -> list[Estimate]:
+def by_detection(scene: Scene, lanes: LaneRunner, place: DoublingBracket, transients: Sequence[int]) -> list[Estimate]:
     """Multisection on whether strobe points recur after n periods, an estimate a transient.
 
     Nothing is given for a transient too short for any lane to have settled.
@@ -130,7 +130,7 @@ def by_detection(scene: Scene, lanes: LaneRunner, place: Place, transients: Sequ
     return estimates
 
 
-def by_multiplier(scene: Scene, lanes: LaneRunner, place: Place) -> list[Estimate]:
+def by_multiplier(scene: Scene, lanes: LaneRunner, place: DoublingBracket) -> list[Estimate]:
     """Multisection on whether the orbit's smallest real multiplier is below −1, an estimate a round."""
     watch = _Watch()
     estimates = []
@@ -148,7 +148,7 @@ def by_multiplier(scene: Scene, lanes: LaneRunner, place: Place) -> list[Estimat
     return estimates
 
 
-def by_interpolation(scene: Scene, lanes: LaneRunner, place: Place) -> tuple[list[Estimate], float]:
+def by_interpolation(scene: Scene, lanes: LaneRunner, place: DoublingBracket) -> tuple[list[Estimate], float]:
     """By rounds of nodes, with the scene's steps and then twice as many; an estimate a round.
 
     Returns:
@@ -157,7 +157,7 @@ def by_interpolation(scene: Scene, lanes: LaneRunner, place: Place) -> tuple[lis
     watch = _Watch()
     roots: dict[float, Estimate] = {}  # by value, each as it was when the orbit there was closed
 
-    def watched(strobe: Strobe) -> Period:
+    def watched(strobe: ReturnMap) -> Period:
         period = period_map(scene, lanes, strobe)
 
         def look(u: np.ndarray, values: np.ndarray) -> Derivatives:
@@ -179,7 +179,7 @@ def by_interpolation(scene: Scene, lanes: LaneRunner, place: Place) -> tuple[lis
     return (list(roots.values()), point.value) if point else ([], math.nan)
 
 
-def _settled(scene: Scene, lanes: LaneRunner, place: Place) -> Float[np.ndarray, " d"]:
+def _settled(scene: Scene, lanes: LaneRunner, place: DoublingBracket) -> Float[np.ndarray, " d"]:
     """A point near the orbit at the stable end of the bracket."""
     row = scene.at(np.array(place.bracket[:1]))
     strobe, start = scene.strobe(0.5), (section_points(row), row.p)
@@ -207,7 +207,9 @@ def _smallest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.
     return np.where(np.abs(values.imag) < 1e-12, values.real, np.inf).min(axis=1)
 
 
-def _recurrence(strobe: Strobe, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, n: int) -> Float[Array, ""]:
+def _recurrence(
+    strobe: ReturnMap, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, n: int
+) -> Float[Array, ""]:
     """Largest distance between signals n strobes apart, over n strobes after a transient, of one lane."""
     system = strobe.system
     signals = system.signal(record(strobe, iterate(strobe, transient, system.unchart(u), p), p, 2 * n)[1])
@@ -220,7 +222,7 @@ def _first(beyond: Bool[np.ndarray, " lanes"]) -> int | None:
     return first if first > 0 else None
 
 
-def _dataset(scene: Scene, estimates: list[Estimate], reference: float, place: Place) -> xr.Dataset:
+def _dataset(scene: Scene, estimates: list[Estimate], reference: float, place: DoublingBracket) -> xr.Dataset:
     def column(data: Any, long_name: str, units: str = "1") -> Entry:
         return variable("estimate", data, long_name, units)
 

@@ -18,12 +18,12 @@ import xarray as xr
 
 from jaxnh.analyses.base import LANE, Analysis, Entry, Options, variable
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.costs.operations import count
 from jaxnh.costs.stage import Inside
-from jaxnh.engine.executor.lanes import Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver, dopri8
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.free_particle import FreeParticle, definition, free_particle
@@ -43,18 +43,18 @@ Requested = Sequence[tuple[Analysis, Options]]
 """Analyses with their options, in the order in which they run."""
 
 
-class Row(NamedTuple):
+class EffectRow(NamedTuple):
     """An effect or analysis, its programs with and without it (none: it has none), bytes a lane, and a note."""
 
     what: str
     kind: str
-    with_it: Program | None
-    without_it: Program | None
+    with_it: PricedProgram | None
+    without_it: PricedProgram | None
     stored: float = 0.0
     note: str = ""
 
 
-def price(scene: Scene, requested: Requested, lanes: Lanes, repeats: int) -> xr.Dataset:
+def price(scene: Scene, requested: Requested, lanes: LaneExecutor, repeats: int) -> xr.Dataset:
     """A row for every effect of the paper's particle, then one for every number of tangents and every analysis."""
     scene = scene.take(np.linspace(0, scene.count - 1, _bench(lanes)).round().astype(int))
     with lanes.stage("cost: programs of all effects", 0):
@@ -81,7 +81,7 @@ def price(scene: Scene, requested: Requested, lanes: Lanes, repeats: int) -> xr.
     return xr.Dataset(variables, attrs={"solver": solver.name, "steps_per_period": steps, "repeats": repeats})
 
 
-def _bench(lanes: Lanes) -> int:
+def _bench(lanes: LaneExecutor) -> int:
     """Lanes that fill every device once."""
     return lanes.tile * len(lanes.devices)
 
@@ -98,66 +98,68 @@ def _solver(scene: Scene) -> tuple[Solver, int]:
 
 
 @singledispatch
-def _effects(flow: Flow, scene: Scene) -> Iterator[Row]:
+def _effects(flow: Flow, scene: Scene) -> Iterator[EffectRow]:
     """A row an effect of the paper's particle; none for a user's system."""
     return iter(())
 
 
 @_effects.register
-def _(flow: IsokineticParticle, scene: Scene) -> Iterator[Row]:
+def _(flow: IsokineticParticle, scene: Scene) -> Iterator[EffectRow]:
     base = _map(scene, flow)
 
-    def less(effect: str) -> Program:
+    def less(effect: str) -> PricedProgram:
         return _map(scene, replace(flow, without=flow.without | {effect}))
 
     yield _effect("forcing", flow.without, base, less)
     if flow.disturbed and flow.d:
-        yield Row("disturbance", "effect", base, less("disturbance"), note=_FREE_OF_COST["disturbance"])
+        yield EffectRow("disturbance", "effect", base, less("disturbance"), note=_FREE_OF_COST["disturbance"])
     else:
-        yield Row("disturbance", "effect", None, base, note="is left out")
+        yield EffectRow("disturbance", "effect", None, base, note="is left out")
     for name in ("coupling", "cubic_stiffness"):
         yield _effect(name, flow.without, base, less)
-    yield Row("damping", "effect", base, less("damping"), note=_FREE_OF_COST["damping"])
+    yield EffectRow("damping", "effect", base, less("damping"), note=_FREE_OF_COST["damping"])
     with_it, without_it = (_general(scene, flow, constrained) for constrained in (True, False))
     note = f"by the general route, {dopri8.name} in {_GENERAL_STEPS} steps"
-    yield Row("constraint", "effect", with_it, without_it, note=note)
+    yield EffectRow("constraint", "effect", with_it, without_it, note=note)
 
 
 @_effects.register
-def _(flow: FreeParticle, scene: Scene) -> Iterator[Row]:
+def _(flow: FreeParticle, scene: Scene) -> Iterator[EffectRow]:
     base = _map(scene, flow)
 
-    def less(effect: str) -> Program:
+    def less(effect: str) -> PricedProgram:
         return _map(scene, free_particle(**_numbers(flow), without=flow.without | {effect}))
 
     yield _effect("forcing", flow.without, base, less)
-    yield Row("disturbance", "effect", None, base, note="is left out")
+    yield EffectRow("disturbance", "effect", None, base, note="is left out")
     for name in ("coupling", "cubic_stiffness", "damping"):
         yield _effect(name, flow.without, base, less)
-    yield Row("constraint", "effect", None, base, note="is left out")
+    yield EffectRow("constraint", "effect", None, base, note="is left out")
 
 
-def _effect(what: str, left_out: frozenset[str], base: Program, less: Callable[[str], Program]) -> Row:
+def _effect(
+    what: str, left_out: frozenset[str], base: PricedProgram, less: Callable[[str], PricedProgram]
+) -> EffectRow:
     """An effect, where it is not left out already."""
     if what in left_out:
-        return Row(what, "effect", None, base, note="is left out")
-    return Row(what, "effect", base, less(what))
+        return EffectRow(what, "effect", None, base, note="is left out")
+    return EffectRow(what, "effect", base, less(what))
 
 
-def _map(scene: Scene, flow: Flow) -> Program:
+def _map(scene: Scene, flow: Flow) -> PricedProgram:
     """A period of a flow in time."""
     solver, steps = _solver(scene)
-    return map_alone(scene.in_time(), make_strobe(flow, solver, steps))
+    return map_alone(scene.in_time(), make_return_map(flow, solver, steps))
 
 
-def _general(scene: Scene, flow: IsokineticParticle, constrained: bool) -> Program:
+def _general(scene: Scene, flow: IsokineticParticle, constrained: bool) -> PricedProgram:
     """A period of the same forces by the general route, with the constraint and without it."""
     made = lagrangian(definition(flow.without & frozenset(EFFECTS), constrained), {"b": 0.0, **_numbers(flow)})
     scene = scene.in_time()
     velocity = tuple(np.asarray(v, float) for v in flow.velocity(np.float64(0.0), scene.start))
     still = np.zeros(scene.count)
     start = Motion(scene.start[0], velocity, (still, still))
-    return map_alone(replace(scene, start=start), make_strobe(made, dopri8, _GENERAL_STEPS))
+    return map_alone(replace(scene, start=start), make_return_map(made, dopri8, _GENERAL_STEPS))
 
 
 def _numbers(flow: Flow) -> dict[str, float]:
@@ -177,20 +179,20 @@ def _(flow: IsokineticParticle, requested: Requested) -> int:
     return flow.exponents - int(flow.autonomous)
 
 
-def _tangents(scene: Scene, most: int) -> Iterator[Row]:
+def _tangents(scene: Scene, most: int) -> Iterator[EffectRow]:
     """A row a tangent: the program with so many against that with one fewer."""
     programs = [lyapunov.program(scene, k) for k in range(most + 1)]
     for k in range(1, most + 1):
-        yield Row(f"tangent {k}", "tangents", programs[k], programs[k - 1])
+        yield EffectRow(f"tangent {k}", "tangents", programs[k], programs[k - 1])
 
 
-def _analyses(scene: Scene, requested: Requested, lanes: LaneRunner) -> Iterator[Row]:
+def _analyses(scene: Scene, requested: Requested, lanes: LaneRunner) -> Iterator[EffectRow]:
     """A row an analysis: its own program, a period, against the map alone, and what it stores."""
     stored = _stored(scene, requested, lanes)
     not_measured = Price(None, map_alone(scene), "not measured")
     for analysis, options in requested:
         found = analysis.price(options, scene) if analysis.price else not_measured
-        yield Row(analysis.name, "analysis", found.with_it, found.without_it, stored[analysis.name], found.note)
+        yield EffectRow(analysis.name, "analysis", found.with_it, found.without_it, stored[analysis.name], found.note)
 
 
 def _stored(scene: Scene, requested: Requested, lanes: LaneRunner) -> dict[str, float]:
@@ -212,7 +214,7 @@ def _stored(scene: Scene, requested: Requested, lanes: LaneRunner) -> dict[str, 
 # ---- measures
 
 
-def _operations(program: Program | None, lanes: Lanes) -> float:
+def _operations(program: PricedProgram | None, lanes: LaneExecutor) -> float:
     """Floating-point operations a lane-period of the compiled program."""
     if program is None:
         return float("nan")
@@ -221,7 +223,7 @@ def _operations(program: Program | None, lanes: Lanes) -> float:
     return loops.whole(program.turns) / program.periods if program.whole else loops.total(program.turns)
 
 
-def _ratio(row: Row, lanes: Lanes, repeats: int) -> float:
+def _ratio(row: EffectRow, lanes: LaneExecutor, repeats: int) -> float:
     """Time with over time without, the median of pairs, after one run of each to warm up."""
     if row.with_it is None or row.without_it is None:
         return float("nan")
@@ -234,7 +236,7 @@ def _ratio(row: Row, lanes: Lanes, repeats: int) -> float:
     return float(np.median([with_it / without_it for with_it, without_it in pairs]))
 
 
-def _seconds(program: Program, lanes: Lanes, periods: int) -> float:
+def _seconds(program: PricedProgram, lanes: LaneExecutor, periods: int) -> float:
     """Processor time a period, of so many in one call where the program takes a number, else in as many calls."""
     shared, calls = program.shared, max(1, periods // program.periods)
     if len(shared) > 1 and isinstance(shared[1], np.integer):

@@ -23,8 +23,8 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Entry, variable
 from jaxnh.analyses.scene import Scene
 from jaxnh.engine.accuracy.calibration import Calibration
-from jaxnh.engine.executor.lanes import Lanes
-from jaxnh.maps.build import make_strobe, way_of
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS, IsokineticSplitting
 from jaxnh.systems.flow import Flow
@@ -88,7 +88,7 @@ class AdaptivePeriod(diffrax.AbstractSolver):
 
 
 @dataclass(frozen=True)
-class Setting:
+class SolverSetting:
     """A solver and its steps.
 
     Attributes:
@@ -109,40 +109,42 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Row:
+class SolverRow:
     """A setting with its error of one period and a first, rough time per lane-period in seconds."""
 
-    setting: Setting
+    setting: SolverSetting
     error: float
     pilot: float
 
 
-class Bench:
+class SolverBench:
     """Lanes to time: one full round of tiles on every device, on the attractors of the sweep."""
 
-    def __init__(self, scene: Scene, lanes: Lanes) -> None:
+    def __init__(self, scene: Scene, lanes: LaneExecutor) -> None:
         self.system, self._lanes = scene.system, lanes
-        self.split = isinstance(way_of(scene.system).reference, IsokineticSplitting)
+        self.split = isinstance(scheme_of(scene.system).reference, IsokineticSplitting)
         self.count = lanes.tile * len(lanes.devices)
         begun = scene.take(np.linspace(0, scene.count - 1, self.count).round().astype(int)).lanes
         state = lanes(iterate, (scene.strobe(), np.int32(_SETTLED)), begun, periods=_SETTLED)
         self._at = state, begun[1]
 
-    def seconds(self, setting: Setting, periods: int = 1) -> float:
+    def seconds(self, setting: SolverSetting, periods: int = 1) -> float:
         """Wall time of one call a lane-period; a first call compiles, or `Calibration.error` has."""
-        strobe = make_strobe(self.system, setting.solver, setting.steps, compensated=setting.compensated)
+        strobe = make_return_map(self.system, setting.solver, setting.steps, compensated=setting.compensated)
         began = time.perf_counter()
         self._lanes(iterate, (strobe, np.int32(periods)), self._at, periods=periods)
         return (time.perf_counter() - began) / (self.count * periods)
 
-    def medians(self, rows: Sequence[Row], repeats: int) -> Float[np.ndarray, "3 rows"]:
+    def medians(self, rows: Sequence[SolverRow], repeats: int) -> Float[np.ndarray, "3 rows"]:
         """Least, median and largest time per lane-period of every row; the repeats take turns."""
         periods = [max(1, round(_TIMED_SECONDS / (self.count * row.pilot))) for row in rows]
         seconds = [[self.seconds(row.setting, n) for row, n in zip(rows, periods, strict=True)] for _ in range(repeats)]
         return np.quantile(seconds, [0.0, 0.5, 1.0], axis=0)
 
 
-def price(scene: Scene, calibration: Calibration, target: float, work: float, lanes: Lanes, repeats: int) -> xr.Dataset:
+def price(
+    scene: Scene, calibration: Calibration, target: float, work: float, lanes: LaneExecutor, repeats: int
+) -> xr.Dataset:
     """Error and time of every setting, with the one marked that the engine uses.
 
     Args:
@@ -150,7 +152,7 @@ def price(scene: Scene, calibration: Calibration, target: float, work: float, la
         work: lane-periods of the whole run, for its projected time.
         repeats: times that each row is timed.
     """
-    bench = Bench(scene, lanes)
+    bench = SolverBench(scene, lanes)
     with lanes.stage("cost: errors of all solvers", 0):
         rows = _rows(calibration, bench)
         rows, picked = _with_pick(rows, scene, bench)
@@ -181,9 +183,9 @@ def price(scene: Scene, calibration: Calibration, target: float, work: float, la
     return xr.Dataset(variables, attrs=attrs)
 
 
-def _rows(calibration: Calibration, bench: Bench) -> list[Row]:
+def _rows(calibration: Calibration, bench: SolverBench) -> list[SolverRow]:
     """Settings from coarse to as fine as pays, method by method; those beyond hope are left out."""
-    rows: dict[str, list[Row]] = {}
+    rows: dict[str, list[SolverRow]] = {}
     if not bench.split:
         for ladder in _explicit(bench.system):
             limit = _limit(rows)
@@ -208,35 +210,35 @@ def _rows(calibration: Calibration, bench: Bench) -> list[Row]:
     return list(chain.from_iterable(rows[name] for name in sorted(rows, key=lambda name: order.get(name, len(order)))))
 
 
-def _splitting(solver: IsokineticSplitting, first: int = 0, *, compensated: bool = False) -> Iterator[Setting]:
+def _splitting(solver: IsokineticSplitting, first: int = 0, *, compensated: bool = False) -> Iterator[SolverSetting]:
     steps = first or math.ceil(_FIRST_KICKS / solver.stages)
     while True:
-        yield Setting(solver.name, solver, steps, float(solver.total_kicks(steps)), compensated)
+        yield SolverSetting(solver.name, solver, steps, float(solver.total_kicks(steps)), compensated)
         steps = math.ceil(steps * 10 ** (_DECADES / solver.convergence_order))
 
 
-def _limit(rows: dict[str, list[Row]]) -> float:
+def _limit(rows: dict[str, list[SolverRow]]) -> float:
     """Time per lane-period beyond which a setting is hopeless beside those that are measured."""
     useful = _front(list(chain.from_iterable(rows.values())))
     return _HOPELESS * max((row.pilot for row in useful if row.error > _USEFUL), default=math.inf)
 
 
-def _explicit(flow: Flow) -> Iterator[Iterator[Setting]]:
+def _explicit(flow: Flow) -> Iterator[Iterator[SolverSetting]]:
     """Methods of explicit steps: the flow's own first, those written out, those of diffrax, also with a controller."""
 
-    def constant(name: str, solver: Any, order: int, stages: int) -> Iterator[Setting]:
+    def constant(name: str, solver: Any, order: int, stages: int) -> Iterator[SolverSetting]:
         steps = _FIRST_STEPS[8 if order >= 8 else 5]
         while True:
-            yield Setting(name, solver, steps, float(steps * stages))
+            yield SolverSetting(name, solver, steps, float(steps * stages))
             steps = math.ceil(steps * 10 ** (_FEW_DECADES / order))
 
-    def adaptive(name: str, solver: Any) -> Iterator[Setting]:
+    def adaptive(name: str, solver: Any) -> Iterator[SolverSetting]:
         tolerance = _FIRST_TOLERANCE
         while tolerance > _LEAST_TOLERANCE:
-            yield Setting(name, AdaptivePeriod(solver, tolerance), 1, math.nan, tolerance=tolerance)
+            yield SolverSetting(name, AdaptivePeriod(solver, tolerance), 1, math.nan, tolerance=tolerance)
             tolerance *= 10**-_FEW_DECADES
 
-    own = [solver for solver in way_of(flow).solvers(flow.flow) if not isinstance(solver, IsokineticSplitting)]
+    own = [solver for solver in scheme_of(flow).solvers(flow.flow) if not isinstance(solver, IsokineticSplitting)]
     for solver in {solver.name: solver for solver in (*own, *RUNGE_KUTTA.values())}.values():
         yield constant(solver.name, solver, solver.convergence_order, solver.stages)
     for stock, order in ((diffrax.Tsit5(), 5), (diffrax.Dopri8(), 8)):
@@ -246,10 +248,14 @@ def _explicit(flow: Flow) -> Iterator[Iterator[Setting]]:
 
 
 def _measure(
-    ladder: Iterator[Setting], calibration: Calibration, bench: Bench, limit: float = math.inf, most: int = _MOST_ROWS
-) -> list[Row]:
+    ladder: Iterator[SolverSetting],
+    calibration: Calibration,
+    bench: SolverBench,
+    limit: float = math.inf,
+    most: int = _MOST_ROWS,
+) -> list[SolverRow]:
     """Rows of a ladder from the first with an error that counts, until rounding rules or it takes too long."""
-    rows: list[Row] = []
+    rows: list[SolverRow] = []
     for setting in islice(ladder, _MOST_TRIED):
         bench.seconds(setting)  # compiles
         pilot = bench.seconds(setting)
@@ -260,18 +266,18 @@ def _measure(
             continue
         if rows and error > _GAIN * rows[-1].error:
             break
-        rows.append(Row(setting, error, pilot))
+        rows.append(SolverRow(setting, error, pilot))
         if len(rows) == most:
             break
     return rows
 
 
-def _front(rows: Sequence[Row]) -> list[Row]:
+def _front(rows: Sequence[SolverRow]) -> list[SolverRow]:
     """Rows that no other is both faster and more accurate than."""
     return [r for r in rows if not any(o.pilot < r.pilot and o.error < r.error for o in rows)]
 
 
-def _with_pick(rows: list[Row], scene: Scene, bench: Bench) -> tuple[list[Row], int]:
+def _with_pick(rows: list[SolverRow], scene: Scene, bench: SolverBench) -> tuple[list[SolverRow], int]:
     """The rows with the engine's own among them, and its place."""
     for i, row in enumerate(rows):
         s = row.setting
@@ -279,9 +285,9 @@ def _with_pick(rows: list[Row], scene: Scene, bench: Bench) -> tuple[list[Row], 
             return rows, i
     solver, steps = scene.solver, scene.steps
     kicks = solver.total_kicks(steps) if isinstance(solver, IsokineticSplitting) else steps * solver.stages
-    setting = Setting(solver.name, solver, steps, float(kicks), scene.compensated)
+    setting = SolverSetting(solver.name, solver, steps, float(kicks), scene.compensated)
     bench.seconds(setting)
-    pick = Row(setting, scene.error_estimate, bench.seconds(setting))
+    pick = SolverRow(setting, scene.error_estimate, bench.seconds(setting))
     same = [
         i
         for i, row in enumerate(rows)

@@ -21,7 +21,7 @@ from jaxnh.systems.flow import Flow, State
 _MOST_ROWS = 8  # values of shared axes that samples of a sweep are taken at
 
 
-class Points(NamedTuple):
+class SweepPoints(NamedTuple):
     """Lanes at points of a sweep.
 
     Attributes:
@@ -39,15 +39,17 @@ class Points(NamedTuple):
     flows: tuple[Flow, ...] = ()
 
 
-def points(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np.ndarray, " lanes"]]) -> Points:
+def points(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np.ndarray, " lanes"]]) -> SweepPoints:
     """The lanes at places along each axis, one value of each shared axis for all of them."""
     where = {axis.name: axis.values[place] for axis, place in zip(axes, places, strict=True)}
     shared = {axis.name: float(where[axis.name][0]) for axis in axes if axis.kind == "shared"}
     own, begun = ({a.name: where[a.name] for a in axes if a.kind == kind} for kind in ("lane", "start"))
-    return Points(experiment.flow(shared), experiment.start(begun, len(places[0]), shared, own), own, where)
+    return SweepPoints(experiment.flow(shared), experiment.start(begun, len(places[0]), shared, own), own, where)
 
 
-def points_in_rows(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np.ndarray, " lanes"]]) -> Points:
+def points_in_rows(
+    experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np.ndarray, " lanes"]]
+) -> SweepPoints:
     """The lanes at places along each axis, a row for each point of the shared axes that some of them are at."""
     shared = [place for axis, place in zip(axes, places, strict=True) if axis.kind == "shared"]
     row = np.unique(np.stack(shared), axis=1, return_inverse=True)[1].ravel()
@@ -59,7 +61,9 @@ def points_in_rows(experiment: Experiment, axes: Sequence[Axis], places: Sequenc
         return np.concatenate(leaves)[back]
 
     start, p, where = jax.tree.map(joined, *((one.start, dict(one.p), dict(one.where)) for one in found))
-    return Points(found[0].system, start, {**p, ROW: row.astype(np.int32)}, where, tuple(one.system for one in found))
+    return SweepPoints(
+        found[0].system, start, {**p, ROW: row.astype(np.int32)}, where, tuple(one.system for one in found)
+    )
 
 
 def places_of(piece: Piece) -> tuple[Int[np.ndarray, " lanes"], ...]:

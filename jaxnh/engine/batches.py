@@ -12,7 +12,7 @@ from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.executor.lanes import TILE
 from jaxnh.engine.levels.levels import Level
-from jaxnh.maps.build import way_of
+from jaxnh.maps.build import scheme_of
 from jaxnh.maps.rows import ROWS
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece
@@ -75,7 +75,7 @@ def in_rows(experiment: Experiment, axes: Sequence[Axis], requested: Requested, 
     if not all(analysis.rows for analysis, _ in requested if analysis.name in job.independent):
         return False
     flow = experiment.flow(shared)
-    return not flow.autonomous and way_of(flow, SOLVERS[job.solver]).stacked
+    return not flow.autonomous and scheme_of(flow, SOLVERS[job.solver]).stacked
 
 
 def lanes_of(piece: Piece, level: Level | None) -> int:

@@ -11,17 +11,17 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import LANE, Sweep
+from jaxnh.analyses.base import LANE, SweepLanes
 from jaxnh.analyses.scene import Axis, Rows, Scene
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.accuracy.calibration import Plan
-from jaxnh.engine.axes import Points, on_axes, places_of, points, points_in_rows, whole_on_axes
+from jaxnh.engine.axes import SweepPoints, on_axes, places_of, points, points_in_rows, whole_on_axes
 from jaxnh.engine.batches import Requested, in_rows, lanes_of
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.levels.levels import Level, filled, with_computed
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece
-from jaxnh.storage.tiles import Spent
+from jaxnh.storage.tiles import SecondsSpent
 
 
 class Done(NamedTuple):
@@ -37,20 +37,20 @@ class Done(NamedTuple):
     piece: Piece
     groups: Mapping[str, xr.Dataset]
     counts: Mapping[str, Mapping[str, int]]
-    spent: Spent
+    spent: SecondsSpent
 
 
-def spent(lanes: Lanes, seconds: float) -> Spent:
+def spent(lanes: LaneExecutor, seconds: float) -> SecondsSpent:
     """What a runner has spent so far, in so many seconds."""
     device = f"{len(lanes.devices)} x {lanes.devices[0].device_kind} ({lanes.devices[0].platform})"
-    return Spent(seconds, lanes.compile_seconds, lanes.lane_periods, device)
+    return SecondsSpent(seconds, lanes.compile_seconds, lanes.lane_periods, device)
 
 
 # ---- scenes
 
 
 def scene_of(
-    at: Points,
+    at: SweepPoints,
     plan: Plan,
     precision: str,
     chosen: Mapping[str, Mapping[str, int]] | None = None,
@@ -77,7 +77,7 @@ def compute(
     requested: Requested,
     job: Job,
     batch: Sequence[Piece],
-    lanes: Lanes,
+    lanes: LaneExecutor,
     gathered: Callable[[str], xr.Dataset],
     level: Level | None = None,
 ) -> list[Done]:
@@ -108,7 +108,7 @@ def compute(
             cut = {name: filled(level, name, piece, axes, cut.get(name) if some else None) for name in piece.names}
         counts = {n: {} if ANALYSES[n].whole else dict(ANALYSES[n].count(data)) for n, data in cut.items()}
         share = some / len(places[0]) if len(places[0]) else 1.0 / len(batch)
-        cost = Spent(
+        cost = SecondsSpent(
             after.seconds * share,
             (after.compile_seconds - before.compile_seconds) * share,
             (after.lane_periods - before.lane_periods) * share,
@@ -125,7 +125,7 @@ def _groups(
     job: Job,
     names: Sequence[str],
     places: Sequence[np.ndarray],
-    lanes: Lanes,
+    lanes: LaneExecutor,
     *,
     line: bool,
 ) -> dict[str, xr.Dataset]:
@@ -154,7 +154,7 @@ def _of_all_tiles(
     requested: Requested,
     job: Job,
     piece: Piece,
-    lanes: Lanes,
+    lanes: LaneExecutor,
     gathered: Callable[[str], xr.Dataset],
 ) -> Done:
     """What an analysis makes of all its tiles."""
@@ -172,7 +172,7 @@ def _of_all_tiles(
         place = places[0] * job.step
         rows.append((some, scene_of(at_row, plan_of_job(job), experiment.precision, job.chosen, place)))
     data = gathered(analysis.name)
-    groups = analysis.whole.run(options, Sweep(tuple(axes), tuple(rows)), lanes, data)
+    groups = analysis.whole.run(options, SweepLanes(tuple(axes), tuple(rows)), lanes, data)
     if job.level:
         groups = {name: with_computed(group, data) for name, group in groups.items()}
     after = spent(lanes, time.perf_counter() - began)

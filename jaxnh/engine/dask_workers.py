@@ -20,15 +20,15 @@ from typing import Any, NamedTuple
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import xla_options
 from jaxnh.engine.compute import compute
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.levels import files
 from jaxnh.engine.levels.levels import Level, axes_of
 from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
 from jaxnh.storage import tiles
-from jaxnh.storage.calls import Calls
+from jaxnh.storage.calls import CallJournal
 from jaxnh.storage.merge import gathered
 from jaxnh.storage.pieces import Job, Piece
-from jaxnh.storage.tiles import Receipt
+from jaxnh.storage.tiles import TileRecord
 
 _RETRIES = 2
 _MOST_LOSSES = 10  # of workers that a piece may have been at: a lost worker is no fault of the piece
@@ -63,7 +63,7 @@ def run(
     job: Job,
     stages: Sequence[Sequence[Piece]],
     heed: Callable[[], None],
-    finished: Callable[[Receipt], None],
+    finished: Callable[[TileRecord], None],
 ) -> None:
     """Have pieces computed by the workers of a cluster.
 
@@ -88,7 +88,7 @@ def _run_stage(
     job: Job,
     pieces: Sequence[Piece],
     heed: Callable[[], None],
-    finished: Callable[[Receipt], None],
+    finished: Callable[[TileRecord], None],
 ) -> None:
     """Have pieces computed that do not wait for each other."""
     futures = {
@@ -120,7 +120,7 @@ def _run_stage(
             client.cancel(list(futures), force=True)
 
 
-def machine(where: str, lanes: Lanes, heed: Callable[[], None]) -> dict[str, str]:
+def machine(where: str, lanes: LaneExecutor, heed: Callable[[], None]) -> dict[str, str]:
     """The kind of processor and XLA's options of the workers of a cluster, by the first that answers.
 
     Raises:
@@ -136,7 +136,7 @@ def machine(where: str, lanes: Lanes, heed: Callable[[], None]) -> dict[str, str
         return future.result()
 
 
-def _receipt(future: Any, piece: Piece) -> Receipt:
+def _receipt(future: Any, piece: Piece) -> TileRecord:
     from distributed import CancelledError
 
     try:
@@ -226,7 +226,7 @@ def _check_security(where: str) -> None:
 
 
 @functools.cache
-def _lanes() -> Lanes:
+def _lanes() -> LaneExecutor:
     """One device, on one core where there are several to choose from."""
     from distributed import get_worker
 
@@ -235,7 +235,7 @@ def _lanes() -> Lanes:
     if len(cores) > 1 and number:
         os.sched_setaffinity(0, {cores[int(number[1]) % len(cores)]})
     xla_options.configure(1)
-    return Lanes()
+    return LaneExecutor()
 
 
 class _Task(NamedTuple):
@@ -262,7 +262,7 @@ def _machine() -> dict[str, str]:
         return _lanes().machine
 
 
-def _piece(folder: str, job_id: str, number: int) -> Receipt:
+def _piece(folder: str, job_id: str, number: int) -> TileRecord:
     """Compute a piece and write it, unless it is there; runs in a worker, one at a time."""
     with _AT_ONCE:
         lanes = _lanes()
@@ -272,7 +272,7 @@ def _piece(folder: str, job_id: str, number: int) -> Receipt:
         piece = job.pieces()[number - job.first]
         with contextlib.suppress(FileNotFoundError, DamagedError):
             return tiles.check(Path(folder), job, piece)
-        calls = Calls(Path(folder), job, [piece])
+        calls = CallJournal(Path(folder), job, [piece])
         with lanes.keeping(calls):
             [done] = compute(
                 experiment,

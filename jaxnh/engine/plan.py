@@ -16,15 +16,15 @@ from jaxnh.analyses.scene import Axis, Scene, picked
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
-from jaxnh.engine.axes import Points, points, sampled
+from jaxnh.engine.axes import SweepPoints, points, sampled
 from jaxnh.engine.batches import Requested, lanes_of, rows_a_tile
 from jaxnh.engine.cache import calibrations
 from jaxnh.engine.cache.calibrations import Decision
 from jaxnh.engine.compute import scene_of
-from jaxnh.engine.executor.lanes import Lanes, turns_of
+from jaxnh.engine.executor.lanes import LaneExecutor, turns_of
 from jaxnh.engine.levels.levels import Level
 from jaxnh.exceptions import AccuracyError
-from jaxnh.maps.build import make_strobe, way_of
+from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece, tile_lanes
 from jaxnh.storage.provenance import versions
@@ -41,7 +41,7 @@ _TILES_A_PART = 4  # at least, so that parts differ by one in four at most
 def calibrate(
     experiment: Experiment,
     axes: Sequence[Axis],
-    lanes: Lanes,
+    lanes: LaneExecutor,
     target: float | None = None,
     requested: Requested | None = None,
 ) -> Calibration:
@@ -58,7 +58,7 @@ def calibrate(
         rows = [_with_starts(row, draw, SAMPLED_LANES // len(rows)) for row in rows]
     if asked.solver and asked.steps:
         try:
-            make_strobe(rows[0].system, SOLVERS[asked.solver], asked.steps)
+            make_return_map(rows[0].system, SOLVERS[asked.solver], asked.steps)
         except AccuracyError as error:
             raise AccuracyError(f"{experiment.label}: accuracy.solver: {error}") from None
     try:
@@ -76,9 +76,9 @@ def draws(requested: Requested) -> dict[str, Starts]:
     return found
 
 
-def _with_starts(row: Points, draw: Starts, most: int) -> Points:
+def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:
     """Sample lanes, and so many of their random starts as well."""
-    state, lane = draw(Scene(row.system, row.start, row.p, way_of(row.system).reference, 1, False, math.inf))
+    state, lane = draw(Scene(row.system, row.start, row.p, scheme_of(row.system).reference, 1, False, math.inf))
     some = np.unique(np.linspace(0, len(lane) - 1, most).round().astype(int))
     drawn = picked(state, some), *picked((dict(row.p), dict(row.where)), lane[some])
     own = row.start, dict(row.p), dict(row.where)
@@ -103,7 +103,7 @@ def plan_of(experiment: Experiment, calibration: Calibration) -> Plan:
 
 
 def choose(
-    experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: Lanes
+    experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: LaneExecutor
 ) -> dict[str, dict[str, int]]:
     """What analyses choose from a whole sweep: of several values of the shared axes the largest."""
     found: dict[str, dict[str, int]] = {}
@@ -165,7 +165,7 @@ def job_of(
 
 def decide(
     experiment: Experiment,
-    lanes: Lanes,
+    lanes: LaneExecutor,
     tile: int | None = None,
     parts: int = 1,
     machine: Mapping[str, str] | None = None,
@@ -199,7 +199,9 @@ def decide(
     return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
 
 
-def check_size(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: Lanes) -> None:
+def check_size(
+    experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: LaneExecutor
+) -> None:
     """See that a sweep is one that is run unasked: of no more than `MOST_LANES` lanes and `_LONGEST_RUN`.
 
     The time is that of its lane-periods in turns of the loop of the map, as fast as in the calibration.

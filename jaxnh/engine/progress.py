@@ -28,7 +28,7 @@ class Progress(Protocol):
         """Something that has gone wrong and was mended, as a damaged tile that is computed again."""
 
 
-class Silent:
+class NullProgress:
     """Progress that is told to nobody; what has gone wrong is a `JaxnhWarning`."""
 
     def start(self, label: str, total: float) -> None: ...
@@ -43,7 +43,7 @@ class Silent:
         warnings.warn(text, JaxnhWarning, stacklevel=2)
 
 
-class Calling(Silent):
+class CallbackProgress(NullProgress):
     """Progress as calls of one function: (label, lane-periods done, lane-periods in all) of the stage in hand."""
 
     def __init__(self, function: Callable[[str, float, float], None]) -> None:
@@ -62,7 +62,7 @@ class Calling(Silent):
         self._function(self._label, self._total or self._done, self._total)
 
 
-class Heeding:
+class InterruptibleProgress:
     """Progress passed on, with a check at every call that may raise `Stopped`.
 
     Attributes:

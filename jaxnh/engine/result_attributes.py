@@ -9,11 +9,11 @@ from jaxnh.engine.levels.levels import axes_of
 from jaxnh.engine.plan import clock_of, count_warnings
 from jaxnh.storage.merge import Extra
 from jaxnh.storage.pieces import Job
-from jaxnh.storage.provenance import LevelOf, Method, UserFile, root_attributes
-from jaxnh.storage.tiles import Receipt, Spent
+from jaxnh.storage.provenance import LevelOf, Method, UserFileText, root_attributes
+from jaxnh.storage.tiles import SecondsSpent, TileRecord
 
 
-def attributes(experiment: Experiment, job: Job, total: Spent, command: str = "") -> dict[str, object]:
+def attributes(experiment: Experiment, job: Job, total: SecondsSpent, command: str = "") -> dict[str, object]:
     """Root attributes of a result; `command` is "" for a call from Python."""
     own, clock = experiment.user_file, clock_of(experiment, axes_of(experiment.axes, job))
     return root_attributes(
@@ -27,21 +27,21 @@ def attributes(experiment: Experiment, job: Job, total: Spent, command: str = ""
         strobe_period=clock.period,
         command=command,
         section=clock.section,
-        user_file=UserFile(str(own.path), own.text, own.sha256) if own else None,
+        user_file=UserFileText(str(own.path), own.text, own.sha256) if own else None,
         chosen=job.chosen,
         machine=job.machine,
         level=LevelOf(job.level, job.levels, job.refine) if job.level else None,
     )
 
 
-def extras_of(job: Job, receipts: Mapping[int, Receipt]) -> dict[str, Extra]:
+def extras_of(job: Job, receipts: Mapping[int, TileRecord]) -> dict[str, Extra]:
     """What every group of a job has besides its tiles, from the receipts of all pieces by their numbers."""
     of = {name: [receipts[piece.number] for piece in job.sources(name)] for name in job.groups}
     counts = {name: _counts(name, some) for name, some in of.items()}
     return {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
 
 
-def _counts(name: str, receipts: Sequence[Receipt]) -> dict[str, int]:
+def _counts(name: str, receipts: Sequence[TileRecord]) -> dict[str, int]:
     """What is counted in a group, over all pieces."""
     found: dict[str, int] = {}
     for receipt in receipts:

@@ -17,28 +17,28 @@ from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers, early_imports
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import Done, compute, spent
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.threads import side_by_side
 from jaxnh.engine.levels import files
 from jaxnh.engine.levels.levels import Level, axes_of
 from jaxnh.engine.output import other_than
 from jaxnh.engine.plan import decide, work_of_pieces
-from jaxnh.engine.progress import Heeding, Progress, Silent
+from jaxnh.engine.progress import InterruptibleProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes, extras_of
 from jaxnh.engine.xla_options import configure, differing
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
 from jaxnh.storage import tiles
 from jaxnh.storage.atomic import same_file
-from jaxnh.storage.calls import Calls, left
+from jaxnh.storage.calls import CallJournal, left
 from jaxnh.storage.merge import DamagedPieceError, gathered, merge
 from jaxnh.storage.pieces import Job, Piece, share
 from jaxnh.storage.provenance import versions
-from jaxnh.storage.tiles import Receipt, Spent
+from jaxnh.storage.tiles import SecondsSpent, TileRecord
 
 GO_ON = "run the same command again to go on where it stopped"
 
 
-class How(NamedTuple):
+class RunOptions(NamedTuple):
     """How a sweep is to be run.
 
     Attributes:
@@ -60,7 +60,7 @@ class How(NamedTuple):
     yes: bool = False
 
 
-class Outcome(NamedTuple):
+class RunSummary(NamedTuple):
     """What a run has come to.
 
     Attributes:
@@ -73,7 +73,7 @@ class Outcome(NamedTuple):
     """
 
     job: Job
-    spent: Spent
+    spent: SecondsSpent
     seconds: float
     compile_seconds: float
     run_seconds: float
@@ -82,8 +82,8 @@ class Outcome(NamedTuple):
 
 
 def run_to_file(
-    experiment: Experiment, path: Path, how: How, progress: Progress, check: Callable[[], None] = lambda: None
-) -> Outcome:
+    experiment: Experiment, path: Path, how: RunOptions, progress: Progress, check: Callable[[], None] = lambda: None
+) -> RunSummary:
     """Compute what is missing and write the result; the folder of the tiles is held meanwhile.
 
     Args:
@@ -114,7 +114,7 @@ class _Run:
         self,
         experiment: Experiment,
         path: Path,
-        how: How,
+        how: RunOptions,
         progress: Progress,
         check: Callable[[], None],
         began: float,
@@ -122,19 +122,19 @@ class _Run:
         self._experiment, self._path, self._how, self._check, self._began = experiment, path, how, check, began
         self._requested = experiment.requested()
         self._folder = tiles.folder_of(path)
-        self._shown, self._progress = progress, Heeding(progress, check)
-        self._receipts: dict[int, Receipt] = {}
+        self._shown, self._progress = progress, InterruptibleProgress(progress, check)
+        self._receipts: dict[int, TileRecord] = {}
         self._dropped: set[int] = set()
         self._pieces: list[Piece] = []  # this run's to do, of the levels up to the present one
         self._every = 0  # pieces of these levels
         self._level: Level | None = None
         self._workers = ExitStack()
         self._client: Any = None
-        self._lanes: Lanes | None = None
+        self._lanes: LaneExecutor | None = None
         self._one_at_a_time = Lock()  # of batches side by side
         self._earlier = 0.0  # seconds that earlier runs have spent on what is there
 
-    def run(self) -> Outcome:
+    def run(self) -> RunSummary:
         """Everything from what is there to the result, or to the end of the part: one level after the other."""
         job = self._job()
         stages = job.stages()
@@ -234,11 +234,11 @@ class _Run:
             return ""
         return differing(job.machine, self._make_lanes().machine)
 
-    def _make_lanes(self) -> Lanes:
+    def _make_lanes(self) -> LaneExecutor:
         if self._lanes is None:
             configure()
             early_imports.start()
-            self._lanes = Lanes(self._progress)
+            self._lanes = LaneExecutor(self._progress)
         return self._lanes
 
     def _find(self, job: Job, pieces: Sequence[Piece]) -> None:
@@ -314,16 +314,16 @@ class _Run:
         names = ", ".join(dict.fromkeys(name for piece in pieces for name in piece.names))
         label = f"{names}: {len(pieces)} tiles{f' of level {job.level} of {job.levels}' if job.level else ''}"
         self._shown.start(label, sum(cost[piece.number] for piece in pieces))
-        self._progress.shown = Silent()
+        self._progress.shown = NullProgress()
         try:
             body()
         finally:
             self._progress.shown = self._shown
             self._shown.finish()
 
-    def _in_turn(self, job: Job, found: Iterable[Sequence[Piece]], lanes: Lanes, cost: dict[int, float]) -> None:
+    def _in_turn(self, job: Job, found: Iterable[Sequence[Piece]], lanes: LaneExecutor, cost: dict[int, float]) -> None:
         """Compute batches one after the other; each is written while the next is computed."""
-        written: list[Future[list[Receipt]]] = []
+        written: list[Future[list[TileRecord]]] = []
         axes = axes_of(self._experiment.axes, job)
 
         def settle() -> None:
@@ -335,7 +335,7 @@ class _Run:
             try:
                 for batch in found:
                     self._check()
-                    calls = Calls(self._folder, job, batch)
+                    calls = CallJournal(self._folder, job, batch)
                     if calls.seconds:
                         with self._one_at_a_time:
                             self._earlier += calls.seconds
@@ -357,7 +357,7 @@ class _Run:
             finally:
                 settle()
 
-    def _write(self, job: Job, computed: Sequence[Done], calls: Calls) -> list[Receipt]:
+    def _write(self, job: Job, computed: Sequence[Done], calls: CallJournal) -> list[TileRecord]:
         receipts = [tiles.write_piece(self._folder, job, *done) for done in computed]
         calls.close(remove=True)
         return receipts
@@ -367,15 +367,15 @@ class _Run:
             self._client = self._workers.enter_context(dask_workers.cluster(self._how.dask or ""))
         dask_workers.run(self._client, self._folder, job, stages, self._check, lambda one: self._done(one, cost))
 
-    def _done(self, receipt: Receipt, cost: dict[int, float]) -> None:
+    def _done(self, receipt: TileRecord, cost: dict[int, float]) -> None:
         with self._one_at_a_time:
             self._receipts[receipt.number] = receipt
             self._shown.advance(cost.get(receipt.number, 0.0))
 
-    def _spent(self) -> Spent:
+    def _spent(self) -> SecondsSpent:
         """What all runs have spent on what is there."""
         found = [tiles.origin(self._folder).spent, *(receipt.spent for receipt in self._receipts.values())]
-        return Spent(
+        return SecondsSpent(
             self._earlier + time.perf_counter() - self._began,
             sum(one.compile_seconds for one in found),
             sum(one.lane_periods for one in found),
@@ -399,9 +399,9 @@ class _Run:
         attrs = attributes(self._experiment, job, self._total, self._how.command)
         merge(path, attrs, self._folder, job, extras_of(job, self._receipts), self._check)
 
-    def _outcome(self, job: Job, *, whole: bool) -> Outcome:
+    def _outcome(self, job: Job, *, whole: bool) -> RunSummary:
         lanes = self._lanes
-        return Outcome(
+        return RunSummary(
             job,
             self._total if whole else self._spent(),
             time.perf_counter() - self._began,

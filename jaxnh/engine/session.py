@@ -23,13 +23,13 @@ from jaxnh.engine import dask_workers, early_imports
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import Requested, batches
 from jaxnh.engine.compute import compute, spent
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.levels.levels import Level, axes_of, level_of
 from jaxnh.engine.output import check_output, file_of, is_there
 from jaxnh.engine.plan import calibrate, choose, count_warnings, draws, job_of, plan_of
-from jaxnh.engine.progress import Calling, Progress, Silent
+from jaxnh.engine.progress import CallbackProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes
-from jaxnh.engine.run import How, run_to_file
+from jaxnh.engine.run import RunOptions, run_to_file
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import InputError
 from jaxnh.storage.hdf5 import open_result
@@ -84,7 +84,7 @@ class Session:
             raise InputError("start, target and parameters go with a system in Python; an experiment says its own")
         self.experiment = self._base = experiment
         self._progress = as_progress(progress)
-        self._lanes = Lanes(self._progress, list(devices) if devices else None)
+        self._lanes = LaneExecutor(self._progress, list(devices) if devices else None)
         self._plans: list[tuple[tuple[Axis, ...], bool, frozenset[str], Plan]] = []
 
     def _repr_html_(self) -> str:
@@ -220,7 +220,7 @@ class Session:
         The last digits of chaos are other ones than in a run.
         """
         few = copy.copy(self)
-        few._lanes = Lanes(self._progress, self._lanes.devices[:1], tile)
+        few._lanes = LaneExecutor(self._progress, self._lanes.devices[:1], tile)
         return few
 
     def tree(self) -> xr.DataTree:
@@ -349,7 +349,7 @@ def run(
     path = file_of(Path(output))
     if not is_there(experiment, path, fresh=fresh):
         check_output(path)
-        run_to_file(experiment, path, How(fresh=fresh, dask=dask, tile=tile, yes=yes), as_progress(progress))
+        run_to_file(experiment, path, RunOptions(fresh=fresh, dask=dask, tile=tile, yes=yes), as_progress(progress))
     return open_result(path)
 
 
@@ -364,8 +364,8 @@ def _name_of(options: Options) -> str:
 def as_progress(progress: ProgressCallback | Progress | None) -> Progress:
     """Progress of a function, or as it is."""
     if progress is None:
-        return Silent()
-    return progress if hasattr(progress, "start") else Calling(progress)  # pyright: ignore[reportReturnType, reportArgumentType]
+        return NullProgress()
+    return progress if hasattr(progress, "start") else CallbackProgress(progress)  # pyright: ignore[reportReturnType, reportArgumentType]
 
 
 def _within(axes: Sequence[Axis], known: Sequence[Axis]) -> bool:

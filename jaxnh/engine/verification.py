@@ -12,7 +12,7 @@ import xarray as xr
 
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.compute import compute
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.levels.levels import COMPUTED, axes_of
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ResultError, RunError
@@ -58,7 +58,7 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     job = job.stages()[int(attrs.get("level", 1)) - 1]
     axes = axes_of(experiment.axes, job)
     found: dict[str, tuple[int, int]] = {a.name: (0, 0) for a, _ in requested if not a.whole}
-    lanes = Lanes()
+    lanes = LaneExecutor()
     for piece in _picked(job) if job.independent else ():
         [done] = compute(experiment, axes, requested, job, [piece], lanes, _nothing_gathered)
         for name in filter(found.__contains__, done.groups):

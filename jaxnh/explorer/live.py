@@ -18,7 +18,7 @@ from jaxnh.exceptions import InputError
 from jaxnh.explorer.live_plane import LivePlane
 from jaxnh.explorer.raster import raster, values_of
 from jaxnh.explorer.sessions import Sessions
-from jaxnh.explorer.source import LaneReport, Picture, Source, measured
+from jaxnh.explorer.source import LaneReport, Picture, PictureSource, measured
 from jaxnh.explorer.view import View
 
 _COARSE_SECONDS = 0.15  # that a coarse picture may be computed in
@@ -26,7 +26,7 @@ _COARSE_STROBES = 32
 _COARSE_TRANSIENTS = (16, 128)  # periods at least, and at most
 
 
-def live(experiment: Experiment, progress: Progress, columns: int) -> Source:
+def live(experiment: Experiment, progress: Progress, columns: int) -> PictureSource:
     """The plane of the first two axes of two values or more, or the diagram over the only one.
 
     Args:
@@ -43,7 +43,7 @@ def live(experiment: Experiment, progress: Progress, columns: int) -> Source:
 
 
 class LiveDiagram:
-    """The diagram of an experiment; as `Source`. All that computes is called in one thread."""
+    """The diagram of an experiment; as `PictureSource`. All that computes is called in one thread."""
 
     computes = True
 

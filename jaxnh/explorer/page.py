@@ -19,7 +19,7 @@ from jaxnh.explorer.figures import Drawing, Portrait
 from jaxnh.explorer.key import key_html
 from jaxnh.explorer.page_style import CSS, LOST
 from jaxnh.explorer.report import report_html
-from jaxnh.explorer.source import LaneReport, Picture, Source
+from jaxnh.explorer.source import LaneReport, Picture, PictureSource
 from jaxnh.explorer.view import History, View, as_query, from_query
 from jaxnh.explorer.worker import Request, Worker
 from jaxnh.plotting.results import figure as drawn
@@ -35,7 +35,7 @@ _QUICK = 1.5  # seconds that a picture may take without a word of what is being 
 class Page:
     """One tab."""
 
-    def __init__(self, source: Source, worker: Worker, document: Document, query: Mapping[str, str]) -> None:
+    def __init__(self, source: PictureSource, worker: Worker, document: Document, query: Mapping[str, str]) -> None:
         """Nothing is asked for yet.
 
         Args:

@@ -11,7 +11,7 @@ import xarray as xr
 
 from jaxnh.exceptions import InputError, JaxnhError, ResultError
 from jaxnh.explorer.raster import plane_raster, raster, values_of
-from jaxnh.explorer.source import LaneReport, Parameter, Picture, Source, measured
+from jaxnh.explorer.source import LaneReport, Parameter, Picture, PictureSource, measured
 from jaxnh.explorer.view import View
 from jaxnh.plotting.groups import label_of, shown
 from jaxnh.plotting.labels import words_of
@@ -24,7 +24,7 @@ _Groups = Mapping[str, xr.Dataset]
 _Attrs = Mapping[str, Any]
 
 
-def recorded(path: Path) -> Source:
+def recorded(path: Path) -> PictureSource:
     """What `source_of` finds in a result file.
 
     Raises:
@@ -38,7 +38,7 @@ def recorded(path: Path) -> Source:
         raise InputError(f"command line: RESULT: {error}") from error
 
 
-def source_of(tree: xr.DataTree, name: str) -> Source:
+def source_of(tree: xr.DataTree, name: str) -> PictureSource:
     """The planes over the first two long axes of a result, or where there are none the diagram over the first.
 
     Args:
@@ -94,7 +94,7 @@ class _Recorded:
 
 
 class RecordedDiagram(_Recorded):
-    """The diagram of a result file; as `Source`."""
+    """The diagram of a result file; as `PictureSource`."""
 
     def __init__(self, groups: _Groups, axis: str, attrs: _Attrs, name: str) -> None:
         """Read the diagram.
@@ -130,7 +130,7 @@ class RecordedDiagram(_Recorded):
 
 
 class RecordedPlane(_Recorded):
-    """The planes of a result file, a quantity each; as `Source`."""
+    """The planes of a result file, a quantity each; as `PictureSource`."""
 
     def __init__(self, groups: _Groups, planes: list[str], axes: tuple[str, str], attrs: _Attrs, name: str) -> None:
         """Read the planes.

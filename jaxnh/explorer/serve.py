@@ -17,7 +17,7 @@ from tornado.web import RequestHandler
 
 from jaxnh.exceptions import ArgumentError
 from jaxnh.explorer.page import Page
-from jaxnh.explorer.source import Source
+from jaxnh.explorer.source import PictureSource
 from jaxnh.explorer.worker import Worker
 
 LOOPBACK = ("127.0.0.1", "localhost")
@@ -86,7 +86,7 @@ class TokenAuth(AuthProvider):
         return None
 
 
-def make_server(source: Source, worker: Worker, address: str, port: int) -> tuple[Server, str]:
+def make_server(source: PictureSource, worker: Worker, address: str, port: int) -> tuple[Server, str]:
     """The server, listening but not yet started, and the address of its page.
 
     Raises:

@@ -59,7 +59,7 @@ class Parameter(NamedTuple):
     high: float
 
 
-class Source(Protocol):
+class PictureSource(Protocol):
     """Where pictures and reports come from.
 
     Attributes:

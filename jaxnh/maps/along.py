@@ -7,11 +7,11 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxnh.maps.protocol import Pushed, Strobe, Tangent
+from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.systems.flow import Parameters, State
 
 
-class StrobeAlong(Strobe):
+class MapFamily(ReturnMap):
     """P(z; p) with a parameter in p that decides the table of the map: it takes part on the host, not in a lane.
 
     Attributes:
@@ -22,7 +22,7 @@ class StrobeAlong(Strobe):
 
     system: Any
     name: str = eqx.field(static=True)
-    at: Callable[[float], Strobe] = eqx.field(static=True)
+    at: Callable[[float], ReturnMap] = eqx.field(static=True)
 
     @property
     def turns(self) -> tuple[float, ...]:
@@ -33,11 +33,11 @@ class StrobeAlong(Strobe):
         """Not in a lane: `analyses.along` puts the map at a value in its place."""
         raise NotImplementedError
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         """Not in a lane: `analyses.along` puts the map at a value in its place."""
         raise NotImplementedError
 
-    def with_room_of(self, other: Strobe) -> StrobeAlong:
+    def with_room_of(self, other: ReturnMap) -> MapFamily:
         """At every value the map in tables as large as those of the other."""
-        assert isinstance(other, StrobeAlong)
-        return StrobeAlong(self.system, self.name, lambda value: self.at(value).with_room_of(other.at(value)))
+        assert isinstance(other, MapFamily)
+        return MapFamily(self.system, self.name, lambda value: self.at(value).with_room_of(other.at(value)))

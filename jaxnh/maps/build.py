@@ -18,7 +18,7 @@ from jaxnh.maps.general_flow import general_strobe, stacked, unit_step
 from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table, whole_period
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.maps.nystrom import nystrom_strobe, nystrom_unit_step
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.second_order import second_order
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.maps.step_grids import GRID_POINTS, share_of_steps, step_grid
@@ -42,7 +42,7 @@ _SMALLEST_STEP = 64  # kicks of a step: as many as any splitting has, so that al
 # ---- ways to integrate
 
 
-class Way(Protocol):
+class Scheme(Protocol):
     """How flows of one kind are integrated, by solvers of one kind: the registry knows which.
 
     Attributes:
@@ -63,21 +63,21 @@ class Way(Protocol):
         """Those to choose from."""
         ...
 
-    def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> Strobe:
+    def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> ReturnMap:
         """The map over a span of time in so many steps."""
         ...
 
-    def step(self, flow: Any, solver: Any) -> Strobe:
+    def step(self, flow: Any, solver: Any) -> ReturnMap:
         """One step as long as the unit of time, of a flow without a clock."""
         ...
 
     def parts(
         self, flow: Any, solver: Any, each: int, grid: np.ndarray, ends: np.ndarray, *, compensated: bool
-    ) -> Strobe:
+    ) -> ReturnMap:
         """Maps between ends (parts + 1,) of `each` steps on a grid (parts, each + 1), stacked."""
         ...
 
-    def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> Strobe:
+    def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> ReturnMap:
         """The map of a period cut into so many parts of `each` steps, stacked."""
         ...
 
@@ -102,7 +102,7 @@ class Kicks:
         span: tuple[float, float],
         *,
         compensated: bool,
-    ) -> Strobe:
+    ) -> ReturnMap:
         if solver.processed and span == (0.0, flow.period):
             table = whole_period(flow, solver, steps, smallest=_SMALLEST_TABLE)
         elif solver.processed:
@@ -111,7 +111,7 @@ class Kicks:
             table = kick_table(flow, solver, step_grid(flow, steps, span), smallest=_SMALLEST_TABLE)
         return KickStrobe(flow.tabulated(), *table, compensated)
 
-    def step(self, flow: Any, solver: Any) -> Strobe:
+    def step(self, flow: Any, solver: Any) -> ReturnMap:
         table = kick_table(flow, solver, np.array([0.0, 1.0]), smallest=_SMALLEST_STEP)
         return KickStrobe(flow.tabulated(), *table)
 
@@ -124,14 +124,14 @@ class Kicks:
         ends: np.ndarray,
         *,
         compensated: bool,
-    ) -> Strobe:
+    ) -> ReturnMap:
         if solver.processed:
             table = processed_table(flow, solver, each, (ends[:-1], ends[1:]), smallest=_SMALLEST_TABLE // len(grid))
         else:
             table = kick_table(flow, solver, grid, smallest=_SMALLEST_TABLE // len(grid))
         return KickStrobe(stacked(flow.tabulated(), (len(grid),)), *table, compensated)
 
-    def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> Strobe:
+    def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> ReturnMap:
         if solver.processed:
             whole = whole_period(flow, solver, each * parts)
             table = cut_table(whole, parts, each * solver.stages, smallest=_SMALLEST_TABLE // parts)
@@ -140,7 +140,7 @@ class Kicks:
         return KickStrobe(stacked(flow.tabulated(), (parts,)), *table, compensated)
 
 
-class Steps:
+class StepScheme:
     """By steps of Runge–Kutta methods, of any flow, and of Nyström's, of those of second order."""
 
     reference: ClassVar[Solver] = verner9
@@ -156,10 +156,10 @@ class Steps:
             return (nystrom8,)
         return tsitouras_papakostas8, verner9, tsit5
 
-    def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> Strobe:
+    def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> ReturnMap:
         return _on_grid(flow, solver, step_grid(flow, steps, span))
 
-    def step(self, flow: Any, solver: Any) -> Strobe:
+    def step(self, flow: Any, solver: Any) -> ReturnMap:
         return nystrom_unit_step(flow, solver) if isinstance(solver, Nystrom) else unit_step(flow, _fitting(solver))
 
     def parts(
@@ -171,10 +171,10 @@ class Steps:
         ends: np.ndarray,
         *,
         compensated: bool,
-    ) -> Strobe:
+    ) -> ReturnMap:
         return _on_grid(flow, solver, grid)
 
-    def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> Strobe:
+    def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> ReturnMap:
         return _on_grid(flow, solver, _in_parts(flow, each, parts))
 
 
@@ -184,7 +184,7 @@ def _in_parts(flow: Flow, each: int, parts: int) -> np.ndarray:
     return ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
 
 
-def _on_grid(flow: Flow, solver: Any, grid: np.ndarray) -> Strobe:
+def _on_grid(flow: Flow, solver: Any, grid: np.ndarray) -> ReturnMap:
     if isinstance(solver, Nystrom):
         return nystrom_strobe(flow, solver, grid)
     return general_strobe(flow, _fitting(solver), grid)
@@ -196,14 +196,14 @@ def _fitting(solver: Any) -> diffrax.AbstractSolver:
     return solver
 
 
-WAYS: dict[type[Flow], tuple[Way, Way]] = {
-    IsokineticParticle: (Kicks(), Steps()),
-    Flow: (Steps(), Steps()),
+WAYS: dict[type[Flow], tuple[Scheme, Scheme]] = {
+    IsokineticParticle: (Kicks(), StepScheme()),
+    Flow: (StepScheme(), StepScheme()),
 }
 """The registry: how flows of a kind are integrated by solvers of that way, and by others."""
 
 
-def way_of(flow: Flow, solver: Any = None) -> Way:
+def scheme_of(flow: Flow, solver: Any = None) -> Scheme:
     """How a flow is integrated, by a solver if one is named."""
     own, other = next(WAYS[kind] for kind in type(flow.flow).__mro__ if kind in WAYS)
     return own if solver is None or isinstance(solver, type(own.reference)) else other
@@ -212,14 +212,14 @@ def way_of(flow: Flow, solver: Any = None) -> Way:
 # ---- maps
 
 
-def make_strobe(
+def make_return_map(
     system: Flow,
     solver: Solver,
     steps: int,
     *,
     compensated: bool = False,
     span: tuple[float, float] | None = None,
-) -> Strobe:
+) -> ReturnMap:
     """The strobe map of a flow under a solver with so many steps a period; of a flow on a section, its return map.
 
     Args:
@@ -238,10 +238,10 @@ def make_strobe(
         steps = max(1, math.ceil(steps * (t1 - t0) / system.period - 1e-6))
         return _equal_steps(system, solver, steps, t1 - t0)
     steps = max(1, math.ceil(steps * share_of_steps(system, (t0, t1)) - 1e-6))
-    return way_of(system, solver).strobe(system, solver, steps, (t0, t1), compensated=compensated)
+    return scheme_of(system, solver).strobe(system, solver, steps, (t0, t1), compensated=compensated)
 
 
-def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> Strobe:
+def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> ReturnMap:
     """The maps over so many equal parts of a period, one after the other, as one pytree for `lax.scan`.
 
     Every leaf has the parts as first axis. No step is longer than those of the whole period's map with `steps` steps.
@@ -251,7 +251,7 @@ def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     return between(system, solver, steps, np.linspace(0.0, system.period, parts + 1), compensated=compensated)
 
 
-def between(system: Flow, solver: Solver, steps: int, ends: np.ndarray, *, compensated: bool = False) -> Strobe:
+def between(system: Flow, solver: Solver, steps: int, ends: np.ndarray, *, compensated: bool = False) -> ReturnMap:
     """The maps from each of some rising times (parts + 1,) within a period to the next, stacked as by `make_parts`."""
     if system.autonomous:
         lengths = np.diff(ends)
@@ -264,10 +264,10 @@ def between(system: Flow, solver: Solver, steps: int, ends: np.ndarray, *, compe
     each = max(1, math.ceil(steps * np.diff(shares).max() - 1e-6))
     grid = np.interp(np.linspace(shares[:-1], shares[1:], each + 1, axis=-1), share, fine)
     grid[:, 0], grid[:, -1] = ends[:-1], ends[1:]
-    return way_of(system, solver).parts(system, solver, each, grid, ends, compensated=compensated)
+    return scheme_of(system, solver).parts(system, solver, each, grid, ends, compensated=compensated)
 
 
-def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> Strobe:
+def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> ReturnMap:
     """The strobe map cut into so many maps of equally many steps, stacked as by `make_parts`.
 
     The parts differ in length, and together have the least multiple of `parts` from `steps` on as steps. A processed
@@ -276,14 +276,14 @@ def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     each = -(-steps // parts)
     if system.autonomous:
         return _equal_steps(system, solver, each, system.period / parts, parts)
-    return way_of(system, solver).cut(system, solver, each, parts, compensated=compensated)
+    return scheme_of(system, solver).cut(system, solver, each, parts, compensated=compensated)
 
 
-def _unit_step(flow: Flow, solver: Solver) -> Strobe:
+def _unit_step(flow: Flow, solver: Solver) -> ReturnMap:
     """One step as long as the unit of time, of a flow without a clock."""
     if not hasattr(solver, "written_stages") and not isinstance(solver, IsokineticSplitting):
         raise TypeError(f"{solver.name} has no steps of its own for a flow without a clock")
-    return way_of(flow, solver).step(flow, solver)
+    return scheme_of(flow, solver).step(flow, solver)
 
 
 def _equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: int = 0) -> SteppedStrobe:

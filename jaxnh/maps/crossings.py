@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.maps.of_lane import of_lane
-from jaxnh.maps.protocol import Pushed, Strobe, Tangent
+from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.section import NO_RETURN, NOT_FINITE, Crossing, SectionedFlow
 from jaxnh.systems.flow import Flow, Parameters, State
 
@@ -26,11 +26,11 @@ _ON_SECTION = 1e-9  # a state as near as this is on the section, and leaves it: 
 _SETTLED = 1e-9  # a step of Newton below this, as a share of the step, leaves its square
 _MOST_SHOTS = 40
 
-Carried = State | Pushed
+Carried = State | Pushforward
 """What goes from step to step: a state, alone or with tangents."""
 
 
-class SteppedStrobe(Strobe):
+class SteppedStrobe(ReturnMap):
     """P over a stretch of time by equal steps.
 
     Attributes:
@@ -40,7 +40,7 @@ class SteppedStrobe(Strobe):
     """
 
     system: Flow
-    one: Strobe
+    one: ReturnMap
     steps: ArrayLike
 
     @property
@@ -56,8 +56,8 @@ class SteppedStrobe(Strobe):
     def __call__(self, state: State, p: Parameters) -> State:
         return lax.fori_loop(0, self.steps, lambda _, z: self.one(z, p), state)
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
-        begun = Pushed(state, tangents, of_lane(jnp.ones_like(state[0][0]), state[0][0]))
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+        begun = Pushforward(state, tangents, of_lane(jnp.ones_like(state[0][0]), state[0][0]))
         return lax.fori_loop(0, self.steps, lambda _, pushed: _pushed_on(self.one, pushed, p), begun)
 
 
@@ -96,7 +96,7 @@ class _Search(NamedTuple):
     lost: Array
 
 
-class EventStrobe(Strobe):
+class EventStrobe(ReturnMap):
     """From crossing to crossing. Lanes need different numbers of steps, and wait for the one that needs most.
 
     One loop takes all steps, whole ones and those that locate a crossing, and over several crossings (`iterate`) lanes
@@ -111,7 +111,7 @@ class EventStrobe(Strobe):
     """
 
     system: SectionedFlow
-    unit: Strobe
+    unit: ReturnMap
     step: ArrayLike
     most_steps: ArrayLike
 
@@ -129,30 +129,30 @@ class EventStrobe(Strobe):
         return self.iterate(1, state, p)
 
     def iterate(self, n: ArrayLike, state: Crossing, p: Parameters) -> Crossing:
-        def advance(one: Strobe, carried: Carried) -> Carried:
-            assert not isinstance(carried, Pushed)
+        def advance(one: ReturnMap, carried: Carried) -> Carried:
+            assert not isinstance(carried, Pushforward)
             return one(carried, p)
 
         ended = self._searched(n, state, (), state.state, p, advance)
         return self._arrived(state, ended, _state_of(ended.carried))
 
-    def push(self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+    def push(self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         """As every map's; along the flow, onto the section, with the field's rate in place of a step's own."""
         flow_tangents = tuple(Tangent(t.state.state, t.p) for t in tangents)
-        begun = Pushed(state.state, flow_tangents, jnp.ones_like(state.t))
+        begun = Pushforward(state.state, flow_tangents, jnp.ones_like(state.t))
 
-        def advance(one: Strobe, carried: Carried) -> Carried:
-            assert isinstance(carried, Pushed)
+        def advance(one: ReturnMap, carried: Carried) -> Carried:
+            assert isinstance(carried, Pushforward)
             return _pushed_on(one, carried, p)
 
         ended = self._searched(1, state, tuple(t.state.t for t in tangents), begun, p, advance)
         last = ended.carried
-        assert isinstance(last, Pushed)
+        assert isinstance(last, Pushforward)
         pushed = tuple(
             Tangent(Crossing(new.state, later, jnp.zeros_like(later)), new.p)
             for new, later in zip(last.tangents, ended.by_tangent, strict=True)
         )
-        return Pushed(self._arrived(state, ended, last.state), pushed, last.volume)
+        return Pushforward(self._arrived(state, ended, last.state), pushed, last.volume)
 
     def _searched(
         self,
@@ -161,7 +161,7 @@ class EventStrobe(Strobe):
         by_tangent: tuple[Array, ...],
         begun: Carried,
         p: Parameters,
-        advance: Callable[[Strobe, Carried], Carried],
+        advance: Callable[[ReturnMap, Carried], Carried],
     ) -> _Search:
         """Steps until n crossings are met, or there is no hope of the next one."""
         state = start.state
@@ -189,7 +189,7 @@ class EventStrobe(Strobe):
 
         return lax.while_loop(unfinished, lambda search: self._stepped(search, p, advance), of_lane(first, rate))
 
-    def _stepped(self, search: _Search, p: Parameters, advance: Callable[[Strobe, Carried], Carried]) -> _Search:
+    def _stepped(self, search: _Search, p: Parameters, advance: Callable[[ReturnMap, Carried], Carried]) -> _Search:
         """One step on: a whole one, one that locates the crossing within it, or the one that ends there."""
         partly, before = self.unit.stretched(self.step * search.share), _state_of(search.carried)
         ahead = advance(partly, search.carried)
@@ -231,7 +231,7 @@ class EventStrobe(Strobe):
 
     def _on_section(self, ahead: Carried, search: _Search, p: Parameters) -> tuple[Carried, tuple[Array, ...]]:
         """What comes to the section, its tangents moved along the flow onto it, and how much later each is there."""
-        if not isinstance(ahead, Pushed):
+        if not isinstance(ahead, Pushforward):
             return ahead, ()
         moving = self.system.inner.rhs(jnp.zeros_like(search.t), ahead.state, p)
         speed = self.system.across(moving)
@@ -242,7 +242,7 @@ class EventStrobe(Strobe):
             tangents.append(Tangent(moved, tangent.p))
             later.append(dt)
         volume = ahead.volume * search.leaving / self.system.rate(ahead.state, p)
-        return Pushed(ahead.state, tuple(tangents), volume), tuple(later)
+        return Pushforward(ahead.state, tuple(tangents), volume), tuple(later)
 
     def _side(self, state: State, rate: Array) -> Array:
         """The side that a motion leaves for, of the section or from beside it."""
@@ -278,7 +278,7 @@ class EventStrobe(Strobe):
 
 
 def _state_of(carried: Carried) -> State:
-    return carried.state if isinstance(carried, Pushed) else carried
+    return carried.state if isinstance(carried, Pushforward) else carried
 
 
 def _improved(
@@ -292,7 +292,7 @@ def _improved(
     return jnp.where(inside, better, 0.5 * (low + high)), low, high
 
 
-def _pushed_on(one: Strobe, pushed: Pushed, p: Parameters) -> Pushed:
+def _pushed_on(one: ReturnMap, pushed: Pushforward, p: Parameters) -> Pushforward:
     """State and tangents one map later, volumes multiplied."""
     after = one.push(pushed.state, p, pushed.tangents)
     return after._replace(volume=pushed.volume * after.volume)

@@ -20,7 +20,7 @@ from jaxtyping import Array
 from jaxnh.maps import elementary
 from jaxnh.maps.double_double import Arithmetic, Double, chosen, negative
 from jaxnh.maps.elementary import cosine, exponential, hyperbolic_tangent, logarithm, sine
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters
 
 Value = Double | Array
@@ -246,7 +246,7 @@ class Carried(NamedTuple):
     vector: Double
 
 
-def carried(strobe: Strobe, hidden: ArrayLike, u: Double, w: Double, p: Mapping[str, Double]) -> Carried:
+def carried(strobe: ReturnMap, hidden: ArrayLike, u: Double, w: Double, p: Mapping[str, Double]) -> Carried:
     """One period of one lane from u (d,) along w (d,), and with parameters p of its own; see `extended`."""
     system = strobe.system
 

@@ -23,7 +23,7 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxnh.maps.of_lane import of_lane
-from jaxnh.maps.protocol import Pushed, Strobe, Tangent
+from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow, Parameters, State
@@ -52,7 +52,7 @@ class Moving(NamedTuple):
     log_volume: Any = None
 
 
-class GeneralStrobe(Strobe):
+class GeneralStrobe(ReturnMap):
     """P of any flow by steps on a grid.
 
     Attributes:
@@ -98,7 +98,7 @@ class GeneralStrobe(Strobe):
         """The map over so many times the time, of a flow without a clock."""
         return replace(self, grid=self.grid * factor, values=())
 
-    def with_room_of(self, other: Strobe) -> GeneralStrobe:
+    def with_room_of(self, other: ReturnMap) -> GeneralStrobe:
         if not hasattr(self.solver, "written_stages"):  # diffrax takes no step of no length
             return self
         assert isinstance(other, GeneralStrobe)
@@ -124,7 +124,7 @@ class GeneralStrobe(Strobe):
         placed = self._placed(state, p)
         return self._ended(self._march(field, None, Moving(system.stepped(placed)), 0).state, placed, p)
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return self._push_by_diffrax(state, p, tangents)
         own = own_parameters(self.system, p)
@@ -160,7 +160,7 @@ class GeneralStrobe(Strobe):
             )
             ended = Moving(*moved, ended.log_volume)
         moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
-        return Pushed(ended.state, moved, jnp.exp(ended.log_volume))
+        return Pushforward(ended.state, moved, jnp.exp(ended.log_volume))
 
     def _march(
         self,
@@ -208,13 +208,13 @@ class GeneralStrobe(Strobe):
         )
         return jax.tree.map(lambda leaf: leaf[-1], solution.ys)
 
-    def _push_by_diffrax(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+    def _push_by_diffrax(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         still = jax.tree.map(jnp.zeros_like, dict(p))
         moved = []
         for t in tangents:
             image = jax.jvp(self.__call__, (state, dict(p)), (t.state, {**still, **(t.p or {})}))[1]
             moved.append(Tangent(image, t.p))
-        return Pushed(self(state, p), tuple(moved), jnp.full_like(jax.tree.leaves(state)[0], jnp.nan))
+        return Pushforward(self(state, p), tuple(moved), jnp.full_like(jax.tree.leaves(state)[0], jnp.nan))
 
 
 def linearised(

@@ -11,16 +11,16 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxnh.maps.of_lane import of_lane
-from jaxnh.maps.protocol import Strobe, Tangent
+from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.systems.flow import Parameters, State
 
 
-def iterate(strobe: Strobe, n: ArrayLike, state: State, p: Parameters) -> State:
+def iterate(strobe: ReturnMap, n: ArrayLike, state: State, p: Parameters) -> State:
     """Pⁿ(z; p) for one lane; n may be traced."""
     return strobe.iterate(n, state, p)
 
 
-def record(strobe: Strobe, state: State, p: Parameters, count: int) -> tuple[State, State]:
+def record(strobe: ReturnMap, state: State, p: Parameters, count: int) -> tuple[State, State]:
     """The state after `count` periods, and those after 1, 2, …, count stacked along a new first axis."""
 
     def step(z: State, _: None) -> tuple[State, State]:
@@ -30,7 +30,7 @@ def record(strobe: Strobe, state: State, p: Parameters, count: int) -> tuple[Sta
     return lax.scan(step, state, length=count)
 
 
-def section_map(strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
+def section_map(strobe: ReturnMap, n: ArrayLike, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
     """Pⁿ in section coordinates."""
     return strobe.system.chart(iterate(strobe, n, strobe.system.unchart(u), p))
 
@@ -50,7 +50,7 @@ class Derivatives(NamedTuple):
 
 
 def derivatives(
-    strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, name: str | tuple[str, ...] | None = None
+    strobe: ReturnMap, n: ArrayLike, u: Float[Array, " d"], p: Parameters, name: str | tuple[str, ...] | None = None
 ) -> Derivatives:
     """Pⁿ(u; p) with ∂Pⁿ/∂u, and if a parameter is named, or several, ∂Pⁿ/∂p in them, in one forward pass.
 

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.maps.of_lane import of_lane
-from jaxnh.maps.protocol import Pushed, Strobe, Tangent
+from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.solvers import half_turn, kick
 from jaxnh.systems.flow import Parameters, Vector
 from jaxnh.systems.particle import IsokineticParticle, State
@@ -30,7 +30,7 @@ class _Carry(NamedTuple):
     lost: tuple[Vector, Vector] | None
 
 
-class KickStrobe(Strobe):
+class KickStrobe(ReturnMap):
     """P by an isokinetic splitting: one loop over a table of kicks that all lanes share.
 
     The table is data: every splitting, any number of steps and any step grid run through the same compiled program
@@ -64,7 +64,7 @@ class KickStrobe(Strobe):
         table = jnp.asarray(self.table)
         return self._end(lax.fori_loop(0, self.kicks, advance, self._begin(state)))
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         # A kick turns θ alone, so few numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, p). Differentiating
         # where the kick is keeps every component an array of lanes; jacfwd of the whole period would not. Tangents are
         # carried from before one kick to before the next, so that they need the n after a kick alone.
@@ -95,7 +95,7 @@ class KickStrobe(Strobe):
             Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.p)
             for (dx, dy, dtheta), t in zip(moved, tangents, strict=True)
         )
-        return Pushed((q, n), pushed, volume)
+        return Pushforward((q, n), pushed, volume)
 
     def _kick(self, entry: Array, carry: _Carry, p: Parameters) -> _Carry:
         if self.compensated:
@@ -155,7 +155,7 @@ class KickStrobe(Strobe):
         table, most = np.asarray(self.table), int(np.max(self.kicks))
         return replace(self, table=table[..., : 1 << (most - 1).bit_length(), :])
 
-    def with_room_of(self, other: Strobe) -> KickStrobe:
+    def with_room_of(self, other: ReturnMap) -> KickStrobe:
         assert isinstance(other, KickStrobe)
         table = np.asarray(self.table)
         return replace(self, table=np.pad(table, [(0, len(np.asarray(other.table)) - len(table)), (0, 0)]))

@@ -22,7 +22,7 @@ from jaxnh.maps.general_flow import (
     stacked,
     with_stages,
 )
-from jaxnh.maps.protocol import Pushed, Tangent
+from jaxnh.maps.protocol import Pushforward, Tangent
 from jaxnh.maps.second_order import SecondOrder, second_order
 from jaxnh.solvers import Nystrom
 from jaxnh.systems.flow import Flow, Parameters, State
@@ -66,7 +66,7 @@ class NystromStrobe(GeneralStrobe):
 
         return self._march_on(force, project, Moving(state)).state
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         form, own = self._form, own_parameters(self.system, p)
         by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
 
@@ -86,7 +86,7 @@ class NystromStrobe(GeneralStrobe):
         moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
         grid, one = jnp.asarray(self.grid), jnp.ones_like(jax.tree.leaves(state)[0])
         volume = one * jnp.exp(-(grid[-1] - grid[0]) * jnp.sum(jnp.asarray(self.gamma))) if self.damped else one
-        return Pushed(ended.state, moved, volume)
+        return Pushforward(ended.state, moved, volume)
 
     @property
     def _form(self) -> SecondOrder:

@@ -25,8 +25,8 @@ class Tangent(NamedTuple):
     p: Parameters | None = None
 
 
-class Pushed(NamedTuple):
-    """Result of `Strobe.push`.
+class Pushforward(NamedTuple):
+    """Result of `ReturnMap.push`.
 
     Attributes:
         state: the state later.
@@ -39,7 +39,7 @@ class Pushed(NamedTuple):
     volume: Array
 
 
-class Strobe(eqx.Module):
+class ReturnMap(eqx.Module):
     """P(z; p) for one lane: state and its own parameters in, the state one strobe period later out.
 
     Use under `jax.vmap`. For a section, from one crossing to the next.
@@ -52,7 +52,7 @@ class Strobe(eqx.Module):
         """Lanes a tile at most, where more would be slower."""
         return None
 
-    def shortest(self) -> Strobe:
+    def shortest(self) -> ReturnMap:
         """The same map as the shortest program, which need not be the fastest, nor equal in its last bits."""
         return self
 
@@ -74,17 +74,17 @@ class Strobe(eqx.Module):
         return lax.fori_loop(0, n, period, state)  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
 
     @abc.abstractmethod
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         """The state and any number of tangents one strobe period later, exact derivatives of `__call__`."""
 
-    def stretched(self, factor: ArrayLike) -> Strobe:
+    def stretched(self, factor: ArrayLike) -> ReturnMap:
         """The map over so many times the time, of a flow without a clock; of maps of one step alone."""
         raise NotImplementedError
 
-    def compact(self) -> Strobe:
+    def compact(self) -> ReturnMap:
         """The same map in tables no larger than it needs."""
         return self
 
-    def with_room_of(self, other: Strobe) -> Strobe:
+    def with_room_of(self, other: ReturnMap) -> ReturnMap:
         """The same map in tables as large as another's, which has more steps: both then run through one program."""
         return self

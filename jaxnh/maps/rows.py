@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxnh.maps.protocol import Pushed, Strobe, Tangent
+from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.systems.flow import Parameters, State
 
 ROW = "row of its map"
@@ -24,7 +24,7 @@ ROWS = 32
 """Rows of a stack, whether it needs them or not: all stacks run through one program."""
 
 
-class Stacked(eqx.Module):
+class StackedMaps(eqx.Module):
     """Pytrees of one structure, one for each row.
 
     Attributes:
@@ -38,7 +38,7 @@ class Stacked(eqx.Module):
         return jax.tree.map(lambda leaf: leaf[row] if _is_stacked(leaf) else leaf, self.rows)
 
 
-class StrobeRows(Strobe):
+class StrobeRows(ReturnMap):
     """P(z; p) of lanes that name their row in p: the row's own map takes its place before it comes to a lane.
 
     Attributes:
@@ -47,14 +47,14 @@ class StrobeRows(Strobe):
     """
 
     system: Any
-    maps: Stacked
+    maps: StackedMaps
 
     @property
     def turns(self) -> tuple[float, ...]:
         """As of every row."""
         return self.maps.rows.turns
 
-    def at(self, row: ArrayLike) -> Strobe:
+    def at(self, row: ArrayLike) -> ReturnMap:
         """The map of a row, which may be traced."""
         return self.maps.at(row)
 
@@ -62,12 +62,12 @@ class StrobeRows(Strobe):
         """Not in a lane: `engine.executor.row_blocks` puts the map of its row in its place."""
         raise NotImplementedError
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         """Not in a lane: `engine.executor.row_blocks` puts the map of its row in its place."""
         raise NotImplementedError
 
 
-def stack(trees: Sequence[Any]) -> Stacked:
+def stack(trees: Sequence[Any]) -> StackedMaps:
     """Pytrees of one structure as rows, the last of them in all rows that are left.
 
     Raises:
@@ -82,15 +82,15 @@ def stack(trees: Sequence[Any]) -> Stacked:
             raise ValueError("rows of one program differ in a whole number")
         return arrays[0]
 
-    return Stacked(jax.tree.map(one, *trees))
+    return StackedMaps(jax.tree.map(one, *trees))
 
 
-def strobe_rows(strobes: Sequence[Strobe]) -> StrobeRows:
+def strobe_rows(strobes: Sequence[ReturnMap]) -> StrobeRows:
     """Maps of one kind as rows, in tables no larger than they need."""
     return StrobeRows(strobes[0].system, stack([strobe.compact() for strobe in strobes]))
 
 
-def row_by_row(strobe: Strobe, p: Parameters, count: int) -> Iterator[tuple[np.ndarray, Strobe, Parameters]]:
+def row_by_row(strobe: ReturnMap, p: Parameters, count: int) -> Iterator[tuple[np.ndarray, ReturnMap, Parameters]]:
     """Of `count` lanes the numbers of those of each row, its map and their parameters; without rows, of all lanes.
 
     For programs whose bits depend on the shape of a tile.

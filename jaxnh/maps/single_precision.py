@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnh.maps.protocol import Pushed, Strobe, Tangent
+from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.systems.flow import Flow, Parameters, State
 
 
-class SingleStrobe(Strobe):
+class SingleStrobe(ReturnMap):
     """Another strobe map in single precision: float32 within a period, float64 at both its ends.
 
     Attributes:
@@ -21,7 +21,7 @@ class SingleStrobe(Strobe):
     """
 
     system: Flow
-    inner: Strobe
+    inner: ReturnMap
 
     @property
     def turns(self) -> tuple[float, ...]:
@@ -31,11 +31,11 @@ class SingleStrobe(Strobe):
     def __call__(self, state: State, p: Parameters) -> State:
         return _cast(self.inner(*_cast((state, dict(p)), jnp.float32)), jnp.float64)
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushed:
+    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         return _cast(self.inner.push(*_cast((state, dict(p), tangents), jnp.float32)), jnp.float64)
 
 
-def in_precision(strobe: Strobe, precision: str) -> Strobe:
+def in_precision(strobe: ReturnMap, precision: str) -> ReturnMap:
     """A strobe map, or several stacked, as it is, or with its arithmetic in "float32"."""
     if precision != "float32":
         return strobe

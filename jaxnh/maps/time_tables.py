@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax.extend.core import primitives
 
 from jaxnh.maps.elementary import cosine, exponential, hyperbolic_tangent, logarithm, sine
-from jaxnh.systems.tracing import Known, Program, Step
+from jaxnh.systems.tracing import KnownValue, Program, Step
 
 _TIME, _LANE = 1, 2  # what a value depends on, at most
 _IN_LANES: dict[Any, Callable[[Any], Any]] = {
@@ -47,8 +47,8 @@ class TimeSplit:
         self._level = program.depends([_TIME] + [0] * of_shared + [_LANE] * of_lane)
         self._needed = program.needed(program.outputs)
         lanes = [step for step in program.steps if self._in_lanes(step)]
-        read = {slot for step in lanes for slot in step.reads if not isinstance(slot, Known)}
-        read |= {slot for slot in program.outputs if not isinstance(slot, Known)}
+        read = {slot for step in lanes for slot in step.reads if not isinstance(slot, KnownValue)}
+        read |= {slot for slot in program.outputs if not isinstance(slot, KnownValue)}
         self._table = sorted(slot for slot in read if self._level[slot] == _TIME)
         self._before = program.needed(self._table)
         self.size = len(lanes)

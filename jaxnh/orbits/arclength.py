@@ -61,14 +61,14 @@ class Family(NamedTuple):
         return self.high - self.low
 
 
-class Way(NamedTuple):
+class PathVector(NamedTuple):
     """Directions or differences of orbits and parameters, side by side: (lanes, n, d) and (lanes,)."""
 
     points: Float[np.ndarray, "lanes n d"]
     value: Float[np.ndarray, " lanes"]
 
 
-class Orbits(NamedTuple):
+class CurveOrbits(NamedTuple):
     """Orbits on curves, a lane each.
 
     Attributes:
@@ -86,15 +86,15 @@ class Orbits(NamedTuple):
 
     points: Float[np.ndarray, "lanes n d"]
     value: Float[np.ndarray, " lanes"]
-    way: Way
+    way: PathVector
     blocks: Float[np.ndarray, "lanes n d d"]
     crossing: Float[np.ndarray, " lanes"]
     residual: Float[np.ndarray, " lanes"]
     missed: Float[np.ndarray, " lanes"]
     converged: Bool[np.ndarray, " lanes"]
-    other_way: Way
+    other_way: PathVector
 
-    def take(self, lanes: Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"] | slice) -> Orbits:
+    def take(self, lanes: Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"] | slice) -> CurveOrbits:
         """Those of some lanes."""
 
         def some(leaf: np.ndarray) -> np.ndarray:
@@ -103,41 +103,41 @@ class Orbits(NamedTuple):
         return jax.tree.map(some, self)
 
 
-def inner(family: Family, one: Way, other: Way) -> Float[np.ndarray, " lanes"]:
+def inner(family: Family, one: PathVector, other: PathVector) -> Float[np.ndarray, " lanes"]:
     """Inner products of ways."""
     by_points = np.mean(np.sum((one.points / family.size) * (other.points / family.size), axis=2), axis=1)
     return by_points + one.value * other.value / family.width**2
 
 
-def length(family: Family, way: Way) -> Float[np.ndarray, " lanes"]:
+def length(family: Family, way: PathVector) -> Float[np.ndarray, " lanes"]:
     """Lengths of ways."""
     return np.sqrt(inner(family, way, way))
 
 
-def times(factor: Float[np.ndarray, " lanes"], way: Way) -> Way:
+def times(factor: Float[np.ndarray, " lanes"], way: PathVector) -> PathVector:
     """Ways times numbers."""
-    return Way(factor[:, None, None] * way.points, factor * way.value)
+    return PathVector(factor[:, None, None] * way.points, factor * way.value)
 
 
-def minus(one: Way, factor: Float[np.ndarray, " lanes"], other: Way) -> Way:
+def minus(one: PathVector, factor: Float[np.ndarray, " lanes"], other: PathVector) -> PathVector:
     """Ways less so many times others."""
     more = times(factor, other)
-    return Way(one.points - more.points, one.value - more.value)
+    return PathVector(one.points - more.points, one.value - more.value)
 
 
-def along_parameter(family: Family, lanes: int, n: int) -> Way:
+def along_parameter(family: Family, lanes: int, n: int) -> PathVector:
     """The way of length one in which the parameter alone changes."""
-    return Way(np.zeros((lanes, n, len(family.size))), np.full(lanes, family.width))
+    return PathVector(np.zeros((lanes, n, len(family.size))), np.full(lanes, family.width))
 
 
 def correct(
     family: Family,
     points: Float[np.ndarray, "lanes n d"],
     value: Float[np.ndarray, " lanes"],
-    across: Way,
+    across: PathVector,
     tolerance: float = ROUGH,
     near: Float[np.ndarray, " lanes"] | None = None,
-) -> Orbits:
+) -> CurveOrbits:
     """The orbits on curves nearest to guesses in the hyperplanes across ways, and the direction of the curve there.
 
     Only lanes where each step is at most half of the one before, or is short, come to rest. Angles go on from those of
@@ -160,7 +160,7 @@ def correct(
         open_, missing, blocks, columns = open_[finite], missing[finite], blocks[finite], columns[finite]
         if not len(open_):
             break
-        here = Way(across.points[open_], across.value[open_])
+        here = PathVector(across.points[open_], across.value[open_])
         moved, way, other, crossing = _solutions(family, missing, blocks, columns, here)
         at_rest = last[open_] <= tolerance
         done = open_[at_rest]
@@ -177,21 +177,21 @@ def correct(
         found.value[open_] += moved.value[going]
         if not len(open_):
             break
-    found.missed[:] = length(family, Way(found.points - points, found.value - value))
+    found.missed[:] = length(family, PathVector(found.points - points, found.value - value))
     return found
 
 
-def _guessed(points: Float[np.ndarray, "lanes n d"], value: Float[np.ndarray, " lanes"]) -> Orbits:
+def _guessed(points: Float[np.ndarray, "lanes n d"], value: Float[np.ndarray, " lanes"]) -> CurveOrbits:
     """Guesses of which nothing else is known yet."""
     lanes, _, d = points.shape
 
     def unknown(*shape: int) -> np.ndarray:
         return np.full((lanes, *shape), np.nan)
 
-    way, other = (Way(unknown(*points.shape[1:]), unknown()) for _ in range(2))
+    way, other = (PathVector(unknown(*points.shape[1:]), unknown()) for _ in range(2))
     blocks = unknown(points.shape[1], d, d)
     none = (unknown(), unknown(), unknown(), np.zeros(lanes, bool))
-    return Orbits(np.array(points), np.array(value), way, blocks, *none, other)
+    return CurveOrbits(np.array(points), np.array(value), way, blocks, *none, other)
 
 
 def _equations(
@@ -208,14 +208,14 @@ def _equations(
 
 
 def _solutions(
-    family: Family, missing: np.ndarray, blocks: np.ndarray, columns: np.ndarray, across: Way
-) -> tuple[Way, Way, Way, np.ndarray]:
+    family: Family, missing: np.ndarray, blocks: np.ndarray, columns: np.ndarray, across: PathVector
+) -> tuple[PathVector, PathVector, PathVector, np.ndarray]:
     """The step of Newton across ways, the direction of the curve, that of another one, and the determinant with it."""
     there = np.broadcast_to(-np.eye(blocks.shape[-1]), blocks.shape)
     cycle = cyclic.eliminate(blocks, there)
     solved = cyclic.underdetermined(cycle, missing, columns)
-    way = Way(solved.way * family.size, solved.rate * family.width)
-    step = Way(solved.y * family.size, solved.x * family.width)
+    way = PathVector(solved.way * family.size, solved.rate * family.width)
+    step = PathVector(solved.y * family.size, solved.x * family.width)
     share = inner(family, way, across)
     with np.errstate(divide="ignore", invalid="ignore"):
         back = inner(family, step, across) / share
@@ -223,6 +223,6 @@ def _solutions(
     scale = np.where(share < 0.0, -1.0, 1.0) / length(family, way)
     crossing = cyclic.determinant(cycle._replace(closed=solved.square)) * np.sign(scale)
     way = times(scale, way)
-    other = Way(solved.other_way * family.size, solved.other_rate * family.width)
+    other = PathVector(solved.other_way * family.size, solved.other_rate * family.width)
     other = minus(other, inner(family, other, way), way)
     return step, way, times(1.0 / length(family, other), other), crossing

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from jaxnh.orbits.arclength import FINE, Family, Orbits, Way, correct, inner, length, minus, times
+from jaxnh.orbits.arclength import FINE, CurveOrbits, Family, PathVector, correct, inner, length, minus, times
 from jaxnh.orbits.branches import COLLAPSED, Branch
 from jaxnh.orbits.kinds import BRANCH_POINT, FOLD, eigenvalues, kinds, tested
 
@@ -47,12 +47,12 @@ class Brackets(NamedTuple):
     branch: Int[np.ndarray, " some"]
     place: Int[np.ndarray, " some"]
     kind: Int[np.ndarray, " some"]
-    begun: Way
-    chord: Way
-    ways: tuple[Way, Way]
+    begun: PathVector
+    chord: PathVector
+    ways: tuple[PathVector, PathVector]
 
 
-class Located(NamedTuple):
+class BifurcationPoints(NamedTuple):
     """Zeros of test functions.
 
     Attributes:
@@ -68,7 +68,7 @@ class Located(NamedTuple):
     value: Float[np.ndarray, " some"]
     error: Float[np.ndarray, " some"]
     bend: Float[np.ndarray, " some"]
-    orbits: Orbits
+    orbits: CurveOrbits
     found: Bool[np.ndarray, " some"]
 
 
@@ -86,13 +86,15 @@ def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
         return None
     branch, place, kind = (np.array(column) for column in zip(*found, strict=True))
 
-    def at(step: int) -> tuple[Way, Way]:
+    def at(step: int) -> tuple[PathVector, PathVector]:
         rows = [(branches[b], i + step) for b, i, _ in found]
-        where = Way(np.stack([b.points[i] for b, i in rows]), np.array([b.value[i] for b, i in rows]))
-        return where, Way(np.stack([b.way.points[i] for b, i in rows]), np.array([b.way.value[i] for b, i in rows]))
+        where = PathVector(np.stack([b.points[i] for b, i in rows]), np.array([b.value[i] for b, i in rows]))
+        return where, PathVector(
+            np.stack([b.way.points[i] for b, i in rows]), np.array([b.way.value[i] for b, i in rows])
+        )
 
     (begun, first), (ended, second) = at(0), at(1)
-    chord = Way(ended.points - begun.points, ended.value - begun.value)
+    chord = PathVector(ended.points - begun.points, ended.value - begun.value)
     size = length(family, chord)
     return Brackets(branch, place, kind, begun, chord, (times(size, first), times(size, second)))
 
@@ -102,7 +104,7 @@ def locate(
     stretch: Brackets,
     centre: Float[np.ndarray, " some"] | None = None,
     half: float = 0.5,
-) -> Located:
+) -> BifurcationPoints:
     """The zeros in brackets, or near shares of their chords that are nearly known, as those of another map.
 
     Args:
@@ -115,7 +117,7 @@ def locate(
     centre, widths = np.full(some, 0.5) if centre is None else np.array(centre), np.full(some, half)
     none = np.full(some, np.nan)
     begun = _at(family, stretch, centre)
-    best = Located(centre.copy(), none, np.full(some, np.inf), np.zeros(some), begun, np.zeros(some, bool))
+    best = BifurcationPoints(centre.copy(), none, np.full(some, np.inf), np.zeros(some), begun, np.zeros(some, bool))
     sharp, open_ = np.full(some, np.inf), np.arange(some)
     for _ in range(_ROUNDS):
         part: Brackets = jax.tree.map(lambda leaf, o=open_: leaf[o], stretch)
@@ -145,7 +147,7 @@ def locate(
     return best._replace(orbits=orbits, found=best.found & at_root.converged)
 
 
-def neutral_pair(family: Family, orbits: Orbits) -> Bool[np.ndarray, " some"]:
+def neutral_pair(family: Family, orbits: CurveOrbits) -> Bool[np.ndarray, " some"]:
     """Whether two real multipliers of product one, or eigenvalues of sum zero, make the zero: no bifurcation."""
     nearest = critical(family, eigenvalues(family, orbits))
     off = np.abs(np.real(nearest)) if family.field else np.abs(np.abs(nearest) - 1.0)
@@ -163,7 +165,7 @@ def critical(family: Family, values: Complex[np.ndarray, "some d"]) -> Complex[n
     return np.where(np.isfinite(away.min(axis=1)), chosen, np.nan)
 
 
-def _at(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> Orbits:
+def _at(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> CurveOrbits:
     """The orbits of the curve in the hyperplanes across the chord at shares of it, from a cubic through both ends."""
     begun, chord, (first, second) = stretch.begun, stretch.chord, stretch.ways
     s, left = share, 1.0 - share
@@ -172,12 +174,12 @@ def _at(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) ->
     value = begun.value + sum(times(weight, way).value for weight, way in parts)
     # Onto the hyperplane: the cubic's own share of the chord is not quite the one asked for.
     size = inner(family, chord, chord)
-    gone = inner(family, Way(points - begun.points, value - begun.value), chord) / size
+    gone = inner(family, PathVector(points - begun.points, value - begun.value), chord) / size
     more = times(share - gone, chord)
     return correct(family, points + more.points, value + more.value, times(1.0 / np.sqrt(size), chord), FINE)
 
 
-def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> Orbits:
+def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> CurveOrbits:
     """The orbits at roots; where another branch crosses, from those beside: there Newton's equations are singular."""
     found = _at(family, stretch, share)
     cross = np.flatnonzero(stretch.kind == BRANCH_POINT)
@@ -198,13 +200,13 @@ def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some
 
 
 def _told_apart(
-    family: Family, stretch: Brackets, share: Float[np.ndarray, " some"], orbits: Orbits
-) -> tuple[Way, Way]:
+    family: Family, stretch: Brackets, share: Float[np.ndarray, " some"], orbits: CurveOrbits
+) -> tuple[PathVector, PathVector]:
     """Directions of the curve itself, and of one that crosses it: linear equations do not know which is which."""
     s, left, (first, second) = share, 1.0 - share, stretch.ways
     parts = (6.0 * s * left, stretch.chord), (left * (1.0 - 3.0 * s), first), (s * (3.0 * s - 2.0), second)
     ways = [times(weight, way) for weight, way in parts]
-    along = Way(np.sum([way.points for way in ways], axis=0), np.sum([way.value for way in ways], axis=0))
+    along = PathVector(np.sum([way.points for way in ways], axis=0), np.sum([way.value for way in ways], axis=0))
     one, other = orbits.way, orbits.other_way
     a, b = inner(family, along, one), inner(family, along, other)
     size = np.hypot(a, b)
@@ -214,7 +216,7 @@ def _told_apart(
     return minus(times(a, one), -b, other), minus(times(a, other), b, one)
 
 
-def _own_test(family: Family, nodes: Orbits, kind: Int[np.ndarray, " nodes"]) -> Float[np.ndarray, " nodes"]:
+def _own_test(family: Family, nodes: CurveOrbits, kind: Int[np.ndarray, " nodes"]) -> Float[np.ndarray, " nodes"]:
     """Of each node the test function of its kind, not a number where there is no orbit."""
     column = np.array([kinds(family).index(k) for k in kind.tolist()], int)
     with np.errstate(all="ignore"):

@@ -14,7 +14,17 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from jaxnh.orbits.arclength import Family, Orbits, Way, along_parameter, correct, inner, length, minus, times
+from jaxnh.orbits.arclength import (
+    CurveOrbits,
+    Family,
+    PathVector,
+    along_parameter,
+    correct,
+    inner,
+    length,
+    minus,
+    times,
+)
 from jaxnh.orbits.kinds import eigenvalues, odd, tested
 
 ENDS = ("start", "range", "collapsed", "closed", "no_convergence", "most_points", "unbounded")
@@ -36,7 +46,7 @@ _SAME = 1e-6  # sizes: an orbit this near to one of a shorter period is that one
 _LEAST_LOOP = 8  # points of a closed branch
 
 
-class Steps(NamedTuple):
+class StepControl(NamedTuple):
     """How branches are followed.
 
     Attributes:
@@ -48,11 +58,11 @@ class Steps(NamedTuple):
     most: int = 2000
 
 
-STEPS = Steps()
+STEPS = StepControl()
 """As they are where nothing is said."""
 
 
-_Leaves = TypeVar("_Leaves", Orbits, Way)
+_Leaves = TypeVar("_Leaves", CurveOrbits, PathVector)
 
 Wanted = Callable[[Sequence["Branch"], int], bool]
 """Whether the orbit of a number is still to be followed, with the branches that are whole by now."""
@@ -74,7 +84,7 @@ class Branch:
 
     points: Float[np.ndarray, "k n d"]
     value: Float[np.ndarray, " k"]
-    way: Way
+    way: PathVector
     tests: Float[np.ndarray, "k kinds"]
     multipliers: Complex[np.ndarray, "k d"]
     residual: Float[np.ndarray, " k"]
@@ -91,7 +101,7 @@ class Branch:
 
     def reversed(self, odd: Bool[np.ndarray, " kinds"]) -> Branch:
         """The branch from its end, with test functions that change sign with the direction (`odd`)."""
-        way = Way(-self.way.points[::-1], -self.way.value[::-1])
+        way = PathVector(-self.way.points[::-1], -self.way.value[::-1])
         tests = np.where(odd, -self.tests, self.tests)[::-1]
         back = (self.points[::-1], self.value[::-1], way, tests, self.multipliers[::-1], self.residual[::-1])
         return Branch(*back, ends=(self.ends[1], self.ends[0]))
@@ -105,7 +115,7 @@ class Branch:
         return Branch(
             both(self.points, other.points),
             both(self.value, other.value),
-            Way(both(self.way.points, other.way.points), both(self.way.value, other.way.value)),
+            PathVector(both(self.way.points, other.way.points), both(self.way.value, other.way.value)),
             both(self.tests, other.tests),
             both(self.multipliers, other.multipliers),
             both(self.residual, other.residual),
@@ -114,7 +124,11 @@ class Branch:
 
 
 def both_ways(
-    family: Family, begun: Orbits, steps: Steps = STEPS, wanted: Wanted | None = None, at_once: int | None = None
+    family: Family,
+    begun: CurveOrbits,
+    steps: StepControl = STEPS,
+    wanted: Wanted | None = None,
+    at_once: int | None = None,
 ) -> dict[int, Branch]:
     """The branches through orbits, from one end to the other, by the orbits' numbers; of a closed one the loop.
 
@@ -130,7 +144,7 @@ def both_ways(
         at_once: how many are followed at a time, by default all.
     """
     count = len(begun.value)
-    back = begun._replace(way=Way(-begun.way.points, -begun.way.value), crossing=-begun.crossing)
+    back = begun._replace(way=PathVector(-begun.way.points, -begun.way.value), crossing=-begun.crossing)
     course = _Course(family, jax.tree.map(lambda *leaves: np.concatenate(leaves), begun, back), steps)
     found, turn, followed = dict[int, Branch](), 0, 0
     while turn < count or len(course.open_):
@@ -159,7 +173,7 @@ class _Course:
         open_: numbers of the lanes that are on their way.
     """
 
-    def __init__(self, family: Family, begun: Orbits, steps: Steps) -> None:
+    def __init__(self, family: Family, begun: CurveOrbits, steps: StepControl) -> None:
         lanes = len(begun.value)
         self._family, self._begun, self._steps = family, begun, steps
         self.open_ = np.arange(0)
@@ -220,7 +234,7 @@ class _Course:
         whole: _Points = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
         return Branch(*whole, ends=(START, int(self._end[lane])))
 
-    def _keep(self, lanes: Int[np.ndarray, " some"], orbits: Orbits) -> None:
+    def _keep(self, lanes: Int[np.ndarray, " some"], orbits: CurveOrbits) -> None:
         """Have points of lanes in their rows."""
         family = self._family
         tests, multipliers = tested(family, orbits), eigenvalues(family, orbits)
@@ -235,14 +249,14 @@ class _Points(NamedTuple):
 
     points: np.ndarray
     value: np.ndarray
-    way: Way
+    way: PathVector
     tests: np.ndarray
     multipliers: np.ndarray
     residual: np.ndarray
 
     def of_lane(self, i: int) -> _Points:
         """What belongs to one of several lanes."""
-        way = Way(self.way.points[i], self.way.value[i])
+        way = PathVector(self.way.points[i], self.way.value[i])
         return _Points(self.points[i], self.value[i], way, self.tests[i], self.multipliers[i], self.residual[i])
 
 
@@ -251,8 +265,8 @@ def _both(one: _Leaves, more: _Leaves) -> _Leaves:
 
 
 def _stepped(
-    family: Family, now: Orbits, bend: Way, size: Float[np.ndarray, " lanes"]
-) -> tuple[Orbits, Float[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
+    family: Family, now: CurveOrbits, bend: PathVector, size: Float[np.ndarray, " lanes"]
+) -> tuple[CurveOrbits, Float[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
     """Orbits a step further, the lengths of the steps, and whether they end where the range does.
 
     The guess is of second order, with the direction's change over the step before (`bend`): where the map expands much,
@@ -268,7 +282,7 @@ def _stepped(
     value = np.where(at_end, edge, ahead + more.value)
     straight = along_parameter(family, len(value), now.points.shape[1])
     sign = np.where(now.way.value < 0.0, -1.0, 1.0)
-    across = Way(
+    across = PathVector(
         np.where(at_end[:, None, None], straight.points, now.way.points),
         np.where(at_end, sign * straight.value, now.way.value),
     )
@@ -280,17 +294,17 @@ def _gap(points: np.ndarray) -> np.ndarray:
     return points - np.roll(points, points.shape[1] // 2, 1)
 
 
-def _room(family: Family, now: Orbits) -> Float[np.ndarray, " lanes"]:
+def _room(family: Family, now: CurveOrbits) -> Float[np.ndarray, " lanes"]:
     """Largest steps of orbits that have just been born in a doubling: half of what they are apart from its orbit."""
     none = np.zeros(len(now.value))
     if now.points.shape[1] % 2:
         return none + np.inf
-    gap, change = (Way(leaf, none) for leaf in (family.wrap(_gap(now.points)), _gap(now.way.points)))
+    gap, change = (PathVector(leaf, none) for leaf in (family.wrap(_gap(now.points)), _gap(now.way.points)))
     return np.where(inner(family, gap, change) > 0.0, 0.5 * length(family, gap), np.inf)
 
 
 def _collapses(
-    family: Family, now: Orbits, taken: Orbits
+    family: Family, now: CurveOrbits, taken: CurveOrbits
 ) -> tuple[Bool[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
     """Whether orbits are, or have been on the way, ones of a shorter period; and whether they still are.
 
@@ -300,20 +314,20 @@ def _collapses(
     found, merged = np.zeros((2, len(now.value)), bool)
     none = np.zeros(len(found))
     for m in (n // q for q in range(2, n + 1) if n % q == 0 and all(q % r for r in range(2, q))):
-        before, after = (Way(family.wrap(o.points - np.roll(o.points, -m, 1)), none) for o in (now, taken))
+        before, after = (PathVector(family.wrap(o.points - np.roll(o.points, -m, 1)), none) for o in (now, taken))
         merged |= length(family, after) < _SAME
         found |= merged | (inner(family, before, after) <= 0.0)
     return found, merged
 
 
 def _passes(
-    family: Family, begun: Orbits, now: Orbits, taken: Orbits, near: Float[np.ndarray, " lanes"]
+    family: Family, begun: CurveOrbits, now: CurveOrbits, taken: CurveOrbits, near: Float[np.ndarray, " lanes"]
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether a step passes the orbit that its branch has begun with, whichever of its points comes first."""
     found = np.zeros(len(now.value), bool)
     for m in range(now.points.shape[1]):
-        points, way = np.roll(begun.points, m, 1), Way(np.roll(begun.way.points, m, 1), begun.way.value)
-        before, after = (Way(family.wrap(o.points - points), o.value - begun.value) for o in (now, taken))
+        points, way = np.roll(begun.points, m, 1), PathVector(np.roll(begun.way.points, m, 1), begun.way.value)
+        before, after = (PathVector(family.wrap(o.points - points), o.value - begun.value) for o in (now, taken))
         passed = (inner(family, before, way) < 0.0) & (inner(family, after, way) >= 0.0)
         found |= passed & (length(family, after) <= near)
     return found
@@ -328,5 +342,5 @@ def _chosen(which: Bool[np.ndarray, " lanes"], one: _Leaves, other: _Leaves) -> 
     return jax.tree.map(leaf, one, other)
 
 
-def _taken(way: Way, lanes: Bool[np.ndarray, " lanes"]) -> Way:
-    return Way(way.points[lanes], way.value[lanes])
+def _taken(way: PathVector, lanes: Bool[np.ndarray, " lanes"]) -> PathVector:
+    return PathVector(way.points[lanes], way.value[lanes])

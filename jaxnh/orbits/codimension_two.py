@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.arclength import Family, Orbits, Way
+from jaxnh.orbits.arclength import CurveOrbits, Family, PathVector
 from jaxnh.orbits.bifurcations import critical
-from jaxnh.orbits.curves import Curve, Plane, Points, angle_cosine, correct, known, tested
+from jaxnh.orbits.curves import Curve, CurvePoints, ParameterPlane, angle_cosine, correct, known, tested
 from jaxnh.orbits.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.orbits.multipliers import multipliers
 from jaxnh.orbits.normal_forms import cubic
@@ -59,7 +59,7 @@ class Special(NamedTuple):
     multipliers: Complex[np.ndarray, " d"]
 
 
-def special_points(plane: Plane, curve: Curve) -> list[Special]:
+def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
     """All that a curve passes through, in its order."""
     found = list[Special]()
     for kind, test in _tests(plane, curve.kind).items():
@@ -79,7 +79,7 @@ def special_points(plane: Plane, curve: Curve) -> list[Special]:
         ways = curve.track.way[:, -2:]
         for place in np.flatnonzero(np.sum(ways[1:] * ways[:-1], axis=1) < 0.0).tolist():
 
-            def forward(track: Points, first: np.ndarray = ways[place]) -> np.ndarray:
+            def forward(track: CurvePoints, first: np.ndarray = ways[place]) -> np.ndarray:
                 return track.way[:, -2:] @ first
 
             ends = float(ways[place] @ ways[place]), float(ways[place + 1] @ ways[place])
@@ -88,23 +88,23 @@ def special_points(plane: Plane, curve: Curve) -> list[Special]:
     return sorted(found, key=lambda point: point.place)
 
 
-def _special(plane: Plane, kind: int, place: int, at: Points) -> Special:
+def _special(plane: ParameterPlane, kind: int, place: int, at: CurvePoints) -> Special:
     points, values = known(plane, at.z)
     return Special(kind, values[0], place, points[0], multipliers(at.blocks)[0])
 
 
-def _tests(plane: Plane, kind: int) -> dict[int, Callable[[Points], Float[np.ndarray, " lanes"]]]:
+def _tests(plane: ParameterPlane, kind: int) -> dict[int, Callable[[CurvePoints], Float[np.ndarray, " lanes"]]]:
     """Test functions by what they show, on curves of a kind."""
     if kind == NEIMARK_SACKER:
 
-        def to_cosine(cosine: float) -> Callable[[Points], np.ndarray]:
+        def to_cosine(cosine: float) -> Callable[[CurvePoints], np.ndarray]:
             return lambda track: angle_cosine(multipliers(track.blocks)) - cosine
 
         found = {point: to_cosine(cosine) for point, cosine in _COSINES.items()}
         return {CHENCINER: lambda track: _cubic(plane, kind, track), **found}
     critical = 1.0 if kind == FOLD else -1.0
     other, resonance = (DOUBLING, ONE_ONE) if kind == FOLD else (FOLD, ONE_TWO)
-    found: dict[int, Callable[[Points], np.ndarray]] = {
+    found: dict[int, Callable[[CurvePoints], np.ndarray]] = {
         FOLD_FLIP: lambda track: tested(other, track.blocks),
         resonance: lambda track: _others(multipliers(track.blocks), critical),
     }
@@ -121,7 +121,7 @@ def _others(values: Complex[np.ndarray, "lanes d"], critical: float) -> Float[np
     return np.real(np.prod(apart, axis=1))
 
 
-def _turning(track: Points) -> Float[np.ndarray, " lanes"]:
+def _turning(track: CurvePoints) -> Float[np.ndarray, " lanes"]:
     """In two dimensions, which way M turns: zero where M is ±1, which a symmetry can bring about on a curve.
 
     There e^(±iθ) pass −1 or 1 and stay on the circle: cos θ has an extremum, and goes through nothing.
@@ -132,7 +132,7 @@ def _turning(track: Points) -> Float[np.ndarray, " lanes"]:
     return whole[:, 1, 0] - whole[:, 0, 1]
 
 
-def _cubic(plane: Plane, kind: int, track: Points) -> Float[np.ndarray, " lanes"]:
+def _cubic(plane: ParameterPlane, kind: int, track: CurvePoints) -> Float[np.ndarray, " lanes"]:
     """The cubic coefficient of the normal form of each point, over its own number in place of a parameter."""
     points, values = known(plane, track.z)
     lanes, n, d = points.shape
@@ -140,8 +140,10 @@ def _cubic(plane: Plane, kind: int, track: Points) -> Float[np.ndarray, " lanes"
     def period(u: np.ndarray, number: np.ndarray) -> Derivatives:
         return plane.period(u, values[number.astype(int)])
 
-    none, way = np.zeros(lanes), Way(np.zeros((lanes, n, d)), np.zeros(lanes))
-    orbits = Orbits(points, np.arange(lanes, dtype=float), way, track.blocks, none, none, none, track.converged, way)
+    none, way = np.zeros(lanes), PathVector(np.zeros((lanes, n, d)), np.zeros(lanes))
+    orbits = CurveOrbits(
+        points, np.arange(lanes, dtype=float), way, track.blocks, none, none, none, track.converged, way
+    )
     family = Family(period, plane.wrap, plane.size, 0.0, float(max(lanes, 1)))
     found, some = np.full(lanes, np.nan), np.arange(lanes)
     if kind == NEIMARK_SACKER:  # beyond strong resonances there are no complex multipliers
@@ -152,15 +154,19 @@ def _cubic(plane: Plane, kind: int, track: Points) -> Float[np.ndarray, " lanes"
 
 
 def _located(
-    plane: Plane, curve: Curve, test: Callable[[Points], np.ndarray], place: int, ends: tuple[float, float]
-) -> Points | None:
+    plane: ParameterPlane,
+    curve: Curve,
+    test: Callable[[CurvePoints], np.ndarray],
+    place: int,
+    ends: tuple[float, float],
+) -> CurvePoints | None:
     """The point of a curve between two of its own where a test function is zero; None where it is infinite."""
     track = curve.track.take(slice(place, place + 2))
     chord = track.z[1:] - track.z[:1]
     length = np.linalg.norm(chord, axis=1, keepdims=True)
     first, second = (length * track.way[k : k + 1] for k in (0, 1))
 
-    def at(s: float) -> Points:
+    def at(s: float) -> CurvePoints:
         left = 1.0 - s
         z = track.z[:1] + s * s * (3.0 - 2.0 * s) * chord + s * left**2 * first - s * s * left * second
         z += (s - np.sum((z - track.z[:1]) * chord) / np.sum(chord**2)) * chord  # onto the hyperplane of the share
@@ -168,7 +174,7 @@ def _located(
 
     (low, high), (below, above) = (0.0, 1.0), ends
     value, before = ends[0], 0
-    here: Points | None = None
+    here: CurvePoints | None = None
     for _ in range(_SECANTS):
         s = (low * above - high * below) / (above - below)
         here = at(s)

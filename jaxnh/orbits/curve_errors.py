@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.orbits.codimension_two import Special, special_points
-from jaxnh.orbits.curves import Curve, Plane, correct, known
+from jaxnh.orbits.curves import Curve, ParameterPlane, correct, known
 from jaxnh.orbits.multipliers import multipliers
 
 
-def finer(plane: Plane, curve: Curve) -> Curve:
+def finer(plane: ParameterPlane, curve: Curve) -> Curve:
     """The curve of a finer map: of each point the one in the hyperplane across the curve, NaN where there is none."""
     track = correct(plane, curve.kind, curve.track.z, curve.track.way)
     track.z[~track.converged] = np.nan
@@ -33,7 +33,9 @@ def errors_of_points(curve: Curve, others: Sequence[Curve]) -> Float[np.ndarray,
     return _error(curve.values, *(other.values for other in others))
 
 
-def errors_of_special(planes: Sequence[Plane], others: Sequence[Curve], point: Special) -> Float[np.ndarray, " 2"]:
+def errors_of_special(
+    planes: Sequence[ParameterPlane], others: Sequence[Curve], point: Special
+) -> Float[np.ndarray, " 2"]:
     """Errors of both parameters at a point of codimension two, NaN where it is not on the curves of finer maps.
 
     Args:

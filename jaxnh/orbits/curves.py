@@ -46,7 +46,7 @@ class PeriodAndParameters(Protocol):
         ...
 
 
-class Plane(NamedTuple):
+class ParameterPlane(NamedTuple):
     """A map over a plane of two parameters, and what is large there.
 
     Attributes:
@@ -67,7 +67,7 @@ class Plane(NamedTuple):
         return np.concatenate([np.tile(self.size, n) * np.sqrt(n), self.high - self.low])
 
 
-class Points(NamedTuple):
+class CurvePoints(NamedTuple):
     """Points on curves, a lane each.
 
     Attributes:
@@ -84,9 +84,9 @@ class Points(NamedTuple):
     missed: Float[np.ndarray, " lanes"]
     converged: Bool[np.ndarray, " lanes"]
 
-    def take(self, lanes: Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"] | slice) -> Points:
+    def take(self, lanes: Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"] | slice) -> CurvePoints:
         """Those of some lanes."""
-        return Points(*(leaf[lanes] for leaf in self))
+        return CurvePoints(*(leaf[lanes] for leaf in self))
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Curve:
     kind: int
     points: Float[np.ndarray, "k n d"]
     values: Float[np.ndarray, "k 2"]
-    track: Points
+    track: CurvePoints
     multipliers: Complex[np.ndarray, "k d"]
     ends: tuple[int, int]
 
@@ -135,14 +135,14 @@ def tested(kind: int, blocks: Float[np.ndarray, "lanes n d d"]) -> Float[np.ndar
 
 
 def unknowns(
-    plane: Plane, points: Float[np.ndarray, "lanes n d"], values: Float[np.ndarray, "lanes 2"]
+    plane: ParameterPlane, points: Float[np.ndarray, "lanes n d"], values: Float[np.ndarray, "lanes 2"]
 ) -> Float[np.ndarray, "lanes N"]:
     """Orbits and parameters as unknowns in their units."""
     lanes, n, _ = points.shape
     return np.concatenate([points.reshape(lanes, -1), values], axis=1) / plane.unit(n)
 
 
-def known(plane: Plane, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray]:
+def known(plane: ParameterPlane, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray]:
     """Orbits (lanes, n, d) and parameters (lanes, 2) of unknowns."""
     d = len(plane.size)
     n = (z.shape[1] - 2) // d
@@ -151,12 +151,12 @@ def known(plane: Plane, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np
 
 
 def correct(
-    plane: Plane,
+    plane: ParameterPlane,
     kind: int,
     z: Float[np.ndarray, "lanes N"],
     across: Float[np.ndarray, "lanes N"] | None = None,
     near: Float[np.ndarray, " lanes"] | float = 0.0,
-) -> Points:
+) -> CurvePoints:
     """The points of curves nearest to guesses in the hyperplanes across ways; directions have a share along these.
 
     Args:
@@ -169,7 +169,7 @@ def correct(
     lanes, size = z.shape
     d = len(plane.size)
     n = (size - 2) // d
-    found = Points(
+    found = CurvePoints(
         z.copy(),
         np.full_like(z, np.nan),
         np.full((lanes, n, d, d), np.nan),
@@ -199,11 +199,13 @@ def correct(
     return found
 
 
-def follow(plane: Plane, kind: int, begun: Points, largest: float = 0.02, most: int = 500) -> list[tuple[Points, int]]:
+def follow(
+    plane: ParameterPlane, kind: int, begun: CurvePoints, largest: float = 0.02, most: int = 500
+) -> list[tuple[CurvePoints, int]]:
     """The curves on from points in the directions of their ways: their points, and why they end, numbers in `ENDS`."""
     lanes = len(begun.z)
     history, end = [[begun.take(slice(k, k + 1))] for k in range(lanes)], np.full(lanes, MOST_POINTS)
-    now = Points(*map(np.copy, begun))  # it changes in place, and the first points of histories do not
+    now = CurvePoints(*map(np.copy, begun))  # it changes in place, and the first points of histories do not
     size, open_ = np.full(lanes, _FIRST * largest), np.arange(lanes)
     while len(open_):
         step = size[open_]
@@ -235,12 +237,12 @@ def follow(plane: Plane, kind: int, begun: Points, largest: float = 0.02, most: 
         for leaf, new in zip(now, taken, strict=True):
             leaf[good] = new[good]
         now, open_ = now.take(~done), open_[~done]
-    joined = [Points(*map(np.concatenate, zip(*part, strict=True))) for part in history]
+    joined = [CurvePoints(*map(np.concatenate, zip(*part, strict=True))) for part in history]
     return list(zip(joined, end.tolist(), strict=True))
 
 
 def both_ways(
-    plane: Plane,
+    plane: ParameterPlane,
     kind: int,
     points: Float[np.ndarray, "lanes n d"],
     values: Float[np.ndarray, "lanes 2"],
@@ -253,7 +255,7 @@ def both_ways(
     begun = found.take(found.converged)
     lanes = len(begun.z)
     back = begun._replace(way=-begun.way)
-    twice = Points(*(np.concatenate(leaves) for leaves in zip(begun, back, strict=True)))
+    twice = CurvePoints(*(np.concatenate(leaves) for leaves in zip(begun, back, strict=True)))
     halves = follow(plane, kind, twice, largest, most)
     curves = list[Curve | None]([None] * len(z))
     for k, (ahead, end), (behind, start) in zip(
@@ -261,9 +263,9 @@ def both_ways(
     ):
         track = ahead
         if end != CLOSED:
-            turned = Points(*(leaf[:0:-1] for leaf in behind))
+            turned = CurvePoints(*(leaf[:0:-1] for leaf in behind))
             turned = turned._replace(way=-turned.way)
-            track = Points(*(np.concatenate(leaves) for leaves in zip(turned, ahead, strict=True)))
+            track = CurvePoints(*(np.concatenate(leaves) for leaves in zip(turned, ahead, strict=True)))
         orbits, both = known(plane, track.z)
         ends = (CLOSED, CLOSED) if end == CLOSED else (start, end)
         curves[k] = Curve(kind, orbits, both, track, multipliers(track.blocks), ends)
@@ -283,7 +285,7 @@ def angle_cosine(values: Complex[np.ndarray, "lanes d"]) -> Float[np.ndarray, " 
 
 
 def _equations(
-    plane: Plane, kind: int, z: Float[np.ndarray, "lanes N"]
+    plane: ParameterPlane, kind: int, z: Float[np.ndarray, "lanes N"]
 ) -> tuple[Float[np.ndarray, "lanes rows"], Float[np.ndarray, "lanes rows N"], Float[np.ndarray, "lanes n d d"]]:
     """What the orbit and the test function miss, derivatives of both in the unknowns, and ∂P/∂u, all in their units."""
     (points, values), lanes = known(plane, z), len(z)
@@ -320,7 +322,9 @@ def _finite_test(kind: int, blocks: np.ndarray) -> np.ndarray:
     return np.where(finite, tested(kind, np.where(finite[:, None, None, None], blocks, 0.0)), np.nan)
 
 
-def _periods(plane: Plane, points: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _periods(
+    plane: ParameterPlane, points: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """P(u), and in units of sizes and widths ∂P/∂u and ∂P/∂(both parameters), at all points of orbits."""
     lanes, n, d = points.shape
     image, matrix, column = plane.period(points.reshape(-1, d), np.repeat(values, n, axis=0))
@@ -346,17 +350,17 @@ def _solved(missing: np.ndarray, slopes: np.ndarray, across: np.ndarray | None) 
 # ---- ends
 
 
-def _outside(plane: Plane, z: np.ndarray) -> Bool[np.ndarray, " lanes"]:
+def _outside(plane: ParameterPlane, z: np.ndarray) -> Bool[np.ndarray, " lanes"]:
     return np.any(_beyond(plane, z), axis=1)
 
 
-def _beyond(plane: Plane, z: np.ndarray) -> Bool[np.ndarray, "lanes 2"]:
+def _beyond(plane: ParameterPlane, z: np.ndarray) -> Bool[np.ndarray, "lanes 2"]:
     """Which of the two parameters are out of their ranges."""
     unit = plane.high - plane.low
     return (z[:, -2:] < plane.low / unit) | (z[:, -2:] > plane.high / unit)
 
 
-def _at_edge(plane: Plane, kind: int, now: Points, taken: Points) -> Points:
+def _at_edge(plane: ParameterPlane, kind: int, now: CurvePoints, taken: CurvePoints) -> CurvePoints:
     """Points where curves leave the plane of parameters, between two points of theirs."""
     unit = plane.high - plane.low
     gone = taken.z - now.z
@@ -376,7 +380,12 @@ def _at_edge(plane: Plane, kind: int, now: Points, taken: Points) -> Points:
 
 
 def _ended(
-    plane: Plane, kind: int, histories: list[list[Points]], now: Points, taken: Points, step: np.ndarray
+    plane: ParameterPlane,
+    kind: int,
+    histories: list[list[CurvePoints]],
+    now: CurvePoints,
+    taken: CurvePoints,
+    step: np.ndarray,
 ) -> dict[int, Bool[np.ndarray, " lanes"]]:
     """Which curves have come back to where they began, to orbits of half the period, or to real multipliers."""
     begun = np.concatenate([history[0].z for history in histories])

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numpy.polynomial import polynomial
 
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.shooting import Orbits, Period, Wrap, close_orbits
+from jaxnh.orbits.shooting import Period, ShootingOrbits, Wrap, close_orbits
 from jaxnh.systems.particle import wrap as planar_wrap
 
 FEIGENBAUM = 4.669201609102990
@@ -53,7 +53,7 @@ class DoublingPoint(NamedTuple):
     slope: float
 
 
-class Branch(NamedTuple):
+class DoublingBranch(NamedTuple):
     """Orbits at neighbouring values of the parameter, with a doubling among them or near.
 
     Attributes:
@@ -70,7 +70,7 @@ class Branch(NamedTuple):
 
 def follow_branch(
     period: Period, points: Float[np.ndarray, "n d"], start: float, stop: float, wrap: Wrap = planar_wrap
-) -> Branch | None:
+) -> DoublingBranch | None:
     """The branch of a stable orbit from one value of the parameter on to where it has doubled; None: not before `stop`.
 
     Args:
@@ -84,7 +84,7 @@ def follow_branch(
         return None
     values, known, reach = np.array([start]), orbit.points, stop - start
     if doubling_function(orbit)[0] <= 0.0:  # at the doubling, as far as the survey could tell
-        return Branch(values, known, start, abs(reach) / _NARROWER)
+        return DoublingBranch(values, known, start, abs(reach) / _NARROWER)
     for _ in range(_MOST_STEPS):
         if abs(reach) <= _SMALLEST_STEP * abs(stop - start) or values[-1] == stop:
             break
@@ -101,16 +101,16 @@ def follow_branch(
             reach /= _AHEAD
             continue
         values, known = np.append(values, ahead[:count]), np.concatenate([known, orbits.points[:count]])
-        beyond = np.flatnonzero(doubling_function(Orbits(*(leaf[:count] for leaf in orbits))) <= 0.0)
+        beyond = np.flatnonzero(doubling_function(ShootingOrbits(*(leaf[:count] for leaf in orbits))) <= 0.0)
         if len(beyond):
             last = len(values) - count + int(beyond[0])
             low, high = values[last - 1], values[last]
-            return Branch(values, known, float(0.5 * (low + high)), float(0.5 * abs(high - low)))
+            return DoublingBranch(values, known, float(0.5 * (low + high)), float(0.5 * abs(high - low)))
         reach *= 2.0 if count == _AHEAD else 0.5
     return None
 
 
-def doubling_point(period: Period, branch: Branch, wrap: Wrap = planar_wrap) -> DoublingPoint | None:
+def doubling_point(period: Period, branch: DoublingBranch, wrap: Wrap = planar_wrap) -> DoublingPoint | None:
     """The doubling on a branch; None where it is not there.
 
     Rounds of nodes narrow about the root of the round before, until the error falls no more: rounding is reached.
@@ -143,7 +143,7 @@ def doubling_point(period: Period, branch: Branch, wrap: Wrap = planar_wrap) -> 
         if not there.converged[0] or (found is not None and not error < 0.25 * found.error):
             return found
         narrower = branch.half / (_NARROWER if abs(root) <= 1.0 else 1.0)
-        branch = Branch(nodes, orbits.points, value, narrower)
+        branch = DoublingBranch(nodes, orbits.points, value, narrower)
         found = DoublingPoint(value, there.points[0], cyclic.null_vector(_reversed(there))[0], error, slope)
     return found
 
@@ -168,7 +168,7 @@ def moved_doubling(period: Period, point: DoublingPoint, wrap: Wrap = planar_wra
     return None
 
 
-def doubling_function(orbits: Orbits) -> Float[np.ndarray, " nodes"]:
+def doubling_function(orbits: ShootingOrbits) -> Float[np.ndarray, " nodes"]:
     """det(M + 1) of every orbit, M = M_{n−1}…M_0: positive where it is stable, negative once it has doubled."""
     return cyclic.determinant(_reversed(orbits))
 
@@ -178,7 +178,7 @@ def halves(points: Float[np.ndarray, "... n d"], wrap: Wrap) -> Float[np.ndarray
     return wrap(points - np.roll(points, points.shape[-2] // 2, axis=-2))
 
 
-def _reversed(orbits: Orbits) -> cyclic.Cyclic:
+def _reversed(orbits: ShootingOrbits) -> cyclic.Cyclic:
     """The equations M_i w_i = w_{i+1} around each orbit with w_n = −w_0."""
     there = np.zeros_like(orbits.blocks)
     there[:] = -np.eye(orbits.blocks.shape[-1])

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.arclength import Family, Orbits
+from jaxnh.orbits.arclength import CurveOrbits, Family
 from jaxnh.orbits.multipliers import multipliers
 
 KINDS = ("fold", "period_doubling", "neimark_sacker", "branch_point", "hopf")
@@ -36,7 +36,7 @@ def odd(family: Family) -> Bool[np.ndarray, " kinds"]:
     return np.isin(kinds(family), (FOLD, BRANCH_POINT))
 
 
-def tested(family: Family, orbits: Orbits) -> Float[np.ndarray, "lanes kinds"]:
+def tested(family: Family, orbits: CurveOrbits) -> Float[np.ndarray, "lanes kinds"]:
     """The test function of every kind, of each orbit."""
     own = {
         FOLD: lambda: orbits.way.value / family.width,
@@ -72,7 +72,7 @@ def additive_compound(matrices: Float[np.ndarray, "... d d"]) -> Float[np.ndarra
     return second_compound(matrices + one) - second_compound(matrices) - second_compound(one)
 
 
-def eigenvalues(family: Family, orbits: Orbits) -> Complex[np.ndarray, "lanes d"]:
+def eigenvalues(family: Family, orbits: CurveOrbits) -> Complex[np.ndarray, "lanes d"]:
     """Multipliers of orbits, largest modulus first; of equilibria the eigenvalues, largest real part first."""
     if not family.field:
         return multipliers(orbits.blocks)

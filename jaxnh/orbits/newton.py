@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.of_lane import of_lane
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.elimination import eliminate
 from jaxnh.systems.flow import Parameters
 
@@ -48,7 +48,7 @@ class Orbit(NamedTuple):
     steps: Any
 
 
-class Look(NamedTuple):
+class NewtonStep(NamedTuple):
     """What a step of Newton on Pⁿ(u) = u rests on, at a point of one lane.
 
     Attributes:
@@ -63,8 +63,8 @@ class Look(NamedTuple):
 
 
 def look(
-    strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
-) -> Look:
+    strobe: ReturnMap, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
+) -> NewtonStep:
     """The residual of Pⁿ at u of shape (d,), and Newton's step from there; n may be traced.
 
     Args:
@@ -74,11 +74,12 @@ def look(
     image, monodromy, _ = derivatives(strobe, n, u, p)
     step = solve(monodromy - one, wrap(u - image))
     step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(_in(size, jnp.abs(step))))
-    return Look(jnp.max(_in(size, jnp.abs(wrap(image - u)))), monodromy, step)
+    return NewtonStep(jnp.max(_in(size, jnp.abs(wrap(image - u)))), monodromy, step)
 
 
 def find_orbits(
-    look_at: Callable[[Float[np.ndarray, "some d"], Int[np.ndarray, " some"]], Look], u: Float[np.ndarray, "lanes d"]
+    look_at: Callable[[Float[np.ndarray, "some d"], Int[np.ndarray, " some"]], NewtonStep],
+    u: Float[np.ndarray, "lanes d"],
 ) -> Orbit:
     """Newton on Pⁿ(u; p) = u for many lanes at once, from their points u; lanes that are done wait for no others.
 
@@ -115,7 +116,7 @@ class _Branches(NamedTuple):
 
 
 def find_doubled(
-    strobe: Strobe, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
+    strobe: ReturnMap, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
 ) -> Orbit:
     """An orbit of period 2n near the doubling that it was born in, from a point of it that `find_orbits` has found.
 
@@ -174,7 +175,7 @@ def find_doubled(
 
 
 def _along(
-    strobe: Strobe, n: ArrayLike, m: Array, way: Array, p: Parameters, size: Float[Array, " d"] | float
+    strobe: ReturnMap, n: ArrayLike, m: Array, way: Array, p: Parameters, size: Float[Array, " d"] | float
 ) -> tuple[Array, Array]:
     """Pⁿ and ∂Pⁿ/∂u at the nodes of the line from m − way to m + way: (5, d) and (5, d, d).
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.arclength import Family, Orbits, Way, length
+from jaxnh.orbits.arclength import CurveOrbits, Family, PathVector, length
 from jaxnh.orbits.bifurcations import critical
 from jaxnh.orbits.kinds import BRANCH_POINT, DOUBLING, FOLD, eigenvalues
 
@@ -46,7 +46,7 @@ class Cubic(NamedTuple):
     vectors: Complex[np.ndarray, "some n d"]
 
 
-def cubic(family: Family, orbits: Orbits, kind: Int[np.ndarray, " some"]) -> Cubic:
+def cubic(family: Family, orbits: CurveOrbits, kind: Int[np.ndarray, " some"]) -> Cubic:
     """The cubic coefficient of bifurcations of these kinds (numbers in `KINDS`)."""
     none = np.full(len(kind), np.nan)
     found = Cubic(none, none.copy(), np.zeros(len(kind), int), np.zeros(orbits.points.shape, complex))
@@ -70,15 +70,15 @@ def cubic(family: Family, orbits: Orbits, kind: Int[np.ndarray, " some"]) -> Cub
     return found
 
 
-def _normal(family: Family, orbits: Orbits, q: Complex[np.ndarray, "some n d"]) -> Complex[np.ndarray, "some n d"]:
+def _normal(family: Family, orbits: CurveOrbits, q: Complex[np.ndarray, "some n d"]) -> Complex[np.ndarray, "some n d"]:
     """Vectors of length one."""
     none = np.zeros(len(q))
-    parts = (length(family, Way(part * family.size, none)) for part in (np.real(q), np.imag(q)))
+    parts = (length(family, PathVector(part * family.size, none)) for part in (np.real(q), np.imag(q)))
     return q / np.sqrt(sum(part**2 for part in parts))[:, None, None]
 
 
 def _coefficient(
-    family: Family, orbits: Orbits, q: np.ndarray, z: Complex[np.ndarray, " some"], real: bool, h: float
+    family: Family, orbits: CurveOrbits, q: np.ndarray, z: Complex[np.ndarray, " some"], real: bool, h: float
 ) -> Float[np.ndarray, " some"]:
     """Real part of s with differences over ±h."""
     blocks = orbits.blocks
@@ -101,7 +101,7 @@ def _coefficient(
     return np.real(np.sum(left * g, axis=(1, 2))) * (1 / 3 if real else 1.0)
 
 
-def _blocks(family: Family, orbits: Orbits, way: np.ndarray, shift: float) -> np.ndarray:
+def _blocks(family: Family, orbits: CurveOrbits, way: np.ndarray, shift: float) -> np.ndarray:
     """∂P/∂u in sizes at points moved along a way that is given in sizes."""
     points = orbits.points + shift * way * family.size
     _, matrix, _ = family.period(points.reshape(-1, points.shape[-1]), np.repeat(orbits.value, points.shape[1]))

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits import cyclic
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.particle import wrap as planar_wrap
@@ -41,7 +41,7 @@ class Wrap(Protocol):
     def __call__(self, difference: np.ndarray, /) -> np.ndarray: ...
 
 
-class Orbits(NamedTuple):
+class ShootingOrbits(NamedTuple):
     """Orbits of n points by multiple shooting, one a node of the parameter.
 
     Attributes:
@@ -62,7 +62,7 @@ def close_orbits(
     points: Float[np.ndarray, "nodes n d"],
     values: Float[np.ndarray, " nodes"],
     wrap: Wrap = planar_wrap,
-) -> Orbits:
+) -> ShootingOrbits:
     """Newton on P(u_i; p) = u_{i+1} around the orbits of all nodes at once; nodes that have come to rest drop out.
 
     Only nodes where each step is at most half of the one before come to rest: their orbit is the one that the starting
@@ -76,7 +76,7 @@ def close_orbits(
     """
     nodes, n, d = points.shape
     there = np.broadcast_to(-np.eye(d), (n, d, d))
-    found = Orbits(
+    found = ShootingOrbits(
         np.array(points), np.full((nodes, n, d, d), np.nan), np.full(nodes, np.nan), np.zeros(nodes, np.bool_)
     )
     size, open_ = np.full(nodes, np.inf), np.arange(nodes)
@@ -113,7 +113,7 @@ def orbits_from_afar(
     values: Float[np.ndarray, " nodes"],
     size: Float[np.ndarray, " d"],
     wrap: Wrap,
-) -> Orbits:
+) -> ShootingOrbits:
     """`close_orbits` from points that may be far from any orbit: short steps of Newton first, wherever they lead.
 
     Args:
@@ -143,7 +143,7 @@ def orbits_from_afar(
         open_ = open_[~near[open_] & np.isfinite(length)]
         if not len(open_):
             break
-    whole = Orbits(points, np.full((nodes, n, d, d), np.nan), np.full(nodes, np.nan), np.zeros(nodes, np.bool_))
+    whole = ShootingOrbits(points, np.full((nodes, n, d, d), np.nan), np.full(nodes, np.nan), np.zeros(nodes, np.bool_))
     if not near.any():
         return whole
     found = close_orbits(period, points[near], values[near], wrap)
@@ -152,7 +152,7 @@ def orbits_from_afar(
     return whole
 
 
-def log_volume(strobe: Strobe, u: Float[Array, " d"], p: Parameters) -> Array:
+def log_volume(strobe: ReturnMap, u: Float[Array, " d"], p: Parameters) -> Array:
     """ln det ∂P/∂u for one lane, exact where the determinant itself is lost to rounding."""
     return jnp.log(strobe.push(strobe.system.unchart(u), p, ()).volume)
 

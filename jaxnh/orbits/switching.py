@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.orbits.arclength import FINE, Family, Orbits, Way, correct, inner, length, times
+from jaxnh.orbits.arclength import FINE, CurveOrbits, Family, PathVector, correct, inner, length, times
 
 # Lengths are in sizes of most lanes' motion: an orbit that is thirty times as small bends so much sooner.
 _AWAY = (4e-3, 1e-3, 2.5e-4, 6e-5, 1.5e-5)  # from the bifurcation, in lengths, tried in this order
@@ -14,7 +14,7 @@ _STRAIGHT = 0.99  # cosine of the angle between the curve there and the directio
 _BENT = 0.5  # of that, that Newton may go
 
 
-def doubled(family: Family, orbits: Orbits, vectors: Float[np.ndarray, "some n d"]) -> Orbits:
+def doubled(family: Family, orbits: CurveOrbits, vectors: Float[np.ndarray, "some n d"]) -> CurveOrbits:
     """Orbits of 2n points at doublings: one side of each, as the other has the same orbits, n points later.
 
     Args:
@@ -22,17 +22,19 @@ def doubled(family: Family, orbits: Orbits, vectors: Float[np.ndarray, "some n d
         orbits: at the doublings.
         vectors: that come back reversed, of length one in sizes of the motion.
     """
-    way = Way(family.size * np.concatenate([vectors, -vectors], axis=1), np.zeros(len(vectors)))
-    twice = Way(np.concatenate([orbits.points, orbits.points], axis=1), orbits.value)
+    way = PathVector(family.size * np.concatenate([vectors, -vectors], axis=1), np.zeros(len(vectors)))
+    twice = PathVector(np.concatenate([orbits.points, orbits.points], axis=1), orbits.value)
     return _beside(family, twice, way)
 
 
-def crossing(family: Family, orbits: Orbits, sign: float) -> Orbits:
+def crossing(family: Family, orbits: CurveOrbits, sign: float) -> CurveOrbits:
     """Orbits on one side of the branch that crosses the one of these orbits at branch points."""
-    return _beside(family, Way(orbits.points, orbits.value), times(np.full(len(orbits.value), sign), orbits.other_way))
+    return _beside(
+        family, PathVector(orbits.points, orbits.value), times(np.full(len(orbits.value), sign), orbits.other_way)
+    )
 
 
-def _beside(family: Family, at: Way, way: Way) -> Orbits:
+def _beside(family: Family, at: PathVector, way: PathVector) -> CurveOrbits:
     """The nearest orbits that lie along ways from others, where there are some."""
     way = times(1.0 / length(family, way), way)
     found, left = _at_distance(family, at, way, _AWAY[0]), np.arange(len(at.value))
@@ -40,14 +42,14 @@ def _beside(family: Family, at: Way, way: Way) -> Orbits:
         left = left[~found.converged[left]]
         if not len(left):
             break
-        here, there = (Way(part.points[left], part.value[left]) for part in (at, way))
+        here, there = (PathVector(part.points[left], part.value[left]) for part in (at, way))
         nearer = _at_distance(family, here, there, away)
         for leaf, new in zip(jax.tree.leaves(found), jax.tree.leaves(nearer), strict=True):
             leaf[left] = new
     return found
 
 
-def _at_distance(family: Family, at: Way, way: Way, away: float) -> Orbits:
+def _at_distance(family: Family, at: PathVector, way: PathVector, away: float) -> CurveOrbits:
     """The orbits so far along ways, converged where the curve still sets out in their directions."""
     found = correct(family, at.points + away * way.points, at.value + away * way.value, way, FINE)
     with np.errstate(invalid="ignore"):

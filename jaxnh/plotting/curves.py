@@ -23,7 +23,7 @@ _FEW = 48  # curves over fewer points show them
 _LONG = 30  # letters: a longer label of a low panel has its units in a second line
 
 
-class Curve(NamedTuple):
+class CurveData(NamedTuple):
     """One curve (n,) over rising x (n,), its error (n,) or None with its meaning, and its name in the legend."""
 
     x: np.ndarray
@@ -130,7 +130,7 @@ def _only(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
     return coordinate, variable
 
 
-def curves_of(data: xr.Dataset, variable: xr.DataArray) -> Iterator[Curve]:
+def curves_of(data: xr.Dataset, variable: xr.DataArray) -> Iterator[CurveData]:
     """Curves of a variable over rising values of the axis."""
     coordinate, values = along(data, variable)
     ancillary = str(variable.attrs.get("ancillary_variables", "")).split()
@@ -141,7 +141,7 @@ def curves_of(data: xr.Dataset, variable: xr.DataArray) -> Iterator[Curve]:
     meaning = "" if error is None else str(error.attrs.get("long_name", "error"))
     for k, label in enumerate(_curve_labels(values)):
         band = None if errors is None else errors[:, k]
-        yield Curve(coordinate.to_numpy()[order], columns[:, k], band, meaning, label)
+        yield CurveData(coordinate.to_numpy()[order], columns[:, k], band, meaning, label)
 
 
 def _curve_labels(values: xr.DataArray) -> list[str]:

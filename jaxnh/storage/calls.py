@@ -30,7 +30,7 @@ _BYTES = 1 << 25  # a second that are written at most, on average: a few per cen
 _HEAD = 16 + 1 + 64 + 1  # of a record: its length and checksum, hexadecimal
 
 
-class Part(NamedTuple):
+class JournalEntry(NamedTuple):
     """Results of one call for neighbouring lanes.
 
     Attributes:
@@ -46,7 +46,7 @@ class Part(NamedTuple):
     leaves: tuple[np.ndarray, ...]
 
 
-class Calls:
+class CallJournal:
     """Results of the calls for some pieces: those found in a folder, and those that are added.
 
     Attributes:
@@ -56,8 +56,8 @@ class Calls:
     def __init__(self, folder: Path, job: Job, pieces: Sequence[Piece]) -> None:
         self._path = folder / f"{pieces[0].number:06d}.calls"
         self._of = {"job": job.id, "pieces": [piece.number for piece in pieces]}
-        self._parts: dict[int, dict[int, Part]] = {}
-        self._new: list[Part] = []
+        self._parts: dict[int, dict[int, JournalEntry]] = {}
+        self._new: list[JournalEntry] = []
         self._size = 0  # of these, in bytes
         self._handle: int | None = None
         self._closed = False
@@ -70,16 +70,16 @@ class Calls:
             for part in parts:
                 self._parts.setdefault(part.call, {})[part.first] = part
 
-    def found(self, call: int, digest: str) -> list[Part]:
+    def found(self, call: int, digest: str) -> list[JournalEntry]:
         """The parts of a call that are there, one after the other from its first lane on."""
-        parts, last = list[Part](), 0
+        parts, last = list[JournalEntry](), 0
         there = self._parts.pop(call, {})
         while last in there and there[last].digest == digest and there[last].leaves:
             parts.append(there[last])
             last += len(there[last].leaves[0])
         return parts
 
-    def add(self, part: Part) -> None:
+    def add(self, part: JournalEntry) -> None:
         """One more part; written with others after some seconds of work."""
         self._new.append(part)
         self._size += sum(leaf.nbytes for leaf in part.leaves)
@@ -142,7 +142,7 @@ def left(folder: Path, job: Job) -> list[list[int]]:
     return found
 
 
-def _record(head: dict[str, Any], parts: Sequence[Part]) -> bytes:
+def _record(head: dict[str, Any], parts: Sequence[JournalEntry]) -> bytes:
     content = io.BytesIO()
     listed = [[part.call, part.first, part.digest, len(part.leaves)] for part in parts]
     content.write(json.dumps({**head, "parts": listed}).encode() + b"\n")
@@ -163,7 +163,7 @@ def _records(path: Path) -> Any:
             content = io.BytesIO(data)
             head = json.loads(content.readline())
             parts = [
-                Part(
+                JournalEntry(
                     call,
                     first,
                     digest,

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxnh import __version__
 from jaxnh.storage.hdf5 import Attributes
-from jaxnh.storage.tiles import Spent
+from jaxnh.storage.tiles import SecondsSpent
 
 _LIBRARIES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
 
@@ -44,7 +44,7 @@ class Method(NamedTuple):
     error_estimate: float
 
 
-class UserFile(NamedTuple):
+class UserFileText(NamedTuple):
     """A user's system: the file as the config names it, its text, and the SHA-256 of that."""
 
     path: str
@@ -64,12 +64,12 @@ def root_attributes(
     config_sha256: str,
     versions: Mapping[str, str],
     method: Method,
-    spent: Spent,
+    spent: SecondsSpent,
     axes: Sequence[str],
     strobe_period: float | np.ndarray,
     command: str = "",
     section: str = "",
-    user_file: UserFile | None = None,
+    user_file: UserFileText | None = None,
     chosen: Mapping[str, Mapping[str, int]] | None = None,
     machine: Mapping[str, str] | None = None,
     level: LevelOf | None = None,
@@ -117,7 +117,7 @@ def root_attributes(
     return attrs
 
 
-def _of_user_file(file: UserFile) -> dict[str, Any]:
+def _of_user_file(file: UserFileText) -> dict[str, Any]:
     return {"system_file": file.text, "system_file_path": file.path, "system_file_sha256": file.sha256}
 
 
@@ -131,7 +131,7 @@ def _of_method(method: Method) -> dict[str, Any]:
     }
 
 
-def _of_cost(spent: Spent) -> dict[str, Any]:
+def _of_cost(spent: SecondsSpent) -> dict[str, Any]:
     return {
         "wall_seconds": spent.seconds,
         "compile_seconds": spent.compile_seconds,

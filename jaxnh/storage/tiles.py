@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _JOB, _LOCK = "job.json", "lock"
 
 
-class Spent(NamedTuple):
+class SecondsSpent(NamedTuple):
     """What a piece has cost: seconds, of these compiling, lane-periods, and the devices."""
 
     seconds: float
@@ -42,13 +42,13 @@ class Spent(NamedTuple):
     device: str
 
 
-class Receipt(NamedTuple):
+class TileRecord(NamedTuple):
     """A piece that is done: its number, its file and that file's seal, what it has cost, and what was counted in it."""
 
     number: int
     path: Path
     seal: str
-    spent: Spent
+    spent: SecondsSpent
     counts: Mapping[str, Mapping[str, int]]
 
 
@@ -138,7 +138,7 @@ class Origin(NamedTuple):
 
     config: str
     user_text: str | None
-    spent: Spent
+    spent: SecondsSpent
 
 
 def publish(folder: Path, job: Job, origin: Origin) -> Job:
@@ -176,7 +176,7 @@ def origin(folder: Path) -> Origin:
         content = json.loads((folder / _JOB).read_text())
     except OSError as error:
         raise ResultError(f"{folder} is gone, or what was in it") from error
-    return Origin(content["config"], content["user_text"], Spent(*content["spent"]))
+    return Origin(content["config"], content["user_text"], SecondsSpent(*content["spent"]))
 
 
 # ---- pieces
@@ -193,8 +193,8 @@ def write_piece(
     piece: Piece,
     groups: Mapping[str, xr.Dataset],
     counts: Mapping[str, Mapping[str, int]],
-    spent: Spent,
-) -> Receipt:
+    spent: SecondsSpent,
+) -> TileRecord:
     """Write the groups of a piece, whole or not at all.
 
     Args:
@@ -218,7 +218,7 @@ def write_piece(
         "spent": json.dumps(spent),
     }
     path = piece_path(folder, piece)
-    return Receipt(piece.number, path, store.write(path, attrs, groups), spent, counts)
+    return TileRecord(piece.number, path, store.write(path, attrs, groups), spent, counts)
 
 
 def _title(job: Job, piece: Piece) -> str:
@@ -229,7 +229,7 @@ def _title(job: Job, piece: Piece) -> str:
     return f"lanes of a sweep: {', '.join(places)}"
 
 
-def receipt(folder: Path, job: Job, piece: Piece) -> Receipt:
+def receipt(folder: Path, job: Job, piece: Piece) -> TileRecord:
     """What a piece that is there says of itself.
 
     Raises:
@@ -240,7 +240,7 @@ def receipt(folder: Path, job: Job, piece: Piece) -> Receipt:
         with h5py.File(path, "r") as file:
             attrs = store.attributes(file)
             names = set(store.groups(file))
-        counts, spent = json.loads(attrs["counts"]), Spent(*json.loads(attrs["spent"]))
+        counts, spent = json.loads(attrs["counts"]), SecondsSpent(*json.loads(attrs["spent"]))
         seal, place = attrs[store.SEAL], (attrs["piece"], tuple(attrs["begin"]), tuple(attrs["end"]))
         same_config, same_job = attrs["config_sha256"] == job.config_sha256, attrs["job"] == job.id
     except store.UNREADABLE as error:
@@ -249,10 +249,10 @@ def receipt(folder: Path, job: Job, piece: Piece) -> Receipt:
         raise DamagedError("it is of another config")
     if not same_job or place != (piece.number, piece.begin, piece.end) or names != set(piece.names):
         raise DamagedError("it is of another run of this config")
-    return Receipt(piece.number, path, seal, spent, counts)
+    return TileRecord(piece.number, path, seal, spent, counts)
 
 
-def check(folder: Path, job: Job, piece: Piece) -> Receipt:
+def check(folder: Path, job: Job, piece: Piece) -> TileRecord:
     """Read a piece as a whole and compare it with its checksums.
 
     Raises:

@@ -26,7 +26,7 @@ Slot = int
 """Number of a value of a program."""
 
 
-class Known(NamedTuple):
+class KnownValue(NamedTuple):
     """A number that the program itself has."""
 
     value: Any
@@ -36,7 +36,7 @@ class Step(NamedTuple):
     """One equation: what it does, what it reads, and what it makes."""
 
     equation: Any
-    reads: tuple[Slot | Known, ...]
+    reads: tuple[Slot | KnownValue, ...]
     makes: tuple[Slot, ...]
 
 
@@ -87,17 +87,17 @@ class Program:
         for slot in self.unread:
             found[slot] = max(levels, default=1)
         for step in self.steps:
-            level = max((found[slot] for slot in step.reads if not isinstance(slot, Known)), default=0)
+            level = max((found[slot] for slot in step.reads if not isinstance(slot, KnownValue)), default=0)
             for slot in step.makes:
                 found[slot] = level
         return found
 
-    def needed(self, slots: Sequence[Slot | Known]) -> set[Slot]:
+    def needed(self, slots: Sequence[Slot | KnownValue]) -> set[Slot]:
         """All slots that these are made of, and they."""
-        found = {slot for slot in slots if not isinstance(slot, Known)}
+        found = {slot for slot in slots if not isinstance(slot, KnownValue)}
         for step in reversed(self.steps):
             if not found.isdisjoint(step.makes):
-                found |= {slot for slot in step.reads if not isinstance(slot, Known)}
+                found |= {slot for slot in step.reads if not isinstance(slot, KnownValue)}
         return found
 
     def run(
@@ -112,7 +112,7 @@ class Program:
             instead: functions in place of primitives.
         """
         for step in filter(wanted, self.steps):
-            values = [slot.value if isinstance(slot, Known) else found[slot] for slot in step.reads]
+            values = [slot.value if isinstance(slot, KnownValue) else found[slot] for slot in step.reads]
             primitive = step.equation.primitive
             if instead and primitive in instead:
                 results = [instead[primitive](*values)]
@@ -125,29 +125,31 @@ class Program:
 
     def results(self, found: Mapping[Slot, Any]) -> Any:
         """What the function returns, from values."""
-        leaves = [slot.value if isinstance(slot, Known) else found[slot] for slot in self.outputs]
+        leaves = [slot.value if isinstance(slot, KnownValue) else found[slot] for slot in self.outputs]
         return jax.tree.unflatten(self.structure, leaves)
 
     def _slot(self) -> Slot:
         self.size += 1
         return self.size - 1
 
-    def _inline(self, jaxpr: Any, constants: Sequence[Any], inputs: Sequence[Slot | Known]) -> list[Slot | Known]:
+    def _inline(
+        self, jaxpr: Any, constants: Sequence[Any], inputs: Sequence[Slot | KnownValue]
+    ) -> list[Slot | KnownValue]:
         """Add the equations of a program, those of the programs that it calls among them; what it returns."""
-        slots: dict[Any, Slot | Known] = dict(zip(jaxpr.invars, inputs, strict=True))
+        slots: dict[Any, Slot | KnownValue] = dict(zip(jaxpr.invars, inputs, strict=True))
         for variable, value in zip(jaxpr.constvars, constants, strict=True):
-            slots[variable] = self._slot() if isinstance(value, Tracer) else Known(value)
+            slots[variable] = self._slot() if isinstance(value, Tracer) else KnownValue(value)
             if isinstance(value, Tracer):
                 self.unread[slots[variable]] = value  # pyright: ignore[reportArgumentType]
 
-        def read(atom: Any) -> Slot | Known:
-            return Known(atom.val) if isinstance(atom, core.Literal) else slots[atom]
+        def read(atom: Any) -> Slot | KnownValue:
+            return KnownValue(atom.val) if isinstance(atom, core.Literal) else slots[atom]
 
         for equation in jaxpr.eqns:
             reads = tuple(read(atom) for atom in equation.invars)
             if equation.primitive.name in _INLINED:
                 inner = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
-                made: Sequence[Slot | Known] = self._inline(inner.jaxpr, inner.consts, reads)
+                made: Sequence[Slot | KnownValue] = self._inline(inner.jaxpr, inner.consts, reads)
             else:
                 made = [self._slot() for _ in equation.outvars]
                 self.steps.append(Step(equation, reads, tuple(made)))
@@ -159,13 +161,13 @@ def constants(function: Callable[..., Any], *arguments: Any) -> Any:
     """What a function returns, a float in place of each result that depends on no argument, and None of others."""
     program = Program(function, *arguments)
     depends = program.depends([1] * len(program.inputs))
-    free = [slot for slot in program.outputs if isinstance(slot, Known) or not depends[slot]]
+    free = [slot for slot in program.outputs if isinstance(slot, KnownValue) or not depends[slot]]
     needed, found = program.needed(free), dict[Slot, Any]()
     with jax.ensure_compile_time_eval():
         program.run(found, lambda step: not needed.isdisjoint(step.makes))
     leaves = []
     for slot in program.outputs:
-        value = slot.value if isinstance(slot, Known) else found.get(slot)
+        value = slot.value if isinstance(slot, KnownValue) else found.get(slot)
         leaves.append(None if value is None or jnp.ndim(value) else float(value))
     return jax.tree.unflatten(program.structure, leaves)
 

@@ -38,7 +38,7 @@ from jaxnh.exceptions import UserFileError
 from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
-from jaxnh.systems.tracing import Known, Program
+from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explained
 
 _ALWAYS = ("coordinates", "period", "time_unit", "angles", "labels", "units")
@@ -305,7 +305,7 @@ class UserFile:
         )
         self._equations.append(traced.sha256)
         depends = traced.depends([1, *[0] * (len(traced.inputs) - 1)])
-        return traced.shapes, any(not isinstance(slot, Known) and depends[slot] for slot in traced.outputs)
+        return traced.shapes, any(not isinstance(slot, KnownValue) and depends[slot] for slot in traced.outputs)
 
     def _numbers(self, name: str, found: Sequence[Any]) -> tuple[Any, ...]:
         """What a function has returned as arrays."""

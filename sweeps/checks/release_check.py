@@ -56,12 +56,12 @@ import jax
 import numpy as np
 
 jax.config.update("jax_enable_x64", True)
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed
 
 flow = constant_speed(0.5, 1.0, 1.0, None)
-strobe = make_strobe(flow, SPLITTINGS["processed6"], 8)
+strobe = make_return_map(flow, SPLITTINGS["processed6"], 8)
 start = flow.start({name: np.full(256, 0.1) for name in ("x1", "x2", "y1")})
 jax.jit(jax.vmap(strobe)).lower(start, {"b": np.linspace(2.0, 6.0, 256)}).compile()
 """

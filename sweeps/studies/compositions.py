@@ -28,9 +28,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.xla_options import configure
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting
 from jaxnh.systems.particle import disturbed_speed
@@ -151,10 +151,10 @@ def splitting(drifts: Any, kicks: Any, processor: Any = ((0.0,), ())) -> Isokine
     return IsokineticSplitting(rows[0], rows[1], 6, "found", "this study", (rows[2], rows[3]))
 
 
-def errors(lanes: Lanes, scene: Scene, solver: IsokineticSplitting, steps: int) -> np.ndarray:
+def errors(lanes: LaneExecutor, scene: Scene, solver: IsokineticSplitting, steps: int) -> np.ndarray:
     """Signed errors of one period, (lanes, 4)."""
     x, y, n1, n2 = scene.unit_states.T
-    strobe = make_strobe(_SYSTEMS[scene.d], solver, steps)
+    strobe = make_return_map(_SYSTEMS[scene.d], solver, steps)
     (x, y), (n1, n2) = lanes(iterate, (strobe, np.int32(1)), (((x, y), (n1, n2)), {"b": scene.b}), periods=1)
     return (np.stack([x, y, n1, n2], axis=-1) - scene.ends).astype(float)
 
@@ -177,7 +177,7 @@ def gauss_newton(f: Callable[[Any], Any], slope: Callable[[Any], Any], p: np.nda
     return p, left
 
 
-def measured_norm(lanes: Lanes, scenes: list[Scene], rng: np.random.Generator) -> np.ndarray:
+def measured_norm(lanes: LaneExecutor, scenes: list[Scene], rng: np.random.Generator) -> np.ndarray:
     """(18, lanes × 4): error of one period times (steps a period)⁶, of each Lie element of degree seven in a step."""
     s = _PROBE_STAGES
     free = (s + 2) // 2 - 1 + (s + 1) // 2 - 1
@@ -298,7 +298,7 @@ def main() -> None:
     args = parser.parse_args()
     scenes = [true_scene(paper(d)) for d in _SYSTEMS]
     configure()
-    rng, lanes = np.random.default_rng(args.seed), Lanes()
+    rng, lanes = np.random.default_rng(args.seed), LaneExecutor()
     norm = measured_norm(lanes, scenes, rng)
     found, kicks = kernels(args.stages, args.starts, norm, rng)
     print("kernels need for 1e-10, by their terms of degree seven:", kicks[:6].round(), "kicks a period")

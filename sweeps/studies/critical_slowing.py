@@ -20,9 +20,9 @@ from rich.markdown import Markdown
 
 import jaxnh
 from jaxnh.cli import terminal
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.xla_options import configure
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SPLITTINGS
 from sweeps.checks.measured_at import stamp
 from sweeps.studies.critical_slowing_page import figure, page
@@ -57,7 +57,7 @@ def read_cascade(path: Path) -> Cascade:
     gaps = np.diff(b)
     ahead = np.append(gaps, gaps[-1] ** 2 / gaps[-2])
     published = np.append(compare.columns()["b"], np.full(len(b), np.nan))[: len(b)]
-    strobe = make_strobe(experiment.flow(), SPLITTINGS[SOLVER], STEPS)
+    strobe = make_return_map(experiment.flow(), SPLITTINGS[SOLVER], STEPS)
     start = jax.tree.map(lambda leaf: float(leaf[0]), experiment.start({}, 1))
     n = doubling["period"].to_numpy()[found].astype(int)
     return Cascade(experiment.title, strobe, start, n, b, ahead, published, compare.source)
@@ -75,7 +75,7 @@ def main(
     except Missing as missing:
         print(missing, file=sys.stderr)
         raise typer.Exit(2) from None
-    lanes = Lanes(terminal.progress(Console(stderr=True)))
+    lanes = LaneExecutor(terminal.progress(Console(stderr=True)))
     transients = np.array([n for n in TRANSIENTS if n <= longest], float)
     studies = [study_cascade(cascade, lanes, transients) for cascade in cascades]
     shift = max(float(np.abs(study.law.shift).max()) for study in studies)

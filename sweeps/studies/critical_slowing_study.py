@@ -10,9 +10,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.analyses.periodic.newton_on_lanes import orbits
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.iterate import iterate, record
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.newton import Orbit
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.particle import State, chart, unchart
@@ -46,7 +46,7 @@ class Cascade(NamedTuple):
     """
 
     title: str
-    strobe: Strobe
+    strobe: ReturnMap
     start: State
     n: np.ndarray
     b: np.ndarray
@@ -100,7 +100,7 @@ class Study(NamedTuple):
 # ---- the plain detection
 
 
-def strobe_points(strobe: Strobe, transient: ArrayLike, start: State, p: Parameters, count: int) -> Array:
+def strobe_points(strobe: ReturnMap, transient: ArrayLike, start: State, p: Parameters, count: int) -> Array:
     """x1 at `count` strobes after a transient, of one lane, (count,)."""
     return record(strobe, iterate(strobe, transient, start, p), p, count)[1][0][0]
 
@@ -118,7 +118,7 @@ def detected_period(x1: np.ndarray, threshold: np.ndarray) -> np.ndarray:
     return period
 
 
-def detect(cascade: Cascade, lanes: Lanes, transients: np.ndarray) -> np.ndarray:
+def detect(cascade: Cascade, lanes: LaneExecutor, transients: np.ndarray) -> np.ndarray:
     """The b at which period n is not seen any more, (levels, thresholds, transients); NaN where none is found.
 
     For the first N it is searched for from the middle of one window of the cascade to the middle of the next; later
@@ -181,12 +181,12 @@ def _multisect(
 # ---- the prediction
 
 
-def section(strobe: Strobe, transient: ArrayLike, start: State, p: Parameters) -> Array:
+def section(strobe: ReturnMap, transient: ArrayLike, start: State, p: Parameters) -> Array:
     """Section coordinates of one lane after a transient, (3,)."""
     return chart(iterate(strobe, transient, start, p))
 
 
-def measure_law(cascade: Cascade, lanes: Lanes) -> Law:
+def measure_law(cascade: Cascade, lanes: LaneExecutor) -> Law:
     """κ from the multiplier on both sides of each doubling, γ from the orbit of 2n a little beyond it."""
     strobe, ahead = cascade.strobe, cascade.ahead
     beyond = cascade.b + _SPLIT * ahead
@@ -207,7 +207,7 @@ def measure_law(cascade: Cascade, lanes: Lanes) -> Law:
     return Law(kappa, gamma, shift)
 
 
-def _orbits(lanes: Lanes, strobe: Strobe, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
+def _orbits(lanes: LaneExecutor, strobe: ReturnMap, u: np.ndarray, b: np.ndarray, n: int) -> Orbit:
     """Orbits of period n at values of b, all from one start point."""
     orbit = orbits(lanes, strobe, np.broadcast_to(u, (len(b), 3)), {"b": b}, n)
     if not np.all(orbit.residual < _CONVERGED):
@@ -296,7 +296,7 @@ def nearest_pair(studies: list[Study]) -> tuple[int, int]:
     return int(j), int(k)
 
 
-def study_cascade(cascade: Cascade, lanes: Lanes, transients: np.ndarray) -> Study:
+def study_cascade(cascade: Cascade, lanes: LaneExecutor, transients: np.ndarray) -> Study:
     """Prediction and plain detection of one cascade."""
     with lanes.stage(f"{cascade.title}: plain detection", 0):
         law = measure_law(cascade, lanes)

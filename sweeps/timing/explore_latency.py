@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxnh
-from jaxnh.engine.progress import Silent
+from jaxnh.engine.progress import NullProgress
 from jaxnh.explorer.live import LiveDiagram
 from jaxnh.explorer.view import View
 from sweeps.checks.measured_at import stamp
@@ -70,7 +70,7 @@ def main() -> None:
     parser.add_argument("--zooms", type=int, default=24)
     parser.add_argument("--beside", default="The machine did nothing else.")
     given = parser.parse_args()
-    live = LiveDiagram(jaxnh.load(_CONFIG), Silent(), 1000)
+    live = LiveDiagram(jaxnh.load(_CONFIG), NullProgress(), 1000)
     views = zooms(live.first, given.zooms)
     for view in (live.first, views[0]):
         seconds(live, view)

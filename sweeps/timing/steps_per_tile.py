@@ -19,9 +19,9 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxnh.engine.executor.lanes import TILE, Lanes
+from jaxnh.engine.executor.lanes import TILE, LaneExecutor
 from jaxnh.engine.xla_options import configure
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import disturbed_speed
@@ -41,7 +41,7 @@ class Tile(NamedTuple):
     steps: int
 
 
-def tiles_of(scene: Scene, lanes: Lanes, target: float, size: int) -> list[Tile]:
+def tiles_of(scene: Scene, lanes: LaneExecutor, target: float, size: int) -> list[Tile]:
     """Tiles of so many values, each with the least steps whose largest error meets the target."""
     system = disturbed_speed(scene.a, scene.c, scene.d)
     found = []
@@ -50,7 +50,7 @@ def tiles_of(scene: Scene, lanes: Lanes, target: float, size: int) -> list[Tile]
         both = np.concatenate([values, LANES + values])  # at the start, and past the transient
 
         def measure(steps: float, both: np.ndarray = both) -> Errors:
-            strobe = make_strobe(system, _SOLVER, int(steps))
+            strobe = make_return_map(system, _SOLVER, int(steps))
             (x, y), (n1, n2) = _iterated(scene, lanes, strobe, both, 1, size)
             error = np.abs(np.stack([x, y, n1, n2], axis=-1) - scene.ends[both]).max(axis=1).astype(float)
             return Errors(float(error.max()), float(np.median(error)))
@@ -62,10 +62,10 @@ def tiles_of(scene: Scene, lanes: Lanes, target: float, size: int) -> list[Tile]
     return found
 
 
-def program(scene: Scene, lanes: Lanes, tiles: list[Tile], size: int) -> Callable[[], None]:
+def program(scene: Scene, lanes: LaneExecutor, tiles: list[Tile], size: int) -> Callable[[], None]:
     """A call that takes all lanes PERIODS periods on, tile after tile, `size` lanes in each call."""
     system = disturbed_speed(scene.a, scene.c, scene.d)
-    strobes = [make_strobe(system, _SOLVER, tile.steps) for tile in tiles]
+    strobes = [make_return_map(system, _SOLVER, tile.steps) for tile in tiles]
 
     def run() -> None:
         for tile, strobe in zip(tiles, strobes, strict=True):
@@ -74,7 +74,7 @@ def program(scene: Scene, lanes: Lanes, tiles: list[Tile], size: int) -> Callabl
     return run
 
 
-def _iterated(scene: Scene, lanes: Lanes, strobe: object, some: np.ndarray, periods: int, size: int) -> tuple:
+def _iterated(scene: Scene, lanes: LaneExecutor, strobe: object, some: np.ndarray, periods: int, size: int) -> tuple:
     x, y, n1, n2 = scene.unit_states[some].T
     start = ((x, y), (n1, n2)), {"b": scene.b[some]}
     return lanes(iterate, (strobe, np.int32(periods)), start, tile=size)
@@ -101,7 +101,7 @@ def main() -> None:
     parser.add_argument("--tiles", type=int, nargs="+", default=[128, 64], help="values of b a tile")
     args = parser.parse_args()
     configure()
-    lanes = Lanes(devices=jax.devices()[:1])
+    lanes = LaneExecutor(devices=jax.devices()[:1])
     print("| scene | error | values a tile | steps | kicks, whole over tiles | time, whole over tiles |")
     print("| --- | --- | --- | --- | --- | --- |")
     for case in (paper(), *held_out()):

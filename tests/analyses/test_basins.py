@@ -11,7 +11,7 @@ from measure import scene_of
 from scipy.integrate import solve_ivp
 
 import jaxnh
-from jaxnh.analyses.basins.classification import NONE, judge, stays_near
+from jaxnh.analyses.basins.classification import NONE, classify, stays_near
 from jaxnh.analyses.basins.settling import REASONS, SETTLED, settle
 from jaxnh.analyses.basins.tables import wilson
 from jaxnh.analyses.verdict import KINDS
@@ -291,7 +291,7 @@ def test_what_does_not_stay_is_none(lanes):
     lot = settle(scene, lanes, 32, 64)
     lot.known[:] = SETTLED
     lot.means[:] += 1.0
-    assert judge(scene, lanes, lot, 4, 64).kind.tolist() == [NONE, NONE]
+    assert classify(scene, lanes, lot, 4, 64).kind.tolist() == [NONE, NONE]
 
 
 def test_wilson():

@@ -19,7 +19,7 @@ UNCALIBRATED = True
 def kept_programs(monkeypatch):
     """Runs within this process find the programs of earlier ones."""
     for module in ("run", "session"):
-        monkeypatch.setattr(f"jaxnh.engine.{module}.Lanes", lanes_with_kept_programs)
+        monkeypatch.setattr(f"jaxnh.engine.{module}.LaneExecutor", lanes_with_kept_programs)
 
 
 @pytest.fixture(scope="module")

@@ -22,8 +22,8 @@ from jaxnh.analyses.periodic.newton_on_lanes import least_period
 from jaxnh.analyses.scene import Scene, spread
 from jaxnh.analyses.trajectories import diagram
 from jaxnh.costs.operations import count
-from jaxnh.engine.executor.lanes import Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.lagrangian import lagrangian
@@ -58,8 +58,8 @@ def test_periods_of_the_paper(case):
 
 def test_multiple_of_the_period():
     """A point of the orbits of period 1 at b = 5.8 and 2 at 2.5, met by Newton at a period of 8, is of theirs."""
-    strobe = make_strobe(constant_speed(), SPLITTINGS["kahan_li8"], 120)
-    lanes, b = Lanes(), np.array([5.8, 2.5])
+    strobe = make_return_map(constant_speed(), SPLITTINGS["kahan_li8"], 120)
+    lanes, b = LaneExecutor(), np.array([5.8, 2.5])
     start, p = constant_speed().section_point(spread(START, 2)), {"b": b}
     u = lanes(section_map, (strobe, np.int32(400)), (start, p))
     np.testing.assert_array_equal(least_period(lanes, strobe, u, p, 8, np.ones((2, 3))), [1, 2])
@@ -103,7 +103,7 @@ def test_exponents_of_chaos_over_many_periods(case):
     """Error bars three to five times smaller."""
     scene, twin, periods, _, _ = case
     chaotic = scene.take(np.flatnonzero(periods == 0))
-    group = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=8192), chaotic, Lanes())
+    group = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=8192), chaotic, LaneExecutor())
     check_chaotic_spectrum(chaotic, twin, 0, group, 32, 1000)
 
 
@@ -121,7 +121,7 @@ def test_tangents_cost_operations_only_where_asked_for():
     two windows: 5 for each tangent and for the volume.
     """
     scene = scene_of(constant_speed(), START, [2.0, 3.0], SPLITTINGS["strang2"], 40)
-    lanes = Lanes()
+    lanes = LaneExecutor()
     diagram.run(diagram.DiagramOptions(transient=4, strobes=4), scene, lanes)
     kicks = [loop for text in programs(lanes) for loop in innermost(count(text, lanes.tile)) if loop.operations]
     assert len(kicks) == 2  # on the way to the first strobe, and from strobe to strobe
@@ -168,7 +168,9 @@ def test_sum_rule_sees_integration_errors():
     """Steps of order 6 that are halved leave some 2⁶ times less; the determinants of the steps see no error at all."""
     b, options = [2.5, 4.1, 5.3], lyapunov.LyapunovOptions(transient=16, periods=32)
     found = {
-        steps: lyapunov.run(options, scene_of(constant_speed(), START, b, SPLITTINGS["blanes_moan6"], steps), Lanes())
+        steps: lyapunov.run(
+            options, scene_of(constant_speed(), START, b, SPLITTINGS["blanes_moan6"], steps), LaneExecutor()
+        )
         for steps in (30, 60, 120)
     }
     residual = {steps: np.abs(group["sum_rule_residual"].to_numpy()) for steps, group in found.items()}
@@ -282,7 +284,7 @@ def undamped(drive=0.3):
 
 def test_averages_tell_weak_chaos_from_tori():
     """Beside what Taylor integration says of a tangent's growth: N on a torus, N⁵ and more in a thin layer of chaos."""
-    lanes, angles, n = Lanes(tile=8), np.array([0.3, 1.2, 1.692308, 2.1]), 8000
+    lanes, angles, n = LaneExecutor(tile=8), np.array([0.3, 1.2, 1.692308, 2.1]), 8000
     x, v, dx, dv = hy.make_vars("x", "v", "dx", "dv")
     torque = 0.3 * hy.cos(1.3 * hy.time)
     ta = hy.taylor_adaptive([(x, v), (v, torque - hy.sin(x)), (dx, dv), (dv, -hy.cos(x) * dx)], [0.0] * 4, tol=1e-15)

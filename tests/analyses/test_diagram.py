@@ -17,7 +17,7 @@ from jaxnh.analyses.trajectories import diagram, portrait
 from jaxnh.analyses.trajectories.diagram import DiagramOptions, random_starts, run
 from jaxnh.config.experiment import load
 from jaxnh.config.yaml_source import ConfigError
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS
 
@@ -48,7 +48,7 @@ def sections(group):
 def test_strobes_from_a_fixed_start_are_those_of_the_reference(name, transient):
     """With no transient the first strobe is the start state, the second the state one period on."""
     system, par = SYSTEMS[name], twin(SYSTEMS[name])
-    ours = sections(run(DiagramOptions(transient=transient, strobes=3), scene(system), Lanes()))
+    ours = sections(run(DiagramOptions(transient=transient, strobes=3), scene(system), LaneExecutor()))
     start = np.broadcast_to(par.start(), (len(B), 3))
     for k in range(3):
         periods = transient + k
@@ -63,8 +63,10 @@ def test_phase_of_the_strobes(phase, start):
     system = SYSTEMS["disturbed"]
     values = B if start == "fixed" else B[:1]
     options = DiagramOptions(transient=0, strobes=3, phase=phase, start=start)
-    ours = run(options, scene(system, values), Lanes())
-    path = portrait.run(portrait.PortraitOptions(transient=0, periods=3, samples=4), scene(system, values), Lanes())
+    ours = run(options, scene(system, values), LaneExecutor())
+    path = portrait.run(
+        portrait.PortraitOptions(transient=0, periods=3, samples=4), scene(system, values), LaneExecutor()
+    )
     for name in NAMES:
         np.testing.assert_allclose(
             ours[name].to_numpy(), path[name].to_numpy()[:, round(4 * phase) :: 4], atol=TOLERANCE
@@ -75,7 +77,7 @@ def test_phase_of_the_strobes(phase, start):
 def test_a_carried_state_is_a_plain_loop_over_b(start, order):
     """Up and down in b whatever the order of the sweep; the last strobe at one b is the start at the next."""
     system, par = SYSTEMS["constant"], twin(SYSTEMS["constant"])
-    ours = sections(run(DiagramOptions(transient=2, strobes=3, start=start), scene(system), Lanes()))
+    ours = sections(run(DiagramOptions(transient=2, strobes=3, start=start), scene(system), LaneExecutor()))
     state = par.start()
     for i in order:
         state = taylor.strobe(par, B[i], state, 2)[0]
@@ -87,9 +89,9 @@ def test_a_carried_state_is_a_plain_loop_over_b(start, order):
 def test_a_carried_state_does_not_feel_where_a_call_ends(monkeypatch):
     values = np.linspace(4.0, 5.5, 11)
     options = DiagramOptions(transient=3, strobes=4, start="up")
-    whole = sections(run(options, coarse(values), Lanes()))
+    whole = sections(run(options, coarse(values), LaneExecutor()))
     monkeypatch.setattr(diagram, "_CARRIED_AT_ONCE", 4)
-    parts = sections(run(options, coarse(values), Lanes()))
+    parts = sections(run(options, coarse(values), LaneExecutor()))
     np.testing.assert_allclose(parts, whole, atol=1e-9)  # another program, so rounding differs, and chaos enlarges it
 
 
@@ -99,7 +101,9 @@ def test_up_and_down_part_where_two_attractors_live():
     points = {}
     for start in ("up", "down"):
         options = DiagramOptions(transient=200, strobes=4, start=start)
-        points[start] = run(options, scene(SYSTEMS["constant"], values, "blanes_moan6", 80), Lanes())["x1"].to_numpy()
+        points[start] = run(options, scene(SYSTEMS["constant"], values, "blanes_moan6", 80), LaneExecutor())[
+            "x1"
+        ].to_numpy()
     distinct = {start: [len(np.unique(row.round(3))) for row in x] for start, x in points.items()}
     at = int(np.argmin(np.abs(values - 4.0)))
     assert distinct["up"][at] == 2
@@ -123,7 +127,7 @@ def test_random_starts_fill_the_box_evenly_and_never_change():
 
 def test_random_starts_are_the_same_in_any_tiles():
     options = DiagramOptions(transient=0, strobes=2, start="random", starts=6)
-    one, other = (run(options, coarse(), Lanes(tile=tile)) for tile in (8, 32))
+    one, other = (run(options, coarse(), LaneExecutor(tile=tile)) for tile in (8, 32))
     assert one["x1"].dims == (LANE, "start", "strobe")
     assert one["x1"].to_numpy().shape == (5, 6, 2)
     for name in NAMES:
@@ -132,14 +136,16 @@ def test_random_starts_are_the_same_in_any_tiles():
 
 
 def test_each_b_has_starts_of_its_own():
-    x1 = run(DiagramOptions(transient=0, strobes=1, start="random", starts=6), coarse(), Lanes())["x1"].to_numpy()
+    x1 = run(DiagramOptions(transient=0, strobes=1, start="random", starts=6), coarse(), LaneExecutor())[
+        "x1"
+    ].to_numpy()
     assert len(np.unique(x1)) == 5 * 6
 
 
 @pytest.mark.parametrize("start", ["fixed", "up", "down", "random"])
 def test_expected_work_is_the_work_done(start):
     options = DiagramOptions(transient=5, strobes=4, start=start, phase=0.5)
-    lanes = Lanes()
+    lanes = LaneExecutor()
     run(options, coarse(), lanes)
     carried = 0.5 if start in ("up", "down") else 0.5 * len(B)  # a carried state flies to the phase once
     expected = diagram.periods(options, len(B)) - 0.5 * len(B) * (16 if start == "random" else 1)
@@ -152,7 +158,7 @@ def test_nothing_is_differentiated(monkeypatch):
 
     monkeypatch.setenv("JAXNH_KEEP_PROGRAMS", "0")  # a program that is found is not traced
     monkeypatch.setattr(KickStrobe, "push", refuse)
-    run(DiagramOptions(transient=1, strobes=2), coarse(), Lanes())
+    run(DiagramOptions(transient=1, strobes=2), coarse(), LaneExecutor())
 
 
 def test_options_of_random_starts_go_with_them_alone(tmp_path):
@@ -188,7 +194,9 @@ def test_lanes_near_a_doubling_are_drawn_on_their_orbit(b, n):
     """
     options = {"transient": 64, "strobes": 8}
     here = scene(SYSTEMS["constant"], np.array([b]), steps=60)
-    waiting, drawn = (sections(run(DiagramOptions(**options, orbits=orbits), here, Lanes()))[0] for orbits in (None, 4))
+    waiting, drawn = (
+        sections(run(DiagramOptions(**options, orbits=orbits), here, LaneExecutor()))[0] for orbits in (None, 4)
+    )
     assert np.abs(waiting[n:] - waiting[:-n]).max() > 1e-4
     assert np.abs(drawn[n:] - drawn[:-n]).max() < 1e-10
     assert n == 1 or np.abs(drawn[1:] - drawn[:-1]).max() > 1e-2
@@ -204,7 +212,7 @@ def test_orbits_go_with_starts_side_by_side():
 def test_statistics_are_those_of_the_strobes(start):
     """Of every trajectory, to the bit of NumPy's over the strobes that a diagram without them keeps."""
     options = {"transient": 5, "strobes": 9, "start": start, **({"starts": 3} if start == "random" else {})}
-    lanes = Lanes()
+    lanes = LaneExecutor()
     whole = run(DiagramOptions(**options), coarse(), lanes)
     ours = run(DiagramOptions(**options, statistics=True), coarse(), lanes)
     assert "strobe" not in ours.dims

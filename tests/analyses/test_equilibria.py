@@ -15,7 +15,7 @@ from jaxnh.analyses.continuation.equilibria import equilibria
 from jaxnh.analyses.continuation.seeds import random_wave
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.section import SectionedFlow
-from jaxnh.orbits.branches import Steps
+from jaxnh.orbits.branches import StepControl
 from jaxnh.orbits.kinds import KINDS
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
@@ -45,7 +45,7 @@ def followed(define, name, ends, box, lanes):
     """The branches of equilibria over a range, and the family's bifurcations as (kind, parameter, point)."""
     flow = SectionedFlow(first_order(define, {name: ends[0]}), "y", 1, 0.0, "up")
     scene = scene_of(flow, flow.start({"x": 1.0, "y": 1.0, "z": 1.0}), np.linspace(*ends, 3), verner9, 8, name=name)
-    found = equilibria(scene, lanes, 8, 1, box, ends, Steps(), lambda label: contextlib.nullcontext())
+    found = equilibria(scene, lanes, 8, 1, box, ends, StepControl(), lambda label: contextlib.nullcontext())
     points = sorted(found.tree.bifurcations, key=lambda point: point.value)
     return found.tree.branches, points
 

@@ -11,7 +11,7 @@ from measure import SYSTEMS, scene_of, twin
 from jaxnh.analyses.base import LANE
 from jaxnh.analyses.trajectories import poincare
 from jaxnh.analyses.trajectories.poincare import PoincareOptions, run
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS
 
@@ -42,7 +42,7 @@ def reference(system, b, count):
 @pytest.mark.parametrize("transient", [0, 2])
 def test_strobes_are_those_of_the_reference(system, transient):
     """With no transient the first strobe is the start state, the second the state one period on."""
-    group = run(PoincareOptions(transient=transient, strobes=3), scene(system), Lanes())
+    group = run(PoincareOptions(transient=transient, strobes=3), scene(system), LaneExecutor())
     for i, b in enumerate(B):
         points, errors = reference(system, b, transient + 3)
         points, errors = points[transient:], errors[transient:]
@@ -54,14 +54,16 @@ def test_strobes_are_those_of_the_reference(system, transient):
 
 def test_time_counts_from_the_start():
     system = SYSTEMS["other"]
-    group = run(PoincareOptions(transient=7, strobes=4), scene(system, "blanes_moan6", 20), Lanes())
+    group = run(PoincareOptions(transient=7, strobes=4), scene(system, "blanes_moan6", 20), LaneExecutor())
     np.testing.assert_allclose(group["t"].to_numpy(), system.period * np.array([7, 8, 9, 10]), rtol=1e-15)
     assert group["x1"].dims == (LANE, "strobe")
     assert group.sizes[LANE] == len(B)
 
 
 def test_the_constraint_holds_after_thousands_of_periods():
-    group = run(PoincareOptions(transient=3000, strobes=2), scene(SYSTEMS["constant"], "blanes_moan6", 20), Lanes())
+    group = run(
+        PoincareOptions(transient=3000, strobes=2), scene(SYSTEMS["constant"], "blanes_moan6", 20), LaneExecutor()
+    )
     assert np.abs(group["x2"].to_numpy() ** 2 + group["y2"].to_numpy() ** 2 - 1.0).max() < 2e-15
 
 
@@ -71,7 +73,7 @@ def test_nothing_is_differentiated(monkeypatch):
 
     monkeypatch.setenv("JAXNH_KEEP_PROGRAMS", "0")  # a program that is found is not traced
     monkeypatch.setattr(KickStrobe, "push", refuse)
-    run(PoincareOptions(transient=1, strobes=2), scene(SYSTEMS["constant"], "strang2", 30), Lanes())
+    run(PoincareOptions(transient=1, strobes=2), scene(SYSTEMS["constant"], "strang2", 30), LaneExecutor())
 
 
 def test_trajectories_that_leave_the_numbers_are_counted():
@@ -81,6 +83,6 @@ def test_trajectories_that_leave_the_numbers_are_counted():
 
 
 def test_expected_work_is_the_work_done():
-    options, lanes = PoincareOptions(transient=5, strobes=4), Lanes()
+    options, lanes = PoincareOptions(transient=5, strobes=4), LaneExecutor()
     run(options, scene(SYSTEMS["constant"], "strang2", 30), lanes)
     assert lanes.lane_periods == poincare.periods(options, len(B)) == 3 * 8

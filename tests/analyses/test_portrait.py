@@ -10,8 +10,8 @@ from measure import SYSTEMS, scene_of, twin
 
 from jaxnh.analyses.base import LANE
 from jaxnh.analyses.trajectories.portrait import PortraitOptions, run
-from jaxnh.engine.executor.lanes import Lanes
-from jaxnh.maps.build import make_parts, make_strobe
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.build import make_parts, make_return_map
 from jaxnh.solvers import SOLVERS
 
 B = np.array([2.5, 4.1, 5.3])
@@ -50,7 +50,7 @@ def taylor_path(system, b, times):
 @systems
 def test_samples_within_a_period_are_those_of_the_reference(system, solver):
     steps, tolerance = PRECISE[solver]
-    group = run(PortraitOptions(transient=0, periods=1, samples=7), scene(system, solver, steps), Lanes())
+    group = run(PortraitOptions(transient=0, periods=1, samples=7), scene(system, solver, steps), LaneExecutor())
     times = group["t"].to_numpy()
     np.testing.assert_allclose(times, system.period * np.arange(7) / 7, rtol=1e-15)
     for i, b in enumerate(B):
@@ -61,7 +61,7 @@ def test_samples_within_a_period_are_those_of_the_reference(system, solver):
 def test_runge_kutta_solvers_make_parts_as_well():
     system = SYSTEMS["disturbed"]
     steps, tolerance = PRECISE["dopri8"]
-    group = run(PortraitOptions(transient=0, periods=1, samples=3), scene(system, "dopri8", steps), Lanes())
+    group = run(PortraitOptions(transient=0, periods=1, samples=3), scene(system, "dopri8", steps), LaneExecutor())
     ours = np.array([group[name].to_numpy()[0] for name in NAMES]).T
     assert np.abs(ours - taylor_path(system, B[0], group["t"].to_numpy())).max() < tolerance
 
@@ -69,7 +69,7 @@ def test_runge_kutta_solvers_make_parts_as_well():
 @systems
 def test_every_sample_obeys_the_constraint(system):
     """x2² + y2² = c + d sin t at any accuracy: it is built in, to the rounding of the kicks of a period."""
-    group = run(PortraitOptions(transient=20, periods=3, samples=50), scene(system, steps=20), Lanes())
+    group = run(PortraitOptions(transient=20, periods=3, samples=50), scene(system, steps=20), LaneExecutor())
     x2, y2, t = (group[name].to_numpy() for name in ("x2", "y2", "t"))
     squared_speed = system.c + system.d * np.sin(t)
     assert np.abs(x2**2 + y2**2 - squared_speed).max() < 1e-13
@@ -78,11 +78,11 @@ def test_every_sample_obeys_the_constraint(system):
 def test_samples_are_counted_from_the_start_state_in_whole_periods():
     system = SYSTEMS["disturbed"]
     options = PortraitOptions(transient=0, periods=5, samples=4)
-    group = run(options, scene(system), Lanes())
+    group = run(options, scene(system), LaneExecutor())
     assert group["x1"].dims == (LANE, "time")
     assert group["x1"].to_numpy().shape == (3, 20)
     assert [float(group[name].to_numpy()[1, 0]) for name in NAMES] == pytest.approx([0.1, 0.1, 0.1, np.sqrt(0.99)])
-    later = run(PortraitOptions(transient=2, periods=3, samples=4), scene(system), Lanes())
+    later = run(PortraitOptions(transient=2, periods=3, samples=4), scene(system), LaneExecutor())
     np.testing.assert_allclose(later["t"].to_numpy(), group["t"].to_numpy()[8:], rtol=1e-15)
     # the transient runs by the map of whole periods, whose steps are others: both have an error of 1e-6 or so
     np.testing.assert_allclose(later["x1"].to_numpy(), group["x1"].to_numpy()[:, 8:], atol=1e-3)
@@ -91,7 +91,7 @@ def test_samples_are_counted_from_the_start_state_in_whole_periods():
 @pytest.mark.parametrize("name", ["blanes_moan6", "dopri8"])
 def test_no_step_of_a_part_is_longer_than_the_longest_of_the_period(name):
     system = SYSTEMS["disturbed"]
-    whole, parts = make_strobe(system, SOLVERS["dopri8"], 90), make_parts(system, SOLVERS["dopri8"], 90, 8)
+    whole, parts = make_return_map(system, SOLVERS["dopri8"], 90), make_parts(system, SOLVERS["dopri8"], 90, 8)
     assert np.diff(parts.grid).max() <= np.diff(whole.grid).max() * (1 + 1e-6)
     assert np.array_equal(parts.grid[1:, 0], parts.grid[:-1, -1])
     assert all(np.shape(leaf)[0] == 8 for leaf in jax.tree.leaves(make_parts(system, SOLVERS[name], 90, 8)))

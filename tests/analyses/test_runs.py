@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxnh.analyses.cascade import doubled_orbit
-from jaxnh.analyses.cascade.plateaus import Line, seen, starts
+from jaxnh.analyses.cascade.plateaus import PeriodScan, seen, starts
 
 
 def line(*periods, values=None):
     values = np.arange(len(periods), dtype=float) if values is None else np.asarray(values, float)
-    return Line(values, np.array(periods), values[:, None])
+    return PeriodScan(values, np.array(periods), values[:, None])
 
 
 def chains(found):

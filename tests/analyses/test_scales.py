@@ -13,7 +13,7 @@ from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.scene import Axis, Scene, spread
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import dopri8
 from jaxnh.systems.first_order import Point, first_order
 from jaxnh.systems.lagrangian import Motion, lagrangian
@@ -21,7 +21,7 @@ from jaxnh.systems.lagrangian import Motion, lagrangian
 K = 2.0**10
 # Lengths, times and the parameter are so many times what they were; powers of two, so that chaos is the same as well.
 UNITS = [(1.0, 1.0, 1.0), (K, 1.0, 1.0), (1 / K, 1.0, K), (1.0, K, 1 / K), (1 / K, 2.0**-7, 1.0)]
-LANES = Lanes(tile=32)
+LANES = LaneExecutor(tile=32)
 
 
 def duffing(drive=0.3, length=1.0, time=1.0, unit=1.0):

@@ -10,7 +10,7 @@ import pytest
 from measure import scene_of
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import LANE, OptionError, Setting, Sweep
+from jaxnh.analyses.base import LANE, OptionError, Setting, SweepLanes
 from jaxnh.analyses.cascade import follow
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
@@ -114,7 +114,7 @@ def test_a_dataset_says_what_it_is(lanes, name):
     if analysis.whole:
         scene = own(scene, a=0.4)
         axes = (Axis("b", B[:3], "b"), Axis("a", np.array([0.4, 0.5]), "a"))[: 2 if name == "curves" else 1]
-        whole = Sweep(axes, ((np.arange(3), scene),))
+        whole = SweepLanes(axes, ((np.arange(3), scene),))
         groups = analysis.whole.run(analysis.options(**analysis.brief), whole, lanes, data)
         assert set(groups) == {name, *analysis.whole.brings}
         data = groups[name]

@@ -16,7 +16,7 @@ import jaxnh
 from jaxnh.analyses.basins.basins import BasinsOptions, choose
 from jaxnh.analyses.basins.steps_after_transient import settled_steps
 from jaxnh.analyses.scene import Scene
-from jaxnh.analyses.window_averages import look_at
+from jaxnh.analyses.window_averages import average_window
 from jaxnh.config.experiment import Experiment
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed
@@ -39,10 +39,10 @@ def test_error_after_the_first_look(lanes):
     Starts are up to 4 from the origin, where the forces are thirty times those on the attractors.
     """
     few = scene_over(4.0, 512, 1)
-    steps = settled_steps(few, lanes, look_at(few, lanes, few.start, TRANSIENT // 2).state)
+    steps = settled_steps(few, lanes, average_window(few, lanes, few.start, TRANSIENT // 2).state)
     assert steps <= STEPS // 3
     others = scene_over(4.0, 100, 2)
-    state = look_at(others, lanes, others.start, TRANSIENT // 2).state
+    state = average_window(others, lanes, others.start, TRANSIENT // 2).state
     par, worst, with_fewer = twin(SYSTEM), [], []
     for _ in range(16):
         u = SYSTEM.section_point(state)
@@ -60,7 +60,7 @@ def test_where_nothing_is_gained(lanes):
     where there are few: a target that any steps meet is no reason for fewer than eight."""
     few = scene_over(4.0, 256, 1)
     assert settled_steps(few, lanes, few.start) == STEPS
-    settled = look_at(few, lanes, few.start, TRANSIENT // 2).state
+    settled = average_window(few, lanes, few.start, TRANSIENT // 2).state
     assert settled_steps(replace(few, target=0.0), lanes, settled) == STEPS
     assert settled_steps(replace(few, target=1.0, steps=15), lanes, settled) == 15
     assert settled_steps(replace(few, target=1.0, steps=40), lanes, settled) == 10

@@ -11,7 +11,7 @@ from conftest import ROOT, session_of
 import jaxnh
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import Scene
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import dopri8
 
 pytestmark = pytest.mark.slow
@@ -58,7 +58,7 @@ def test_spectra_beside_heyoka(name):
     p = {case.parameter: np.linspace(case.low, case.high, COUNT)}
     scene = Scene(flow, jax.tree.map(np.asarray, start), p, dopri8, STEPS[name], False, 1e-8)
     options = lyapunov.LyapunovOptions(transient=0, periods=PERIODS, exponents=k)
-    found = lyapunov.run(options, scene, Lanes())
+    found = lyapunov.run(options, scene, LaneExecutor())
     exponents, errors = found["exponents"].to_numpy(), found["exponents_error"].to_numpy()
     window = LONGER * PERIODS * case.period
     allowed = 1.5 * errors + np.log(100.0 * window) / window

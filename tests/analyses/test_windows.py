@@ -8,8 +8,8 @@ from conftest import session_of
 from measure import some_slow
 
 import jaxnh
-from jaxnh.analyses.cascade.plateaus import Line
-from jaxnh.analyses.continuation.family_tree import Orbit
+from jaxnh.analyses.cascade.plateaus import PeriodScan
+from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import ENDS, all_lanes, runs_of, search
 from jaxnh.config.experiment import Experiment
@@ -87,7 +87,7 @@ def settled(image, a, limit, start):
     for n in range(1, limit + 1):
         path.append(image(path[-1], a).image)
         period[(period == 0) & (np.abs(path[-1] - x)[:, 0] < 1e-7)] = n
-    return Line(a, period, x), np.stack(path, axis=1)
+    return PeriodScan(a, period, x), np.stack(path, axis=1)
 
 
 def windows_of(image, a, start=0.1, limit=12, lost=()):
@@ -95,7 +95,7 @@ def windows_of(image, a, start=0.1, limit=12, lost=()):
     line.period[list(lost)] = 0
 
     def orbits(some):
-        return [Orbit(path[k, : line.period[k]], float(a[k])) for k in some]
+        return [SeedOrbit(path[k, : line.period[k]], float(a[k])) for k in some]
 
     def families(low, high):
         return [Family(image, lambda gap: gap, np.ones(1), low, high)] * 3

@@ -7,10 +7,10 @@ import pytest
 from conftest import ROOT, session_of
 
 import jaxnh
-from jaxnh.analyses.equilibria.detection import rest
+from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.scene import Scene, spread
 from jaxnh.analyses.verdict import KINDS, across
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import dopri8
 
 CONFIG = f"""system: {{file: {ROOT}/configs/flows/lorenz.py}}
@@ -31,7 +31,7 @@ def lorenz(tmp_path_factory):
 
 def at_rest(flow, start, rho, units):
     scene = Scene(flow, spread(flow.start(start), len(rho)), {"rho": np.array(rho)}, dopri8, 96, False, 1e-9)
-    return rest(scene, Lanes(), units)
+    return detect_equilibrium(scene, LaneExecutor(), units)
 
 
 def spectrum(rho):

@@ -19,8 +19,8 @@ from measure import some_slow
 
 import jaxnh
 from jaxnh.analyses.periodic.newton_on_lanes import orbits
-from jaxnh.engine.executor.lanes import Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.solvers import dopri8, tsit5
@@ -150,14 +150,14 @@ def flow_and_lanes(name):
     return flow, state, {axis.name: values} if axis.kind == "lane" else {}, values
 
 
-LANES = Lanes()
+LANES = LaneExecutor()
 
 
 def ends(name, periods):
     """Section coordinates of three lanes some periods, or units of time, after the start of their config."""
     flow, state, p, values = flow_and_lanes(name)
     # Mechanics are slow to compile and smooth: six stages in place of twelve are enough.
-    strobe = make_strobe(flow, tsit5 if name in MECHANICS else dopri8, STEPS)
+    strobe = make_return_map(flow, tsit5 if name in MECHANICS else dopri8, STEPS)
     end = LANES(iterate, (strobe, np.int32(periods)), (state, p), tile=4)
     return flow.section_point(state), flow.section_point(end), flow.period * periods, values
 
@@ -212,7 +212,7 @@ def test_modes_of_the_double_pendulum():
     shape = sign * np.sqrt((1 + ratio) / ratio)
     zero = np.zeros(4)
     state = flow.start({"upper": zero + size, "lower": size * shape, "upper_dot": zero, "lower_dot": zero})
-    end = LANES(iterate, (make_strobe(flow, tsit5, STEPS), np.int32(2)), (state, {"ratio": ratio}), tile=4)
+    end = LANES(iterate, (make_return_map(flow, tsit5, STEPS), np.int32(2)), (state, {"ratio": ratio}), tile=4)
     square = (1 + ratio) * (1 - sign * np.sqrt(ratio / (1 + ratio)))
     assert np.abs(end.q[0] - size * np.cos(2 * np.sqrt(square))).max() < 50 * size**3
 
@@ -222,7 +222,9 @@ def test_modes_of_the_double_pendulum():
 def test_disk_without_its_spring_rolls_in_a_circle():
     """Its centre is one radius of the circle to the left of the motion; the constraint is kept."""
     flow, state, _, _ = flow_and_lanes("rolling_disk")
-    end = LANES(iterate, (make_strobe(flow, tsit5, STEPS), np.int32(2)), (state, {"stiffness": np.zeros(3)}), tile=4)
+    end = LANES(
+        iterate, (make_return_map(flow, tsit5, STEPS), np.int32(2)), (state, {"stiffness": np.zeros(3)}), tile=4
+    )
     angle, radius = 0.7 * 2, 1 / 0.7
     exact = [0.5 + radius * math.sin(angle), radius * (1 - math.cos(angle)), 2.0, angle]
     assert np.abs(np.stack(end.q, axis=-1) - exact).max() < 1e-10
@@ -233,7 +235,7 @@ def test_disk_without_its_spring_rolls_in_a_circle():
 def test_limit_cycle_of_van_der_pol():
     """Its period at mu = 1, and its multiplier: e to the divergence around it, by DOP853 and its events."""
     flow = loaded("van_der_pol_free").flow()
-    strobe, p = make_strobe(flow, dopri8, 64), {"mu": np.ones(1)}
+    strobe, p = make_return_map(flow, dopri8, 64), {"mu": np.ones(1)}
     orbit = orbits(LANES, strobe, np.array([[2.17]]), p, 1)
     state = jax.vmap(flow.unchart)(jnp.asarray(orbit.u))
     assert float(LANES(iterate, (strobe, np.int32(1)), (state, p), tile=4).t[0]) == pytest.approx(
@@ -257,7 +259,7 @@ def test_shortest_orbit_of_roessler():
     The list has 1.000000003 for the multiplier one: it is known to 3e-9, in z, which falls at a rate of 7 there, to 2e-8.
     """
     flow = SectionedFlow(loaded("roessler").flow().flow, "x", 0, 0.0, "down")
-    strobe, p = make_strobe(flow, dopri8, 256), {"c": np.array([5.7])}
+    strobe, p = make_return_map(flow, dopri8, 256), {"c": np.array([5.7])}
     orbit = orbits(LANES, strobe, np.array([[6.0, 1.3]]), p, 1)
     assert np.abs(orbit.u[0] - [6.09176831742, 1.29973195919]).max() < 5e-8
     state = jax.vmap(flow.unchart)(jnp.asarray(orbit.u))

@@ -25,9 +25,9 @@ from jaxnh.config.experiment import load
 from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
 from jaxnh.engine.axes import points
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import ConfigError, UserFileError
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.general_flow import GeneralStrobe
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.plotting import results as figures
@@ -86,14 +86,14 @@ def scene_of(experiment, values, steps):
 def test_map_is_diffeqsolve_with_projected_steps(tmp_path):
     """The loop of steps is the written-out solver, projected, under `diffrax.diffeqsolve`, to rounding."""
     own = scene(tmp_path, [2.0], 100)
-    strobe = make_strobe(own.system, SOLVERS["tsit5"], 100)
+    strobe = make_return_map(own.system, SOLVERS["tsit5"], 100)
     assert isinstance(strobe, GeneralStrobe)
     start = jax.tree.map(lambda component: jnp.float64(component[0]), own.start)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(own.system.rhs), Projected(SOLVERS["tsit5"], own.system), 0.0, own.system.period,
         own.system.period / 100, start, args={"b": 2.0}, max_steps=128,
     )  # fmt: skip
-    moved = Lanes()(section_map, (strobe, np.int32(1)), (own.system.section_point(own.start), own.p))[0]
+    moved = LaneExecutor()(section_map, (strobe, np.int32(1)), (own.system.section_point(own.start), own.p))[0]
     exact = np.array([float(x[-1]) for x in (*solution.ys.q, *solution.ys.v)])
     assert np.abs(moved - exact).max() < 1e-11
 
@@ -105,9 +105,9 @@ def test_map_and_its_derivatives_are_those_of_the_splitting(tmp_path):
     Across the constraint the map has no slope: one multiplier more is zero.
     """
     own, planar = scene(tmp_path, [5.3, 5.6]), SYSTEMS["constant"]
-    fine = make_strobe(planar, SPLITTINGS["sofroniou_spaletta10"], 200)
+    fine = make_return_map(planar, SPLITTINGS["sofroniou_spaletta10"], 200)
     x2, y2 = (float(component[0]) for component in own.start.v)
-    lanes, one = Lanes(), np.int32(1)
+    lanes, one = LaneExecutor(), np.int32(1)
     u = np.tile([0.1, 0.1, np.arctan2(y2, x2)], (2, 1))
     exact, monodromy, slope = lanes(derivatives, (fine, one), (u, own.p), static=("b",))
     points = own.system.section_point(own.start)
@@ -140,7 +140,7 @@ CASCADE = (
 @pytest.mark.slow
 def test_doublings_of_table_1(tmp_path):
     """All six doublings from T, Q and f are those of the isokinetic route in results/table1.h5, to 1e-8."""
-    general = doubling.run(doubling.DoublingOptions(levels=6), scene(tmp_path, CASCADE), Lanes())
+    general = doubling.run(doubling.DoublingOptions(levels=6), scene(tmp_path, CASCADE), LaneExecutor())
     isokinetic = store.read_group(ROOT / "results" / "table1.h5", "doubling")
     np.testing.assert_array_equal(general["period"], isokinetic["period"])
     apart = np.abs(general["b"].to_numpy() - isokinetic["b"].to_numpy())
@@ -177,7 +177,7 @@ def test_doublings_of_the_governor(governor_doublings):
     """The first two against the Taylor reference, whose equations have no multipliers: within the errors of both."""
     values = np.linspace(0.87, 0.785, 24)
     own = scene_of(load(ROOT / "configs" / "governor.yaml"), values, 136)
-    found = doubling.run(doubling.DoublingOptions(levels=2), own, Lanes())
+    found = doubling.run(doubling.DoublingOptions(levels=2), own, LaneExecutor())
     assert found["period"].to_numpy().tolist() == [2, 4]
     drives, errors = found["drive"].to_numpy(), found["drive_error"].to_numpy()
     for drive, error, (exact, exact_error) in zip(drives, errors, governor_doublings, strict=True):
@@ -188,7 +188,7 @@ def test_doublings_of_the_governor(governor_doublings):
 def test_lyapunov_spectrum_has_its_sum(tmp_path):
     """Three exponents on the constraint, their sum the mean divergence of all four equations; none is transverse."""
     options = lyapunov.LyapunovOptions(transient=16, periods=16)
-    found = lyapunov.run(options, scene(tmp_path, [5.6]), Lanes())
+    found = lyapunov.run(options, scene(tmp_path, [5.6]), LaneExecutor())
     assert found["exponents"].shape == (1, 3)
     assert abs(float(found["sum_rule_residual"][0])) < 1e-6
     assert "transverse" not in found

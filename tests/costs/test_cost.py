@@ -15,7 +15,7 @@ from measure import scene_of
 from jaxnh.config.experiment import load
 from jaxnh.costs import exponent
 from jaxnh.costs import solvers as costs_of_solvers
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS
 from jaxnh.systems.particle import constant_speed
 
@@ -196,7 +196,7 @@ def test_price_of_an_exponent(monkeypatch):
     """At the most chaotic b, the error falls as averages do: fourfold over sixteen times the periods, on the whole."""
     for name, value in (("_SEARCHED", 8), ("_LANES", 64), ("_AVERAGED", (16, 256))):
         monkeypatch.setattr(exponent, name, value)
-    group = exponent.price(scene(np.linspace(5.3, 5.35, 8)), Lanes())
+    group = exponent.price(scene(np.linspace(5.3, 5.35, 8)), LaneExecutor())
     assert group is not None
     error = group["error"].to_numpy()[:, 1]
     assert group.attrs["reference_periods"] == 2560
@@ -210,7 +210,7 @@ def test_no_price_without_chaos(monkeypatch):
     """Before the first doubling every lane is of period one."""
     for name, value in (("_SEARCHED", 8), ("_SEARCH_PERIODS", 64)):
         monkeypatch.setattr(exponent, name, value)
-    assert exponent.price(scene(np.linspace(5.6, 5.55, 8)), Lanes()) is None
+    assert exponent.price(scene(np.linspace(5.6, 5.55, 8)), LaneExecutor()) is None
 
 
 def scene(values):

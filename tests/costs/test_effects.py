@@ -22,7 +22,7 @@ from jaxnh.analyses.trajectories import diagram, poincare
 from jaxnh.cli import pricing
 from jaxnh.config.experiment import load
 from jaxnh.costs.operations import count
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, SectionedFlow
 from jaxnh.solvers import SPLITTINGS, tsit5
@@ -44,7 +44,7 @@ def spread(start, count=LANES):
 
 def lowered(system, function=iterate):
     """The text that is compiled for three periods of a system."""
-    strobe = make_strobe(system, SPLITTINGS["blanes_moan6"], 40)
+    strobe = make_return_map(system, SPLITTINGS["blanes_moan6"], 40)
 
     def tile(shared, z, p):
         return jax.vmap(lambda z, p: function(shared, 3, z, p))(z, p)
@@ -54,7 +54,7 @@ def lowered(system, function=iterate):
 
 def operations(lanes, system):
     """Floating-point operations a period of the map of a system, under 40 steps."""
-    strobe = make_strobe(system, SPLITTINGS["blanes_moan6"], 40)
+    strobe = make_return_map(system, SPLITTINGS["blanes_moan6"], 40)
     text, tile = lanes.program(iterate, (strobe, np.int32(1)), (spread(START), P))
     return count(text, tile).total((1.0, *strobe.turns))
 
@@ -65,7 +65,7 @@ def operations(lanes, system):
 def test_no_disturbance_is_constant_speed():
     """d = 0 compiles to the same text as constant speed, and not to another table."""
     assert lowered(disturbed_speed(d=0.0)) == lowered(constant_speed())
-    tables = [make_strobe(s, SPLITTING, 40).table for s in (disturbed_speed(d=0.0), constant_speed())]
+    tables = [make_return_map(s, SPLITTING, 40).table for s in (disturbed_speed(d=0.0), constant_speed())]
     np.testing.assert_array_equal(*tables)
 
 

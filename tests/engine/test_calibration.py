@@ -16,7 +16,7 @@ import jaxnh
 from jaxnh.analyses.scene import spread
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import AccuracyError
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate, section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.particle import chart, disturbed_speed
@@ -41,7 +41,7 @@ RANGES = {
 def other_lanes(lanes, system, first, last):
     """b and section points of 500 lanes: b between the values of a sweep, a fifth each after 0, 3, 9, 41, 100 periods."""
     b = np.random.default_rng(17).uniform(*sorted((first, last)), 500)
-    strobe = make_strobe(system, SPLITTINGS["kahan_li8"], 120)
+    strobe = make_return_map(system, SPLITTINGS["kahan_li8"], 120)
     points = []
     for k, n in enumerate((0, 3, 9, 41, 100)):
         state = jax.tree.map(lambda leaf: np.full(100, leaf), START)
@@ -66,7 +66,7 @@ def test_estimate_is_honest(lanes, name, first, last):
     kicks = []
     for target in (1e-4, 1e-6, 1e-8, 1e-10):
         plan = calibration.cheapest(target)
-        strobe = make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated)
+        strobe = make_return_map(system, plan.solver, plan.steps, compensated=plan.compensated)
         error = apart(lanes(section_map, (strobe, np.int32(1)), (u, {"b": b})), exact)
         assert np.sum(error > plan.error_estimate) <= 1
         assert plan.error_estimate <= target
@@ -85,7 +85,7 @@ def test_estimate_on_its_own_lanes(lanes, name):
     calibration = calibrated(system, start, np.array([b]), lanes)
     for solver, steps in ((SPLITTINGS["blanes_moan4"], 100), (SPLITTINGS["kahan_li8"], 40)):
         image = lanes(
-            iterate, (make_strobe(system, solver, steps), np.int32(1)), (spread(start, 1), {"b": np.array([b])})
+            iterate, (make_return_map(system, solver, steps), np.int32(1)), (spread(start, 1), {"b": np.array([b])})
         )
         (x, y), n = jax.tree.map(lambda leaf: leaf[0], image)
         end = [exact[0, 0], exact[0, 1], np.cos(exact[0, 2]), np.sin(exact[0, 2])]
@@ -118,7 +118,7 @@ def test_rounding_floor(lanes, name):
     system, b = SYSTEMS[name], np.linspace(2, 6, 256)
     start = np.tile([0.1, 0.1, math.atan2(math.sqrt(0.99), 0.1)], (len(b), 1))
     plain, compensated = (
-        make_strobe(system, SPLITTINGS["sofroniou_spaletta10"], 250, compensated=c) for c in (False, True)
+        make_return_map(system, SPLITTINGS["sofroniou_spaletta10"], 250, compensated=c) for c in (False, True)
     )
     u = np.concatenate([start, lanes(section_map, (plain, np.int32(30)), (start, {"b": b}))])
     b = np.tile(b, 2)
@@ -183,7 +183,7 @@ def test_random_starts_are_among_the_samples(analysis):
         u[:, 2] = math.acos(0.1)  # x2 is no side of the box
     exact = taylor.strobe(twin(SYSTEMS["constant"]), b, u.astype(taylor.REAL))
     image = jax.vmap(section_map, (None, None, 0, None))
-    maps = (make_strobe(SYSTEMS["constant"], plan.solver, plan.steps) for plan in (drawn, still))
+    maps = (make_return_map(SYSTEMS["constant"], plan.solver, plan.steps) for plan in (drawn, still))
     missing = [np.sum(apart(image(strobe, 1, u, {"b": b}), exact) > target) for strobe in maps]
     assert missing[0] < 16
     assert missing[1] > 100

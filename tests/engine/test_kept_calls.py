@@ -17,12 +17,12 @@ from test_batch import CONFIG, GO_ON, Job, content
 from test_pieces import job
 
 from jaxnh.engine.executor import lanes as engine
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import Stopped
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SOLVERS
-from jaxnh.storage.calls import Calls
+from jaxnh.storage.calls import CallJournal
 
 CARRIED = """\
 system: {constraint: constant_speed}
@@ -55,7 +55,7 @@ storage.Calls.add = added
 
 def calls_of(batch, *arguments):
     """Run to the end in this process: the programs' calls that were made for pieces."""
-    with mock.patch.object(Calls, "add", autospec=True) as add:
+    with mock.patch.object(CallJournal, "add", autospec=True) as add:
         code, _, err = batch.run_here(*arguments)
     assert code == 0, err
     assert batch.left() == {"job.h5"}
@@ -85,7 +85,7 @@ def test_stopped_within_a_piece(tmp_path, text, tile, number, at):
         assert err.splitlines()[-1].startswith(f"stopped by {number.name} with 0 of ")
         assert err.splitlines()[-1].endswith(f"tiles done; {GO_ON}")
     assert stopped.done() == []
-    others = len(Lanes().apart()) - 1  # may each have kept a call that was not counted yet
+    others = len(LaneExecutor().apart()) - 1  # may each have kept a call that was not counted yet
     assert every - at - 1 - others <= calls_of(stopped) <= every - at - 1
     assert content(stopped.output) == content(whole.output)
 
@@ -123,8 +123,8 @@ def same(one, other):
 )
 def test_many_calls_give_the_bits_of_one(system, solver, steps, compensated):
     """Of a chaotic map, 150 periods of it at once, and in calls of 7: a map keeps nothing from period to period."""
-    strobe = make_strobe(SYSTEMS[system], SOLVERS[solver], steps, compensated=compensated)
-    lanes = Lanes(devices=jax.devices("cpu")[:1], tile=8)
+    strobe = make_return_map(SYSTEMS[system], SOLVERS[solver], steps, compensated=compensated)
+    lanes = LaneExecutor(devices=jax.devices("cpu")[:1], tile=8)
     at_once = lanes(iterate, (strobe, np.int32(150)), (STATE, CHAOTIC), periods=150)
     one = lanes.lane_periods
     with mock.patch.object(engine, "_LONGEST", 7 * 8):
@@ -155,15 +155,15 @@ def test_call_stopped_between_tiles(tmp_path):
     """Its first lanes are found, on another number of devices as well; the account is that of all that is there."""
     pieces = job().pieces()
     x, pair = np.arange(40.0), (np.arange(40.0) % 3, np.arange(80.0).reshape(40, 2))
-    expected = Lanes(tile=4)(_grown, (np.float64(1.0),), (x, pair), periods=2)
-    lanes = Lanes(StopsAt(30), devices=jax.devices("cpu")[:2], tile=4)
-    with pytest.raises(Stopped), lanes.keeping(Calls(tmp_path, job(), pieces)):
+    expected = LaneExecutor(tile=4)(_grown, (np.float64(1.0),), (x, pair), periods=2)
+    lanes = LaneExecutor(StopsAt(30), devices=jax.devices("cpu")[:2], tile=4)
+    with pytest.raises(Stopped), lanes.keeping(CallJournal(tmp_path, job(), pieces)):
         lanes(_grown, (np.float64(1.0),), (x, pair), periods=2)
     assert lanes.lane_periods == 32
-    lanes = Lanes(devices=jax.devices("cpu")[:1], tile=4)
+    lanes = LaneExecutor(devices=jax.devices("cpu")[:1], tile=4)
     with (
-        mock.patch.object(Calls, "add", autospec=True) as add,
-        lanes.keeping(kept := Calls(tmp_path, job(), pieces)),
+        mock.patch.object(CallJournal, "add", autospec=True) as add,
+        lanes.keeping(kept := CallJournal(tmp_path, job(), pieces)),
     ):
         assert lanes.earlier_seconds > 0
         found = lanes(_grown, (np.float64(1.0),), (x, pair), periods=2)
@@ -182,19 +182,19 @@ import sys
 import numpy as np
 from jaxnh.config.experiment import load
 from jaxnh.engine.axes import points
-from jaxnh.engine.cache.fingerprints import CallNames
+from jaxnh.engine.cache.fingerprints import CallFingerprints
 from jaxnh.engine.executor.row_blocks import of_block
 from jaxnh.engine.xla_options import configure
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SOLVERS
 configure()
 experiment = load(sys.argv[1], [])
 at = points(experiment, experiment.axes, tuple(np.arange(4) for _ in experiment.axes))
 for steps in (40, 80):
-    strobe = make_strobe(at.system, SOLVERS[sys.argv[2]], steps)
-    print(CallNames().of(iterate, (strobe, np.int32(3)), (at.start, at.p), (), 8))
-    print(CallNames().of(of_block, (strobe, np.int32(3)), (at.start, at.p), ((iterate, ()),), 8))
+    strobe = make_return_map(at.system, SOLVERS[sys.argv[2]], steps)
+    print(CallFingerprints().of(iterate, (strobe, np.int32(3)), (at.start, at.p), (), 8))
+    print(CallFingerprints().of(of_block, (strobe, np.int32(3)), (at.start, at.p), ((iterate, ()),), 8))
 """
 
 

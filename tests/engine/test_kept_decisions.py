@@ -9,7 +9,7 @@ from conftest import lanes_with_kept_programs
 from jaxnh.config.experiment import Experiment, load
 from jaxnh.engine import plan
 from jaxnh.engine.cache import calibrations, executables
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import AccuracyError, ConfigError
 
 # A target of a few steps, and an analysis that chooses (`lyapunov` its parts).
@@ -67,7 +67,7 @@ def test_a_second_run_calibrates_nothing(folder, calibrated):
     first = decided()
     assert first.chosen["lyapunov"]
     assert first.error_estimate > 0
-    runner = Lanes()
+    runner = LaneExecutor()
     assert plan.decide(experiment("another title"), runner) == first
     assert runner.lane_periods == 0
     assert len(calibrated) == 1
@@ -87,15 +87,15 @@ def test_a_damaged_decision_is_taken_anew(folder, calibrated, fault):
 def test_what_decides_is_in_the_name(folder, monkeypatch):
     """Values, accuracy, analyses, lanes a tile, devices, the text of the package."""
     one = experiment()
-    names = [name_of(one, Lanes(*how)) for how in ((), (None, None, 32), (None, jax.devices()[:1]))]
+    names = [name_of(one, LaneExecutor(*how)) for how in ((), (None, None, 32), (None, jax.devices()[:1]))]
     for other in ({"stop": 5.5}, {"accuracy": "{target: 1.0e-3}"}, {"exponents": 2}):
-        names.append(name_of(experiment(**other), Lanes()))
+        names.append(name_of(experiment(**other), LaneExecutor()))
     monkeypatch.setattr(executables, "_versions", lambda: ["another text of the package"])
-    names.append(name_of(one, Lanes()))
+    names.append(name_of(one, LaneExecutor()))
     assert None not in names
     assert len(set(names)) == len(names)
     monkeypatch.setenv("JAXNH_KEEP_PROGRAMS", "0")
-    assert name_of(one, Lanes()) is None
+    assert name_of(one, LaneExecutor()) is None
 
 
 def test_what_cannot_be_met_is_not_kept(folder, monkeypatch):
@@ -115,7 +115,7 @@ def test_a_sweep_of_days_is_refused_where_its_decision_is_kept(folder, calibrate
     plan.decide(experiment(), asked)
     monkeypatch.setattr(plan, "_LONGEST_RUN", 0.0)
     with pytest.raises(ConfigError, match="--yes goes on"):
-        plan.decide(experiment(), Lanes(), asked=False)
+        plan.decide(experiment(), LaneExecutor(), asked=False)
     assert len(calibrated) == 1
 
 
@@ -140,7 +140,7 @@ analyses: {diagram: {transient: 4, strobes: 2}}
 def name_of_user(folder, before="", force="y[0]"):
     (folder / "own.py").write_text(SYSTEM.format(before=before, force=force))
     (folder / "own.yaml").write_text(OF_USER)
-    return name_of(load(folder / "own.yaml"), Lanes())
+    return name_of(load(folder / "own.yaml"), LaneExecutor())
 
 
 def test_data_of_users_are_in_the_name(folder, tmp_path):

@@ -17,8 +17,8 @@ from conftest import ROOT
 from measure import SYSTEMS, some_slow
 
 from jaxnh.engine.cache import executables
-from jaxnh.engine.executor.lanes import Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import SPLITTINGS, tsit5
 from jaxnh.systems.user_file import UserFile
@@ -30,8 +30,9 @@ LANES = (STATE, {"b": np.linspace(5.2, 5.45, COUNT)})  # chaotic ones among them
 PROCESS = f"""
 import math, sys
 import numpy as np
-from jaxnh.engine import lanes, xla_options
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine import xla_options
+from jaxnh.engine.executor import lanes
+from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed
 xla_options.configure(2)
@@ -39,14 +40,14 @@ if "found" in sys.argv:
     lanes.jax.vmap = None  # nothing is traced
 at = lambda value: np.full({COUNT}, value)
 start = (at(0.1), at(0.1)), (at(0.1), at(math.sqrt(0.99)))
-strobe = make_strobe(constant_speed(), SPLITTINGS["blanes_moan6"], 40)
-q, n = lanes.Lanes()(lanes.iterate, (strobe, np.int32(200)), (start, {{"b": np.linspace(5.2, 5.45, {COUNT})}}))
+strobe = make_return_map(constant_speed(), SPLITTINGS["blanes_moan6"], 40)
+q, n = lanes.LaneExecutor()(lanes.iterate, (strobe, np.int32(200)), (start, {{"b": np.linspace(5.2, 5.45, {COUNT})}}))
 print(*(value.hex() for leaf in (*q, *n) for value in leaf.tolist()))
 """
 
 
 def strobe(steps=40, solver="blanes_moan6"):
-    return make_strobe(SYSTEMS["constant"], SPLITTINGS[solver], steps)
+    return make_return_map(SYSTEMS["constant"], SPLITTINGS[solver], steps)
 
 
 def begun(folder, *arguments, keep="1"):
@@ -91,11 +92,11 @@ def folder(tmp_path, monkeypatch):
 )
 def test_a_file_that_is_no_program_is_written_anew(folder, fault):
     shared = strobe(), np.int32(3)
-    expected = Lanes()(iterate, shared, LANES)
+    expected = LaneExecutor()(iterate, shared, LANES)
     (path,) = folder.iterdir()
     sound = path.read_bytes()
     if fault == "of another program":
-        Lanes()(iterate, shared, LANES, tile=16)
+        LaneExecutor()(iterate, shared, LANES, tile=16)
         (other,) = set(folder.iterdir()) - {path}
         path.write_bytes(other.read_bytes())
     else:
@@ -103,7 +104,7 @@ def test_a_file_that_is_no_program_is_written_anew(folder, fault):
         path.write_bytes({"cut": sound[:-1], "bit": flipped, "empty": b""}[fault])
     bad = path.read_bytes()
     for _ in range(2):
-        result = Lanes()(iterate, shared, LANES)
+        result = LaneExecutor()(iterate, shared, LANES)
         for one, other in zip(jax.tree.leaves(result), jax.tree.leaves(expected), strict=True):
             np.testing.assert_array_equal(one, other)
         assert path.read_bytes() != bad
@@ -114,15 +115,15 @@ def test_a_file_that_is_no_program_is_written_anew(folder, fault):
 
 def test_what_nothing_asks_for_is_removed(folder):
     """Where a program is written, those of more than sixty days are removed; one that is found counts as new."""
-    Lanes()(iterate, (strobe(), np.int32(1)), LANES)
+    LaneExecutor()(iterate, (strobe(), np.int32(1)), LANES)
     (kept,) = folder.iterdir()
     old, recent = folder / ("a" * 64), folder / ("b" * 64)
     days = {old: 61, recent: 59, kept: 61}
     for path, age in days.items():
         path.touch()
         os.utime(path, (time.time() - 86400 * age,) * 2)
-    Lanes()(iterate, (strobe(), np.int32(1)), LANES)
-    Lanes()(derivatives, (strobe(), np.int32(1)), (np.full((COUNT, 3), 0.1), LANES[1]))
+    LaneExecutor()(iterate, (strobe(), np.int32(1)), LANES)
+    LaneExecutor()(derivatives, (strobe(), np.int32(1)), (np.full((COUNT, 3), 0.1), LANES[1]))
     names = {path.name for path in folder.iterdir()}
     assert {kept.name, recent.name} < names
     assert old.name not in names
@@ -132,10 +133,10 @@ def test_some_of_the_devices(folder, monkeypatch):
     """A program of one device of two, and that of the other, are found and run where they were compiled for."""
     shared, results = (strobe(), np.int32(3)), []
     for devices in (jax.devices()[:1], jax.devices()[1:], jax.devices()):
-        results += [Lanes(devices=devices)(iterate, shared, LANES)]
+        results += [LaneExecutor(devices=devices)(iterate, shared, LANES)]
         with monkeypatch.context() as patch:
             patch.setattr(jax, "vmap", None)  # nothing is traced
-            results += [Lanes(devices=devices)(iterate, shared, LANES)]
+            results += [LaneExecutor(devices=devices)(iterate, shared, LANES)]
     assert len(jax.devices()) > 1
     for result in results[1:]:
         jax.tree.map(np.testing.assert_array_equal, result, results[0])
@@ -143,7 +144,7 @@ def test_some_of_the_devices(folder, monkeypatch):
 
 def test_programs_of_others_are_kept_by_jax(folder):
     """As before the call, and after it."""
-    Lanes()(iterate, (strobe(), np.int32(1)), LANES)
+    LaneExecutor()(iterate, (strobe(), np.int32(1)), LANES)
     before = set(folder.parent.glob("*-cache"))
     jax.block_until_ready(jax.jit(lambda x: jnp.sin(x) + 0.625)(1.0))
     assert set(folder.parent.glob("*-cache")) > before
@@ -151,7 +152,7 @@ def test_programs_of_others_are_kept_by_jax(folder):
 
 def test_a_folder_that_cannot_be_written_keeps_nothing(folder):
     folder.write_text("a file in its place")
-    assert np.all(np.isfinite(Lanes()(iterate, (strobe(), np.int32(1)), LANES)[0][0]))
+    assert np.all(np.isfinite(LaneExecutor()(iterate, (strobe(), np.int32(1)), LANES)[0][0]))
 
 
 # ---- names
@@ -169,8 +170,8 @@ def test_one_program_one_name(folder):
 
 
 def test_other_programs_have_other_names(folder, monkeypatch):
-    compensated = make_strobe(SYSTEMS["constant"], SPLITTINGS["blanes_moan6"], 40, compensated=True)
-    general = [make_strobe(SYSTEMS["constant"], tsit5, 40), make_strobe(SYSTEMS["disturbed"], tsit5, 40)]
+    compensated = make_return_map(SYSTEMS["constant"], SPLITTINGS["blanes_moan6"], 40, compensated=True)
+    general = [make_return_map(SYSTEMS["constant"], tsit5, 40), make_return_map(SYSTEMS["disturbed"], tsit5, 40)]
     few = jax.tree.map(lambda leaf: leaf[:4], LANES)
     names = [
         name(),
@@ -222,7 +223,7 @@ def system(drive=0.3):
 def of_user(path, **words):
     path.write_text(SYSTEM.format(**{"before": "", "force": "y[0]"} | words))
     file = UserFile(path)
-    shared = (make_strobe(file.flow(file.parameters, ("drive",)), tsit5, 20), np.int32(1))
+    shared = (make_return_map(file.flow(file.parameters, ("drive",)), tsit5, 20), np.int32(1))
     return name(shared=shared, lanes=((np.zeros(2), np.zeros(2)), {"drive": np.zeros(2)}))
 
 

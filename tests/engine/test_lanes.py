@@ -14,8 +14,8 @@ import pytest
 from conftest import ROOT
 from measure import SYSTEMS
 
-from jaxnh.engine.executor.lanes import TILE, Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.executor.lanes import TILE, LaneExecutor
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import SPLITTINGS, tsit5
 from jaxnh.systems.first_order import first_order
@@ -28,7 +28,7 @@ COUNTS = [1, TILE + 44, 2 * TILE + 1, *(pytest.param(n, marks=pytest.mark.slow) 
 
 
 def strobe():
-    return make_strobe(SYSTEMS["constant"], SPLITTINGS["blanes_moan6"], 80)
+    return make_return_map(SYSTEMS["constant"], SPLITTINGS["blanes_moan6"], 80)
 
 
 def same(one, other):
@@ -44,7 +44,7 @@ def lane(k, tree):
 @pytest.fixture(scope="module")
 def runners():
     """One runner a number of devices, so that equal programs are compiled once."""
-    return {count: Lanes(devices=jax.devices("cpu")[:count]) for count in (1, 2)}
+    return {count: LaneExecutor(devices=jax.devices("cpu")[:count]) for count in (1, 2)}
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def _double(x):
 def test_accounts():
     """Lane-periods are those of the lanes asked for, not of the padding; a program is compiled once for all calls."""
     recorder = Recorder()
-    lanes = Lanes(recorder, devices=jax.devices("cpu")[:2], tile=8)
+    lanes = LaneExecutor(recorder, devices=jax.devices("cpu")[:2], tile=8)
     with lanes.stage("doubling numbers", 40 * 3):
         lanes(_double, (), (np.arange(40.0),), periods=3)
     assert recorder.said == [("doubling numbers", 120), 48, 48, 24, "end"]
@@ -166,7 +166,7 @@ def test_accounts():
 
 def test_stage_ends_when_something_fails():
     recorder = Recorder()
-    lanes = Lanes(recorder)
+    lanes = LaneExecutor(recorder)
     with pytest.raises(ZeroDivisionError), lanes.stage("failing", 1):
         raise ZeroDivisionError
     assert recorder.said == [("failing", 1), "end"]
@@ -176,8 +176,8 @@ def test_stage_ends_when_something_fails():
 def test_configure(number, set_before, devices):
     """So many devices as asked for, unless the environment says otherwise, and all of them at work."""
     code = (
-        f"from jaxnh.engine.xla_options import configure; from jaxnh.engine.executor.lanes import Lanes; configure({number}); import jax, numpy as np;"
-        "r = Lanes()(abs, (), (np.linspace(-1, 0, 10),)); print(len(jax.devices()), r.sum())"
+        f"from jaxnh.engine.xla_options import configure; from jaxnh.engine.executor.lanes import LaneExecutor; configure({number}); import jax, numpy as np;"
+        "r = LaneExecutor()(abs, (), (np.linspace(-1, 0, 10),)); print(len(jax.devices()), r.sum())"
     )
     environment = {**os.environ, **set_before}
     environment.pop("XLA_FLAGS", None)
@@ -194,8 +194,8 @@ def test_a_flow_first_seen_by_two_devices():
         return {"rhs": lambda y, t: (y[1], 0.5 - damping * y[1] - jnp.sin(y[0])), "coordinates": ("angle", "rate")}
 
     flow = first_order(rotor, {"damping": 0.1})
-    step = make_strobe(flow, tsit5, 1)
+    step = make_return_map(flow, tsit5, 1)
     start = jax.vmap(flow.unchart)(np.stack([np.linspace(0.0, 1.0, 8), np.zeros(8)], axis=1))
     lanes = start, {"damping": np.full(8, 0.1)}
-    found = [Lanes(devices=jax.devices("cpu")[:n])(iterate, (step, np.int32(20)), lanes) for n in (2, 1)]
+    found = [LaneExecutor(devices=jax.devices("cpu")[:n])(iterate, (step, np.int32(20)), lanes) for n in (2, 1)]
     same(*found)

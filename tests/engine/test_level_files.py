@@ -14,8 +14,8 @@ import jaxnh
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.output import is_there
 from jaxnh.engine.plan import decide
-from jaxnh.engine.progress import Silent
-from jaxnh.engine.run import How, run_to_file
+from jaxnh.engine.progress import NullProgress
+from jaxnh.engine.run import RunOptions, run_to_file
 from jaxnh.engine.verification import sample
 from jaxnh.exceptions import Stopped
 from jaxnh.plotting.reading import load_result
@@ -38,10 +38,10 @@ def _decided(experiment, lanes, tile, parts, machine, *, asked):
 
 def run(path, check=lambda: None, **how):
     with (
-        mock.patch("jaxnh.engine.run.Lanes", lanes_with_kept_programs),
+        mock.patch("jaxnh.engine.run.LaneExecutor", lanes_with_kept_programs),
         mock.patch("jaxnh.engine.run.decide", _decided),
     ):
-        return run_to_file(EXPERIMENT, path, How(tile=32, **how), Silent(), check)
+        return run_to_file(EXPERIMENT, path, RunOptions(tile=32, **how), NullProgress(), check)
 
 
 def numbers(path):

@@ -12,7 +12,7 @@ from jaxnh.analyses import ANALYSES
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import compute as pieces
 from jaxnh.engine import plan as work
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.storage.pieces import Piece
 
 UNCALIBRATED = True
@@ -50,7 +50,7 @@ def no_tiles(name):
 
 @pytest.fixture(scope="module")
 def runners():
-    return {1: Lanes(devices=jax.devices("cpu")[:1]), 2: lanes_with_kept_programs()}
+    return {1: LaneExecutor(devices=jax.devices("cpu")[:1]), 2: lanes_with_kept_programs()}
 
 
 @pytest.mark.parametrize("name", some_slow({name: name for name in OPTIONS}, "diagram"))

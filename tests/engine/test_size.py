@@ -11,7 +11,7 @@ import jaxnh
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import plan as work
 from jaxnh.engine.accuracy.calibration import Plan
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import ConfigError
 from jaxnh.solvers import SOLVERS
 
@@ -46,7 +46,7 @@ def test_a_billion_lanes(config, monkeypatch):
 
 def test_what_is_asked(config):
     """A day is the longest that is run unasked: 81 million lane-periods of 10 stages of 20 steps at 6 us each."""
-    lanes = Lanes()
+    lanes = LaneExecutor()
     plan = Plan(SOLVERS["blanes_moan6"], 20, False, 1e-3)
 
     def check(*overrides):

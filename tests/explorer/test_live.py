@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxnh
-from jaxnh.engine.progress import Calling
+from jaxnh.engine.progress import CallbackProgress
 from jaxnh.exceptions import InputError, Stopped
 from jaxnh.explorer.live import live as source_of
 
@@ -33,7 +33,7 @@ def live(stopping):
         if stopping[0]:
             raise Stopped("stale")
 
-    return source_of(jaxnh.Experiment.from_dict(CONFIG), Calling(told), COLUMNS)
+    return source_of(jaxnh.Experiment.from_dict(CONFIG), CallbackProgress(told), COLUMNS)
 
 
 def test_a_coarse_picture_comes_before_the_whole_and_a_zoom_compiles_nothing(live):
@@ -84,7 +84,9 @@ def test_what_is_below_the_accuracy_is_said(live):
 def test_an_axis_of_one_value_is_no_range():
     with pytest.raises(InputError, match="axis of two values or more"):
         source_of(
-            jaxnh.Experiment.from_dict({**CONFIG, "sweep": {"b": {"values": [5.0]}}}), Calling(lambda *_: None), 64
+            jaxnh.Experiment.from_dict({**CONFIG, "sweep": {"b": {"values": [5.0]}}}),
+            CallbackProgress(lambda *_: None),
+            64,
         )
 
 

@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT
 
 import jaxnh
-from jaxnh.engine.progress import Silent
+from jaxnh.engine.progress import NullProgress
 from jaxnh.exceptions import InputError
 from jaxnh.explorer.lattice import Lattice, blocks
 from jaxnh.explorer.live import live
@@ -28,7 +28,7 @@ COLUMNS = 160  # of a diagram: 32 of the plane, which has 24 rows
 
 @pytest.fixture(scope="module")
 def plane():
-    return live(jaxnh.Experiment.from_dict(CONFIG), Silent(), COLUMNS)
+    return live(jaxnh.Experiment.from_dict(CONFIG), NullProgress(), COLUMNS)
 
 
 def test_a_coarse_picture_comes_before_all_lanes_and_a_zoom_compiles_nothing(plane):
@@ -54,14 +54,14 @@ def test_the_saved_config_gives_the_same_numbers(plane):
 
 def test_quantities_are_those_that_go_with_the_system_those_asked_for_first():
     asked = jaxnh.Experiment.from_dict({**CONFIG, "analyses": {"period": {}, "verdict": {}}})
-    assert list(live(asked, Silent(), COLUMNS).variables) == ["period", "verdict", "lyapunov", "chaos01"]
+    assert list(live(asked, NullProgress(), COLUMNS).variables) == ["period", "verdict", "lyapunov", "chaos01"]
 
 
 def test_a_flow_without_clock_and_section_has_exponents_and_a_portrait():
     """A click gives what goes without strobe points; exponents add up to the divergence, a constant."""
     sweep = "sweep={rho: {start: 20, stop: 30, count: 4}, sigma: {start: 9, stop: 11, count: 4}}"
     nowhere = ["system={file: lorenz.py}", sweep, "section=null", "analyses={lyapunov: {}}"]
-    plane = live(jaxnh.load(ROOT / "configs/flows/lorenz.yaml", nowhere), Silent(), COLUMNS)
+    plane = live(jaxnh.load(ROOT / "configs/flows/lorenz.yaml", nowhere), NullProgress(), COLUMNS)
     assert list(plane.variables) == ["lyapunov"]
     first, last = plane.lane(plane.first, {"rho": 28.0, "sigma": 10.0})
     assert list(first.groups) == ["portrait"]
@@ -74,7 +74,7 @@ def test_a_flow_without_clock_and_section_has_exponents_and_a_portrait():
 
 def test_a_diagram_of_two_axes_becomes_a_plane_and_says_so():
     diagram = jaxnh.Experiment.from_dict({**CONFIG, "analyses": {"diagram": {}}})
-    found = live(diagram, Silent(), COLUMNS)
+    found = live(diagram, NullProgress(), COLUMNS)
     assert found.first.second == "a"
     assert analyses_of("lyapunov", found.sessions.own) == {"lyapunov": {"exponents": 1}}
 
@@ -82,7 +82,7 @@ def test_a_diagram_of_two_axes_becomes_a_plane_and_says_so():
 def test_basins_of_random_starts_are_no_plane():
     basins = {"starts": 16, "box": {"x1": [-1.0, 1.0]}}
     with pytest.raises(InputError, match=r"basins\.starts: explore shows basins over start states, a lane each"):
-        live(jaxnh.Experiment.from_dict({**CONFIG, "analyses": {"basins": basins}}), Silent(), COLUMNS)
+        live(jaxnh.Experiment.from_dict({**CONFIG, "analyses": {"basins": basins}}), NullProgress(), COLUMNS)
 
 
 def test_a_plane_of_starts_is_one_of_its_coordinates():
@@ -90,7 +90,7 @@ def test_a_plane_of_starts_is_one_of_its_coordinates():
     system = {"constraint": "constant_speed", "b": 5.4}
     found = live(
         jaxnh.Experiment.from_dict({**CONFIG, "system": system, "sweep": starts, "analyses": {"basins": {}}}),
-        Silent(),
+        NullProgress(),
         COLUMNS,
     )
     assert next(iter(found.variables)) == "basins"

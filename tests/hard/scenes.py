@@ -11,7 +11,7 @@ from measure import UNIT, apart, calibrated, twin
 
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.exceptions import AccuracyError
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import section_map
 
 PAPER_B = np.linspace(0.1, 6.0, 48)
@@ -35,7 +35,7 @@ def hold(lanes, system, start, values, target, count=24):
         plan = calibration.cheapest(target)
     except AccuracyError as refusal:
         return Held(None, np.inf, str(refusal), target)
-    strobe = make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated)
+    strobe = make_return_map(system, plan.solver, plan.steps, compensated=plan.compensated)
     b = np.random.default_rng(11).choice(values, count)
     u = np.tile(system.section_point(start), (count, 1))
     for k, n in enumerate((0, 3, 20)):

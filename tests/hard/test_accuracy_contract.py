@@ -14,10 +14,10 @@ import taylor
 from jax import lax
 
 from jaxnh.config.experiment import Experiment
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.plan import calibrate
 from jaxnh.exceptions import AccuracyError
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import section_map
 
 TARGETS = (1e-6, 1e-8, 1e-10)
@@ -115,7 +115,7 @@ def measured(experiment, target, plan, lanes, rng, count):
     begun = {axis.name: where[axis.name] for axis in axes if axis.kind == "start"}
     state = experiment.start(begun, count, {})
     strobe, finer = (
-        make_strobe(flow, plan.solver, factor * plan.steps, compensated=compensated)
+        make_return_map(flow, plan.solver, factor * plan.steps, compensated=compensated)
         for factor, compensated in ((1, plan.compensated), (2, True))
     )
     starts, worst, over = [], [], 0
@@ -153,7 +153,7 @@ def test_accuracy_contract(battery):
     Those of a lane come together: a stable orbit in a narrow window, of which no sample is, errs in each of its turns.
     Errors are counted against the same solver with twice the steps and compensated sums, and the worst by Taylor.
     """
-    rng, lanes = np.random.default_rng(SEED), Lanes() if battery.full else Lanes(tile=64)
+    rng, lanes = np.random.default_rng(SEED), LaneExecutor() if battery.full else LaneExecutor(tile=64)
     sweeps, count, counts = (40, 128, (24, 200, 1000, 4096)) if battery.full else (1, 32, (24,))
     found, refused = [], 0
     for k in range(sweeps):

@@ -23,9 +23,9 @@ from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import attractor_survey, period
 from jaxnh.analyses.trajectories import diagram
 from jaxnh.config.experiment import load
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import AccuracyError, ConfigError
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
@@ -116,7 +116,7 @@ def test_long_chaos(battery, lanes):
     """An attractor that is its own mirror image: odd means vanish within their error, over lanes that forgot their start."""
     count, periods = (4096, 100_000) if battery.full else (256, 400)
     plan = calibrated(constant_speed(), START, [5.3], lanes).cheapest(1e-4)
-    strobe = make_strobe(constant_speed(), plan.solver, plan.steps, compensated=plan.compensated)
+    strobe = make_return_map(constant_speed(), plan.solver, plan.steps, compensated=plan.compensated)
     state = jax.tree.map(np.array, unchart(random_points(count).T))
     p = {"b": np.full(count, 5.3)}
     state = lanes(iterate, (strobe, np.int32(200)), (state, p), periods=200)
@@ -132,7 +132,7 @@ def test_long_chaos(battery, lanes):
     battery.row("the same lanes at their end", worst(off), 1e-14, "largest ||n| − 1|")
     few, shorter = slice(count // 2 - 37, count // 2 + 26), min(periods, 2000)
     start = jax.tree.map(lambda leaf: leaf[few], (state, p))
-    one = Lanes(devices=jax.devices()[:1])
+    one = LaneExecutor(devices=jax.devices()[:1])
     alone = one(iterate, (strobe, np.int32(shorter)), start)
     among = lanes(iterate, (strobe, np.int32(shorter)), (state, p))
     differing = sum(
@@ -145,7 +145,7 @@ def test_long_chaos(battery, lanes):
         "numbers that differ:",
     )
     scene = scene_at(np.linspace(5.2, 5.8, 300 if battery.full else 20), 110)
-    on_one, on_two = everything(scene, Lanes(devices=jax.devices()[:1])), everything(scene, lanes)
+    on_one, on_two = everything(scene, LaneExecutor(devices=jax.devices()[:1])), everything(scene, lanes)
     differing = sum(
         int(np.sum(~same(v.values, on_two[name].variables[key].values)))
         for name, group in on_one.items()

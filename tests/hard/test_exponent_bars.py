@@ -16,7 +16,7 @@ from measure import calibrated, scene_of, twin
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import attractor_survey
 from jaxnh.analyses.scene import Scene
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.iterate import record
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.lagrangian import Motion, lagrangian
@@ -35,7 +35,7 @@ MISSED = 0.05
 @pytest.fixture(scope="module")
 def lanes():
     """One runner, so that equal programs are compiled once, in small tiles."""
-    return Lanes(tile=32)
+    return LaneExecutor(tile=32)
 
 
 @functools.cache

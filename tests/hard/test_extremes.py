@@ -18,7 +18,7 @@ from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import spread
 from jaxnh.config.experiment import load
 from jaxnh.exceptions import ConfigError
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
@@ -94,7 +94,7 @@ def test_strong_force(battery, lanes):
             assert roundings(enlarged) < target
         for solver, steps in (("kahan_li8", 100), ("strang2", 4), ("sofroniou_spaletta10", 100)):
             state = spread(start, len(values))
-            strobe = make_strobe(system, SPLITTINGS[solver], steps)
+            strobe = make_return_map(system, SPLITTINGS[solver], steps)
             (x, y), (n1, n2) = lanes(iterate, (strobe, np.int32(100)), (state, {"b": values}))
             path = 100 * system.period * math.sqrt(c)  # nothing travels further, whatever the steps
             assert np.all(np.hypot(x - start[0][0], y - start[0][1]) <= path * (1 + 1e-9))

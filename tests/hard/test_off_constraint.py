@@ -14,7 +14,7 @@ from jax import lax
 from matplotlib.figure import Figure
 from paper_equations import constrained_field
 
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
@@ -100,11 +100,11 @@ def test_growth_of_a_speed_error(battery, lanes):
     for name, system in SYSTEMS.items():
         state = jax.tree.map(lambda leaf: np.full(count, leaf), START)
         solver = SPLITTINGS["kahan_li8"]
-        state = lanes(iterate, (make_strobe(system, solver, 240), np.int32(50)), (state, {"b": b}), tile=32)
+        state = lanes(iterate, (make_return_map(system, solver, 240), np.int32(50)), (state, {"b": b}), tile=32)
         grown, predicted = [], []
         for t0 in system.period * np.arange(1, 8) / 8:
             here = lanes(
-                iterate, (make_strobe(system, solver, 240, span=(0.0, t0)), np.int32(1)), (state, {"b": b}), tile=32
+                iterate, (make_return_map(system, solver, 240, span=(0.0, t0)), np.int32(1)), (state, {"b": b}), tile=32
             )
             s = math.sqrt((system.c + system.d * math.sin(t0)) * (1 + put_in))
             (x, y), (n1, n2) = here
@@ -188,7 +188,7 @@ def lives(error):
 def hold_speed(battery, lanes, name, system, b):
     """jaxnh on the same b for long: the largest ||n| − 1| of all strobes, and whether late strobes are as early ones."""
     blocks, periods = (100, 1000) if battery.full else (10, 100)
-    strobe = make_strobe(system, SPLITTINGS["blanes_moan6"], 120)
+    strobe = make_return_map(system, SPLITTINGS["blanes_moan6"], 120)
     state = jax.tree.map(lambda leaf: np.full(len(b), leaf), START)
     state = lanes(iterate, (strobe, np.int32(200)), (state, {"b": b}), tile=32)
     off, far = np.zeros((2, blocks, len(b)))

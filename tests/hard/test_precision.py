@@ -15,7 +15,7 @@ from scenes import start_at
 
 from jaxnh.config.experiment import load
 from jaxnh.exceptions import AccuracyError, ConfigError
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import SPLITTINGS
@@ -36,7 +36,7 @@ def enlargement(lanes, system, calibration):
 
     Which sample that is, of those whose matrices are largest but for the share left out, the package may say.
     """
-    strobe, samples = make_strobe(system, SPLITTINGS["kahan_li8"], 120), calibration._samples
+    strobe, samples = make_return_map(system, SPLITTINGS["kahan_li8"], 120), calibration._samples
     u = system.section_point(samples.states)
     found = lanes(derivatives, (strobe, np.int32(1)), (u, dict(samples.p)))
     i = calibration._largest_at(np.linalg.norm(found.monodromy, ord=2, axis=(1, 2)))
@@ -63,7 +63,7 @@ def test_error_and_gain(battery, lanes):
         u = np.tile(constant_speed().section_point(start), (count, 1))
         maps = {
             precision: in_precision(
-                make_strobe(system, plan.solver, plan.steps, compensated=plan.compensated), precision
+                make_return_map(system, plan.solver, plan.steps, compensated=plan.compensated), precision
             )
             for precision in ("float64", "float32")
         }

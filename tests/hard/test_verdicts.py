@@ -15,7 +15,7 @@ from measure import scene_of
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed, disturbed_speed
@@ -86,7 +86,7 @@ def test_verdicts_of_random_lanes(battery):
     Some 400 lanes of each system: with one in 500 allowed, a rate of one in 170 would be seen 19 times in 20.
     """
     count, lengths = (250, (512, 1024)) if battery.full else (12, (128, 256))
-    lanes, scenes = Lanes() if battery.full else Lanes(tile=8), []
+    lanes, scenes = LaneExecutor() if battery.full else LaneExecutor(tile=8), []
     for number, (name, (_, low)) in enumerate(SYSTEMS.items()):
         draw = np.random.default_rng([2, number])
         b = np.sort(draw.uniform(low, 6.0, count))
@@ -102,7 +102,7 @@ def test_verdicts_of_random_lanes(battery):
 def test_verdicts_of_pendula(battery):
     """With and without damping: swings, whole turns, chaos, and tori, on which nothing is chaotic."""
     count, lengths = (128, (256, 512)) if battery.full else (6, (64, 128))
-    lanes = Lanes() if battery.full else Lanes(tile=8)
+    lanes = LaneExecutor() if battery.full else LaneExecutor(tile=8)
     draw, scenes = np.random.default_rng(3), []
     for damping, most in ((0.5, 1.6), (0.0, 0.34)):
         flow = lagrangian(pendulum, {"damping": damping, "drive": 1.0})
@@ -141,7 +141,7 @@ def test_weak_chaos_beside_tori(battery):
     are taken over, is chaotic. Some 400 lanes: none wrong, where one in 130 would be seen 19 times in 20.
     """
     count, lengths, periods = (128, (256, 512), 40_000) if battery.full else (8, (64, 128), 8_000)
-    lanes, wrong, words = Lanes() if battery.full else Lanes(tile=8), 0, []
+    lanes, wrong, words = LaneExecutor() if battery.full else LaneExecutor(tile=8), 0, []
     for number, drive in enumerate((0.1, 0.3, 0.6)):
         angles = np.sort(np.random.default_rng([7, number]).uniform(0.0, math.pi, count))
         flow = lagrangian(pendulum, {"drive": drive})
@@ -165,7 +165,7 @@ def test_weak_chaos_beside_tori(battery):
 @pytest.mark.case("Verdicts of longer runs")
 def test_transients_of_chaos(battery):
     """Chaos over the whole of the average that ends later is not called chaos, and what it ends in is said."""
-    lanes = Lanes(tile=8)
+    lanes = LaneExecutor(tile=8)
     b = TRANSIENTS if battery.full else TRANSIENTS[:1]
     found = judged(particle("constant speed", b), lanes, 512, 1024)
     battery.row(f"b = {b}, 512 + 1,024 periods", int(np.sum(found["kind"] == CHAOTIC)), 0, "called chaotic:")
@@ -175,7 +175,7 @@ def test_transients_of_chaos(battery):
 @pytest.mark.case("Verdicts of longer runs")
 def test_limit_cycle_beside_a_strobe(battery):
     """Where the right-hand side knows no time a limit cycle is no periodic lane; a pendulum without damping is undecided."""
-    lanes = Lanes(tile=8)
+    lanes = LaneExecutor(tile=8)
     flow = lagrangian(van_der_pol, {"stiffness": 1.0})
     start = flow.start({"x": 0.5, "x_dot": 0.0})
     cycles = scene_of(flow, start, [0.5, 1.0], SOLVERS["dopri5"], 60, name="stiffness", error=1e-8)

@@ -8,7 +8,7 @@ import taylor
 from calm import ROUNDOFF, one_lane
 from measure import CALM, CALM_B, CALM_STATES, apart, twin
 
-from jaxnh.maps.build import cut_strobe, make_strobe
+from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.particle import chart
 
@@ -21,7 +21,9 @@ def test_map_over_a_part_of_the_period(name):
     exact = taylor.strobe(twin(system), CALM_B[0], CALM_STATES[0])[0]
     errors = []
     for steps in (50, 100):
-        first, second = (make_strobe(system, solver, steps, span=span) for span in ((0.0, 2.0), (2.0, system.period)))
+        first, second = (
+            make_return_map(system, solver, steps, span=span) for span in ((0.0, 2.0), (2.0, system.period))
+        )
         errors.append(apart(chart(second(first(state, p), p)), exact))
     assert errors[1] < errors[0] * 2.0 ** (1 - solver.convergence_order) < 1e-6
 
@@ -33,4 +35,4 @@ def test_map_cut_into_parts(name):
     parts = cut_strobe(system, solver, 93, 7)
     state, p = one_lane()
     end, _ = jax.lax.scan(lambda state, part: (part(state, p), None), state, parts)
-    assert apart(chart(end), chart(make_strobe(system, solver, 98)(state, p))) < ROUNDOFF
+    assert apart(chart(end), chart(make_return_map(system, solver, 98)(state, p))) < ROUNDOFF

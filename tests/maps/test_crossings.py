@@ -13,8 +13,8 @@ import taylor
 from unforced import ANGLE, LANES, SPLITTING, START, B, P, spread, without
 
 from jaxnh.engine.accuracy.calibration import Calibration
-from jaxnh.engine.axes import Points
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.axes import SweepPoints
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.maps.section import Crossing, SectionedFlow
 from jaxnh.solvers import dopri8
@@ -52,8 +52,8 @@ def test_crossings_meet_the_target(lanes):
     system, _ = SECTIONS["up"]
     start = spread(Crossing(START, 0.0, 0.0))
     target = 1e-8
-    plan = Calibration([Points(system, start, P, P)], lanes).cheapest(target)
-    _, found = lanes(record, (make_strobe(system, plan.solver, plan.steps),), (start, P), static=(4,))
+    plan = Calibration([SweepPoints(system, start, P, P)], lanes).cheapest(target)
+    _, found = lanes(record, (make_return_map(system, plan.solver, plan.steps),), (start, P), static=(4,))
     gap = difference(found, exact_crossings("up", B))
     assert gap[:, 0].max() < target
     assert np.median(gap[:, 0]) > 1e-5 * target  # the cheapest plan, and not by far too fine a one
@@ -70,7 +70,7 @@ def test_crossings_converge_at_the_order(lanes, name):
     exact, start = exact_crossings(name, B), spread(Crossing(START, 0.0, 0.0))
     errors = []
     for steps in (40, 80):
-        _, found = lanes(record, (make_strobe(system, SPLITTING, steps),), (start, P), static=(4,))
+        _, found = lanes(record, (make_return_map(system, SPLITTING, steps),), (start, P), static=(4,))
         errors.append(math.exp(np.log(difference(found, exact)[:, 0]).mean()))
         assert np.abs(found.state[0][system.number]).max() < 1e-14
         assert np.all(found.reason == 0)
@@ -83,7 +83,7 @@ def test_crossings_of_a_free_particle(lanes):
     system = SectionedFlow(flow, "x1", 0, 0.0, "both")
     start = Crossing(Motion((0.1, 0.1), (0.1, math.sqrt(0.99)), (0.0, 0.0)), 0.0, 0.0)
     b = np.array([0.1, 0.2, 0.3])
-    strobe = make_strobe(system, dopri8, 120)
+    strobe = make_return_map(system, dopri8, 120)
     _, found = lanes(record, (strobe,), (spread(start, 3), {"b": b}), static=(3,))
     exact = np.array(
         [taylor.crossings([0.1, 0.1, 0.1, math.sqrt(0.99)], v, 0, 3, direction=0, constrained=False) for v in b]
@@ -95,7 +95,7 @@ def test_crossings_of_a_free_particle(lanes):
 def test_returns_without_waiting(lanes):
     """Over several returns at once every lane's are bit for bit those taken one by one, though it waits for no other."""
     system, _ = SECTIONS["up"]
-    strobe, start = make_strobe(system, SPLITTING, 60), spread(Crossing(START, 0.0, 0.0))
+    strobe, start = make_return_map(system, SPLITTING, 60), spread(Crossing(START, 0.0, 0.0))
     last, every = lanes(record, (strobe,), (start, P), static=(4,))
     assert np.ptp(np.diff(every.t, axis=1)) > 1.0  # some returns take longer than others
     for n in (1, 4):
@@ -113,7 +113,8 @@ def test_return_in_one_step():
         y = 1.0 - 0.4 * tilt**2 / 2.0
         start = Crossing(((0.0, y), (math.cos(theta), math.sin(theta))), 0.0, 0.0)
         coarse, fine = (
-            make_strobe(system, SPLITTING, steps)(jax.tree.map(jnp.float64, start), {"b": 0.0}) for steps in (40, 4000)
+            make_return_map(system, SPLITTING, steps)(jax.tree.map(jnp.float64, start), {"b": 0.0})
+            for steps in (40, 4000)
         )
         step = system.period / 40
         assert float(fine.t) < step  # within the first coarse step
@@ -128,7 +129,7 @@ def test_derivatives_of_the_return(lanes):
     In (x1, θ) on y1 = 0 the flux is sin θ dx1 dθ, and volume grows by exp(V/c) between: det = e^(ΔV/c) sin θ/sin θ'.
     """
     system = SECTIONS["up"][0]
-    strobe = make_strobe(system, SPLITTING, 120)
+    strobe = make_return_map(system, SPLITTING, 120)
     first = lanes(iterate, (strobe, np.int32(1)), (spread(Crossing(START, 0.0, 0.0)), P))
     u = np.stack([first.state[0][0], np.arctan2(first.state[1][1], first.state[1][0])], axis=-1)
     image, monodromy, slope = lanes(derivatives, (strobe, np.int32(1)), (u, P), static=("b",))
@@ -156,12 +157,12 @@ def test_reversal_of_time(lanes):
     """Reversed on the section, a motion comes back: P of (q, −n) downwards is where it came from, upwards."""
     up, down = (SectionedFlow(without("forcing"), "y1", 1, 0.0, way) for way in ("up", "down"))
     first, second = (
-        lanes(iterate, (make_strobe(up, SPLITTING, 200), np.int32(n)), (spread(Crossing(START, 0.0, 0.0)), P))
+        lanes(iterate, (make_return_map(up, SPLITTING, 200), np.int32(n)), (spread(Crossing(START, 0.0, 0.0)), P))
         for n in (1, 2)
     )
     q, n = second.state
     turned = Crossing((q, tuple(-x for x in n)), np.zeros(LANES), np.zeros(LANES))
-    back = lanes(iterate, (make_strobe(down, SPLITTING, 200), np.int32(1)), (turned, P))
+    back = lanes(iterate, (make_return_map(down, SPLITTING, 200), np.int32(1)), (turned, P))
     np.testing.assert_allclose(back.state[0], first.state[0], atol=1e-9)
     np.testing.assert_allclose(back.state[1], -np.asarray(first.state[1]), atol=1e-9)
     np.testing.assert_allclose(back.t, second.t - first.t, atol=1e-9)
@@ -171,7 +172,7 @@ def test_lanes_that_do_not_return(lanes):
     """A damped particle comes to rest beside the section, one lane begins with no number: both say why, others go on."""
     flow = free_particle(0.5, None, 1.0, ("forcing", "coupling"))
     system = SectionedFlow(flow, "x1", 0, 3.0, "up")
-    strobe = dataclasses.replace(make_strobe(system, dopri8, 40), most_steps=np.int32(400))
+    strobe = dataclasses.replace(make_return_map(system, dopri8, 40), most_steps=np.int32(400))
     x = np.array([2.9, 0.1, np.nan])
     state = Motion((x, np.full(3, 0.1)), (np.full(3, 5.0), np.zeros(3)), (np.zeros(3), np.zeros(3)))
     start = Crossing(state, np.zeros(3), np.zeros(3))

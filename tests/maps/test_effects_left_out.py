@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from unforced import ANGLE, SPLITTING, START, P, spread, without
 
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import definition
@@ -20,8 +20,8 @@ def test_tables_have_no_forcing_that_is_left_out():
     """Without forcing a disturbed speed has a clock and kicks of two numbers; a constant one has neither."""
     still = disturbed_speed(without=("forcing",), omega=math.sqrt(2))
     assert still.period == 2 * math.pi
-    assert make_strobe(still, SPLITTING, 40).table.shape[-1] == 2
-    free_running = make_strobe(without("forcing"), SPLITTING, 40)
+    assert make_return_map(still, SPLITTING, 40).table.shape[-1] == 2
+    free_running = make_return_map(without("forcing"), SPLITTING, 40)
     assert free_running.one.table.shape == (64, 2)  # the coefficients of one step, and no more
     assert (free_running.steps, int(free_running.one.kicks)) == (40, 17)
 
@@ -33,9 +33,9 @@ def test_map_without_forcing_is_diffeqsolve(lanes):
     other = lagrangian(
         definition(system.without, constrained=True), {"a": 0.5, "b": 0.0, "c": 1.0, "d": 0.1, "omega": 1.0}
     )
-    (x, y), (n1, n2) = lanes(iterate, (make_strobe(system, SPLITTING, 200), np.int32(1)), (spread(START), P))
+    (x, y), (n1, n2) = lanes(iterate, (make_return_map(system, SPLITTING, 200), np.int32(1)), (spread(START), P))
     motion = Motion(START[0], START[1], (0.0, 0.0))
-    there = lanes(iterate, (make_strobe(other, dopri8, 400), np.int32(1)), (spread(motion), P))
+    there = lanes(iterate, (make_return_map(other, dopri8, 400), np.int32(1)), (spread(motion), P))
     np.testing.assert_allclose([x, y, n1, n2], [*there.q, *there.v], atol=1e-9)
 
 
@@ -44,12 +44,12 @@ def test_map_without_forcing_is_diffeqsolve(lanes):
 def test_sweep_over_a(lanes, names):
     """Lanes that differ in a are the lanes of their own a and one b, and so is ∂P/∂a by differences."""
     values = np.array([0.3, 0.5, 0.8])
-    swept = make_strobe(without(*names, b=0.7), SPLITTING, 60)
+    swept = make_return_map(without(*names, b=0.7), SPLITTING, 60)
     u = np.tile(ANGLE, (3, 1))
     _, monodromy, slope = lanes(derivatives, (swept, np.int32(1)), (u, {"a": values}), static=("a",))
     (x, y), (n1, n2) = lanes(iterate, (swept, np.int32(1)), (spread(START, 3), {"a": values}))
     for i, a in enumerate(values):
-        own = make_strobe(without(*names, a=a), SPLITTING, 60)
+        own = make_return_map(without(*names, a=a), SPLITTING, 60)
         one = lanes(iterate, (own, np.int32(1)), (spread(START, 1), {"b": np.array([0.7])}))
         np.testing.assert_allclose([x[i], y[i], n1[i], n2[i]], np.array([*one[0], *one[1]])[:, 0], atol=1e-12)
     h = 1e-5

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxnh.maps import elementary
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.double_double import Arithmetic, Double, exactly
 from jaxnh.maps.elementary import PI_160
 from jaxnh.maps.extended_precision import carried, extended
@@ -153,7 +153,7 @@ def test_map_of_the_particle():
     A period's map has a slope of up to 1e3 and a curvature of 1e6 times it: of the difference (1e-12)² 1e6 is left, and
     rounding of 1e-28 over 1e-12.
     """
-    strobe = make_strobe(constant_speed(), SPLITTINGS["blanes_moan6"], 12)
+    strobe = make_return_map(constant_speed(), SPLITTINGS["blanes_moan6"], 12)
     rng = np.random.default_rng(0)
     u, w, b = rng.uniform(-0.5, 0.5, (8, 3)), rng.normal(size=(8, 3)), np.full(8, 5.5)
     zero = np.zeros_like(u)

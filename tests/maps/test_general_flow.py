@@ -13,8 +13,8 @@ from calm import check_convergence, check_derivatives, image
 from measure import CALM, UNIT, apart, some_slow
 
 from jaxnh.analyses.scene import spread
-from jaxnh.engine.executor.lanes import Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.general_flow import general_strobe
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.step_grids import step_grid
@@ -46,7 +46,7 @@ def test_runge_kutta_converges_to_the_reference(lanes):
 def test_derivatives_of_runge_kutta(lanes):
     """The error of 200 steps of order five is measured by doubling them."""
     system = CALM["constant"]
-    coarse, fine = (make_strobe(system, SOLVERS["tsit5"], steps) for steps in (100, 200))
+    coarse, fine = (make_return_map(system, SOLVERS["tsit5"], steps) for steps in (100, 200))
     check_derivatives(lanes, fine, system, apart(image(lanes, fine), image(lanes, coarse)).max())
 
 
@@ -102,7 +102,7 @@ def test_parameters_in_the_flow_and_in_the_lane(lanes):
 
     def end(a, p):
         flow = free_particle(a, None, 1.0)
-        return lanes(iterate, (make_strobe(flow, dopri8, 100), np.int32(1)), (start, p))
+        return lanes(iterate, (make_return_map(flow, dopri8, 100), np.int32(1)), (start, p))
 
     both, one = end(0.5, {"a": np.full(2, 0.7), "b": b}), end(0.7, {"b": b})
     for x, y in zip(jax.tree.leaves(both), jax.tree.leaves(one), strict=True):
@@ -111,10 +111,10 @@ def test_parameters_in_the_flow_and_in_the_lane(lanes):
 
 def test_one_program_for_all_values_of_the_flow():
     """Parameters of the flow are data, and so are steps; the particle's c, d and ω here as well."""
-    lanes = Lanes()
+    lanes = LaneExecutor()
     start = spread(FLOWS["particle"][1], 2)
     for c, d, omega, steps in ((1.0, 0.1, 1.0, 80), (1.3, 0.0, 1.5, 60), (0.7, -0.2, 2.0, 100)):
-        strobe = make_strobe(disturbed_speed(c=c, d=d, omega=omega), tsit5, steps)
+        strobe = make_return_map(disturbed_speed(c=c, d=d, omega=omega), tsit5, steps)
         lanes(iterate, (strobe, np.int32(1)), (start, {"b": np.array([4.9, 5.2])}))
     assert len(lanes._programs) == 1
 
@@ -128,7 +128,7 @@ def test_derivatives_of_a_system_of_its_own_parameters(lanes):
     """∂P/∂a of T, Q and f is that of jacfwd of the map."""
     system, start = FLOWS["constrained"]
     p = {"a": np.array([0.5, 0.6]), "b": np.array([4.9, 5.2])}
-    u, strobe = system.section_point(spread(start, 2)), make_strobe(system, dopri8, 120)
+    u, strobe = system.section_point(spread(start, 2)), make_return_map(system, dopri8, 120)
     image, monodromy, slope = lanes(derivatives, (strobe, np.int32(1)), (u, p), static=("a",))
     assert np.all(np.isfinite(image))
     by_state, by_p = lanes(jacfwd, (strobe,), (u, p))

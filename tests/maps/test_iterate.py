@@ -7,7 +7,7 @@ import numpy as np
 from calm import ROUNDOFF, P, image, size, start_states
 from measure import CALM, CALM_B, CALM_STATES, SYSTEMS, apart
 
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import chart
@@ -15,7 +15,7 @@ from jaxnh.systems.particle import chart
 
 def test_iterates_add_up(lanes):
     """Pⁿ is P n times, bit for bit: n is data of one program, and the clock starts anew each period."""
-    strobe = make_strobe(SYSTEMS["disturbed"], SPLITTINGS["blanes_moan6"], 50)
+    strobe = make_return_map(SYSTEMS["disturbed"], SPLITTINGS["blanes_moan6"], 50)
     state = start_states()
     five = lanes(iterate, (strobe, np.int32(5)), (state, {"b": CALM_B + 5}))
     for n in (1, 3, 0, 1):
@@ -26,7 +26,7 @@ def test_iterates_add_up(lanes):
 
 def test_record_is_every_iterate(lanes):
     """The states after 1, 2, 3 periods, and the last of them once more; to the rounding of another program."""
-    strobe = make_strobe(CALM["constant"], SPLITTINGS["blanes_moan6"], 100)
+    strobe = make_return_map(CALM["constant"], SPLITTINGS["blanes_moan6"], 100)
     last, states = lanes(record, (strobe,), (start_states(), P), static=(3,))
     recorded = np.asarray(jax.vmap(jax.vmap(chart))(states))
     for n in (1, 2, 3):
@@ -36,7 +36,7 @@ def test_record_is_every_iterate(lanes):
 
 def test_derivatives_over_periods_by_the_chain_rule(lanes):
     """M of P² is the product of two monodromy matrices, and ∂P²/∂b = M ∂P/∂b + ∂P/∂b at the image."""
-    strobe = make_strobe(CALM["disturbed"], SPLITTINGS["blanes_moan6"], 100)
+    strobe = make_return_map(CALM["disturbed"], SPLITTINGS["blanes_moan6"], 100)
     u, first, slope = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",), tile=16)
     end, second, second_slope = lanes(derivatives, (strobe, np.int32(1)), (u, P), static=("b",), tile=16)
     both = lanes(derivatives, (strobe, np.int32(2)), (CALM_STATES, P), static=("b",), tile=16)

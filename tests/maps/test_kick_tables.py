@@ -9,7 +9,7 @@ import pytest
 from measure import SYSTEMS, UNIT
 
 from jaxnh.maps import kick_tables
-from jaxnh.maps.build import cut_strobe, make_parts, make_strobe
+from jaxnh.maps.build import cut_strobe, make_parts, make_return_map
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 
@@ -22,7 +22,7 @@ splittings = pytest.mark.parametrize("solver", SPLITTINGS.values(), ids=SPLITTIN
 @pytest.mark.parametrize("steps", [7, 60])
 def test_table_of_a_period(system, solver, steps):
     """As many kicks as the solver says, drifts that sum to the path of a period, and nothing in the rows not in use."""
-    strobe = make_strobe(system, solver, steps)
+    strobe = make_return_map(system, solver, steps)
     rows, used = np.asarray(strobe.table), int(strobe.kicks)
     assert used == solver.total_kicks(steps)
     assert rows.shape == (max(8192, 1 << (used - 1).bit_length()), 3)
@@ -38,8 +38,8 @@ def test_no_disturbance_has_the_table_of_constant_speed(name):
     """d = 0 is another flow of the same kicks, bit for bit, for whole periods and for parts of them."""
     still, constant = disturbed_speed(d=0.0), constant_speed()
     for make in (
-        lambda flow: make_strobe(flow, SPLITTINGS[name], 40),
-        lambda flow: make_strobe(flow, SPLITTINGS[name], 40, span=(0.3, 2.0)),
+        lambda flow: make_return_map(flow, SPLITTINGS[name], 40),
+        lambda flow: make_return_map(flow, SPLITTINGS[name], 40, span=(0.3, 2.0)),
         lambda flow: make_parts(flow, SPLITTINGS[name], 40, 4),
         lambda flow: cut_strobe(flow, SPLITTINGS[name], 40, 4),
     ):
@@ -54,7 +54,7 @@ def test_no_disturbance_has_the_table_of_constant_speed(name):
 def test_cut_table_is_the_whole_one(system, name, parts):
     """All kicks in order, once; drifts between parts go to the next, or to the end of the one before."""
     solver, each = SPLITTINGS[name], 6
-    whole, cut = make_strobe(system, solver, parts * each), cut_strobe(system, solver, parts * each, parts)
+    whole, cut = make_return_map(system, solver, parts * each), cut_strobe(system, solver, parts * each, parts)
     assert np.asarray(cut.kicks).sum() == whole.kicks
     assert np.asarray(cut.table).shape[0] == parts
     rows = np.concatenate([table[:used] for table, used in zip(np.asarray(cut.table), cut.kicks, strict=True)])
@@ -75,9 +75,9 @@ def test_period_and_its_parts_have_one_table(d):
     with mock.patch.object(kick_tables, "processed_table", wraps=kick_tables.processed_table) as made:
         for a in (0.5, 0.25):
             system = disturbed_speed(a=a, d=d, omega=2.0)
-            whole, cut = make_strobe(system, solver, 84), cut_strobe(system, solver, 84, 1)
+            whole, cut = make_return_map(system, solver, 84), cut_strobe(system, solver, 84, 1)
             np.testing.assert_array_equal(np.asarray(cut.table)[0], whole.table)
-            make_strobe(disturbed_speed(a=a, d=d, omega=4.0), solver, 84)
+            make_return_map(disturbed_speed(a=a, d=d, omega=4.0), solver, 84)
     assert made.call_count == 2
     alone = kick_tables.processed_table(system, solver, 84, (0.0, system.period), smallest=8192)
     for part, found in zip(alone, (whole.table, whole.kicks, whole.rest), strict=True):

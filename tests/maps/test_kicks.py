@@ -23,8 +23,8 @@ from calm import (
 )
 from measure import CALM, CALM_B, CALM_STATES, apart, some_slow, twin
 
-from jaxnh.engine.executor.lanes import Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS, isokinetic_terms
@@ -56,7 +56,7 @@ def test_kicks_are_diffeqsolve_on_the_same_grid(lanes, system, name):
         return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
 
     solved = jax.jit(jax.vmap(solve))(CALM_STATES, CALM_B)
-    assert apart(image(lanes, make_strobe(system, solver, steps)), solved).max() < ROUNDOFF
+    assert apart(image(lanes, make_return_map(system, solver, steps)), solved).max() < ROUNDOFF
 
 
 @systems
@@ -70,7 +70,7 @@ def test_compensated_sums(lanes, system):
     """Without the roundings of the sums, those of one kick's turn remain: a tenth at most of the error of plain sums."""
     exact = taylor.strobe(twin(system), CALM_B, CALM_STATES)
     plain, compensated = (
-        apart(image(lanes, make_strobe(system, FINEST, 100, compensated=c)), exact) for c in (False, True)
+        apart(image(lanes, make_return_map(system, FINEST, 100, compensated=c)), exact) for c in (False, True)
     )
     assert np.median(compensated) < 0.1 * np.median(plain)
     assert plain.max() < ROUNDOFF
@@ -78,7 +78,7 @@ def test_compensated_sums(lanes, system):
 
 def test_strobe_that_is_part_of_the_program():
     """Called by itself, inside another program, or handed over as an argument: the same map."""
-    strobe = make_strobe(CALM["disturbed"], SPLITTINGS["blanes_moan6"], 100)
+    strobe = make_return_map(CALM["disturbed"], SPLITTINGS["blanes_moan6"], 100)
     state, p = jax.tree.map(np.asarray, one_lane())
     images = (
         strobe(state, p),
@@ -110,7 +110,7 @@ def root_mean_square(gaps):
 def by_jacfwd(lanes, system, p, name):
     """Monodromy matrices and slopes in a parameter by `jax.jacfwd` of the plain map, table by table."""
     for steps in TABLES:
-        strobe = make_strobe(system, FINEST, steps)
+        strobe = make_return_map(system, FINEST, steps)
         _, by_state, by_p = lanes(jacfwd, (strobe,), (CALM_STATES, p), tile=16)
         yield by_state, by_p[name]
 
@@ -118,7 +118,7 @@ def by_jacfwd(lanes, system, p, name):
 def by_tangents(lanes, system, p, name, compensated):
     """The same by our own tangents, with the image."""
     for steps in TABLES:
-        strobe = make_strobe(system, FINEST, steps, compensated=compensated)
+        strobe = make_return_map(system, FINEST, steps, compensated=compensated)
         yield lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, p), static=(name,), tile=16)
 
 
@@ -165,7 +165,7 @@ def test_derivatives_in_the_stiffness(lanes, system):
 
 def test_only_the_derivative_asked_for(lanes):
     """Without a name no derivative in a parameter; the other two are the same, to the rounding of another program."""
-    strobe = make_strobe(CALM["disturbed"], FINEST, 100)
+    strobe = make_return_map(CALM["disturbed"], FINEST, 100)
     with_it = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",), tile=16)
     without = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), tile=16)
     assert without.by_parameter is None
@@ -189,7 +189,7 @@ def test_two_parameters_of_a_lane(lanes, build, compensated):
     solver, start, one = SPLITTINGS["blanes_moan6"], start_states(), np.int32(3)
 
     def end(system, p):
-        return lanes(iterate, (make_strobe(system, solver, 60, compensated=compensated), one), (start, p))
+        return lanes(iterate, (make_return_map(system, solver, 60, compensated=compensated), one), (start, p))
 
     for value in a:
         both = end(build(), {"a": np.full(len(b), value), "b": b})
@@ -202,7 +202,7 @@ def test_two_parameters_of_a_lane(lanes, build, compensated):
 def test_two_parameters_against_the_reference(lanes, system):
     """One period of lanes that differ in a and b both, each against its own twin."""
     a = np.linspace(0.2, 1.2, len(CALM_B))
-    found = lanes(section_map, (make_strobe(system, FINEST, 100), np.int32(1)), (CALM_STATES, {**P, "a": a}))
+    found = lanes(section_map, (make_return_map(system, FINEST, 100), np.int32(1)), (CALM_STATES, {**P, "a": a}))
     exact = [
         taylor.strobe(dataclasses.replace(twin(system), a=own), b, u)[0]
         for own, b, u in zip(a.tolist(), CALM_B, CALM_STATES, strict=True)
@@ -215,7 +215,7 @@ def test_two_parameters_against_the_reference(lanes, system):
 def test_no_disturbance_is_constant_speed(lanes, name, compensated):
     """d = 0 has the table of constant speed and its states, bit for bit, derivatives as well."""
     still, constant = (
-        make_strobe(system, SPLITTINGS[name], 60, compensated=compensated)
+        make_return_map(system, SPLITTINGS[name], 60, compensated=compensated)
         for system in (disturbed_speed(d=0.0), constant_speed())
     )
     same_bits((still.table, still.kicks, still.rest), (constant.table, constant.kicks, constant.rest))
@@ -228,17 +228,19 @@ def test_no_disturbance_is_constant_speed(lanes, name, compensated):
 
 def test_one_program_for_all_shared_parameters():
     """Speed and clock are data: sweeps over d, c and ω, and over splittings and steps, run through one program."""
-    lanes = Lanes()
+    lanes = LaneExecutor()
     for d in (0.0, 0.05, 0.1, -0.3):
         lanes(
             iterate,
-            (make_strobe(disturbed_speed(d=d), SPLITTINGS["blanes_moan6"], 60), np.int32(1)),
+            (make_return_map(disturbed_speed(d=d), SPLITTINGS["blanes_moan6"], 60), np.int32(1)),
             (start_states(), P),
         )
     assert len(lanes._programs) == 1
     for system in (disturbed_speed(c=1.7), disturbed_speed(omega=1.5), disturbed_speed(a=0.3)):
-        lanes(iterate, (make_strobe(system, SPLITTINGS["kahan_li8"], 40), np.int32(2)), (start_states(), P))
+        lanes(iterate, (make_return_map(system, SPLITTINGS["kahan_li8"], 40), np.int32(2)), (start_states(), P))
     assert len(lanes._programs) == 1
     spent = lanes.compile_seconds
-    lanes(iterate, (make_strobe(disturbed_speed(d=0.2), SPLITTINGS["strang2"], 900), np.int32(1)), (start_states(), P))
+    lanes(
+        iterate, (make_return_map(disturbed_speed(d=0.2), SPLITTINGS["strang2"], 900), np.int32(1)), (start_states(), P)
+    )
     assert lanes.compile_seconds == spent

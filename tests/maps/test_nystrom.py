@@ -10,7 +10,7 @@ import pytest
 
 from jaxnh.analyses.scene import spread
 from jaxnh.exceptions import AccuracyError
-from jaxnh.maps.build import cut_strobe, make_strobe
+from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.nystrom import NystromStrobe
 from jaxnh.maps.second_order import second_order
@@ -128,7 +128,7 @@ def test_without_a_clock_damping_has_no_table():
 
 def test_solver_for_others_says_what_it_is_for():
     with pytest.raises(AccuracyError, match="nystrom8 is for flows"):
-        make_strobe(flow_of(wind), nystrom8, 20)
+        make_return_map(flow_of(wind), nystrom8, 20)
 
 
 # ---- their maps
@@ -156,7 +156,9 @@ def test_map_comes_to_taylor_at_order_eight(lanes):
     flow, p = first_order(oscillators, VALUES, ("drive",)), {"drive": DRIVES}
     exact, start = by_heyoka(DRIVES), spread(Point(START), 3)
     errors = [
-        np.abs(flow.section_point(lanes(iterate, (make_strobe(flow, nystrom8, n), np.int32(1)), (start, p))) - exact)
+        np.abs(
+            flow.section_point(lanes(iterate, (make_return_map(flow, nystrom8, n), np.int32(1)), (start, p))) - exact
+        )
         for n in (24, 48, 200)
     ]
     assert errors[1].max() < 2.0**-7 * errors[0].max() < 1e-6
@@ -170,7 +172,7 @@ def test_damped_motion_without_force_is_exact(lanes):
         return y[1], -gamma * y[1]
 
     flow = flow_of(glide, gamma=0.3)
-    end = lanes(iterate, (make_strobe(flow, nystrom8, 16), np.int32(1)), (spread(Point((0.4, 1.1)), 1), {}))
+    end = lanes(iterate, (make_return_map(flow, nystrom8, 16), np.int32(1)), (spread(Point((0.4, 1.1)), 1), {}))
     left = np.exp(-0.3 * PERIOD)
     assert abs(end.y[1][0] - 1.1 * left) < 1e-14
     assert abs(end.y[0][0] - (0.4 + 1.1 * (1.0 - left) / 0.3)) < 1e-13
@@ -183,7 +185,7 @@ def test_damped_motion_without_force_is_exact(lanes):
 def test_tangents_are_derivatives_of_the_map(lanes, make, system):
     """By the linearisation of the force, of state and drive, against jacfwd; the volume is their determinant."""
     flow = make(system, VALUES, ("drive",))
-    strobe = make_strobe(flow, nystrom8, 40)
+    strobe = make_return_map(flow, nystrom8, 40)
     assert isinstance(strobe, NystromStrobe)
     u, p = np.tile(START, (3, 1)), {"drive": DRIVES}
     found = lanes(derivatives, (strobe, np.int32(1)), (u, p), static=("drive",))
@@ -207,7 +209,7 @@ def volume_of(strobe, state, p):
 def test_parts_of_a_period_are_the_period(lanes):
     flow, p = first_order(oscillators, VALUES, ("drive",)), {"drive": DRIVES}
     start = spread(Point(START), 3)
-    whole = lanes(iterate, (make_strobe(flow, nystrom8, 48), np.int32(1)), (start, p))
+    whole = lanes(iterate, (make_return_map(flow, nystrom8, 48), np.int32(1)), (start, p))
     parts = lanes(in_turn, (cut_strobe(flow, nystrom8, 48, 8),), (start, p))
     for one, other in zip(whole.y, parts.y, strict=True):
         assert np.abs(one - other).max() < 1e-13
@@ -233,7 +235,7 @@ def test_crossings_of_a_flow_that_keeps_its_energy(lanes):
     p = {"cubic": np.array([0.9, 1.0])}
     start = section.start({"x": np.array([0.1, 0.2]), "y": np.zeros(2), "v": np.full(2, 0.2), "w": np.full(2, 0.3)})
     u = section.section_point(start)
-    ends = [lanes(derivatives, (make_strobe(section, s, 24), np.int32(2)), (u, p)) for s in (nystrom8, verner9)]
+    ends = [lanes(derivatives, (make_return_map(section, s, 24), np.int32(2)), (u, p)) for s in (nystrom8, verner9)]
     assert np.abs(ends[0].image - ends[1].image).max() < 1e-9
     assert np.abs(ends[0].monodromy - ends[1].monodromy).max() < 1e-8
 
@@ -244,7 +246,10 @@ def test_damping_that_is_not_there_costs_nothing(lanes):
     def wells(y, t, gamma=0.0):
         return y[1], jnp.cos(t) + y[0] - y[0] ** 3 - gamma * y[1]
 
-    plain, damped = make_strobe(flow_of(wells), nystrom8, 20), make_strobe(flow_of(wells, gamma=0.2), nystrom8, 20)
+    plain, damped = (
+        make_return_map(flow_of(wells), nystrom8, 20),
+        make_return_map(flow_of(wells, gamma=0.2), nystrom8, 20),
+    )
     assert len(plain.values) == 1
     assert len(damped.values) == 3
     counts = [
@@ -259,7 +264,7 @@ def test_lanes_by_t_and_q_are_those_of_the_field(lanes):
     p, n = {"drive": DRIVES}, np.int32(2)
     one = first_order(oscillators, VALUES, ("drive",))
     two = lagrangian(by_t_and_q, VALUES, ("drive",))
-    first = lanes(iterate, (make_strobe(one, nystrom8, 40), n), (spread(Point(START), 3), p))
+    first = lanes(iterate, (make_return_map(one, nystrom8, 40), n), (spread(Point(START), 3), p))
     motion = Motion(START[:2], START[2:], (0.0, 0.0))
-    second = lanes(iterate, (make_strobe(two, nystrom8, 40), n), (spread(motion, 3), p))
+    second = lanes(iterate, (make_return_map(two, nystrom8, 40), n), (spread(motion, 3), p))
     assert np.abs(one.section_point(first) - two.section_point(second)).max() < 1e-12

@@ -9,7 +9,7 @@ from measure import scene_of, some_slow
 from test_branches import LOGISTIC, by_scipy, duffing, logistic_orbit
 
 from jaxnh.analyses.continuation.families import equilibria_of, orbits_of
-from jaxnh.analyses.continuation.family_tree import Orbit, grow
+from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.periodic.location import refined
 from jaxnh.orbits.branches import ENDS, STEPS
 from jaxnh.orbits.kinds import KINDS
@@ -31,7 +31,7 @@ DOUBLINGS = [3.0, 1 + np.sqrt(6), 3.5440903595519228536, 3.5644072660954325977, 
 
 def test_cascade_of_the_logistic_map():
     """From period 1 alone: doubled branches of doubled branches, each with its doubling, up to the limit of periods."""
-    orbits = [Orbit(np.array(logistic_orbit(1, 2.8)), 2.8)]
+    orbits = [SeedOrbit(np.array(logistic_orbit(1, 2.8)), 2.8)]
     tree = grow([LOGISTIC] * 3, [orbits], 16, STEPS)
     kinds, points = named(tree)
     assert kinds == [("period_doubling", 2**k) for k in range(5)]
@@ -43,21 +43,21 @@ def test_cascade_of_the_logistic_map():
     # Kuznetsov's c = (C + 3 B (1 − A)⁻¹ B)/6 with A = −1, B = −2p = −6, C = 0; differences of a line are exact.
     assert abs(points[0].coefficient + 9.0) < 1e-9
     assert tree.lost == 0
-    again = grow([LOGISTIC] * 3, [orbits, [Orbit(np.array(logistic_orbit(4, 3.5)), 3.5)]], 16, STEPS)
+    again = grow([LOGISTIC] * 3, [orbits, [SeedOrbit(np.array(logistic_orbit(4, 3.5)), 3.5)]], 16, STEPS)
     assert len(again.branches) == 5  # the orbit of period 4 is on a branch that is known
 
 
 def test_window_of_period_three():
     """A fold at 1 + √8 and a doubling beyond, from one orbit; a parent is found from its child."""
-    tree = grow([LOGISTIC] * 3, [[Orbit(np.array(logistic_orbit(3, 3.835)), 3.835)]], 3, STEPS)
+    tree = grow([LOGISTIC] * 3, [[SeedOrbit(np.array(logistic_orbit(3, 3.835)), 3.835)]], 3, STEPS)
     kinds, points = named(tree)
     assert kinds == [("fold", 3), ("period_doubling", 3)]
     assert abs(points[0].value - (1 + np.sqrt(8))) < 1e-13
     assert points[0].coefficient > 0  # the branch lies above
-    ends = [Orbit(tree.branches[0].points[end], 3.9) for end in (0, -1)]  # where it leaves the range, on both sides
-    again = grow([LOGISTIC] * 3, [[Orbit(np.array(logistic_orbit(3, 3.835)), 3.835)], ends], 3, STEPS)
+    ends = [SeedOrbit(tree.branches[0].points[end], 3.9) for end in (0, -1)]  # where it leaves the range, on both sides
+    again = grow([LOGISTIC] * 3, [[SeedOrbit(np.array(logistic_orbit(3, 3.835)), 3.835)], ends], 3, STEPS)
     assert len(again.branches) == 1
-    tree = grow([LOGISTIC] * 3, [[Orbit(np.array(logistic_orbit(2, 3.3)), 3.3)]], 2, STEPS)
+    tree = grow([LOGISTIC] * 3, [[SeedOrbit(np.array(logistic_orbit(2, 3.3)), 3.3)]], 2, STEPS)
     assert [branch.period for branch in tree.branches] == [2, 1]
 
 
@@ -70,7 +70,7 @@ def test_branch_between_two_doublings_is_one():
         return found._replace(by_parameter=found.by_parameter * (-2.6 * q)[:, None])
 
     family = LOGISTIC._replace(period=bubble, low=-1.0, high=1.0)
-    tree = grow([family] * 3, [[Orbit(np.array([[0.5]]), -0.95)]], 2, STEPS)
+    tree = grow([family] * 3, [[SeedOrbit(np.array([[0.5]]), -0.95)]], 2, STEPS)
     kinds, points = named(tree)
     assert kinds == [("period_doubling", 1)] * 2
     assert [point.value for point in points] == pytest.approx([-np.sqrt(3 / 13), np.sqrt(3 / 13)], abs=1e-13)
@@ -80,7 +80,7 @@ def test_branch_between_two_doublings_is_one():
 def test_doubled_branch_of_a_motion_that_is_small_beside_others():
     """Sizes of thirty: the doubled orbit, whose x leaves as √(p − 3), bends too soon for all but the nearest distances."""
     family = LOGISTIC._replace(size=np.full(1, 30.0))
-    tree = grow([family] * 3, [[Orbit(np.array(logistic_orbit(1, 2.8)), 2.8)]], 2, STEPS)
+    tree = grow([family] * 3, [[SeedOrbit(np.array(logistic_orbit(1, 2.8)), 2.8)]], 2, STEPS)
     assert [branch.period for branch in tree.branches] == [1, 2]
     assert tree.branches[1].value.max() == 3.9
     p, gap = tree.branches[1].value, np.diff(tree.branches[1].points[:, :, 0], axis=1).ravel()
@@ -140,7 +140,7 @@ def test_normal_forms(lanes, name):
     start = flow.start(dict.fromkeys(names, 0.0))
     scene = scene_of(flow, start, [-0.5, 0.71], verner9, 16, name="mu")
     families = [orbits_of(scene, lanes, strobe, np.ones(len(names)), (-0.5, 0.71)) for strobe in refined(scene)]
-    tree = grow(families, [[Orbit(np.array([u]), value)]], 2, STEPS)
+    tree = grow(families, [[SeedOrbit(np.array([u]), value)]], 2, STEPS)
     [point] = tree.bifurcations
     assert KINDS[point.kind] == kind
     assert abs(point.value) < min(1e-8, 2 * point.error)
@@ -171,7 +171,7 @@ def test_hopf(lanes):
     flow = first_order(define, {"mu": 0.0})
     scene = scene_of(flow, flow.start({"x": 0.0, "y": 0.0, "w": 0.0}), [-0.5, 0.71], verner9, 16, name="mu")
     family = equilibria_of(scene, lanes, np.ones(3), (-0.5, 0.71))
-    tree = grow([family] * 3, [[Orbit(np.zeros((1, 3)), -0.3)]], 1, STEPS)
+    tree = grow([family] * 3, [[SeedOrbit(np.zeros((1, 3)), -0.3)]], 1, STEPS)
     [point] = tree.bifurcations
     assert KINDS[point.kind] == "hopf"
     assert abs(point.value) < 1e-13
@@ -204,7 +204,7 @@ def test_folds_of_duffings_resonance(lanes):
     flow = first_order(duffing, {"omega": 1.0})
     scene = scene_of(flow, flow.start({"x": 0.0, "v": 0.0}), [0.6, 2.0], verner9, 48, name="omega")
     families = [orbits_of(scene, lanes, strobe, np.ones(2), (0.6, 2.0)) for strobe in refined(scene)]
-    tree = grow(families, [[Orbit(np.array([[0.22, 0.01]]), 0.6)]], 1, STEPS)
+    tree = grow(families, [[SeedOrbit(np.array([[0.22, 0.01]]), 0.6)]], 1, STEPS)
     kinds, points = named(tree)
     assert kinds == [("fold", 1), ("fold", 1)]
     assert [np.sign(point.coefficient) for point in points] == [1.0, -1.0]

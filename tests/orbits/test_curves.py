@@ -14,7 +14,7 @@ from jaxnh.analyses.continuation.families import plane_of
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.codimension_two import POINTS, special_points
 from jaxnh.orbits.curve_errors import errors_of_special, finer
-from jaxnh.orbits.curves import CLOSED, RANGE, RESONANCE, Plane, both_ways
+from jaxnh.orbits.curves import CLOSED, RANGE, RESONANCE, ParameterPlane, both_ways
 from jaxnh.orbits.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
@@ -23,7 +23,7 @@ ROUNDING = 1e-11  # unknowns of order one; Newton's last step is below 1e-9 and 
 
 
 def plane(period, d, low, high):
-    return Plane(period, lambda gap: gap, np.ones(d), np.array(low, float), np.array(high, float))
+    return ParameterPlane(period, lambda gap: gap, np.ones(d), np.array(low, float), np.array(high, float))
 
 
 def henon(u, values):

@@ -14,7 +14,7 @@ from jaxnh.analyses.continuation.known_branches import on_branch
 from jaxnh.analyses.continuation.seeds import random_wave
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.orbits.arclength import FINE, along_parameter, correct
-from jaxnh.orbits.branches import Steps, both_ways
+from jaxnh.orbits.branches import StepControl, both_ways
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.particle import constant_speed
@@ -83,7 +83,7 @@ def test_branches_do_not_feel_each_other(scene, lanes):
     """As many as are found at two values, for the first of their points."""
     orbits = searched(scene, lanes, [6, 8], 4, 2)
     assert len(orbits) >= 4
-    all_agree(scene, lanes, orbits, Steps(most=10), 1)
+    all_agree(scene, lanes, orbits, StepControl(most=10), 1)
 
 
 @pytest.mark.slow
@@ -91,7 +91,7 @@ def test_many_branches_of_periods_up_to_eight(scene, lanes):
     """All that a search at three values finds, for their first points; every eighth of a period by itself as well."""
     orbits = searched(scene, lanes, [0, 4, 8], 16, 8)
     assert max(len(orbit.points) for orbit in orbits) == 8
-    all_agree(scene, lanes, orbits, Steps(most=30), 8)
+    all_agree(scene, lanes, orbits, StepControl(most=30), 8)
 
 
 @pytest.mark.slow
@@ -122,7 +122,7 @@ def test_a_thousand_branches_in_one_run(scene, lanes):
     here = replace(scene.take(np.array([0, 1])), p={"b": values}, along=replace(scene.line, values=values))
     orbits = random_wave(here, lanes, 720, 1, {"x1": (-4, 4), "y1": (-4, 4)}, 8, np.ones(3), 64)
     family = orbits_of(scene, lanes, scene.strobe(), np.ones(3), ENDS)
-    steps, count = Steps(0.05, 40), 0
+    steps, count = StepControl(0.05, 40), 0
     for n in sorted({len(orbit.points) for orbit in orbits}):
         begun = begun_at(family, orbits, n)
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from measure import SYSTEMS, UNIT, apart, twin
 
 from jaxnh.analyses.periodic.newton_on_lanes import orbits
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits import cyclic
 from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch, moved_doubling
@@ -36,7 +36,7 @@ DOUBLINGS = {"constant": [(5.5198, 5.54), (5.4956, 5.505)], "disturbed": [(5.805
 
 @pytest.fixture(scope="module")
 def strobes():
-    return {name: make_strobe(SYSTEMS[name], FINEST, 150) for name in ORBITS}
+    return {name: make_return_map(SYSTEMS[name], FINEST, 150) for name in ORBITS}
 
 
 def attractor(name, b, n):
@@ -87,7 +87,7 @@ def test_map_is_fine_enough(lanes, strobes, name):
 
 def test_one_program_for_all_refinements(lanes, strobes):
     """A table as large as that of twice the steps: the same program as that map, and bit for bit the same derivatives."""
-    one, finer = strobes["constant"], make_strobe(SYSTEMS["constant"], FINEST, 300)
+    one, finer = strobes["constant"], make_return_map(SYSTEMS["constant"], FINEST, 300)
     roomy = one.with_room_of(finer)
     assert jax.tree.map(np.shape, roomy) == jax.tree.map(np.shape, finer) != jax.tree.map(np.shape, one)
     u, b = np.random.default_rng(3).uniform(-1, 1, (8, 3)), np.linspace(5.4, 5.6, 8)
@@ -362,7 +362,7 @@ def test_newton_in_sizes_of_the_motion(lanes, strobes):
 def test_place_in_a_tile_changes_no_bit(tile):
     """Of Newton's step: whatever the compiler makes of what comes after the loop over periods, for the lanes of a tile."""
     runner, rng, count = lanes_with_kept_programs(None, jax.devices()[:1]), np.random.default_rng(0), 8 * tile
-    strobe = make_strobe(SYSTEMS["constant"], SPLITTINGS["processed6"], 60)
+    strobe = make_return_map(SYSTEMS["constant"], SPLITTINGS["processed6"], 60)
     n, order = rng.integers(1, 17, count).astype(np.int32), rng.permutation(count)
     u, p = rng.uniform(-1, 1, (count, 3)), {"b": rng.uniform(4, 6, count), "a": rng.uniform(0.4, 0.6, count)}
     here = runner(look, (strobe,), (n, u, p), tile=tile)

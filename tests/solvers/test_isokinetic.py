@@ -12,8 +12,8 @@ import pytest
 from measure import CALM, LANES, STATES, SYSTEMS, UNIT, B, order_of, some_slow
 from scipy.special import ellipe
 
-from jaxnh.engine.executor.lanes import Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS, isokinetic_terms, kick
 from jaxnh.systems.particle import unchart
@@ -198,8 +198,8 @@ def test_unit_vector_stays_one(system, solver):
     """
     count, periods, steps = 256, 1000, max(1, 1000 // solver.stages)
     start = (np.full(count, 0.1),) * 2, (np.full(count, 0.1), np.full(count, math.sqrt(0.99)))
-    _, n = Lanes()(
-        iterate, (make_strobe(system, solver, steps), np.int32(periods)), (start, {"b": np.linspace(0.1, 6, count)})
+    _, n = LaneExecutor()(
+        iterate, (make_return_map(system, solver, steps), np.int32(periods)), (start, {"b": np.linspace(0.1, 6, count)})
     )
     length = np.hypot(*(np.asarray(component, np.longdouble) for component in n))
     assert np.abs(length - 1).max() < 6 * 2 * UNIT * math.sqrt(periods * steps * solver.stages)

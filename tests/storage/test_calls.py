@@ -10,7 +10,7 @@ import pytest
 from test_pieces import job
 
 from jaxnh.storage import calls as storage
-from jaxnh.storage.calls import Calls, Part, left
+from jaxnh.storage.calls import CallJournal, JournalEntry, left
 
 JOB = job(tile=2)
 PIECES = JOB.pieces()[1:3]
@@ -21,7 +21,7 @@ def part(call, first, lanes=3, digest="d"):
     """Results of different types and shapes, a NaN and an infinity among them."""
     numbers = RNG.normal(size=(lanes, 2))
     numbers[0] = np.nan, -np.inf
-    return Part(call, first, digest, (numbers, np.arange(lanes), numbers[:, 0] > 0, numbers.T.copy().T))
+    return JournalEntry(call, first, digest, (numbers, np.arange(lanes), numbers[:, 0] > 0, numbers.T.copy().T))
 
 
 def same(found, expected):
@@ -40,7 +40,7 @@ def parts():
 @pytest.fixture
 def folder(tmp_path, parts):
     """A folder in which each part is a record."""
-    kept = Calls(tmp_path, JOB, PIECES)
+    kept = CallJournal(tmp_path, JOB, PIECES)
     for one in parts:
         kept.add(one)
         kept.flush()
@@ -50,7 +50,7 @@ def folder(tmp_path, parts):
 
 def test_what_is_kept_is_found(folder, parts):
     """From the first lane on without a gap, bit for bit, and of the same call with the same arguments alone."""
-    kept = Calls(folder, JOB, PIECES)
+    kept = CallJournal(folder, JOB, PIECES)
     same(kept.found(0, "d"), parts[:2])
     same(kept.found(1, "d"), parts[2:3])
     assert kept.found(2, "other") == []
@@ -61,7 +61,7 @@ def test_what_is_kept_is_found(folder, parts):
 
 def test_of_another_job_or_other_pieces(folder):
     assert left(folder, job(tile=3)) == []
-    for kept in (Calls(folder, job(tile=3), PIECES), Calls(folder, JOB, PIECES[:1])):
+    for kept in (CallJournal(folder, job(tile=3), PIECES), CallJournal(folder, JOB, PIECES[:1])):
         assert kept.found(0, "d") == []
         assert kept.seconds == 0
     kept.add(part(0, 0))  # what is written of others takes its place
@@ -81,12 +81,12 @@ def test_damaged_record(folder, parts, damage):
     else:
         data += data[:50]
     path.write_bytes(data)
-    kept = Calls(folder, JOB, PIECES)
+    kept = CallJournal(folder, JOB, PIECES)
     last = parts[4:] if damage == "tail" else []
     same(kept.found(2, "d"), last)
     kept.add(parts[4])
     kept.close(remove=False)
-    again = Calls(folder, JOB, PIECES)
+    again = CallJournal(folder, JOB, PIECES)
     same(again.found(0, "d"), parts[:2])
     same(again.found(2, "d"), parts[4:])
 
@@ -95,7 +95,7 @@ def test_written_every_few_seconds(tmp_path, parts):
     """Not sooner, as most pieces are done by then; many bytes wait longer."""
     with mock.patch("time.monotonic") as clock:
         clock.return_value = 100.0
-        kept = Calls(tmp_path, JOB, PIECES)
+        kept = CallJournal(tmp_path, JOB, PIECES)
         clock.return_value = 104.9
         kept.add(parts[0])
         assert list(tmp_path.iterdir()) == []
@@ -105,14 +105,14 @@ def test_written_every_few_seconds(tmp_path, parts):
         assert list(tmp_path.iterdir()) == []
         kept.add(parts[2])
         assert len(list(tmp_path.iterdir())) == 1
-        assert Calls(tmp_path, JOB, PIECES).seconds == pytest.approx(5.1)
+        assert CallJournal(tmp_path, JOB, PIECES).seconds == pytest.approx(5.1)
     kept.close(remove=True)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_two_at_the_same_pieces(tmp_path, parts):
     """The first one's file stays as it is; the second keeps nothing, and does not fail."""
-    one, other = Calls(tmp_path, JOB, PIECES), Calls(tmp_path, JOB, PIECES)
+    one, other = CallJournal(tmp_path, JOB, PIECES), CallJournal(tmp_path, JOB, PIECES)
     one.add(parts[0])
     one.flush()
     other.add(parts[2])
@@ -120,14 +120,14 @@ def test_two_at_the_same_pieces(tmp_path, parts):
     one.add(parts[1])
     other.close(remove=False)
     one.close(remove=False)
-    found = Calls(tmp_path, JOB, PIECES)
+    found = CallJournal(tmp_path, JOB, PIECES)
     same(found.found(0, "d"), parts[:2])
     assert found.found(1, "d") == []
 
 
 def test_no_room(folder, parts):
     """A disk that is full is no reason to end: tiles may still fit. Half a record is not left, nor what it took."""
-    kept = Calls(folder, JOB, PIECES)
+    kept = CallJournal(folder, JOB, PIECES)
     kept.add(parts[3])
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     [path] = folder.iterdir()

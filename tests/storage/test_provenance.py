@@ -12,11 +12,11 @@ import pytest
 from conftest import ROOT
 
 from jaxnh.storage import hdf5 as store
-from jaxnh.storage.provenance import Method, UserFile, root_attributes, steps_in_words, versions
-from jaxnh.storage.tiles import Spent
+from jaxnh.storage.provenance import Method, UserFileText, root_attributes, steps_in_words, versions
+from jaxnh.storage.tiles import SecondsSpent
 
 METHOD = Method("processed6", 252, False, "float64", 9.7e-11)
-SPENT = Spent(19.9, 9.7, 1028153.0, "2 x cpu (cpu)")
+SPENT = SecondsSpent(19.9, 9.7, 1028153.0, "2 x cpu (cpu)")
 
 
 def attributes(**others):
@@ -69,7 +69,7 @@ def test_several_axes_and_periods(tmp_path):
 def test_what_is_there_only_for_some():
     assert not {"section", "system_file"} & set(attributes())
     assert attributes(section="y1 = 0, up")["section"] == "y1 = 0, up"
-    found = attributes(user_file=UserFile("own.py", "def system(): ...", "d" * 64))
+    found = attributes(user_file=UserFileText("own.py", "def system(): ...", "d" * 64))
     assert [found[f"system_file{part}"] for part in ("_path", "", "_sha256")] == [
         "own.py",
         "def system(): ...",

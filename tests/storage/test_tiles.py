@@ -12,9 +12,9 @@ from test_pieces import job
 
 from jaxnh.exceptions import BusyError, DamagedError, ResultError
 from jaxnh.storage import tiles
-from jaxnh.storage.tiles import Spent
+from jaxnh.storage.tiles import SecondsSpent
 
-SPENT = Spent(1.0, 0.5, 100.0, "1 x cpu (cpu)")
+SPENT = SecondsSpent(1.0, 0.5, 100.0, "1 x cpu (cpu)")
 PLANE = (("b", 4, False), ("d", 2, True))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses.scene import spread
-from jaxnh.maps.build import cut_strobe, make_strobe
+from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.solvers import dopri8
@@ -65,7 +65,7 @@ def test_lorenz_for_a_unit_of_time(lanes):
     """Steps of 1/200: Dopri8 leaves 1e-11 of states near 40 at these rates, which a unit of time enlarges tenfold."""
     flow, rho = first_order(lorenz, LORENZ, ("rho",)), np.array([20.0, 28.0, 60.0])
     start = spread(Point((1.0, 1.0, 20.0)), 3)
-    end = lanes(iterate, (make_strobe(flow, dopri8, 200), np.int32(1)), (start, {"rho": rho}))
+    end = lanes(iterate, (make_return_map(flow, dopri8, 200), np.int32(1)), (start, {"rho": rho}))
     assert np.abs(np.stack(end.y, axis=-1) - by_heyoka(rho, [1.0, 1.0, 20.0], 1.0)).max() < 1e-8
 
 
@@ -73,7 +73,7 @@ def test_volume_of_lorenz_is_exact(lanes):
     """The divergence −(σ + 1 + β) is a constant, and its integral over a unit of time is that number."""
     flow = first_order(lorenz, LORENZ, ("rho",))
     start = spread(Point((1.0, 1.0, 20.0)), 2)
-    strobe = make_strobe(flow, dopri8, 64)
+    strobe = make_return_map(flow, dopri8, 64)
     volume = lanes(volume_of, (strobe,), (start, {"rho": np.array([28.0, 60.0])}))
     assert np.abs(np.log(volume) + 10.0 + 1.0 + 8 / 3).max() < 1e-13
 
@@ -89,7 +89,7 @@ def test_pendulum_is_the_one_by_t_and_q(lanes):
     first, second = first_order(pendulum, PENDULUM, ("drive",)), lagrangian(pendulum_by_t_and_q, PENDULUM, ("drive",))
     u = np.array([[0.3, 0.1], [2.0, -1.0]])
     found = [
-        lanes(derivatives, (make_strobe(flow, dopri8, 100), np.int32(2)), (u, {"drive": drive}), static=("drive",))
+        lanes(derivatives, (make_return_map(flow, dopri8, 100), np.int32(2)), (u, {"drive": drive}), static=("drive",))
         for flow in (first, second)
     ]
     for one, other in zip(*found, strict=True):
@@ -99,8 +99,8 @@ def test_pendulum_is_the_one_by_t_and_q(lanes):
 def test_parameter_of_the_flow_is_that_of_a_lane(lanes):
     """The drive in the table of times, where all lanes have one value, or with each lane."""
     start = spread(Point((0.3, 0.1)), 2)
-    one = make_strobe(first_order(pendulum, PENDULUM, ("damping",)), dopri8, 100)
-    other = make_strobe(first_order(pendulum, PENDULUM), dopri8, 100)
+    one = make_return_map(first_order(pendulum, PENDULUM, ("damping",)), dopri8, 100)
+    other = make_return_map(first_order(pendulum, PENDULUM), dopri8, 100)
     p = {"damping": np.array([0.3, 0.4])}
     ends = [lanes(iterate, (strobe, np.int32(1)), (start, p)) for strobe in (one, other)]
     for x, y in zip(ends[0].y, ends[1].y, strict=True):
@@ -110,7 +110,7 @@ def test_parameter_of_the_flow_is_that_of_a_lane(lanes):
 def test_parts_of_a_period_are_the_period(lanes):
     flow = first_order(pendulum, PENDULUM, ("drive",))
     start, p = spread(Point((0.3, 0.1)), 2), {"drive": np.array([0.9, 1.1])}
-    whole = lanes(iterate, (make_strobe(flow, dopri8, 96), np.int32(1)), (start, p))
+    whole = lanes(iterate, (make_return_map(flow, dopri8, 96), np.int32(1)), (start, p))
     parts = lanes(in_turn, (cut_strobe(flow, dopri8, 96, 8),), (start, p))
     for one, other in zip(whole.y, parts.y, strict=True):
         assert np.abs(one - other).max() < 1e-13
@@ -132,7 +132,7 @@ def test_circle_on_a_plane(lanes):
     plane = SectionedFlow(flow, "x", 0, 0.0, "up", (1.0, -1.0, 0.0))
     omega = np.array([1.0, 2.0])
     start = plane.start({"x": np.full(2, 1.0), "y": np.zeros(2), "z": np.ones(2)})
-    strobe = make_strobe(plane, dopri8, 40)
+    strobe = make_return_map(plane, dopri8, 40)
     crossing = lanes(iterate, (strobe, np.int32(2)), (start, {"omega": omega}))
     # From (1, 0) the angle is 5π/4 at the first passage upward of x − y, and 2π more at the second.
     assert np.abs(crossing.t - (5 * np.pi / 4 + 2 * np.pi) / omega).max() < 1e-9

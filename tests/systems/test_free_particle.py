@@ -11,8 +11,8 @@ import pytest
 from measure import UNIT
 
 from jaxnh.analyses.scene import spread
-from jaxnh.engine.executor.lanes import Lanes
-from jaxnh.maps.build import make_strobe
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import free_particle
@@ -69,7 +69,7 @@ def test_free_particle_keeps_its_energy():
     for damped in (False, True):
         names = frozenset({"forcing"} | (set() if damped else {"damping"}))
         flow = free_particle(0.5, None, 1.0, names)
-        end = Lanes()(iterate, (make_strobe(flow, dopri8, 80), np.int32(3)), (start, {"b": b}))
+        end = LaneExecutor()(iterate, (make_return_map(flow, dopri8, 80), np.int32(3)), (start, {"b": b}))
         lost = energy(start) - energy(end)
         assert np.all(lost > 0.1) if damped else np.abs(lost).max() < 1e-9
 

@@ -17,20 +17,20 @@ import xarray as xr
 from jaxtyping import Int
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.base import LANE, Analysis, Options, Setting, Starts, Sweep, Whole, rule, variable
+from jaxnh.analyses.base import LANE, Analysis, Options, Setting, Starts, SweepLanes, SweepReduction, rule, variable
 from jaxnh.analyses.basins.boundary import boundary_variables, check_plane
-from jaxnh.analyses.basins.classification import POINTS, Judged, recorded, scene_from
+from jaxnh.analyses.basins.classification import POINTS, Attractors, recorded, scene_from
 from jaxnh.analyses.basins.clustering import find, joined
-from jaxnh.analyses.basins.continuation import Grid, Tracked, track
+from jaxnh.analyses.basins.continuation import ContinuedAttractors, Grid, continue_attractors
 from jaxnh.analyses.basins.settling import FAILED, Lot, settle
 from jaxnh.analyses.basins.steps_after_transient import settled_steps
-from jaxnh.analyses.basins.tables import Known, attractors_group, basins_group, shares
-from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares
+from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.random_starts import Side, check_box, started
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.smooth_window import BLOCKS
-from jaxnh.analyses.window_averages import look, look_at, maps
+from jaxnh.analyses.window_averages import average_window, maps, window_averages
 from jaxnh.systems.flow import Output
 
 _SAMPLED = 1024  # lanes by which steps are chosen
@@ -102,7 +102,7 @@ def choose(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> dict[str,
     some = np.unique(np.linspace(0, scene.count - 1, min(scene.count, _SAMPLED)).round().astype(int))
     here = _started(options, scene.take(some))[0]
     few = here.take(np.unique(np.linspace(0, here.count - 1, _SAMPLED).round().astype(int)))
-    begun = look_at(few, lanes, few.start, options.transient // 2)
+    begun = average_window(few, lanes, few.start, options.transient // 2)
     return {"steps": settled_steps(few, lanes, begun.state)}
 
 
@@ -136,7 +136,7 @@ def run(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     )
 
 
-def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
+def whole(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `basins` and `attractors`, from what all lanes have come to by themselves."""
     shape = tuple(len(axis.values) for axis in sweep.axes)
     starts = (options.starts,) if options.starts else ()
@@ -148,7 +148,7 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     sizes = tuple(shape[k] for k in own)
     place = np.unravel_index(np.arange(count) // each, shape)
     point = np.ravel_multi_index([place[k] for k in own], sizes) if own else np.zeros(count, int)
-    on, parts, at, judged = np.full(count, -1), list[Judged](), np.zeros(0, int), 0
+    on, parts, at, judged = np.full(count, -1), list[Attractors](), np.zeros(0, int), 0
     drawn: dict[str, np.ndarray] = {name: np.zeros(count) for name in options.box}
     for row, at_row in sweep.rows:
         some = (row[:, None] * each + np.arange(each)).ravel()
@@ -170,9 +170,9 @@ def whole(options: BasinsOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
     every = joined(parts) if len(at) else None
     grid = _grid(sweep, own, point[::each])
     number = np.where(lot.known == FAILED, -1, 0).astype(np.int32)
-    table = Known(at, np.zeros(0, np.int32), None, {}, ())
+    table = SweepAttractors(at, np.zeros(0, np.int32), None, {}, ())
     if every is not None:
-        tracked = track(grid, lanes, every, at, options.transient, options.longest)
+        tracked = continue_attractors(grid, lanes, every, at, options.transient, options.longest)
         table, of = _known(grid, lanes, every, at, tracked, on)
         number[on >= 0] = of[on[on >= 0]]
     flow = sweep.rows[0][1].flow
@@ -205,7 +205,7 @@ def starts(options: BasinsOptions) -> Starts | None:
     return lambda scene: (_started(options, scene)[0].start, np.repeat(np.arange(scene.count), options.starts))
 
 
-def _grid(sweep: Sweep, own: Sequence[int], point: Int[np.ndarray, " lanes"]) -> Grid:
+def _grid(sweep: SweepLanes, own: Sequence[int], point: Int[np.ndarray, " lanes"]) -> Grid:
     """The values of the axes that are parameters, each with the first lane there."""
     first = np.unique(point, return_index=True)[1]
     row, lane = np.zeros((2, len(first)), int)
@@ -219,11 +219,11 @@ def _grid(sweep: Sweep, own: Sequence[int], point: Int[np.ndarray, " lanes"]) ->
 def _known(
     grid: Grid,
     lanes: LaneRunner,
-    every: Judged,
+    every: Attractors,
     point: Int[np.ndarray, " attractors"],
-    tracked: Tracked,
+    tracked: ContinuedAttractors,
     on: Int[np.ndarray, " lanes"],
-) -> tuple[Known, Int[np.ndarray, " attractors"]]:
+) -> tuple[SweepAttractors, Int[np.ndarray, " attractors"]]:
     """All attractors, those too that no start state leads to, and the numbers of those that some lead to.
 
     Numbers are from 1 on, by the size of the basin over all values, ties by the first lane.
@@ -256,10 +256,10 @@ def _known(
             )
             kept.data[here] = output.data
     changes = [change._replace(attractor=int(number[change.attractor])) for change in tracked.changes]
-    return Known(at, np.concatenate([number, number[origin]]), every, coordinates, changes), number
+    return SweepAttractors(at, np.concatenate([number, number[origin]]), every, coordinates, changes), number
 
 
-def _coordinates(scene: Scene, lanes: LaneRunner, judged: Judged) -> dict[str, Output]:
+def _coordinates(scene: Scene, lanes: LaneRunner, judged: Attractors) -> dict[str, Output]:
     """Coordinates of a point of every attractor, and under NAME_points of its points, at the strobe."""
     count, points = len(judged.u), judged.points[:, :POINTS]
     one = states_at(scene, lanes, judged.u)
@@ -286,7 +286,7 @@ def price(options: BasinsOptions, scene: Scene) -> Price:
     scene = scene.in_time()
     strobe, parts = maps(scene)
     turns = (float(BLOCKS), 1.0, *((float(parts),) if parts else ()), *strobe.turns)
-    program = Program(look, (strobe, np.int32(1)), scene.lanes, turns, (parts,), BLOCKS, whole=True)
+    program = PricedProgram(window_averages, (strobe, np.int32(1)), scene.lanes, turns, (parts,), BLOCKS, whole=True)
     return Price(program, map_alone(scene), "means of every coordinate and its square")
 
 
@@ -300,7 +300,7 @@ ANALYSIS = Analysis(
     BasinsOptions,
     periods,
     run,
-    whole=Whole(("attractors",), whole),
+    whole=SweepReduction(("attractors",), whole),
     newton=True,
     in_time=True,
     numbers=numbers,

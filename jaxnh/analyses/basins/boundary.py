@@ -42,7 +42,7 @@ _WORDS = {
 }
 
 
-class Measured(NamedTuple):
+class BoundaryMeasures(NamedTuple):
     """A quantity and its error at 95 %."""
 
     value: float
@@ -52,9 +52,9 @@ class Measured(NamedTuple):
 class Boundary(NamedTuple):
     """What is measured of a plane; not a number where there is no boundary, or too little of it."""
 
-    basin_entropy: Measured
-    boundary_entropy: Measured
-    uncertainty_exponent: Measured
+    basin_entropy: BoundaryMeasures
+    boundary_entropy: BoundaryMeasures
+    uncertainty_exponent: BoundaryMeasures
 
 
 def check_plane(setting: Setting, key: str) -> None:
@@ -90,7 +90,7 @@ def boundary_of(labels: Int[np.ndarray, "x y"]) -> Boundary:
     return Boundary(whole, mixed, uncertainty_exponent(labels))
 
 
-def entropies(labels: Int[np.ndarray, "x y"]) -> tuple[Measured, Measured]:
+def entropies(labels: Int[np.ndarray, "x y"]) -> tuple[BoundaryMeasures, BoundaryMeasures]:
     """Basin entropy and boundary basin entropy.
 
     Both are means over all places of a box. The error is the spread over the 25 grids of boxes that the plane can be
@@ -108,10 +108,10 @@ def entropies(labels: Int[np.ndarray, "x y"]) -> tuple[Measured, Measured]:
     found = []
     for over in (known, mixed):
         if not np.any(over):
-            found.append(Measured(0.0 if over is known else np.nan, np.nan))
+            found.append(BoundaryMeasures(0.0 if over is known else np.nan, np.nan))
             continue
         each = [entropy[grid][over[grid]].mean() for grid in grids if np.any(over[grid])]
-        found.append(Measured(float(entropy[over].mean()), _COVER * float(np.std(each, ddof=1))))
+        found.append(BoundaryMeasures(float(entropy[over].mean()), _COVER * float(np.std(each, ddof=1))))
     return found[0], found[1]
 
 
@@ -122,7 +122,7 @@ def _in_boxes(hits: Bool[np.ndarray, "x y"], shape: tuple[int, ...]) -> Int[np.n
     return total[k:, k:] - total[:a, k:] - total[k:, :b] + total[:a, :b]
 
 
-def uncertainty_exponent(labels: Int[np.ndarray, "x y"]) -> Measured:
+def uncertainty_exponent(labels: Int[np.ndarray, "x y"]) -> BoundaryMeasures:
     """The exponent over distances of 1, 2, 4, … starts, up to an eighth of the shorter edge.
 
     A line is fitted to the logarithms. The error has two parts: the scatter about the line, by Student's t, but not
@@ -135,7 +135,7 @@ def uncertainty_exponent(labels: Int[np.ndarray, "x y"]) -> Measured:
     differ, pairs = np.array(counts).T
     use = differ >= _FEWEST
     if np.sum(use) < _SCALES:
-        return Measured(np.nan, np.nan)
+        return BoundaryMeasures(np.nan, np.nan)
     x, y = np.log(distances[use]), np.log(differ[use] / pairs[use])
     slope, scatter = _line(x, y)
     away = x - x.mean()
@@ -143,7 +143,7 @@ def uncertainty_exponent(labels: Int[np.ndarray, "x y"]) -> Measured:
     inner = -(-len(x) // 2) + 1
     bias = 2.0 * (_line(x[:inner], y[:inner])[0] - slope)
     student = STUDENT[min(len(x) - 1, max(STUDENT))]
-    return Measured(slope, float(np.hypot(max(student * scatter, _COVER * counting), bias)))
+    return BoundaryMeasures(slope, float(np.hypot(max(student * scatter, _COVER * counting), bias)))
 
 
 def _different(labels: Int[np.ndarray, "x y"], distance: int, margin: int) -> tuple[int, int]:

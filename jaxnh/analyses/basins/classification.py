@@ -28,15 +28,15 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from jaxnh.analyses.basins.point_sets import lie_within, point_set, spacing
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, SETTLED_TO, Lot
 from jaxnh.analyses.basins.volume import keeps_volume
-from jaxnh.analyses.equilibria.search import zeros
+from jaxnh.analyses.equilibria.search import find_equilibria
 from jaxnh.analyses.exponents.lyapunov import LyapunovOptions
 from jaxnh.analyses.exponents.lyapunov import run as exponents_of
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
-from jaxnh.analyses.window_averages import Look, angles, look_at, maps, points_a_unit, units
-from jaxnh.maps.protocol import Strobe
+from jaxnh.analyses.window_averages import WindowAverages, angles, average_window, maps, points_a_unit, units
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Flow, Parameters, State
 
 NONE = -1
@@ -65,7 +65,7 @@ _TO_AND_FRO = 4.0  # ranges: a motion that has gone so far has come back
 _TURNED = 4 * np.pi
 
 
-class Judged(NamedTuple):
+class Attractors(NamedTuple):
     """Attractors, each with the representatives as first axis.
 
     Attributes:
@@ -97,7 +97,7 @@ class Judged(NamedTuple):
     margin: Float[np.ndarray, " reps"]
 
 
-def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, longest: int) -> Judged:
+def classify(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, longest: int) -> Attractors:
     """What the lanes of a scene are on, which are done as the lot says; they go on from where it has left them.
 
     The scene has them at their start, which sizes are held against.
@@ -118,7 +118,7 @@ def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, longes
     exponent, multiplier = np.full((2, count), np.nan)
     moved_on = scene_from(scene, lanes, u)
     if scene.flow.autonomous:
-        there = zeros(moved_on, lanes, u, lot.size, seen)
+        there = find_equilibria(moved_on, lanes, u, lot.size, seen)
         at_rest = there.found & stays
         kind[at_rest & there.stable], exponent[at_rest] = EQUILIBRIUM, there.exponent[at_rest]
         u[at_rest] = there.u[at_rest]
@@ -157,7 +157,7 @@ def judge(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, longes
         sets = (points[some], steps[some], size[some], margin[some])
         kind[some[_leaves(moved_on.take(some), lanes, u[some], sets)]] = NONE
     means = np.asarray(seen.whole)
-    return Judged(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
+    return Attractors(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
 
 
 def filled_up(
@@ -179,7 +179,7 @@ def followed(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -
     return lanes(_followed, (strobe,), (u, dict(scene.p)), periods=FOLLOWED, static=(parts,))
 
 
-def _followed(strobe: Strobe, u: Array, p: Parameters, parts: int) -> Float[Array, "points d"]:
+def _followed(strobe: ReturnMap, u: Array, p: Parameters, parts: int) -> Float[Array, "points d"]:
     flow = strobe.system
 
     def follow(state: State, _: None) -> tuple[State, Array]:
@@ -223,14 +223,14 @@ def stays_near(
     return np.all(known[there] == at, axis=1)
 
 
-def _confirming_look(scene: Scene, lanes: LaneRunner, lot: Lot) -> tuple[Look, State]:
+def _confirming_look(scene: Scene, lanes: LaneRunner, lot: Lot) -> tuple[WindowAverages, State]:
     """The long look of every lane, those of like length together."""
     look = lot.time // 2
     parts, order = [], []
     for length in np.unique(look).tolist():
         here = np.flatnonzero(look == length)
         begun = states_at(scene.take(here), lanes, lot.u[here])
-        parts.append(look_at(scene.take(here), lanes, begun, LONGER * length))
+        parts.append(average_window(scene.take(here), lanes, begun, LONGER * length))
         order.append(here)
     back = np.argsort(np.concatenate(order))
     seen = jax.tree.map(lambda *leaves: np.concatenate(leaves)[back], *parts)
@@ -249,7 +249,7 @@ def _orbits(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], li
 
 
 def _by_exponents(
-    scene: Scene, lanes: LaneRunner, seen: Look, looked: Int[np.ndarray, " lanes"]
+    scene: Scene, lanes: LaneRunner, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]
 ) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
     """Kinds by the largest exponents, and the one that counts."""
     clock, period = not scene.flow.autonomous, scene.system.period
@@ -277,7 +277,7 @@ def _by_exponents(
     return kind, largest
 
 
-def _comes_back(scene: Scene, seen: Look, looked: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
+def _comes_back(scene: Scene, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
     """Whether a motion without a clock has gone to and fro or around: a slow passage goes one way."""
     turns = angles(scene.system)
     fro = ~turns & (seen.path > _TO_AND_FRO * (seen.high - seen.low)) & (seen.high > seen.low)
@@ -285,7 +285,7 @@ def _comes_back(scene: Scene, seen: Look, looked: Int[np.ndarray, " lanes"]) -> 
     return np.any(fro | turned, axis=1)
 
 
-def _turning(turns: Bool[np.ndarray, " d"], seen: Look) -> Float[np.ndarray, "lanes d"]:
+def _turning(turns: Bool[np.ndarray, " d"], seen: WindowAverages) -> Float[np.ndarray, "lanes d"]:
     """Mean turn of every angle from point to point, zero of what is none."""
     found, place = np.zeros((len(seen.whole), len(turns))), 0
     for i, turning in enumerate(turns):
@@ -340,8 +340,8 @@ def recorded(scene: Scene, lanes: LaneRunner, count: int) -> Float[np.ndarray, "
     return lanes(_record, (strobe,), scene.lanes, periods=count, static=(count, parts))
 
 
-def _record(strobe: Strobe, state: State, p: Parameters, count: int, parts: int) -> Float[Array, "points d"]:
-    def point(state: State, strobe: Strobe) -> tuple[State, Array]:
+def _record(strobe: ReturnMap, state: State, p: Parameters, count: int, parts: int) -> Float[Array, "points d"]:
+    def point(state: State, strobe: ReturnMap) -> tuple[State, Array]:
         after = strobe(state, p)
         return after, strobe.system.chart(after)
 

@@ -22,10 +22,10 @@ from jaxnh.analyses.basins.classification import (
     NONE,
     PERIODIC,
     POINTS,
-    Judged,
+    Attractors,
+    classify,
     filled_up,
     followed,
-    judge,
     stays_near,
 )
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
@@ -43,7 +43,7 @@ _CLEARLY = 2.0  # times as far as from its attractor is a lane from every other 
 _MOSTLY = 0.95  # of the points of a set lie within the largest spacing that those of another look have
 
 
-class Found(NamedTuple):
+class Assignment(NamedTuple):
     """Attractors of lanes.
 
     Attributes:
@@ -55,13 +55,13 @@ class Found(NamedTuple):
 
     number: Int[np.ndarray, " lanes"]
     point: Int[np.ndarray, " attractors"]
-    attractors: Judged | None
+    attractors: Attractors | None
     judged: int = 0
 
 
 def find(
     scene: Scene, lanes: LaneRunner, lot: Lot, point: Int[np.ndarray, " lanes"], limit: int, longest: int
-) -> Found:
+) -> Assignment:
     """The attractors of lanes that have been run by themselves; those on none yet go on, in place, while they may.
 
     Judging takes as long as lanes have gone on before, so that after a round in which no attractor was found half as
@@ -72,7 +72,7 @@ def find(
         limit: period looked for, at most.
         longest: periods that a lane may take.
     """
-    found, most = Found(np.full(scene.count, -1), np.zeros(0, int), None), _MOST_CLUSTERS
+    found, most = Assignment(np.full(scene.count, -1), np.zeros(0, int), None), _MOST_CLUSTERS
     tested = np.zeros(scene.count, np.bool_)
     while True:
         before = len(found.point)
@@ -96,11 +96,11 @@ def _search(
     lanes: LaneRunner,
     lot: Lot,
     point: Int[np.ndarray, " lanes"],
-    found: Found,
+    found: Assignment,
     limit: int,
     longest: int,
     most: int,
-) -> Found:
+) -> Assignment:
     """Lanes matched to attractors, and those that these leave judged, at most so many at a value of the parameters.
 
     Lanes of one cluster may still be on several attractors, as those that a symmetry relates share means: while new
@@ -114,7 +114,7 @@ def _search(
         if not len(seeds):
             return found
         here = scene.take(seeds)
-        judged = judge(here, lanes, picked(lot, seeds), limit, longest)
+        judged = classify(here, lanes, picked(lot, seeds), limit, longest)
         largest, before = np.nanmax(np.abs(lot.size), axis=0, initial=0.0), len(found.point)
         found, place = _added(here, lanes, found, judged, point[seeds], largest)
         settled = lot.known[seeds] == SETTLED
@@ -129,13 +129,13 @@ def _search(
             return found
 
 
-def _away(system: Flow, lot: Lot, judged: Judged, cluster: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
+def _away(system: Flow, lot: Lot, judged: Attractors, cluster: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
     """Lanes of clusters whose leaders are on no attractor, and that are not where these are, as beside a repeller."""
     away = np.zeros(len(cluster), np.bool_)
     for k in np.flatnonzero(judged.kind == NONE).tolist():
         some = np.flatnonzero(cluster == k)
         if len(some) > 1:
-            one: Judged = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
+            one: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
             away[some] = _distances(system, one, lot.u[some], lot.size[some]) > 1.0
     return away
 
@@ -145,7 +145,7 @@ def match(
     lanes: LaneRunner,
     lot: Lot,
     point: Int[np.ndarray, " lanes"],
-    found: Found,
+    found: Assignment,
     of_leader: Int[np.ndarray, " lanes"] | None = None,
 ) -> None:
     """Numbers of the attractors of lanes that have none yet, in place, where there is one that fits.
@@ -163,7 +163,7 @@ def match(
     paths = followed(scene.take(restless), lanes, lot.u[restless]) if len(restless) else np.empty(0)
     (first, second), nearest = np.full((2, scene.count), np.inf), np.full(scene.count, -1)
     for k in range(len(found.point)):
-        one: Judged = jax.tree.map(lambda leaf, k=k: leaf[k], found.attractors)
+        one: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], found.attractors)
         some = settled[point[settled] == found.point[k]]
         fits = np.all(np.abs(lot.means[some] - one.means) <= lot.unit[some] + one.unit, axis=1)
         some = some[fits if of_leader is None else fits | (of_leader[some] == k)]
@@ -184,7 +184,7 @@ def match(
 
 
 def _mean_distances(
-    scene: Scene, one: Judged, paths: Float[np.ndarray, "lanes followed d"]
+    scene: Scene, one: Attractors, paths: Float[np.ndarray, "lanes followed d"]
 ) -> Float[np.ndarray, " lanes"]:
     """Mean distances of the points of paths from an attractor, in its margin."""
     every = paths.reshape(-1, paths.shape[2])
@@ -192,7 +192,7 @@ def _mean_distances(
 
 
 def _distances(
-    system: Flow, one: Judged, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
+    system: Flow, one: Attractors, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
 ) -> Float[np.ndarray, " lanes"]:
     """Distances of section points from an attractor, in what its margin is for lanes of these sizes."""
     if not len(u):
@@ -203,7 +203,7 @@ def _distances(
     return np.max(np.abs(away) / np.where(unit > 0.0, unit, 1.0), axis=1) / float(one.margin)
 
 
-def _near(scene: Scene, one: Judged, paths: Float[np.ndarray, "lanes followed d"]) -> Bool[np.ndarray, " lanes"]:
+def _near(scene: Scene, one: Attractors, paths: Float[np.ndarray, "lanes followed d"]) -> Bool[np.ndarray, " lanes"]:
     """Whether paths stay near an attractor."""
     edge = one.near * np.where(one.size > 0.0, one.size, 1.0)
     return stays_near(angles(scene.system), paths, one.points, edge)
@@ -240,11 +240,11 @@ def _representatives(
 def _added(
     scene: Scene,
     lanes: LaneRunner,
-    found: Found,
-    judged: Judged,
+    found: Assignment,
+    judged: Attractors,
     point: Int[np.ndarray, " reps"],
     largest: Float[np.ndarray, " d"],
-) -> tuple[Found, Int[np.ndarray, " reps"]]:
+) -> tuple[Assignment, Int[np.ndarray, " reps"]]:
     """Attractors with those that are new, and for every representative the number of its own, −1 where it is none."""
     place = np.full(len(point), -1)
     new: list[int] = []
@@ -252,7 +252,7 @@ def _added(
     for k in range(len(point)):
         if judged.kind[k] == NONE:
             continue
-        one: Judged = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
+        one: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
         if before:
             assert found.attractors is not None
             same = _same(scene.take(slice(k, k + 1)), lanes, one, found.attractors, largest, found.point == point[k])
@@ -272,10 +272,10 @@ def _added(
     if found.attractors is not None:
         every = joined([found.attractors, added])
     of_each = np.concatenate([found.point, point[new].astype(int)])
-    return Found(found.number, of_each, every, found.judged + len(point)), place
+    return Assignment(found.number, of_each, every, found.judged + len(point)), place
 
 
-def joined(parts: Sequence[Judged]) -> Judged:
+def joined(parts: Sequence[Attractors]) -> Attractors:
     """Attractors of several parts, one after the other, with as many points each."""
     most = max(part.points.shape[1] for part in parts)
     filled = [filled_up(part.points, part.steps, most) for part in parts]
@@ -286,8 +286,8 @@ def joined(parts: Sequence[Judged]) -> Judged:
 def _same(
     scene: Scene,
     lanes: LaneRunner,
-    one: Judged,
-    others: Judged,
+    one: Attractors,
+    others: Attractors,
     largest: Float[np.ndarray, " d"],
     here: Bool[np.ndarray, " others"],
 ) -> Bool[np.ndarray, " others"]:
@@ -300,7 +300,7 @@ def _same(
     return alike
 
 
-def same_set(system: Flow, one: Judged, other: Judged) -> bool:
+def same_set(system: Flow, one: Attractors, other: Attractors) -> bool:
     """Whether two motions fill the same set: the points of each lie within the spacing of the other's.
 
     Of chaos the points of one are enough, as a finite look need not have visited all of it.
@@ -314,7 +314,7 @@ def same_set(system: Flow, one: Judged, other: Judged) -> bool:
 
 
 def same_orbits(
-    system: Flow, one: Judged, others: Judged, largest: Float[np.ndarray, " d"]
+    system: Flow, one: Attractors, others: Attractors, largest: Float[np.ndarray, " d"]
 ) -> Bool[np.ndarray, " others"]:
     """Which of some attractors are an equilibrium or an orbit that has these kind, period and point `u`."""
     turns = int(one.period)

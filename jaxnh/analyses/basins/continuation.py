@@ -17,12 +17,12 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Judged, scene_from
-from jaxnh.analyses.basins.clustering import Found, match, same_orbits, same_within
+from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Attractors, scene_from
+from jaxnh.analyses.basins.clustering import Assignment, match, same_orbits, same_within
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, go_on, settle
 from jaxnh.analyses.crises.band_phase import embedded
 from jaxnh.analyses.crises.sudden_growth import sudden_growths
-from jaxnh.analyses.equilibria.search import rest_points
+from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, largest_multiplier, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.window_averages import angles
@@ -76,7 +76,7 @@ class Change(NamedTuple):
     after: int
 
 
-class Tracked(NamedTuple):
+class ContinuedAttractors(NamedTuple):
     """Attractors over the parameters.
 
     Attributes:
@@ -110,9 +110,14 @@ class Unseen(NamedTuple):
     exponent: float
 
 
-def track(
-    grid: Grid, lanes: LaneRunner, every: Judged, point: Int[np.ndarray, " attractors"], transient: int, longest: int
-) -> Tracked:
+def continue_attractors(
+    grid: Grid,
+    lanes: LaneRunner,
+    every: Attractors,
+    point: Int[np.ndarray, " attractors"],
+    transient: int,
+    longest: int,
+) -> ContinuedAttractors:
     """Attractors of all values of the parameters held together along every axis.
 
     Args:
@@ -138,7 +143,7 @@ def track(
         key = int(same[one.origin]), one.point
         if key not in there:
             once.setdefault(key, one)
-    return Tracked(same, changes, tuple(once.values()))
+    return ContinuedAttractors(same, changes, tuple(once.values()))
 
 
 def _join(groups: Int[np.ndarray, " attractors"], point: Int[np.ndarray, " attractors"], one: int, other: int) -> None:
@@ -156,7 +161,7 @@ class _Line:
     """
 
     def __init__(
-        self, grid: Grid, lanes: LaneRunner, every: Judged, point: Int[np.ndarray, " attractors"], axis: int
+        self, grid: Grid, lanes: LaneRunner, every: Attractors, point: Int[np.ndarray, " attractors"], axis: int
     ) -> None:
         self._grid, self._lanes, self._every, self._point, self._axis = grid, lanes, every, point, axis
         self._largest = np.max(every.size, axis=0)
@@ -263,7 +268,7 @@ class _Line:
 
     def _at_rest(self, scene: Scene, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> _Continued:
         size = np.broadcast_to(self._largest, u.shape)
-        found = rest_points(scene, self._lanes, u, size)
+        found = equilibria_from_starts(scene, self._lanes, u, size)
         return _Continued(found.found, found.stable, found.u, np.full(len(u), np.nan), found.exponent)
 
     # ---- all others
@@ -307,7 +312,7 @@ class _Line:
             many = scene.take(np.repeat(np.arange(len(here)), _PROBES))
             many = scene_from(many, self._lanes, begun.reshape(-1, begun.shape[-1]))
             lot, at = settle(many, self._lanes, transient, longest), np.repeat(points[here], _PROBES)
-            found = Found(np.full(many.count, -1), self._point, self._every)
+            found = Assignment(np.full(many.count, -1), self._point, self._every)
             while True:
                 match(many, self._lanes, lot, at, found)
                 left = (found.number < 0) & np.isin(lot.known, (SETTLED, RESTLESS)) & (2 * lot.time <= longest)

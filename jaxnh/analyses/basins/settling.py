@@ -16,7 +16,7 @@ from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.section_points import points_at, states_at
-from jaxnh.analyses.window_averages import Look, angles, look_at, units
+from jaxnh.analyses.window_averages import WindowAverages, angles, average_window, units
 from jaxnh.systems.flow import FAULTS, Flow, State
 
 SETTLED_TO = 1e-4
@@ -78,11 +78,11 @@ def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps:
     lot.known[absent], lot.reason[absent] = FAILED, FAULTS.index("off_constraint")
     some = np.flatnonzero(~absent)
     here = scene.take(some)
-    begun = look_at(here, lanes, here.start, transient // 2) if len(some) else None
+    begun = average_window(here, lanes, here.start, transient // 2) if len(some) else None
     if begun is None:
         return lot
     scene, here = (replace(one, steps=steps or one.steps) for one in (scene, here))
-    seen = look_at(here, lanes, begun.state, transient // 2)
+    seen = average_window(here, lanes, begun.state, transient // 2)
     lot.least[some] = _LEAST * np.fmax(np.abs(points_at(here, lanes, here.start)), begun.largest)
     lot.size[some] = np.fmax(seen.largest, lot.least[some])
     lot.time[some], lot.u[some] = transient, points_at(scene, lanes, seen.state)
@@ -115,7 +115,7 @@ def _look_on(
     turns = angles(scene.system)
     while len(open_) and 2 * elapsed <= longest:
         here = scene.take(open_)
-        seen = look_at(here, lanes, state, elapsed)
+        seen = average_window(here, lanes, state, elapsed)
         elapsed *= 2
         before = lot.size[open_]
         lot.size[open_] = np.fmax(before, seen.largest)
@@ -134,7 +134,7 @@ def _look_on(
         open_, state = open_[left], picked(seen.state, left)
 
 
-def _gap(seen: Look, scale: Float[np.ndarray, "some F"]) -> Float[np.ndarray, " some"]:
+def _gap(seen: WindowAverages, scale: Float[np.ndarray, "some F"]) -> Float[np.ndarray, " some"]:
     """Between the means over both halves of a look, the largest in sizes of the motion."""
     with np.errstate(invalid="ignore"):
         apart = np.abs(seen.halves[:, 0] - seen.halves[:, 1])
@@ -142,7 +142,11 @@ def _gap(seen: Look, scale: Float[np.ndarray, "some F"]) -> Float[np.ndarray, " 
 
 
 def _escape(
-    lot: Lot, some: Int[np.ndarray, " some"], seen: Look, before: Float[np.ndarray, "some d"], turns: np.ndarray
+    lot: Lot,
+    some: Int[np.ndarray, " some"],
+    seen: WindowAverages,
+    before: Float[np.ndarray, "some d"],
+    turns: np.ndarray,
 ) -> None:
     """Of lanes that are still not done, those that go to infinity: in the last look beyond all that was before."""
     beyond = np.maximum(seen.low, -seen.high) > 0.99 * before

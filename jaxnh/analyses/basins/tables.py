@@ -11,7 +11,7 @@ import xarray as xr
 from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Entry, variable
-from jaxnh.analyses.basins.classification import NONE, POINTS, Judged
+from jaxnh.analyses.basins.classification import NONE, POINTS, Attractors
 from jaxnh.analyses.basins.continuation import CHANGES, Change
 from jaxnh.analyses.basins.settling import CONSERVATIVE, REASONS, Lot
 from jaxnh.analyses.scene import Axis
@@ -27,7 +27,7 @@ _COMPUTED = (
 )
 
 
-class Known(NamedTuple):
+class SweepAttractors(NamedTuple):
     """Attractors at all values of the parameters.
 
     Attributes:
@@ -40,7 +40,7 @@ class Known(NamedTuple):
 
     point: Int[np.ndarray, " attractors"]
     number: Int[np.ndarray, " attractors"]
-    judged: Judged | None
+    judged: Attractors | None
     coordinates: Mapping[str, Output]
     changes: Sequence[Change]
 
@@ -96,7 +96,9 @@ def basins_group(
     return xr.Dataset(variables, attrs=attrs)
 
 
-def attractors_group(known: Known, axes: Sequence[Axis], hits: tuple[np.ndarray, np.ndarray], unit: str) -> xr.Dataset:
+def attractors_group(
+    known: SweepAttractors, axes: Sequence[Axis], hits: tuple[np.ndarray, np.ndarray], unit: str
+) -> xr.Dataset:
     """All attractors over the axes that are parameters, with their numbers and changes; `hits` as `shares` has them."""
     names, sizes = tuple(axis.name for axis in axes), tuple(len(axis.values) for axis in axes)
     most = hits[0].shape[1]

@@ -15,7 +15,7 @@ from jaxnh.analyses.smooth_window import window
 from jaxnh.analyses.window_averages import maps
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.of_lane import of_lane
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters, State
 
 _PERIODS = 128
@@ -42,7 +42,7 @@ def keeps_volume(
         return np.abs(mean) * longest * (scene.system.period if parts else 1.0) < _KEEPS
 
 
-def _mean(strobe: Strobe, periods: ArrayLike, state: State, p: Parameters, parts: int) -> Array:
+def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, parts: int) -> Array:
     """Mean change of the logarithm of a volume, of one lane.
 
     With a clock it is that of a period, by the determinant of the tangent map; without one that of time, by the flow's
@@ -50,7 +50,7 @@ def _mean(strobe: Strobe, periods: ArrayLike, state: State, p: Parameters, parts
     """
     flow = strobe.system
 
-    def part(state: State, strobe: Strobe) -> tuple[State, Array]:
+    def part(state: State, strobe: ReturnMap) -> tuple[State, Array]:
         return strobe(state, p), strobe.system.divergence(jnp.zeros_like(state[0][0]), state, p)
 
     def period(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:

@@ -14,11 +14,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.cascade.plateaus import Line
+from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, apart, largest_multiplier, least_period, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.orbits.doubling_points import DoublingPoint, doubling_function, halves
-from jaxnh.orbits.shooting import Orbits, Period, Wrap, close_orbits
+from jaxnh.orbits.shooting import Period, ShootingOrbits, Wrap, close_orbits
 
 _NEAR, _FAR = 1 / 16, 2.0  # distances beyond a doubling to look at first, in units of that expected to the next one
 
@@ -34,7 +34,7 @@ def daughters(
     largest: float,
     size: Float[np.ndarray, " d"],
     distances: Float[np.ndarray, " distances"],
-) -> Line:
+) -> PeriodScan:
     """Lanes at some distances beyond a doubling, on the stable orbit of twice the period where Newton has found it.
 
     Args:
@@ -68,7 +68,7 @@ def daughters(
     ok[found[shortest != 2 * n]] = False
     ok = ok.reshape(len(distances), _AMPLITUDES)
     first = np.arange(len(distances)) * _AMPLITUDES + np.argmax(ok, axis=1)
-    return Line(value[first], np.where(ok.any(axis=1), 2 * n, 0), orbit.u[first])
+    return PeriodScan(value[first], np.where(ok.any(axis=1), 2 * n, 0), orbit.u[first])
 
 
 def long_daughter(
@@ -92,7 +92,7 @@ def long_daughter(
     orbits = close_orbits(period, starts, np.full(len(starts), born.value + distance), wrap)
     apart = np.linalg.norm(halves(orbits.points, wrap) / size, axis=-1).max(axis=-1)
     found = orbits.converged & (apart > expected * _AROUND[0]) & (apart < before)
-    found[found] &= doubling_function(Orbits(*(leaf[found] for leaf in orbits))) > 0.0
+    found[found] &= doubling_function(ShootingOrbits(*(leaf[found] for leaf in orbits))) > 0.0
     return orbits.points[np.argmax(found)] if found.any() else None
 
 

@@ -18,13 +18,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.cascade.follow import Cascade
-from jaxnh.analyses.periodic.location import PERIOD_TILE, REFINEMENTS, Located, refined
+from jaxnh.analyses.periodic.location import PERIOD_TILE, REFINEMENTS, LocatedDoubling, refined
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.double_double import Double
 from jaxnh.maps.extended_precision import carried
 from jaxnh.maps.iterate import Derivatives, derivatives
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.doubling_points import DoublingPoint
 from jaxnh.orbits.extended_doublings import (
     ExtendedPeriod,
@@ -103,7 +103,7 @@ def beyond_float64(scene: Scene, found: Cascade, extended: ExtendedDoublings, le
     count = len(found.found)
     pairs = [(_rounded(coarse), _rounded(fine)) for coarse, fine in zip(*extended, strict=True)][count:]
     shift = found.found[-1].refined[2].value - found.found[-1].refined[1].value if pairs else 0.0
-    more = [Located((coarse, fine, fine._replace(value=fine.value + shift))) for coarse, fine in pairs]
+    more = [LocatedDoubling((coarse, fine, fine._replace(value=fine.value + shift))) for coarse, fine in pairs]
     end = found.end
     if len(extended.fine) > count:
         n, last = found.period << len(extended.fine), extended.fine[-1].value[0]
@@ -133,7 +133,7 @@ def _maps(scene: Scene, lanes: LaneRunner) -> list[_Map]:
     return [_map(scene, lanes, one.with_room_of(plain[-1]), same) for one, same in zip(plain, exact, strict=True)]
 
 
-def _map(scene: Scene, lanes: LaneRunner, plain: Strobe, exact: Strobe) -> _Map:
+def _map(scene: Scene, lanes: LaneRunner, plain: ReturnMap, exact: ReturnMap) -> _Map:
     name = scene.line.name
 
     def period(u: Sum, w: Sum, value: tuple[float, float]) -> tuple[Sum, Sum]:

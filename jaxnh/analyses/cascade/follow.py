@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.cascade.doubled_orbit import daughters, long_daughter, window
-from jaxnh.analyses.cascade.plateaus import Line, Start, seen, starts
+from jaxnh.analyses.cascade.plateaus import PeriodScan, Start, seen, starts
 from jaxnh.analyses.periodic.attractor_survey import first_points, survey
-from jaxnh.analyses.periodic.location import Located, locate, period_map, refined
+from jaxnh.analyses.periodic.location import LocatedDoubling, locate, period_map, refined
 from jaxnh.analyses.periodic.newton_on_lanes import apart
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.orbits.doubling_points import FEIGENBAUM, DoublingPoint
@@ -49,7 +49,7 @@ class Cascade(NamedTuple):
     """
 
     period: int
-    found: tuple[Located, ...]
+    found: tuple[LocatedDoubling, ...]
     size: Float[np.ndarray, " d"]
     end: str
     outside: bool = False
@@ -86,8 +86,8 @@ def follow(scene: Scene, lanes: LaneRunner, levels: int, *, search: bool = False
 
 
 def along_line(
-    scene: Scene, lanes: LaneRunner, line: Line, levels: int, size: Float[np.ndarray, " d"]
-) -> tuple[Located, ...]:
+    scene: Scene, lanes: LaneRunner, line: PeriodScan, levels: int, size: Float[np.ndarray, " d"]
+) -> tuple[LocatedDoubling, ...]:
     """The doublings, at most so many, of the orbit of the first lane of a line and those born from it, along it.
 
     Args:
@@ -109,14 +109,14 @@ def survey_limit(levels: int) -> int:
     return min(max(_SMALLEST_LIMIT, 2**levels), _LONGEST_SEEN)
 
 
-def _outside(steps: _Steps, line: Line) -> Line:
+def _outside(steps: _Steps, line: PeriodScan) -> PeriodScan:
     """Lanes beyond either end of a line, as far as it is long."""
     low, high = line.value.min(), line.value.max()
     far = (high - low) * np.arange(1, _OUTSIDE + 1) / _OUTSIDE
     return steps.survey(np.concatenate([low - far[::-1], high + far]), "doubling, beyond the sweep")
 
 
-def _best(steps: _Steps, line: Line, levels: int) -> Cascade:
+def _best(steps: _Steps, line: PeriodScan, levels: int) -> Cascade:
     """The first cascade along a line that has so many doublings, or else the one that has most."""
     name, ends = steps.scene.line.name, 0
     none = f"no doubling was located between {name} = {line.value[0]:.9g} and {line.value[-1]:.9g}"
@@ -164,7 +164,7 @@ def _next(steps: _Steps, start: Start, found: list[_Level]) -> _Level | None:
     return None
 
 
-def _brackets(steps: _Steps, start: Start, found: list[_Level], n: int) -> Iterator[Line]:
+def _brackets(steps: _Steps, start: Start, found: list[_Level], n: int) -> Iterator[PeriodScan]:
     """Lines of two lanes between which the period-n orbit may double: of the survey, then of the daughter orbit.
 
     The next doubling is expected at the last distance over δ; beyond the first, where the survey has lost the orbit.
@@ -179,7 +179,7 @@ def _brackets(steps: _Steps, start: Start, found: list[_Level], n: int) -> Itera
         if len(found) > 1
         else start.line.sign * found[0].width
     )
-    near: Line | None = None
+    near: PeriodScan | None = None
     for number in (*range(_FURTHER), *range(-1, -_CLOSER, -1)):
         if near is not None and (near.period[-1] != n if number > 0 else near.period[0] == n):
             continue
@@ -194,7 +194,7 @@ def _brackets(steps: _Steps, start: Start, found: list[_Level], n: int) -> Itera
 class _Level(NamedTuple):
     """A doubling, and how wide the bracket was that it was located in."""
 
-    located: Located
+    located: LocatedDoubling
     width: float
 
 
@@ -215,19 +215,19 @@ class _Steps:
         self.tried: dict[tuple[int, float, float], int] = {}
         self._lanes = lanes
         self.size = np.ones(scene.system.dimension)
-        self._located: dict[tuple[int, float, float], Located | None] = {}
-        self._daughters: dict[tuple[int, float, float, float], Line] = {}
+        self._located: dict[tuple[int, float, float], LocatedDoubling | None] = {}
+        self._daughters: dict[tuple[int, float, float, float], PeriodScan] = {}
 
-    def survey(self, values: Float[np.ndarray, " lanes"], label: str) -> Line:
+    def survey(self, values: Float[np.ndarray, " lanes"], label: str) -> PeriodScan:
         """Lanes at these values of the first axis, on their attractors."""
         row = self.scene.at(values)
         start = first_points(row, self._lanes)
         found = survey(row, self._lanes, start, self.limit, label, TRANSIENT, only_doublings=True)
         if not found.failed.all():
             self.size = np.median(found.size[~found.failed], axis=0)
-        return Line(values, found.period, found.u)
+        return PeriodScan(values, found.period, found.u)
 
-    def locate(self, bracket: Line, n: int) -> Located | None:
+    def locate(self, bracket: PeriodScan, n: int) -> LocatedDoubling | None:
         """The doubling of the period-n orbit between two lanes."""
         near, far = bracket.value.tolist()
         if (key := (n, near, far)) not in self._located:
@@ -238,7 +238,9 @@ class _Steps:
             self._located[key] = located
         return self._located[key]
 
-    def daughters(self, born: DoublingPoint, line: Line, distances: Float[np.ndarray, " distances"]) -> Line:
+    def daughters(
+        self, born: DoublingPoint, line: PeriodScan, distances: Float[np.ndarray, " distances"]
+    ) -> PeriodScan:
         """Lanes at distances beyond a doubling, on the stable orbit of twice its period where there is one."""
         key = len(born.orbit), born.value, float(distances[0]), float(distances[-1])
         if key not in self._daughters:
@@ -249,7 +251,7 @@ class _Steps:
                 self._daughters[key] = daughters(self.scene, self._lanes, born, largest, self.size, distances)
         return self._daughters[key]
 
-    def long(self, born: DoublingPoint, gap: float) -> Located | None:
+    def long(self, born: DoublingPoint, gap: float) -> LocatedDoubling | None:
         """The doubling of the long orbit that is born at one, about so far beyond it."""
         n = 2 * len(born.orbit)
         stop = born.value + _UP_TO * gap
@@ -264,7 +266,7 @@ class _Steps:
             self._located[key] = located if beyond else None
         return self._located[key]
 
-    def searched(self, line: Line) -> str:
+    def searched(self, line: PeriodScan) -> str:
         """In words, what a survey has seen, and from where cascades were looked for."""
         name = self.scene.line.name
         words = [

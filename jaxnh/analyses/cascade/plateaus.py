@@ -16,7 +16,7 @@ _HOLE = 2  # lanes: so many alone or in pairs may lie between two runs of a casc
 _SHOWN = 8  # runs in words
 
 
-class Run(NamedTuple):
+class Plateau(NamedTuple):
     """Neighbouring lanes of one period: the numbers of the first and the last, and the period (0: undecided)."""
 
     first: int
@@ -29,7 +29,7 @@ class Run(NamedTuple):
         return self.last - self.first + 1
 
 
-class Line(NamedTuple):
+class PeriodScan(NamedTuple):
     """Lanes along the first axis, on their attractors, in the order of a direction.
 
     Attributes:
@@ -47,13 +47,13 @@ class Line(NamedTuple):
         """1 where values rise along the line, −1 where they fall."""
         return 1.0 if self.value[-1] >= self.value[0] else -1.0
 
-    def take(self, lanes: Int[np.ndarray, " some"] | slice) -> Line:
+    def take(self, lanes: Int[np.ndarray, " some"] | slice) -> PeriodScan:
         """The line of some of its lanes, in the order of their numbers as given."""
-        return Line(*(leaf[lanes] for leaf in self))
+        return PeriodScan(*(leaf[lanes] for leaf in self))
 
-    def joined(self, other: Line) -> Line:
+    def joined(self, other: PeriodScan) -> PeriodScan:
         """Both lines as one, in the direction of this one, a lane of this one where both have the value."""
-        both = Line(*(np.concatenate(leaves) for leaves in zip(self, other, strict=True)))
+        both = PeriodScan(*(np.concatenate(leaves) for leaves in zip(self, other, strict=True)))
         order = np.unique(both.value, return_index=True)[1]
         return both.take(order if self.sign > 0 else order[::-1])
 
@@ -62,11 +62,11 @@ class Line(NamedTuple):
         other = np.flatnonzero(self.period[first:] != self.period[first])
         return first + int(other[0]) - 1 if len(other) else len(self.value) - 1
 
-    def runs(self) -> list[Run]:
+    def runs(self) -> list[Plateau]:
         """Its runs, in order."""
         starts = np.flatnonzero(np.diff(self.period, prepend=-1)).tolist()
         return [
-            Run(first, following - 1, int(self.period[first]))
+            Plateau(first, following - 1, int(self.period[first]))
             for first, following in pairwise([*starts, len(self.value)])
         ]
 
@@ -80,8 +80,8 @@ class Start(NamedTuple):
             twice the period or a higher power of two times it, where the survey has stepped over a level.
     """
 
-    line: Line
-    runs: tuple[Run, ...]
+    line: PeriodScan
+    runs: tuple[Plateau, ...]
 
     @property
     def period(self) -> int:
@@ -93,7 +93,7 @@ class Start(NamedTuple):
         """The last value of the first axis at which the orbit of that period was seen."""
         return float(self.line.value[self.runs[0].last])
 
-    def brackets(self, n: int) -> Iterator[Line]:
+    def brackets(self, n: int) -> Iterator[PeriodScan]:
         """Lines of two lanes between which the period-n orbit may double: the last that has it, and one beyond.
 
         That is its neighbour or, as lanes at a doubling converge slowly and stay undecided, the first of the next run.
@@ -105,7 +105,7 @@ class Start(NamedTuple):
                     yield self.line.take(np.array([run.last, beyond]))
 
 
-def starts(line: Line) -> list[Start]:
+def starts(line: PeriodScan) -> list[Start]:
     """Every end of a run in both directions at which a cascade may begin, the most promising first.
 
     First come those with the longest chains of runs n, 2n, 4n, … (or with steps of 4n and more) beyond them, of equal
@@ -126,7 +126,7 @@ def starts(line: Line) -> list[Start]:
     return sorted(found, key=lambda start: (-len(start.runs), -start.runs[0].lanes if len(start.runs) == 1 else 0))
 
 
-def _following(runs: list[Run], i: int) -> int | None:
+def _following(runs: list[Plateau], i: int) -> int | None:
     """The run beyond the i-th that has the same period, or a power of two times it; None where there is none.
 
     Undecided lanes and short runs of other periods, of coexisting attractors or of windows, may lie between the two,
@@ -145,7 +145,7 @@ def _following(runs: list[Run], i: int) -> int | None:
     return None
 
 
-def seen(line: Line, name: str, limit: int) -> str:
+def seen(line: PeriodScan, name: str, limit: int) -> str:
     """In words, which periods a survey up to a limit has found where along the axis of that name."""
     runs = line.runs()
     decided = [run for run in runs if run.period]
@@ -159,6 +159,6 @@ def seen(line: Line, name: str, limit: int) -> str:
     return f"periods seen along {name}: {', '.join(words)}"
 
 
-def _place(line: Line, run: Run) -> str:
+def _place(line: PeriodScan, run: Plateau) -> str:
     first, last = (f"{line.value[lane]:.6g}" for lane in (run.first, run.last))
     return first if first == last else f"{first} to {last}"

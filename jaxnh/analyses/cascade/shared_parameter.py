@@ -1,7 +1,7 @@
 """Lanes along a first axis that changes what all lanes of a program share: each value has its map, all one program.
 
 What runs along an axis asks for one map and hands over the values with the other parameters of its lanes. Along c, d or
-ω, or a parameter that the strobe period depends on, that map is a `StrobeAlong`, and lanes are run value by value.
+ω, or a parameter that the strobe period depends on, that map is a `MapFamily`, and lanes are run value by value.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _TILE = 8  # lanes a tile, whatever was asked for: most values have one lane
 
 def value_by_value(scene: Scene, lanes: LaneRunner) -> LaneRunner:
     """A runner for what goes along the first axis of a scene; the runner itself where lanes may differ in it."""
-    return lanes if scene.flow_at is None else _Values(lanes)
+    return lanes if scene.flow_at is None else _LanesByValue(lanes)
 
 
-class _Values:
+class _LanesByValue:
     """Runs lanes, those of every value of the axis under the map at it."""
 
     def __init__(self, lanes: LaneRunner) -> None:

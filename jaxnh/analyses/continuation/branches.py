@@ -21,9 +21,9 @@ from jaxnh.analyses.base import (
     OptionError,
     Options,
     Setting,
-    Sweep,
+    SweepLanes,
+    SweepReduction,
     Table,
-    Whole,
     rule,
     variable,
 )
@@ -31,12 +31,12 @@ from jaxnh.analyses.continuation.equilibria import equilibria
 from jaxnh.analyses.continuation.families import orbits_of
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import random_wave, settled_waves
-from jaxnh.analyses.continuation.tables import OWN_NAMES, Grown, bifurcations_table, datasets
+from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined
 from jaxnh.analyses.random_starts import Side, check_box
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.orbits.branches import Steps
+from jaxnh.orbits.branches import StepControl
 
 _WORK = 3.0  # of a run, in those of settling: a guess
 
@@ -124,7 +124,7 @@ def run(options: BranchesOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     )
 
 
-def whole(options: BranchesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
+def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `branches` and `bifurcations`, from what all lanes have settled on."""
     [axis], [(order, row)] = sweep.axes, sweep.rows
     scene = replace(row, along=replace(axis, values=axis.values[order]))
@@ -147,8 +147,8 @@ def whole(options: BranchesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Da
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"branches: {label}", 0)
 
-    steps = Steps(options.step, options.longest)
-    grown = [Grown(grow(families, waves, options.limit, steps, stage), families[0], scene)]
+    steps = StepControl(options.step, options.longest)
+    grown = [FollowedBranches(grow(families, waves, options.limit, steps, stage), families[0], scene)]
     if options.equilibria:
         grown.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
     return datasets(lanes, grown, options.limit)
@@ -177,7 +177,7 @@ ANALYSIS = Analysis(
     BranchesOptions,
     periods,
     run,
-    whole=Whole(("bifurcations",), whole),
+    whole=SweepReduction(("bifurcations",), whole),
     newton=True,
     numbers=numbers,
     count=count,

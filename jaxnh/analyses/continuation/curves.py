@@ -15,17 +15,28 @@ import xarray as xr
 from jaxtyping import Float
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Options, Setting, Sweep, Table, Whole, variable
+from jaxnh.analyses.base import (
+    LANE,
+    Analysis,
+    Entry,
+    OptionError,
+    Options,
+    Setting,
+    SweepLanes,
+    SweepReduction,
+    Table,
+    variable,
+)
 from jaxnh.analyses.continuation.families import orbits_of, plane_of
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import settled_waves
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
-from jaxnh.orbits.branches import Steps
+from jaxnh.orbits.branches import StepControl
 from jaxnh.orbits.codimension_two import POINTS, Special, special_points
 from jaxnh.orbits.curve_errors import errors_of_points, errors_of_special, finer
-from jaxnh.orbits.curves import ENDS, Curve, Plane, both_ways, unknowns
+from jaxnh.orbits.curves import ENDS, Curve, ParameterPlane, both_ways, unknowns
 from jaxnh.orbits.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
 
 _OWN_NAMES = (
@@ -100,7 +111,7 @@ def run(options: CurvesOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     return xr.Dataset({"lane_number": variable(LANE, np.arange(scene.count, dtype=np.int32), "number of a lane")})
 
 
-def whole(options: CurvesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
+def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `curves` and `codimension_two`."""
     (first, second), [(_, row)] = sweep.axes, sweep.rows
     some = np.unique(
@@ -120,7 +131,7 @@ def whole(options: CurvesOptions, sweep: Sweep, lanes: LaneRunner, data: xr.Data
         waves = settled_waves(scene, lanes, survey.u, period)
         families = [orbits_of(scene, lanes, strobe, size, (low[0], high[0])) for strobe in refined(scene)]
         with lanes.stage(f"curves: bifurcations at {second.name} = {value:g}", 0):
-            tree = grow(families, waves, options.limit, Steps(options.step))
+            tree = grow(families, waves, options.limit, StepControl(options.step))
         seeds = [
             _Seed(point.kind, point.points, np.array([point.value, value]))
             for point in tree.bifurcations
@@ -148,7 +159,9 @@ def _along(row: Scene, first: Axis, lanes: np.ndarray) -> Scene:
     return replace(scene, along=replace(first, values=scene.p[first.name]))
 
 
-def _followed(plane: Plane, there: Sequence[Curve], seeds: Sequence[_Seed], options: CurvesOptions) -> list[Curve]:
+def _followed(
+    plane: ParameterPlane, there: Sequence[Curve], seeds: Sequence[_Seed], options: CurvesOptions
+) -> list[Curve]:
     """The curves through bifurcations that are on none yet, each once."""
     new = list[Curve]()
     for kind, n in sorted({(seed.kind, len(seed.points)) for seed in seeds}):
@@ -164,7 +177,7 @@ def _followed(plane: Plane, there: Sequence[Curve], seeds: Sequence[_Seed], opti
     return new
 
 
-def _passes(plane: Plane, curve: Curve, seed: _Seed) -> bool:
+def _passes(plane: ParameterPlane, curve: Curve, seed: _Seed) -> bool:
     """Whether a curve goes through a bifurcation, whichever of the orbit's points comes first."""
     if curve.kind != seed.kind or curve.period != len(seed.points):
         return False
@@ -295,7 +308,7 @@ ANALYSIS = Analysis(
     CurvesOptions,
     periods,
     run,
-    whole=Whole(("codimension_two",), whole),
+    whole=SweepReduction(("codimension_two",), whole),
     newton=True,
     numbers=numbers,
     count=count,

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from jaxnh.analyses.continuation.families import equilibria_of
-from jaxnh.analyses.continuation.family_tree import Orbit, grow
-from jaxnh.analyses.continuation.tables import Grown
-from jaxnh.analyses.equilibria.search import rest_points
+from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
+from jaxnh.analyses.continuation.tables import FollowedBranches
+from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.random_starts import Box, started
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.orbits.branches import Steps
+from jaxnh.orbits.branches import StepControl
 
 _FARTHEST = 100.0  # sizes of the box: equilibria found further out are none of those looked for
 
@@ -26,9 +26,9 @@ def equilibria(
     seed: int,
     box: Box,
     ends: tuple[float, float],
-    steps: Steps,
+    steps: StepControl,
     stage: Callable[[str], AbstractContextManager[object]],
-) -> Grown:
+) -> FollowedBranches:
     """All branches that equilibria lead to, with their folds, branch points and Hopf bifurcations.
 
     Args:
@@ -45,13 +45,13 @@ def equilibria(
     size = np.ptp(u, axis=0) / 2.0
     size = np.where(size > 0.0, size, size.max())
     with stage(f"equilibria from {starts} points at {scene.count} values of {scene.line.name}"):
-        found = rest_points(many, lanes, u, np.tile(size, (len(u), 1)))
+        found = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
     with np.errstate(invalid="ignore"):
         near = found.found & np.all(np.abs(found.u) < _FARTHEST * size, axis=1)
     waves = [
-        [Orbit(found.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
+        [SeedOrbit(found.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
         for value in np.unique(values).tolist()
     ]
     family = equilibria_of(scene, lanes, size, ends)
     tree = grow([family] * 3, waves, 1, steps, stage)  # a field has no steps that could be refined
-    return Grown(tree, family, still)
+    return FollowedBranches(tree, family, still)

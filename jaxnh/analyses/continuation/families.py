@@ -14,9 +14,9 @@ from jaxtyping import Array, Float
 
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import Derivatives, derivatives
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.arclength import Family
-from jaxnh.orbits.curves import Plane
+from jaxnh.orbits.curves import ParameterPlane
 from jaxnh.systems.flow import Flow, Parameters
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long
@@ -26,7 +26,7 @@ _FEW = 4
 
 
 def orbits_of(
-    scene: Scene, lanes: LaneRunner, strobe: Strobe, size: Float[np.ndarray, " d"], ends: tuple[float, float]
+    scene: Scene, lanes: LaneRunner, strobe: ReturnMap, size: Float[np.ndarray, " d"], ends: tuple[float, float]
 ) -> Family:
     """Periodic orbits of a map of the scene.
 
@@ -51,12 +51,12 @@ def orbits_of(
 def plane_of(
     scene: Scene,
     lanes: LaneRunner,
-    strobe: Strobe,
+    strobe: ReturnMap,
     size: Float[np.ndarray, " d"],
     names: tuple[str, str],
     low: Float[np.ndarray, " 2"],
     high: Float[np.ndarray, " 2"],
-) -> Plane:
+) -> ParameterPlane:
     """A map of the scene over a plane of two parameters that lanes may have of their own, between their ends."""
     shared = (strobe, np.int32(1))
 
@@ -67,7 +67,7 @@ def plane_of(
         both = p | dict(zip(names, values.T, strict=True))
         return lanes(derivatives, shared, (u, both), tile=_TILE, static=(names,))
 
-    return Plane(period, scene.system.wrap, size, low, high)
+    return ParameterPlane(period, scene.system.wrap, size, low, high)
 
 
 def equilibria_of(scene: Scene, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]) -> Family:

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from jaxnh.analyses.continuation.known_branches import SAME, on_branch, same_orbit
-from jaxnh.orbits.arclength import FINE, Family, Orbits, along_parameter, correct
+from jaxnh.orbits.arclength import FINE, CurveOrbits, Family, along_parameter, correct
 from jaxnh.orbits.bifurcations import Brackets, brackets, locate, neutral_pair
-from jaxnh.orbits.branches import COLLAPSED, Branch, Steps, both_ways
+from jaxnh.orbits.branches import COLLAPSED, Branch, StepControl, both_ways
 from jaxnh.orbits.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKER, eigenvalues
 from jaxnh.orbits.normal_forms import cubic
 from jaxnh.orbits.switching import crossing, doubled
@@ -30,7 +30,7 @@ _NARROW = 1 / 64  # of a chord, about the place of a bifurcation of a less fine 
 _SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have the bifurcation in common
 
 
-class Orbit(NamedTuple):
+class SeedOrbit(NamedTuple):
     """A periodic orbit at a value of the parameter: (n, d), nearly."""
 
     points: Float[np.ndarray, "n d"]
@@ -75,9 +75,9 @@ Stage = Callable[[str], AbstractContextManager[object]]
 
 def grow(
     families: Sequence[Family],
-    waves: Sequence[Sequence[Orbit]],
+    waves: Sequence[Sequence[SeedOrbit]],
     limit: int,
-    steps: Steps,
+    steps: StepControl,
     stage: Stage = nullcontext,
 ) -> Tree:
     """All branches that waves of orbits lead to.
@@ -92,7 +92,7 @@ def grow(
     tree = Tree([], [], 0)
     for wave in waves:
         open_ = list(wave)
-        begun: dict[int, list[Orbits]] = {}
+        begun: dict[int, list[CurveOrbits]] = {}
         while open_ or begun:
             n = min([*(len(orbit.points) for orbit in open_), *begun])
             mine = [orbit for orbit in open_ if len(orbit.points) == n]
@@ -108,7 +108,12 @@ def grow(
 
 
 def _followed(
-    family: Family, tree: Tree, some: Sequence[Orbit], begun: Sequence[Orbits], steps: Steps, stage: Stage
+    family: Family,
+    tree: Tree,
+    some: Sequence[SeedOrbit],
+    begun: Sequence[CurveOrbits],
+    steps: StepControl,
+    stage: Stage,
 ) -> list[Branch]:
     """The new branches through orbits, and on from orbits at bifurcations, all of one period."""
     queue = [orbits.take(orbits.converged) for orbits in begun]  # first, as they begin where their branches do
@@ -117,7 +122,7 @@ def _followed(
         points, value = np.stack([orbit.points for orbit in some]), np.array([orbit.value for orbit in some])
         orbits = correct(family, points, value, along_parameter(family, *points.shape[:2]), FINE)
         queue.append(orbits.take(orbits.converged))
-    orbits: Orbits = jax.tree.map(lambda *leaves: np.concatenate(leaves), *queue)
+    orbits: CurveOrbits = jax.tree.map(lambda *leaves: np.concatenate(leaves), *queue)
     n = orbits.points.shape[1]
     known = [branch for branch in tree.branches if branch.period == n]
 
@@ -142,7 +147,7 @@ def _is_known(family: Family, known: Sequence[Branch], branch: Branch) -> bool:
 
 def _with(
     families: Sequence[Family], tree: Tree, new: Sequence[Branch], limit: int, stage: Stage
-) -> tuple[Tree, list[Orbits], list[Orbit]]:
+) -> tuple[Tree, list[CurveOrbits], list[SeedOrbit]]:
     """The tree with new branches of one period and their bifurcations; first orbits of the branches that leave there.
 
     And orbits of the shorter period where a branch ends because it was born in a doubling.
@@ -163,7 +168,7 @@ def _with(
                 kept.append(k)
         kind = np.array([points[k].kind for k in kept], int)
         double, cross = (np.array(kept, int)[kind == which] for which in (DOUBLING, BRANCH_POINT))
-        begun = list[Orbits]()
+        begun = list[CurveOrbits]()
         if len(double) and 2 * n <= limit:
             begun.append(doubled(families[0], first.take(double), vectors[double]))
         if len(cross):
@@ -174,7 +179,7 @@ def _with(
 
 def _located(
     families: Sequence[Family], stretch: Brackets, count: int
-) -> tuple[list[Bifurcation], Orbits, Float[np.ndarray, "some n d"], int]:
+) -> tuple[list[Bifurcation], CurveOrbits, Float[np.ndarray, "some n d"], int]:
     """Bifurcations in brackets, of branches that are numbered from `count` on; orbits of the first map there.
 
     Also the critical vectors of real multipliers, and how many sign changes led to nothing.
@@ -212,11 +217,11 @@ def _located(
     return found, first.orbits.take(sure), np.real(normal.vectors), lost + len(some) - len(sure)
 
 
-def _parents(family: Family, branch: Branch) -> list[Orbit]:
+def _parents(family: Family, branch: Branch) -> list[SeedOrbit]:
     """Orbits of half the period that a branch of doubled ones ends in."""
     n = branch.period
     ends = [k for k, end in zip((0, -1), branch.ends, strict=True) if end == COLLAPSED and n % 2 == 0]
-    return [Orbit(_middle(family, branch.points[k]), float(branch.value[k])) for k in ends]
+    return [SeedOrbit(_middle(family, branch.points[k]), float(branch.value[k])) for k in ends]
 
 
 def _middle(family: Family, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "half d"]:

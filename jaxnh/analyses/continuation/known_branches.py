@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnh.orbits.arclength import Family, Way, length
+from jaxnh.orbits.arclength import Family, PathVector, length
 from jaxnh.orbits.branches import Branch
 
 SAME = 1e-4
@@ -49,7 +49,7 @@ def _between(family: Family, stretches: Sequence[tuple[Branch, int]], value: flo
         np.stack([leaf(branch)[i : i + 2] for branch, i in stretches], axis=1)
         for leaf in (lambda b: b.points, lambda b: b.value, lambda b: b.way.value, lambda b: b.way.points)
     )
-    size = length(family, Way(points[1] - points[0], values[1] - values[0]))
+    size = length(family, PathVector(points[1] - points[0], values[1] - values[0]))
     rates, ways = size * rates, size[:, None, None] * ways
 
     def rise(s: np.ndarray) -> np.ndarray:
@@ -94,4 +94,4 @@ def _apart(
     """Distances of orbits from one in lengths, of all its turns the least."""
     none = np.zeros(len(some))
     turns = (np.roll(one, m, 0) for m in range(len(one)))
-    return np.min([length(family, Way(family.wrap(some - turn), none)) for turn in turns], axis=0)
+    return np.min([length(family, PathVector(family.wrap(some - turn), none)) for turn in turns], axis=0)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.continuation.family_tree import Orbit
+from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.periodic.attractor_survey import first_points, strobe_points
 from jaxnh.analyses.periodic.location import period_map
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
@@ -25,7 +25,7 @@ _FARTHEST = 100.0  # sizes of the motion: orbits found further out are none of t
 
 def settled_waves(
     scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: Int[np.ndarray, " lanes"]
-) -> list[list[Orbit]]:
+) -> list[list[SeedOrbit]]:
     """Orbits of the lanes that have one, in waves: evenly over the axis, then those between them, and so on."""
     order = np.argsort(scene.line.values, kind="stable")
     found = _whole(scene, lanes, u, period)
@@ -41,7 +41,7 @@ def random_wave(
     limit: int,
     size: Float[np.ndarray, " d"],
     transient: int,
-) -> list[Orbit]:
+) -> list[SeedOrbit]:
     """Orbits of all periods up to a limit, stable or not, that Newton finds near motions from random starts.
 
     Orbits are sought where a motion, or the same after a transient, nearly comes back (Auerbach et al., Phys. Rev.
@@ -56,7 +56,7 @@ def random_wave(
         for wait in (0, transient)
     ]
     path, period = np.concatenate(paths), period_map(many, lanes, strobe)
-    found = list[Orbit]()
+    found = list[SeedOrbit]()
     for n in range(1, limit + 1):
         points, lane = _returns(path, n, wrap, size)
         orbit = orbits_from_afar(period, points, values[lane], size, wrap)
@@ -65,7 +65,7 @@ def random_wave(
         for value in np.unique(values[lane[good]]).tolist():
             here = orbit.points[good & (values[lane] == value)]
             while len(here):  # the first, and all others but those that are it
-                found.append(Orbit(here[0], value))
+                found.append(SeedOrbit(here[0], value))
                 turns = [np.roll(here[0], m, 0) for m in range(n)]
                 away = [np.max(np.abs(wrap(here - turn)) / size, axis=(1, 2)) > _SAME for turn in turns]
                 here = here[np.all(away, axis=0)]
@@ -102,7 +102,7 @@ def _is_least(
 
 def _whole(
     scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: Int[np.ndarray, " lanes"]
-) -> Mapping[int, Orbit]:
+) -> Mapping[int, SeedOrbit]:
     """All points of the orbits of lanes from one of them, by number of the lane; without a period there is none."""
     points, strobe = [u], scene.strobe()
     for _ in range(1, int(period.max(initial=0))):
@@ -110,7 +110,7 @@ def _whole(
         points.append(lanes(section_map, (strobe, np.int32(1)), arguments, tile=ORBIT_TILE))
     path, values = np.stack(points, axis=1), scene.line.values
     return {
-        k: Orbit(path[k, :n], float(values[k]))
+        k: SeedOrbit(path[k, :n], float(values[k]))
         for k, n in enumerate(period.tolist())
         if n and np.isfinite(path[k]).all()
     }

@@ -30,7 +30,7 @@ _MULTIPLIERS = "Floquet multipliers, real and imaginary part"
 _EIGENVALUES = "; of an equilibrium eigenvalues"
 
 
-class Grown(NamedTuple):
+class FollowedBranches(NamedTuple):
     """Branches of one family: of orbits of a map, or of equilibria of its flow.
 
     Attributes:
@@ -50,7 +50,7 @@ class _Table(Protocol):
         ...
 
 
-def datasets(lanes: LaneRunner, grown: Sequence[Grown], limit: int) -> dict[str, xr.Dataset]:
+def datasets(lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int) -> dict[str, xr.Dataset]:
     """Both groups: branches in the order of their periods, bifurcations in that of the parameter.
 
     Args:
@@ -80,7 +80,7 @@ def datasets(lanes: LaneRunner, grown: Sequence[Grown], limit: int) -> dict[str,
     return {"branches": xr.Dataset(branches, attrs=attrs), "bifurcations": xr.Dataset(points, attrs=marks)}
 
 
-def _period(part: Grown, points: int) -> int:
+def _period(part: FollowedBranches, points: int) -> int:
     return 0 if part.family.field else points
 
 
@@ -93,7 +93,9 @@ def _warnings(axis: Axis, trees: Sequence[Tree]) -> str:
     return ""
 
 
-def _branches(lanes: LaneRunner, grown: Sequence[Grown], branches: Sequence[tuple[int, Branch]]) -> dict[str, Entry]:
+def _branches(
+    lanes: LaneRunner, grown: Sequence[FollowedBranches], branches: Sequence[tuple[int, Branch]]
+) -> dict[str, Entry]:
     """Variables over (branch, point), filled up with NaN."""
     axis, system, every = grown[0].scene.line, grown[0].scene.system, [branch for _, branch in branches]
     shape = (len(every), max((len(branch.value) for branch in every), default=0))
@@ -123,7 +125,10 @@ def _branches(lanes: LaneRunner, grown: Sequence[Grown], branches: Sequence[tupl
 
 
 def _bifurcations(
-    lanes: LaneRunner, grown: Sequence[Grown], found: Sequence[tuple[int, Bifurcation]], branch: Sequence[int]
+    lanes: LaneRunner,
+    grown: Sequence[FollowedBranches],
+    found: Sequence[tuple[int, Bifurcation]],
+    branch: Sequence[int],
 ) -> dict[str, Entry]:
     """Variables over (bifurcation,)."""
     axis, system, every = grown[0].scene.line, grown[0].scene.system, [point for _, point in found]
@@ -182,21 +187,21 @@ def bifurcations_table(data: xr.Dataset) -> Table:
     return Table("Bifurcations", ("bifurcation", "period", name, "criticality"), tuple(rows), left=(0, 3))
 
 
-def _dimension(grown: Sequence[Grown]) -> int:
+def _dimension(grown: Sequence[FollowedBranches]) -> int:
     return max(part.scene.system.dimension for part in grown)
 
 
-def _of_periods(grown: Sequence[Grown]) -> str:
+def _of_periods(grown: Sequence[FollowedBranches]) -> str:
     return "period of the orbit, 0 of an equilibrium" if len(grown) > 1 else "period of the orbit"
 
 
-def _of_multipliers(grown: Sequence[Grown]) -> str:
+def _of_multipliers(grown: Sequence[FollowedBranches]) -> str:
     return _MULTIPLIERS + _EIGENVALUES if len(grown) > 1 else _MULTIPLIERS
 
 
 def _coordinates(
     lanes: LaneRunner,
-    grown: Sequence[Grown],
+    grown: Sequence[FollowedBranches],
     points: Sequence[tuple[int, Float[np.ndarray, "k n d"]]],
     table: _Table,
     dims: tuple[str, ...],

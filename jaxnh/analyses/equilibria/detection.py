@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.of_lane import of_lane
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.newton import solve
 from jaxnh.systems.flow import Flow, Parameters, State
 
@@ -30,7 +30,7 @@ _SHRINKS = 0.99
 _ROUNDING = 1e-14  # of the linearisation's norm, in its entries
 
 
-class Rest(NamedTuple):
+class Equilibrium(NamedTuple):
     """What becomes of lanes.
 
     Attributes:
@@ -46,7 +46,7 @@ class Rest(NamedTuple):
     error: Float[np.ndarray, "lanes d"]
 
 
-class _Run(NamedTuple):
+class _RateRun(NamedTuple):
     """Of one lane: largest rates of all units of time, of those in the last two quarters, and ∂(rate)/∂(coordinate).
 
     At the end, and there after one and two steps of Newton to where all rates are zero.
@@ -58,7 +58,7 @@ class _Run(NamedTuple):
     change: tuple[Float[Array, "d d"], ...]
 
 
-def rest(scene: Scene, lanes: LaneRunner, units: int) -> Rest:
+def detect_equilibrium(scene: Scene, lanes: LaneRunner, units: int) -> Equilibrium:
     """What lanes of a flow without a clock are doing after so many units of time."""
     scene = scene.in_time()
     run = lanes(_run, (scene.strobe(), scene.flow, np.int32(units)), scene.lanes, periods=units)
@@ -69,7 +69,7 @@ def rest(scene: Scene, lanes: LaneRunner, units: int) -> Rest:
     holds = _spectrum(change)[0][:, 0] <= _GROWS * norm
     (exponents, bound), near = _spectrum(exact), _spectrum(closer)[0]
     error = 2.0 * np.abs(exponents - near) + bound
-    return Rest(
+    return Equilibrium(
         np.all(slow | never, axis=1) & holds, np.all((fourth < _SHRINKS * third) | never, axis=1), exponents, error
     )
 
@@ -85,7 +85,7 @@ def _spectrum(
     return np.where(finite, -np.sort(-np.real(values), axis=1), np.nan), np.where(finite, bound, np.nan)
 
 
-def _run(strobe: Strobe, flow: Flow, count: ArrayLike, state: State, p: Parameters) -> _Run:
+def _run(strobe: ReturnMap, flow: Flow, count: ArrayLike, state: State, p: Parameters) -> _RateRun:
     """One lane over `count` units of time."""
 
     def rate(y: State) -> Array:
@@ -111,4 +111,4 @@ def _run(strobe: Strobe, flow: Flow, count: ArrayLike, state: State, p: Paramete
     for _ in range(3):
         change.append(jax.jacfwd(at)(u))
         u = u - solve(change[-1], at(u))
-    return _Run(largest, third, fourth, tuple(change))
+    return _RateRun(largest, third, fourth, tuple(change))

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.analyses.window_averages import Look, angles
+from jaxnh.analyses.window_averages import WindowAverages, angles
 from jaxnh.systems.flow import Flow, Parameters
 
 _STEPS = 20  # of Newton
@@ -28,18 +28,22 @@ class Zeros(NamedTuple):
     exponent: Float[np.ndarray, " lanes"]
 
 
-def zeros(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"], seen: Look
+def find_equilibria(
+    scene: Scene,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, "lanes d"],
+    size: Float[np.ndarray, "lanes d"],
+    seen: WindowAverages,
 ) -> Zeros:
     """Zeros of the field that lanes have come to: near their points, against how far they have moved in a look."""
-    found = rest_points(scene, lanes, u, size)
+    found = equilibria_from_starts(scene, lanes, u, size)
     apart = np.abs(scene.system.wrap(found.u - u))
     near = np.all(apart <= _NEAR * (seen.high - seen.low) + _rounding(scene, size), axis=1)
     exponent = np.where(near, found.exponent, np.nan)
     return Zeros(found.found & near, found.stable & near, found.u, exponent)
 
 
-def rest_points(
+def equilibria_from_starts(
     scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
 ) -> Zeros:
     """Newton for a zero of the field, least squares where that is singular, from points of lanes."""

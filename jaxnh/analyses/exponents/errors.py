@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.exponents.tangent_growth import Growth
+from jaxnh.analyses.exponents.tangent_growth import TangentState
 from jaxnh.analyses.smooth_window import BLOCKS, window, windows
 
 STUDENT = {16: 2.131, 15: 2.145, 14: 2.160, 13: 2.179, 12: 2.201, 11: 2.228, 10: 2.262, 9: 2.306, 8: 2.365}
@@ -57,7 +57,7 @@ def of_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
     return Average(mean, np.maximum(error, high - low))
 
 
-def smooth_parts(growth: Growth, block: int, number: int) -> Float[np.ndarray, "lanes 3 sums"]:
+def smooth_parts(growth: TangentState, block: int, number: int) -> Float[np.ndarray, "lanes 3 sums"]:
     """What block `number` adds to the smooth averages a period over the whole, the first half and the second."""
     points = (np.arange(block * BLOCKS) + 0.5) / (block * BLOCKS)
     whole, half = (np.stack(sums, axis=-1) for sums in growth.smooth)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnh.analyses.exponents.tangent_growth import Growth, parts_of, turn
+from jaxnh.analyses.exponents.tangent_growth import TangentState, parts_of, turn
 from jaxnh.analyses.periodic.attractor_survey import Survey, early_look, first_look, survey
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
@@ -77,7 +77,12 @@ def joined(one: OrbitExponents, other: OrbitExponents) -> OrbitExponents:
 
 
 def on_orbits(
-    scene: Scene, lanes: LaneRunner, growth: Growth, candidates: Int[np.ndarray, " some"], parts: int, longest: int
+    scene: Scene,
+    lanes: LaneRunner,
+    growth: TangentState,
+    candidates: Int[np.ndarray, " some"],
+    parts: int,
+    longest: int,
 ) -> OrbitExponents:
     """Those candidates among the lanes that are on a stable periodic orbit, and its exponents.
 
@@ -96,7 +101,7 @@ def on_orbits(
 
 
 def of_orbits(
-    scene: Scene, lanes: LaneRunner, growth: Growth, settled: Int[np.ndarray, " some"], found: Survey, parts: int
+    scene: Scene, lanes: LaneRunner, growth: TangentState, settled: Int[np.ndarray, " some"], found: Survey, parts: int
 ) -> OrbitExponents:
     """Exponents of stable periodic orbits that some lanes are on.
 
@@ -123,7 +128,7 @@ def of_orbits(
 def _logs(
     scene: Scene,
     lanes: LaneRunner,
-    growth: Growth,
+    growth: TangentState,
     n: Int[np.ndarray, " lanes"],
     u: Float[np.ndarray, "lanes d"],
     monodromy: Float[np.ndarray, "lanes d d"],
@@ -149,7 +154,7 @@ def _logs(
 def _carried(
     scene: Scene,
     lanes: LaneRunner,
-    growth: Growth,
+    growth: TangentState,
     u: Float[np.ndarray, "lanes d"],
     n: Int[np.ndarray, " lanes"],
     parts: int,

@@ -24,7 +24,7 @@ from jaxtyping import Float, Int, Int8
 from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, variable
-from jaxnh.analyses.equilibria.detection import rest
+from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.errors import (
     held_against_sum,
     nearly_neutral,
@@ -34,8 +34,16 @@ from jaxnh.analyses.exponents.errors import (
     unseen_bursts,
 )
 from jaxnh.analyses.exponents.from_orbits import OrbitExponents, joined, no_orbits, of_orbits, on_orbits, settled_early
-from jaxnh.analyses.exponents.tangent_growth import Growth, advance, average, begin, one_by_one, parts_of, quadrature
-from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.exponents.tangent_growth import (
+    TangentState,
+    advance,
+    average,
+    begin,
+    one_by_one,
+    parts_of,
+    quadrature,
+)
+from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.smooth_window import BLOCKS
 from jaxnh.maps.iterate import iterate
@@ -88,7 +96,7 @@ class Averages(NamedTuple):
         settled: exponents of the lanes that were found on orbits by the end of the first block, which needed no others.
     """
 
-    growth: Growth
+    growth: TangentState
     rates: Float[np.ndarray, "lanes blocks sums"]
     smooth: Float[np.ndarray, "lanes 3 sums"]
     blocks: Int[np.ndarray, " lanes"]
@@ -242,7 +250,9 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
         source[settled.lanes] = SOURCES.index("orbit")
         mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
     if len(candidates) and lead:
-        still, _, exponents, bound = rest(scene.take(candidates), lanes, options.transient + options.periods)
+        still, _, exponents, bound = detect_equilibrium(
+            scene.take(candidates), lanes, options.transient + options.periods
+        )
         resting = candidates[still]
         source[resting] = SOURCES.index("equilibrium")
         complete = exponents.shape[1] == scene.flow.exponents  # else some eigenvalues are those of constraints
@@ -257,7 +267,7 @@ def _have_orbits(options: LyapunovOptions, scene: Scene) -> bool:
 
 
 def _of_steps(
-    scene: Scene, lanes: LaneRunner, growth: Growth, some: Int[np.ndarray, " some"], parts: int
+    scene: Scene, lanes: LaneRunner, growth: TangentState, some: Int[np.ndarray, " some"], parts: int
 ) -> Float[np.ndarray, "some sums"]:
     """Twice what twice the steps change in the growth over a few periods from where these lanes of a scene are.
 
@@ -286,7 +296,7 @@ def _pilots(scene: Scene) -> Scene:
     return scene.take(np.unique(np.linspace(0, scene.count - 1, _PILOT_LANES).round().astype(int)))
 
 
-def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> tuple[int, Growth]:
+def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> tuple[int, TangentState]:
     """Orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
 
     Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
@@ -311,7 +321,7 @@ def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> tuple[int, Growth]
     return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / _LARGEST_LOSS, 1.0))), 1, _MOST_PARTS)), growth
 
 
-def _refinement_needed(scene: Scene, lanes: LaneRunner, growth: Growth, parts: int) -> int:
+def _refinement_needed(scene: Scene, lanes: LaneRunner, growth: TangentState, parts: int) -> int:
     """Times the steps of the map, a power of two, with which tangents grow and shrink as twice as many have it.
 
     Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
@@ -410,7 +420,7 @@ def kaplan_yorke(exponents: Float[np.ndarray, "lanes k"]) -> Float[np.ndarray, "
     return np.where(whole == k, float(k), whole + before / following)
 
 
-def program(scene: Scene, k: int, parts: int = _PRICED_PARTS) -> Program:
+def program(scene: Scene, k: int, parts: int = _PRICED_PARTS) -> PricedProgram:
     """A period of k tangents, orthonormalised so many times; of none the map alone."""
     scene = scene.in_time()
     if not k:
@@ -420,7 +430,7 @@ def program(scene: Scene, k: int, parts: int = _PRICED_PARTS) -> Program:
     begun = jax.vmap(lambda z: begin(scene.flow, z, k))(state)
     strobes = parts_of(scene, parts)
     shared = (strobes, None, np.int32(1), np.float64(0.0))
-    return Program(advance, shared, (jax.tree.map(np.asarray, begun), p), (1.0, float(parts), *strobes.turns))
+    return PricedProgram(advance, shared, (jax.tree.map(np.asarray, begun), p), (1.0, float(parts), *strobes.turns))
 
 
 def price(options: LyapunovOptions, scene: Scene) -> Price:

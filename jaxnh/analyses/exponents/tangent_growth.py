@@ -22,8 +22,8 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.smooth_window import BLOCKS, windows
 from jaxnh.maps.build import between, cut_strobe
 from jaxnh.maps.of_lane import of_lane
-from jaxnh.maps.protocol import Strobe, Tangent
-from jaxnh.maps.rows import Stacked, stack
+from jaxnh.maps.protocol import ReturnMap, Tangent
+from jaxnh.maps.rows import StackedMaps, stack
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS
@@ -34,7 +34,7 @@ _BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
 _KICKS_A_NODE = 4  # of the map: its own error, a processed one's too, is larger than that of a step of ten kicks
 
 
-class Growth(NamedTuple):
+class TangentState(NamedTuple):
     """A lane on its way: state, orthonormal tangents in section coordinates, and logarithms of growth summed so far.
 
     Attributes:
@@ -66,12 +66,12 @@ class Quadrature(NamedTuple):
     """
 
     flow: Flow
-    maps: Strobe
+    maps: ReturnMap
     t: np.ndarray
     weights: np.ndarray
 
 
-def quadrature(scene: Scene) -> Quadrature | Stacked:
+def quadrature(scene: Scene) -> Quadrature | StackedMaps:
     """Nodes in panels of twelve, in number with the kicks of a period, denser where the flow is faster; of every row.
 
     Their states are those of another map, a step of order six from node to node, so that neither determinants nor
@@ -88,7 +88,7 @@ def quadrature(scene: Scene) -> Quadrature | Stacked:
     return Quadrature(flow, in_precision(maps, scene.precision), t, (half[:, None] * _PANEL_WEIGHTS).ravel())
 
 
-def parts_of(scene: Scene, parts: int, refinement: int = 1) -> Strobe:
+def parts_of(scene: Scene, parts: int, refinement: int = 1) -> ReturnMap:
     """The maps between orthonormalisations, so many a period, stacked, with `refinement` times the steps."""
     if scene.rows is not None:
         return scene.rows.maps((parts, refinement), lambda flow: parts_of(scene.of_row(flow), parts, refinement))
@@ -97,7 +97,7 @@ def parts_of(scene: Scene, parts: int, refinement: int = 1) -> Strobe:
     return in_precision(strobe, scene.precision)
 
 
-def one_by_one(strobes: Strobe, roomy: Strobe) -> list[Strobe]:
+def one_by_one(strobes: ReturnMap, roomy: ReturnMap) -> list[ReturnMap]:
     """Maps of a stack, each a stack of one, in tables as large as those of another: one program serves them and it."""
 
     def row(leaf: ArrayLike, like: ArrayLike, k: int) -> np.ndarray:
@@ -111,14 +111,14 @@ def one_by_one(strobes: Strobe, roomy: Strobe) -> list[Strobe]:
 
 def average(
     lanes: LaneRunner,
-    strobes: Strobe,
-    growth: Growth,
+    strobes: ReturnMap,
+    growth: TangentState,
     p: Parameters,
     count: int,
     begun: float = 0.0,
-    quadrature: Quadrature | Stacked | None = None,
+    quadrature: Quadrature | StackedMaps | None = None,
     tile: int | None = None,
-) -> tuple[Growth, Float[np.ndarray, "lanes sums"]]:
+) -> tuple[TangentState, Float[np.ndarray, "lanes sums"]]:
     """Lanes `count` periods on, and growth a period of each tangent, of volume, and by quadrature of volume.
 
     `begun` is the share of the whole average that is over, for the smooth windows.
@@ -131,35 +131,45 @@ def average(
 
 
 def turn(
-    lanes: LaneRunner, strobes: Strobe, growth: Growth, p: Parameters, counts: Int[np.ndarray, " lanes"], tile: int
-) -> tuple[Growth, Float[np.ndarray, "lanes k"]]:
+    lanes: LaneRunner,
+    strobes: ReturnMap,
+    growth: TangentState,
+    p: Parameters,
+    counts: Int[np.ndarray, " lanes"],
+    tile: int,
+) -> tuple[TangentState, Float[np.ndarray, "lanes k"]]:
     """Lanes as many periods on as each of them counts, and growth a period of each tangent."""
     growth = lanes(_advance_each, (strobes,), (growth, p, counts.astype(np.int32)), tile=tile)
     return growth, np.stack(growth.logs, axis=-1) / counts[:, None]
 
 
-def _advance_each(strobes: Strobe, growth: Growth, p: Parameters, count: Array) -> Growth:
+def _advance_each(strobes: ReturnMap, growth: TangentState, p: Parameters, count: Array) -> TangentState:
     return advance(strobes, None, count, 0.0, growth, p)
 
 
-def begin(system: Flow, state: State, k: int) -> Growth:
+def begin(system: Flow, state: State, k: int) -> TangentState:
     """A lane at a state with k tangents."""
     zero = jnp.zeros_like(state[0][0])
     tangents = jax.tree.map(lambda component: zero + component, system.directions(k))
     sums = k + int(system.autonomous)
-    return Growth(state, tangents, (zero,) * sums, zero, zero, ((zero,) * (sums + 1),) * 2, zero)
+    return TangentState(state, tangents, (zero,) * sums, zero, zero, ((zero,) * (sums + 1),) * 2, zero)
 
 
 def advance(
-    strobes: Strobe, quadrature: Quadrature | None, count: ArrayLike, begun: ArrayLike, growth: Growth, p: Parameters
-) -> Growth:
+    strobes: ReturnMap,
+    quadrature: Quadrature | None,
+    count: ArrayLike,
+    begun: ArrayLike,
+    growth: TangentState,
+    p: Parameters,
+) -> TangentState:
     """One lane `count` periods on, its sums begun anew."""
     zeros = jax.tree.map(jnp.zeros_like, growth[2:])
-    growth = Growth(growth.state, growth.tangents, *of_lane(zeros, growth.state[0][0]))
+    growth = TangentState(growth.state, growth.tangents, *of_lane(zeros, growth.state[0][0]))
     # Where the divergence is a derivative more, it serves the sum rule alone.
     wanted = strobes.system.contraction or len(growth.logs) == strobes.system.exponents
 
-    def part(growth: Growth, strobe: Strobe) -> tuple[Growth, None]:
+    def part(growth: TangentState, strobe: ReturnMap) -> tuple[TangentState, None]:
         system = strobe.system
         pushed = strobe.push(growth.state, p, tuple(Tangent(system.lift(growth.state, v)) for v in growth.tangents))
         moved = [system.lower(pushed.state, t.state) for t in pushed.tangents]
@@ -173,7 +183,7 @@ def advance(
         volume = growth.volume + jnp.log(pushed.volume) if wanted else growth.volume
         return growth._replace(state=pushed.state, tangents=tangents, logs=logs, volume=volume, loss=loss), None
 
-    def period(i: Array, growth: Growth) -> Growth:
+    def period(i: Array, growth: TangentState) -> TangentState:
         after, _ = lax.scan(part, growth, strobes)
         grown = [new - old for new, old in zip((*after.logs, after.volume), (*growth.logs, growth.volume), strict=True)]
         at = begun + (jnp.float64(i) + 0.5) / (jnp.float64(count) * BLOCKS)

@@ -28,7 +28,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
 )
 from jaxnh.analyses.scene import LaneRunner, Scene, picked, section_points
 from jaxnh.maps.iterate import iterate, record
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.rows import row_by_row
 from jaxnh.orbits.newton import find_doubled
 from jaxnh.systems.flow import Flow, Parameters, State
@@ -114,7 +114,7 @@ class Timing(NamedTuple):
         return self.wait + 2 * self.limit
 
 
-class Seen(NamedTuple):
+class EarlySurvey(NamedTuple):
     """What was seen of lanes at one time, and their last points, (lanes, d)."""
 
     survey: Survey
@@ -138,7 +138,7 @@ def early_look(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:
     return early if early.wait and early.periods < transient else None
 
 
-def first_look(scene: Scene, lanes: LaneRunner, label: str, early: Timing) -> Seen:
+def first_look(scene: Scene, lanes: LaneRunner, label: str, early: Timing) -> EarlySurvey:
     """What is seen of all lanes from their start states; the same for whichever analyses of a scene ask for it."""
     if early not in scene.seen:
         scene.seen[early] = _look(scene, lanes, first_points(scene, lanes), early, label)
@@ -148,7 +148,7 @@ def first_look(scene: Scene, lanes: LaneRunner, label: str, early: Timing) -> Se
 def _continued(
     scene: Scene,
     lanes: LaneRunner,
-    seen: Seen,
+    seen: EarlySurvey,
     late: Sequence[Timing],
     label: str,
     least: int = 1,
@@ -186,7 +186,7 @@ def _look(
     least: int = 1,
     only_doublings: bool = False,
     tile: int | None = None,
-) -> Seen:
+) -> EarlySurvey:
     """What is seen of lanes some periods on, in 2 limit points of each."""
     strobe, count, p = scene.strobe(), scene.count, dict(scene.p)
     (wait, limit, tries), cost = timing, timing.periods
@@ -227,7 +227,7 @@ def _look(
         residual[here], monodromy[here] = exact.residual, exact.monodromy
         multiplier[here] = largest[settled]
         multiplier[here[shorter]] = largest_multiplier(exact.monodromy[shorter])
-    return Seen(Survey(period, found, residual, multiplier, monodromy, failed, size), points[:, -1])
+    return EarlySurvey(Survey(period, found, residual, multiplier, monodromy, failed, size), points[:, -1])
 
 
 def _recurrences(
@@ -263,7 +263,7 @@ def _recurrences(
     return possible
 
 
-def beyond_doublings(lanes: LaneRunner, strobe: Strobe, p: Parameters, found: Survey) -> Survey:
+def beyond_doublings(lanes: LaneRunner, strobe: ReturnMap, p: Parameters, found: Survey) -> Survey:
     """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
     period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in found)
     system = strobe.system
@@ -288,12 +288,12 @@ def first_points(scene: Scene, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"
     return lanes(_first_crossing, (scene.strobe(),), scene.lanes, periods=1)
 
 
-def _first_crossing(strobe: Strobe, state: State, p: Parameters) -> Float[Array, " d"]:
+def _first_crossing(strobe: ReturnMap, state: State, p: Parameters) -> Float[Array, " d"]:
     return strobe.system.chart(strobe(state, p))
 
 
 def strobe_points(
-    strobe: Strobe, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, count: int
+    strobe: ReturnMap, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, count: int
 ) -> Float[Array, "points d"]:
     """Section points after a transient, of one lane."""
     system = strobe.system
@@ -302,7 +302,7 @@ def strobe_points(
 
 
 def _sized_points(
-    strobe: Strobe,
+    strobe: ReturnMap,
     transient: ArrayLike,
     radian: ArrayLike,
     u: Float[Array, " d"],

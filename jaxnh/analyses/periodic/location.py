@@ -13,7 +13,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import Derivatives, derivatives, section_map
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch, moved_doubling
 from jaxnh.orbits.shooting import Period
 
@@ -27,7 +27,7 @@ _SAFETY = 8.0
 _LEAST = 32.0  # 2ᵖ at order 5; methods that are chosen have more
 
 
-class Located(NamedTuple):
+class LocatedDoubling(NamedTuple):
     """A doubling of a scene, by maps with the steps that the accuracy asks for and with twice and four times as many.
 
     Attributes:
@@ -57,7 +57,7 @@ class Located(NamedTuple):
 
 def locate(
     scene: Scene, lanes: LaneRunner, points: Float[np.ndarray, "some d"], start: float, stop: float, n: int
-) -> Located | None:
+) -> LocatedDoubling | None:
     """The doubling between two values of the first axis of the period-n orbit that is stable at the first.
 
     Args:
@@ -74,10 +74,10 @@ def locate(
     third = second and moved_doubling(finest, second, wrap)
     if first is None or second is None or third is None:
         return None
-    return Located((first, second, third))
+    return LocatedDoubling((first, second, third))
 
 
-def refined(scene: Scene) -> tuple[Strobe, ...]:
+def refined(scene: Scene) -> tuple[ReturnMap, ...]:
     """The map with 1, 2 and 4 times the steps, all of one shape, so that they run through one program.
 
     Sums are compensated where they can be, whatever the accuracy needs: doublings deep in a cascade are as near to each
@@ -88,7 +88,7 @@ def refined(scene: Scene) -> tuple[Strobe, ...]:
     return tuple(strobe.with_room_of(strobes[-1]) for strobe in strobes)
 
 
-def period_map(scene: Scene, lanes: LaneRunner, strobe: Strobe) -> Period:
+def period_map(scene: Scene, lanes: LaneRunner, strobe: ReturnMap) -> Period:
     """P and ∂P/∂u at points and values of the first axis."""
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.scene import LaneRunner, picked
-from jaxnh.maps.protocol import Strobe
-from jaxnh.orbits.newton import Look, Orbit, find_orbits, look
+from jaxnh.maps.protocol import ReturnMap
+from jaxnh.orbits.newton import NewtonStep, Orbit, find_orbits, look
 from jaxnh.systems.flow import Flow, Parameters
 
 CONVERGED = 1e-7
@@ -29,7 +29,7 @@ _SHORT, _LONG_TILE = 8, 16
 
 def orbits(
     lanes: LaneRunner,
-    strobe: Strobe,
+    strobe: ReturnMap,
     u: Float[np.ndarray, "lanes d"],
     p: Parameters,
     n: int | Int[np.ndarray, " lanes"],
@@ -42,7 +42,7 @@ def orbits(
     n = np.broadcast_to(np.asarray(n, np.int32), len(u))
 
     def of(lane: Int[np.ndarray, " group"], tile: int) -> Orbit:
-        def look_at(u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> Look:
+        def look_at(u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> NewtonStep:
             which = lane[some]
             at = (n[which], u, picked(p, which), *(() if size is None else sizes(strobe.system, size[which])))
             return lanes(look, (strobe,), at, tile=tile)
@@ -72,7 +72,7 @@ def apart(
 
 def least_period(
     lanes: LaneRunner,
-    strobe: Strobe,
+    strobe: ReturnMap,
     u: Float[np.ndarray, "lanes d"],
     p: Parameters,
     n: int | Int[np.ndarray, " lanes"],

@@ -21,7 +21,7 @@ from pydantic import Field, model_validator
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, Starts, rule
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
-from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.trajectories.poincare import recording, strobe_states
@@ -33,9 +33,9 @@ from jaxnh.analyses.trajectories.states import (
     state_variables,
     statistics,
 )
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Parameters, State
 
@@ -240,14 +240,14 @@ def _under_each_flow(
 
 def _at_phase(
     options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, p: Parameters
-) -> tuple[State, Strobe]:
+) -> tuple[State, ReturnMap]:
     """States at t = 0 brought to the phase of the strobes, and the map of a period from there."""
     if not options.phase:
         return start, scene.strobe()
     t, period = options.phase * scene.system.period, scene.system.period
     first, strobe = (
         in_precision(
-            make_strobe(scene.system, scene.solver, scene.steps, compensated=scene.compensated, span=span),
+            make_return_map(scene.system, scene.solver, scene.steps, compensated=scene.compensated, span=span),
             scene.precision,
         )
         for span in ((0.0, t), (t, t + period))
@@ -255,7 +255,7 @@ def _at_phase(
     return lanes(iterate, (first, np.int32(1)), (start, p), periods=options.phase), strobe
 
 
-def carried(strobe: Strobe, transient: ArrayLike, state: State, p: Parameters, count: int) -> tuple[State, State]:
+def carried(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters, count: int) -> tuple[State, State]:
     """Of one lane: a state carried along parameters (values,), and the states (values, count) met at each of them."""
 
     def at(z: State, p: Parameters) -> tuple[State, State]:
@@ -272,7 +272,7 @@ def price(options: DiagramOptions, scene: Scene) -> Price:
     strobe, (values, strobes) = scene.strobe(), _PRICED
     one = scene.take(slice(1))
     p = {name: np.resize(found, (1, values)) for name, found in scene.p.items()}
-    program = Program(
+    program = PricedProgram(
         carried,
         (strobe, np.zeros((), np.int32)),
         (one.start, p),

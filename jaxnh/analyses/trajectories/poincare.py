@@ -12,11 +12,11 @@ import xarray as xr
 from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, Options, Setting, variable
-from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.trajectories.states import TILE, check_transient, count, section_attrs, settled, state_variables
 from jaxnh.maps.iterate import record
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters, State
 
 _PRICED_STROBES = 65
@@ -61,7 +61,7 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     return xr.Dataset(variables, attrs={**section_attrs(scene), **panel})
 
 
-def strobe_states(strobe: Strobe, state: State, p: Parameters, count: int) -> State:
+def strobe_states(strobe: ReturnMap, state: State, p: Parameters, count: int) -> State:
     """Of one lane: its state and those after each of the next periods, (count,)."""
     _, following = record(strobe, state, p, count - 1)
     return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), state, following)
@@ -72,10 +72,10 @@ def price(options: PoincareOptions, scene: Scene) -> Price:
     return Price(recording(scene, TILE), map_alone(scene, tile=TILE), "every strobe is kept")
 
 
-def recording(scene: Scene, tile: int | None = None) -> Program:
+def recording(scene: Scene, tile: int | None = None) -> PricedProgram:
     """The program that keeps every strobe, of some periods."""
     strobe = scene.strobe()
-    return Program(
+    return PricedProgram(
         strobe_states,
         (strobe,),
         scene.lanes,

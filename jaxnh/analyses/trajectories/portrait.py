@@ -9,11 +9,11 @@ from jax import lax
 from pydantic import Field
 
 from jaxnh.analyses.base import LANE, Analysis, Options, variable
-from jaxnh.analyses.price import Price, Program, map_alone
+from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.trajectories.states import TILE, count, settled, state_variables
 from jaxnh.maps.build import make_parts
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Parameters, State
 
@@ -62,13 +62,13 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     return xr.Dataset(variables, attrs={"panel": "trajectories", "panel_variables": " ".join(scene.system.plane)})
 
 
-def trajectory(parts: Strobe, state: State, p: Parameters, count: int) -> State:
+def trajectory(parts: ReturnMap, state: State, p: Parameters, count: int) -> State:
     """Of one lane: states (count · samples,) over `count` periods.
 
     `parts` are the maps over the parts of a period, stacked (`maps.build.make_parts`).
     """
 
-    def sample(z: State, part: Strobe) -> tuple[State, State]:
+    def sample(z: State, part: ReturnMap) -> tuple[State, State]:
         return part(z, p), z
 
     def period(z: State, _: None) -> tuple[State, State]:
@@ -83,11 +83,11 @@ def price(options: PortraitOptions, scene: Scene) -> Price:
     scene = scene.in_time()
     parts = _parts(options, scene)
     turns = (1.0, float(options.samples), *parts.turns)
-    program = Program(trajectory, (parts,), scene.lanes, turns, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)
+    program = PricedProgram(trajectory, (parts,), scene.lanes, turns, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)
     return Price(program, map_alone(scene, tile=TILE), "every sample ends a step, and is kept")
 
 
-def _parts(options: PortraitOptions, scene: Scene) -> Strobe:
+def _parts(options: PortraitOptions, scene: Scene) -> ReturnMap:
     """The maps from sample to sample."""
     parts = make_parts(scene.flow, scene.solver, scene.steps, options.samples, compensated=scene.compensated)
     return in_precision(parts, scene.precision)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Entry, OptionError, Setting, variable
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.systems.flow import Flow, Parameters, State
 
@@ -21,7 +21,7 @@ TILE = 16
 
 
 def settled(
-    lanes: LaneRunner, strobe: Strobe, transient: int, start: State, p: Parameters, tile: int | None = None
+    lanes: LaneRunner, strobe: ReturnMap, transient: int, start: State, p: Parameters, tile: int | None = None
 ) -> State:
     """Lanes after a transient: in calls of their own, of which a long one takes several, so that a run can stop."""
     if not transient:

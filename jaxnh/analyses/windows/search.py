@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from jaxnh.analyses.cascade.plateaus import Line
-from jaxnh.analyses.continuation.family_tree import Bifurcation, Orbit, Stage, Tree, grow
+from jaxnh.analyses.cascade.plateaus import PeriodScan
+from jaxnh.analyses.continuation.family_tree import Bifurcation, SeedOrbit, Stage, Tree, grow
 from jaxnh.analyses.continuation.known_branches import on_branch, same_orbit
 from jaxnh.orbits import branches
-from jaxnh.orbits.arclength import Family, Way, length
-from jaxnh.orbits.branches import Branch, Steps
+from jaxnh.orbits.arclength import Family, PathVector, length
+from jaxnh.orbits.branches import Branch, StepControl
 from jaxnh.orbits.kinds import BRANCH_POINT, KINDS, kinds, stable
 
 ENDS = ("fold", "branch_point", "range", "not_located", "neimark_sacker", "period_doubling")
@@ -29,7 +29,7 @@ two ends the one that is earlier here is the begin."""
 
 _RANGE, _NOT_LOCATED, DOUBLED = (ENDS.index(kind) for kind in ("range", "not_located", "period_doubling"))
 
-_STEPS = Steps(0.04)  # of a branch, which is not kept: what is located does not depend on it
+_STEPS = StepControl(0.04)  # of a branch, which is not kept: what is located does not depend on it
 _WIDER = 1.0  # widths of a range that it grows by to either side, where an orbit is stable to the end of it
 _SAME = 1e-6  # of the width of the sweep: ends this near are of twins, or one
 _NEAR = 1e-3  # lengths: an orbit at a bifurcation this near to another is that one
@@ -69,14 +69,14 @@ class Window(NamedTuple):
     lanes: Int[np.ndarray, " some"]
     begin: End
     end: End
-    inside: Line
+    inside: PeriodScan
     beyond: float
 
 
 def search(
-    line: Line,
+    line: PeriodScan,
     limit: int,
-    orbits: Callable[[Int[np.ndarray, " some"]], Sequence[Orbit]],
+    orbits: Callable[[Int[np.ndarray, " some"]], Sequence[SeedOrbit]],
     families: Callable[[float, float], Sequence[Family]],
     stage: Stage = nullcontext,
 ) -> list[list[Window]]:
@@ -105,10 +105,10 @@ def search(
 
 
 def _followed(
-    line: Line,
+    line: PeriodScan,
     mine: Int[np.ndarray, " some"],
     others: Sequence[int],
-    orbits: Callable[[Int[np.ndarray, " some"]], Sequence[Orbit]],
+    orbits: Callable[[Int[np.ndarray, " some"]], Sequence[SeedOrbit]],
     families: Callable[[float, float], Sequence[Family]],
     stage: Stage,
 ) -> list[Window]:
@@ -149,7 +149,7 @@ def _odd(period: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
 
 
 def _windows(
-    family: Family, tree: Tree, line: Line, settled: Mapping[int, Orbit], doubled: Sequence[int]
+    family: Family, tree: Tree, line: PeriodScan, settled: Mapping[int, SeedOrbit], doubled: Sequence[int]
 ) -> list[Window]:
     """The windows of a tree that lanes have settled in.
 
@@ -171,7 +171,7 @@ def _windows(
             ends = [(_end(family, tree, number, *pair), *pair) for pair in ends]
             (begin, *_), (end, at, beyond) = sorted(ends, key=lambda end: end[0].kind)
             mine = [k for k, orbit in settled.items() if on_branch(family, [_part(branch, stretch)], *orbit)]
-            inside = Line(branch.value[[at]], np.array([branch.period]), branch.points[at, :1])
+            inside = PeriodScan(branch.value[[at]], np.array([branch.period]), branch.points[at, :1])
             to = float(branch.value[at if beyond is None else beyond])
             found.append(Window(branch.period, np.array(mine, int), begin, end, inside, to))
             origins.append(origin)
@@ -241,7 +241,7 @@ def _stretches(family: Family, branch: Branch) -> Iterator[tuple[Int[np.ndarray,
 def _part(branch: Branch, stretch: Int[np.ndarray, " some"]) -> Branch:
     """A stretch of a branch, with a point more at either end."""
     first, last = max(int(stretch.min()) - 1, 0), int(stretch.max()) + 2
-    way = Way(branch.way.points[first:last], branch.way.value[first:last])
+    way = PathVector(branch.way.points[first:last], branch.way.value[first:last])
     return replace(branch, points=branch.points[first:last], value=branch.value[first:last], way=way)
 
 
@@ -266,7 +266,7 @@ def _end(family: Family, tree: Tree, number: int, inside: int, outside: int | No
 
 def _chord(family: Family, branch: Branch, one: int, other: int) -> float:
     """Length from one point of a branch to another."""
-    gap = Way(branch.points[[other]] - branch.points[[one]], branch.value[[other]] - branch.value[[one]])
+    gap = PathVector(branch.points[[other]] - branch.points[[one]], branch.value[[other]] - branch.value[[one]])
     return float(length(family, gap)[0])
 
 
@@ -276,7 +276,7 @@ def _beside(family: Family, point: Bifurcation, branch: Branch, place: int, chor
     return off <= 2.0 * chord and same_orbit(family, branch.points[place], point.points, 2.0 * chord)
 
 
-def _assign(found: list[Window], line: Line, k: int) -> None:
+def _assign(found: list[Window], line: PeriodScan, k: int) -> None:
     """Give a lane of a doubled orbit to the window whose doubling is nearest, and to its twin."""
     away = [
         min((_beyond(end, line, k, one.period) for end in (one.begin, one.end) if end.kind == DOUBLED), default=np.inf)
@@ -288,7 +288,7 @@ def _assign(found: list[Window], line: Line, k: int) -> None:
             found[place] = one._replace(lanes=np.append(one.lanes, k))
 
 
-def _beyond(end: End, line: Line, k: int, period: int) -> float:
+def _beyond(end: End, line: PeriodScan, k: int, period: int) -> float:
     """How far a lane is beyond a doubling; infinite where no orbits of the doubled period may be all the way to it."""
     value = float(line.value[k])
     low, high = sorted((end.value, value))

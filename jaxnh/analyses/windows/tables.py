@@ -11,8 +11,8 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Entry, Table, variable
-from jaxnh.analyses.cascade.plateaus import Line
-from jaxnh.analyses.periodic.location import Located
+from jaxnh.analyses.cascade.plateaus import PeriodScan
+from jaxnh.analyses.periodic.location import LocatedDoubling
 from jaxnh.analyses.scene import Axis, Scene, counted_in
 from jaxnh.analyses.windows.search import DOUBLED, ENDS, End, Window, all_lanes
 
@@ -25,14 +25,14 @@ _DIGITS = 9  # behind the point, in the table
 _WORDS = ("fold", "branch point", "range", "not located", "torus", "doubling")
 
 
-class Place(NamedTuple):
+class LocatedValue(NamedTuple):
     """A value of the parameter and its error; not numbers where there is none, or it was not looked for."""
 
     value: float
     error: float
 
 
-NOWHERE = Place(np.nan, np.nan)
+NOWHERE = LocatedValue(np.nan, np.nan)
 """No place."""
 
 
@@ -40,11 +40,11 @@ def dataset(
     limit: int,
     levels: int,
     scene: Scene,
-    line: Line,
+    line: PeriodScan,
     found: Sequence[Sequence[Window]],
-    doublings: Sequence[Sequence[Located]],
-    limits: Sequence[Place],
-    crises: Sequence[Place],
+    doublings: Sequence[Sequence[LocatedDoubling]],
+    limits: Sequence[LocatedValue],
+    crises: Sequence[LocatedValue],
 ) -> xr.Dataset:
     """Variables over (window,), and the doublings over (window, level)."""
     axis, unit = scene.line, counted_in(scene.system)
@@ -112,7 +112,7 @@ def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], scene
 
 
 def _place_variables(
-    name: str, words: str, axis: Axis, places: Sequence[Place | End], comment: str = ""
+    name: str, words: str, axis: Axis, places: Sequence[LocatedValue | End], comment: str = ""
 ) -> dict[str, Entry]:
     """Values of the parameter and their errors."""
     value, error = (np.array([getattr(place, key) for place in places], float) for key in ("value", "error"))
@@ -124,7 +124,7 @@ def _place_variables(
 
 
 def _unlocated(
-    name: str, levels: int, found: Sequence[Sequence[Window]], doublings: Sequence[Sequence[Located]]
+    name: str, levels: int, found: Sequence[Sequence[Window]], doublings: Sequence[Sequence[LocatedDoubling]]
 ) -> list[str]:
     """Lines for the user: windows that end in a doubling, and of whose doublings some are not numbers."""
     return [

@@ -17,28 +17,28 @@ from pydantic import Field
 from jaxnh.analyses.base import Analysis, OptionError, Options, Setting
 from jaxnh.analyses.cascade.follow import along_line
 from jaxnh.analyses.cascade.limits import doublings_limit
-from jaxnh.analyses.cascade.plateaus import Line
+from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.continuation.families import orbits_of
-from jaxnh.analyses.continuation.family_tree import Orbit
+from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.continuation.known_branches import orbits_at
 from jaxnh.analyses.continuation.seeds import settled_waves
 from jaxnh.analyses.crises.band_phase import embedded
 from jaxnh.analyses.periodic.attractor_survey import strobe_points, survey_from_start
-from jaxnh.analyses.periodic.location import Located, price_of_orbits, refined, walk
+from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined, walk
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.window_averages import angles
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
-from jaxnh.analyses.windows.tables import NOWHERE, Place, count, dataset, table
+from jaxnh.analyses.windows.tables import NOWHERE, LocatedValue, count, dataset, table
 from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
-from jaxnh.orbits.branches import Steps, both_ways
+from jaxnh.orbits.branches import StepControl, both_ways
 
 _DOUBLED = 4  # times the limit: lanes of orbits up to this period are seen, as those of doublings are
 _REACH = 3.0  # distances from the first doubling to where they end that a crisis is looked for beyond; it is near one
 _OFF = 1e-7  # sizes: paths start so far from an orbit that repels
 _AWAY = 32  # turns of a path until it is all over the bands, from there
 _AT_ONCE = 256  # strobes of a call
-_STEPS = Steps(0.04)  # of the branch of that orbit
+_STEPS = StepControl(0.04)  # of the branch of that orbit
 _WORK = 3.0  # of a run, in those of settling: a guess
 
 
@@ -85,12 +85,12 @@ def run(options: WindowsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     scene = scene.take(np.unique(scene.line.values, return_index=True)[1])
     found = survey_from_start(scene, lanes, _DOUBLED * options.limit, "windows", options.transient)
     size = np.median(found.size[~found.failed], axis=0) if not found.failed.all() else found.size[0]
-    line = Line(scene.line.values, np.where(found.failed, 0, found.period), found.u)
+    line = PeriodScan(scene.line.values, np.where(found.failed, 0, found.period), found.u)
 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"windows: {label}", 0)
 
-    def orbits(some: Int[np.ndarray, " some"]) -> list[Orbit]:
+    def orbits(some: Int[np.ndarray, " some"]) -> list[SeedOrbit]:
         waves = settled_waves(scene.take(some), lanes, line.u[some], line.period[some])
         return [orbit for wave in waves for orbit in wave]
 
@@ -110,8 +110,8 @@ def run(options: WindowsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
 
 
 def _doublings(
-    levels: int, scene: Scene, lanes: LaneRunner, line: Line, window: Window, size: Float[np.ndarray, " d"]
-) -> tuple[Located, ...]:
+    levels: int, scene: Scene, lanes: LaneRunner, line: PeriodScan, window: Window, size: Float[np.ndarray, " d"]
+) -> tuple[LocatedDoubling, ...]:
     """Doublings of a window beyond its end: between its lanes, or as far beyond as the sweep goes."""
     if not levels or window.end.kind != DOUBLED:
         return ()
@@ -122,14 +122,15 @@ def _doublings(
     own = np.flatnonzero(np.isin(order, window.lanes))
     others = line.take(order[: own.max(initial=-1) + 2])
     no_orbit = [
-        Line(np.array([at]), np.zeros(1, int), window.inside.u) for at in (window.beyond, line.value[-1 if up else 0])
+        PeriodScan(np.array([at]), np.zeros(1, int), window.inside.u)
+        for at in (window.beyond, line.value[-1 if up else 0])
     ]
-    begun = Line(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
+    begun = PeriodScan(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
     with lanes.stage(f"windows: doublings of period {window.period}", 0):
         return along_line(scene, lanes, begun.joined(others).joined(no_orbit[1]), levels, size)
 
 
-def _limit(doublings: Sequence[Located]) -> Place:
+def _limit(doublings: Sequence[LocatedDoubling]) -> LocatedValue:
     """Where the doublings of a window accumulate."""
     if not doublings:
         return NOWHERE
@@ -137,7 +138,7 @@ def _limit(doublings: Sequence[Located]) -> Place:
         np.array(column) for column in zip(*((d.point.value, d.point.error) for d in doublings), strict=True)
     )
     limit = doublings_limit(values, errors)
-    return Place(limit.value, limit.error + doublings[-1].error)
+    return LocatedValue(limit.value, limit.error + doublings[-1].error)
 
 
 def _crisis(
@@ -146,9 +147,9 @@ def _crisis(
     lanes: LaneRunner,
     families: Callable[[float, float], Sequence[Family]],
     window: Window,
-    limit: Place,
+    limit: LocatedValue,
     size: Float[np.ndarray, " d"],
-) -> Place:
+) -> LocatedValue:
     """Where the bands beyond the doublings of a window grow, no further than the sweep goes."""
     start, (low, high) = limit.value, (float(end(scene.line.values)) for end in (np.min, np.max))
     if not most or window.period == 1 or not low < start < high:  # of one band no path is ever out of turn
@@ -170,7 +171,7 @@ def _crisis(
             return embedded(_paths(scene.at(values), lanes, begin, _AWAY * n, count), turning, size)
 
         found = locate_crisis(paths, start, stop, n, most)
-    return Place(found.value, found.error + window.end.error) if found else NOWHERE
+    return LocatedValue(found.value, found.error + window.end.error) if found else NOWHERE
 
 
 def _paths(

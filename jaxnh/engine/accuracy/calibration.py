@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.engine.accuracy.diagnostics import ROUGH, fault_of, of_long_returns, of_motion, of_slow_convergence
-from jaxnh.engine.axes import Points
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.axes import SweepPoints
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import AccuracyError
-from jaxnh.maps.build import make_strobe, way_of
+from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.iterate import iterate, record
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import Crossing, SectionedFlow
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
@@ -100,7 +100,7 @@ class Calibration:
     """
 
     def __init__(
-        self, rows: Sequence[Points], lanes: Lanes, precision: str = "float64", target: float | None = None
+        self, rows: Sequence[SweepPoints], lanes: LaneExecutor, precision: str = "float64", target: float | None = None
     ) -> None:
         """Measure the reference.
 
@@ -118,7 +118,7 @@ class Calibration:
         self._fall: list[tuple[int, float]] = []  # kicks, and how far apart references of so many and of fewer are
         self._near = max(_ROUNDING, _NEAR * (target or 0.0))
         flow = self._flows[0]
-        self._way = way = way_of(flow)
+        self._way = way = scheme_of(flow)
         # Without a clock every step starts and ends by itself: no processor around many, no sums over them.
         solvers = way.solvers(flow.flow, precision)
         self._candidates = tuple(s for s in solvers if not (flow.autonomous and s.processor[1]))
@@ -205,7 +205,7 @@ class Calibration:
         """Error estimate of every sample."""
         maps = self._maps(solver, steps, compensated=compensated)
 
-        def strobe(row: int) -> Strobe:
+        def strobe(row: int) -> ReturnMap:
             return in_precision(maps(row), self._precision)
 
         chance = 0.0 if compensated else self._rounding
@@ -220,7 +220,7 @@ class Calibration:
     def _largest(self, errors: Float[np.ndarray, " samples"]) -> float:
         return float(errors[self._largest_at(errors)])
 
-    def _take_samples(self, rows: Sequence[Points]) -> tuple[_Samples, int]:
+    def _take_samples(self, rows: Sequence[SweepPoints]) -> tuple[_Samples, int]:
         """States across the sweep from the start towards the attractor, and how many they were chosen from."""
         number = np.concatenate([np.full(len(jax.tree.leaves(row.start)[0]), i) for i, row in enumerate(rows)])
         start, p, where = (
@@ -251,7 +251,7 @@ class Calibration:
         return taken._replace(states=jax.tree.map(lambda leaf: leaf[lane, time], whole)), sensitive.size
 
     def _differing(
-        self, maps: Callable[[int], Strobe], samples: _Samples, images: State
+        self, maps: Callable[[int], ReturnMap], samples: _Samples, images: State
     ) -> Float[np.ndarray, "lanes periods"]:
         """How far maps take states (lanes, periods) from images of theirs."""
         periods = jax.tree.leaves(images)[0].shape[1]
@@ -343,14 +343,14 @@ class Calibration:
             worst = max(worst, self._largest(np.where(np.isfinite(gaps), gaps, 0.0)))
         return worst
 
-    def _maps(self, solver: Solver, steps: int, *, compensated: bool = False) -> Callable[[int], Strobe]:
+    def _maps(self, solver: Solver, steps: int, *, compensated: bool = False) -> Callable[[int], ReturnMap]:
         """The maps of all flows, by their numbers."""
         if isinstance(solver, Solver):  # and none of diffrax, as costs has them beside ours
             self._tried = max(self._tried, solver.total_kicks(steps))
 
         @functools.lru_cache(_MAPS_KEPT)
-        def of(row: int) -> Strobe:
-            return make_strobe(self._flows[row], solver, steps, compensated=compensated)
+        def of(row: int) -> ReturnMap:
+            return make_return_map(self._flows[row], solver, steps, compensated=compensated)
 
         return of
 
@@ -376,7 +376,7 @@ class Calibration:
                 leaf[here] = new
         return whole
 
-    def _image(self, strobe: Callable[[int], Strobe], samples: _Samples) -> list[np.ndarray]:
+    def _image(self, strobe: Callable[[int], ReturnMap], samples: _Samples) -> list[np.ndarray]:
         """What a map makes of the samples, component by component, without what flows only report."""
         states = self._by_flow(iterate, lambda row: (strobe(row), np.int32(1)), samples, 1)
         return [np.array(leaf) for leaf in jax.tree.leaves(self._flows[0].compared(states))]

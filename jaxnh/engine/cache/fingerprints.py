@@ -14,7 +14,7 @@ import numpy as np
 _READ = 256  # arrays whose digests are known, at most
 
 
-class CallNames:
+class CallFingerprints:
     """Names of calls. What many calls share, as a table of kicks, is read once: it must not be written to."""
 
     def __init__(self) -> None:

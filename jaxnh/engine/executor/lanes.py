@@ -19,13 +19,13 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxnh.engine.cache import executables
-from jaxnh.engine.cache.fingerprints import CallNames
+from jaxnh.engine.cache.fingerprints import CallFingerprints
 from jaxnh.engine.executor.row_blocks import has_rows, in_blocks, of_block
-from jaxnh.engine.progress import Progress, Silent
+from jaxnh.engine.progress import NullProgress, Progress
 from jaxnh.engine.xla_options import machine
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.protocol import Strobe
-from jaxnh.storage.calls import Calls, Part
+from jaxnh.maps.protocol import ReturnMap
+from jaxnh.storage.calls import CallJournal, JournalEntry
 
 TILE = 256
 """Lanes a tile: large enough to hide what a kernel call costs, small enough for a core's first cache."""
@@ -42,7 +42,7 @@ _PLACED = 256  # arrays on the devices, at most
 _COMPILING = threading.Lock()  # one program at a time: JAX's cache is switched off for it
 
 
-class Lanes:
+class LaneExecutor:
     """Runs per-lane functions over any number of lanes.
 
     Attributes:
@@ -60,14 +60,14 @@ class Lanes:
         self.compile_seconds = 0.0
         self.run_seconds = 0.0
         self.fastest = math.inf
-        self._progress = progress or Silent()
+        self._progress = progress or NullProgress()
         self._programs: dict[Any, Any] = {}
         self._placed: dict[int, tuple[Any, Any]] = {}  # by the address of what is on the devices
-        self._names = CallNames()
-        self._kept: Calls | None = None
+        self._names = CallFingerprints()
+        self._kept: CallJournal | None = None
         self._calls = 0
 
-    def apart(self) -> list[Lanes]:
+    def apart(self) -> list[LaneExecutor]:
         """Runners to be used side by side, each with accounts of its own: one for each device, of cores two.
 
         CPU devices are the cores, on which the programs of one device run side by side as well if threads call them:
@@ -77,12 +77,12 @@ class Lanes:
         programs: dict[Any, Any] = {}
         runners = []
         for device in self.devices * (_RUNNERS_A_CORE if cores else 1):
-            runner = Lanes(self._progress, self.devices[:1] if cores else [device], self.tile)
+            runner = LaneExecutor(self._progress, self.devices[:1] if cores else [device], self.tile)
             runner._programs = programs if cores else {}
             runners.append(runner)
         return runners
 
-    def add(self, others: Sequence[Lanes]) -> None:
+    def add(self, others: Sequence[LaneExecutor]) -> None:
         """Add what others have run and compiled side by side to the accounts: of their seconds the mean."""
         for other in others:
             self.lane_periods += other.lane_periods
@@ -91,7 +91,7 @@ class Lanes:
             self.fastest = min(self.fastest, other.fastest)
 
     @contextmanager
-    def keeping(self, kept: Calls) -> Iterator[None]:
+    def keeping(self, kept: CallJournal) -> Iterator[None]:
         """Keep the results of the calls inside, and take those from there that a stopped run has left.
 
         The calls inside have to follow from each other alone: the same ones in every run.
@@ -173,7 +173,7 @@ class Lanes:
         for first, result in tiles:
             results.append(result)
             if self._kept:
-                self._kept.add(Part(call, first, name, tuple(jax.tree.leaves(result))))
+                self._kept.add(JournalEntry(call, first, name, tuple(jax.tree.leaves(result))))
             self._account(periods * len(jax.tree.leaves(result)[0]))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
@@ -321,7 +321,7 @@ class Lanes:
 
 def turns_of(shared: tuple[Any, ...]) -> float:
     """Turns a period of the innermost loop of the maps among these: of the one that has most."""
-    return max((math.prod(part.turns) for part in shared if isinstance(part, Strobe)), default=0.0)
+    return max((math.prod(part.turns) for part in shared if isinstance(part, ReturnMap)), default=0.0)
 
 
 def _padded(leaf: np.ndarray, length: int) -> np.ndarray:

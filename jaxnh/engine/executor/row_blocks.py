@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Int
 
-from jaxnh.maps.rows import ROW, Stacked, StrobeRows
+from jaxnh.maps.rows import ROW, StackedMaps, StrobeRows
 
 _LARGE, _SMALL = (32, 256), (16, 64)  # lanes of a block and of a tile: of programs for many lanes, and for few
 _FEW = 64  # lanes of a tile that is asked for where there are few
@@ -38,7 +38,7 @@ class Blocks(NamedTuple):
 
 def has_rows(shared: tuple[Any, ...]) -> bool:
     """Whether anything that lanes share is in rows."""
-    return any(isinstance(part, Stacked | StrobeRows) for part in shared)
+    return any(isinstance(part, StackedMaps | StrobeRows) for part in shared)
 
 
 def in_blocks(lanes: tuple[Any, ...], tile: int) -> Blocks:
@@ -69,5 +69,5 @@ def in_blocks(lanes: tuple[Any, ...], tile: int) -> Blocks:
 def of_block(*arguments: Any) -> Any:
     """The function of a lane for all lanes of a block: of what is shared, its row, its lanes, (function, static)."""
     *shared, row, lanes, (function, static) = arguments
-    own = tuple(part.at(row) if isinstance(part, Stacked | StrobeRows) else part for part in shared)
+    own = tuple(part.at(row) if isinstance(part, StackedMaps | StrobeRows) else part for part in shared)
     return jax.vmap(lambda lane: function(*own, *lane, *static))(lanes)

@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import TypeVar
 
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 
 Batch = TypeVar("Batch")
 
 
-def side_by_side(lanes: Lanes, batches: Sequence[Batch], in_turn: Callable[[Iterator[Batch], Lanes], object]) -> None:
+def side_by_side(
+    lanes: LaneExecutor, batches: Sequence[Batch], in_turn: Callable[[Iterator[Batch], LaneExecutor], object]
+) -> None:
     """Have some batches done by runners side by side, each of which takes the next when it has done one.
 
     Args:

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.xla_options import configure
-from jaxnh.maps.build import make_strobe, way_of
+from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.lagrangian import lagrangian
@@ -98,10 +98,10 @@ class FlowMaps:
         configure()
         self.scene = scene
         self.placed = placed(scene.case)
-        self.lanes = Lanes()
-        self.solvers = {s.name: s for s in way_of(self.placed.flow).solvers(self.placed.flow)}
+        self.lanes = LaneExecutor()
+        self.solvers = {s.name: s for s in scheme_of(self.placed.flow).solvers(self.placed.flow)}
 
-    def errors(self, strobe: Strobe) -> Errors:
+    def errors(self, strobe: ReturnMap) -> Errors:
         """Errors of a map, of the kind that it is tuned by."""
         raise NotImplementedError
 
@@ -121,9 +121,9 @@ class FlowMaps:
                 settings.append(Setting("jaxnh", name, steps, f"{steps:.0f} steps", errors, (name,)))
         return settings
 
-    def strobe(self, name: str, steps: float) -> Strobe:
+    def strobe(self, name: str, steps: float) -> ReturnMap:
         """The map over a period, or a unit of time."""
-        return make_strobe(self.placed.flow, self.solvers[name], int(steps))
+        return make_return_map(self.placed.flow, self.solvers[name], int(steps))
 
     def started(self, lanes: np.ndarray) -> tuple[Any, dict[str, np.ndarray]]:
         """Start states and parameters of lanes."""
@@ -134,7 +134,7 @@ class FlowMaps:
 class Contestant(FlowMaps):
     """Tuned by the ends of a period."""
 
-    def errors(self, strobe: Strobe) -> Errors:
+    def errors(self, strobe: ReturnMap) -> Errors:
         state = self.lanes(iterate, (strobe, np.int32(1)), self.started(np.arange(len(self.scene.b))))
         return self.scene.errors(self.placed.flow.section_point(state)[:, self.placed.picks])
 

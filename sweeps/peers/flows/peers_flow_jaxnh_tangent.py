@@ -12,7 +12,7 @@ import numpy as np
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import Scene
 from jaxnh.maps.iterate import derivatives
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from sweeps.peers.flows.peers_flow_jaxnh import FlowMaps
 from sweeps.peers.particle.peers_scene import TANGENT_PERIODS, WHOLE, Errors, Setting
 
@@ -33,7 +33,7 @@ class Contestant(FlowMaps):
             settings.append(replace(setting, knob=steps, label=label, errors=errors, parts=parts))
         return settings
 
-    def errors(self, strobe: Strobe) -> Errors:
+    def errors(self, strobe: ReturnMap) -> Errors:
         lanes, picks, embed = self.scene.timed(), list(self.placed.picks), self.placed.embed
         states = jnp.asarray(self.scene.states[lanes])
         u, lifts = np.asarray(jax.vmap(embed)(states)), np.asarray(jax.vmap(jax.jacfwd(embed))(states))

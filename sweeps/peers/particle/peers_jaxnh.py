@@ -1,4 +1,5 @@
-"""jaxnh as a contestant, as its users have it: `Lanes` with `configure`, every splitting tried, fewest kicks win."""
+"""jaxnh as a contestant, as its users have it: `LaneExecutor` with `configure`, every splitting tried, fewest kicks
+win."""
 
 from __future__ import annotations
 
@@ -7,11 +8,11 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from jaxnh.engine.executor.lanes import Lanes
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.xla_options import configure
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import State, disturbed_speed
 from sweeps.peers.particle.peers_scene import PERIODS, Errors, Scene, Setting, least_effort
@@ -31,9 +32,9 @@ class Splittings(Generic[SceneT]):
         configure()
         self.scene = scene
         self.system = disturbed_speed(scene.a, scene.c, scene.d)
-        self.lanes = Lanes()
+        self.lanes = LaneExecutor()
 
-    def errors(self, strobe: Strobe) -> Errors:
+    def errors(self, strobe: ReturnMap) -> Errors:
         """Errors of a map, of the kind that it is tuned by."""
         raise NotImplementedError
 
@@ -43,7 +44,7 @@ class Splittings(Generic[SceneT]):
         for name, solver in sorted(SPLITTINGS.items(), key=lambda item: -item[1].convergence_order):
 
             def measure(steps: float, name: str = name) -> Errors:
-                return self.errors(make_strobe(self.system, SPLITTINGS[name], int(steps)))
+                return self.errors(make_return_map(self.system, SPLITTINGS[name], int(steps)))
 
             guess = max(2.0, min(_FIRST_GUESS, fewest) / solver.stages)
             most = max(2.0, min(_MOST_KICKS, _HOPELESS * fewest) / solver.stages)
@@ -63,9 +64,9 @@ class Contestant(Splittings[Scene]):
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
-        self._one_device = Lanes(devices=self.lanes.devices[:1])
+        self._one_device = LaneExecutor(devices=self.lanes.devices[:1])
 
-    def errors(self, strobe: Strobe) -> Errors:
+    def errors(self, strobe: ReturnMap) -> Errors:
         (x, y), (n1, n2) = self._iterate(self.lanes, strobe, np.arange(len(self.scene.b)), 1)
         return self.scene.errors(np.stack([x, y, n1, n2], axis=-1))
 
@@ -75,7 +76,7 @@ class Contestant(Splittings[Scene]):
         """As for every contestant; with a number of lanes (default: 256 a device), periods, and on one device only."""
         pool = self._one_device if one_device else self.lanes
         lanes = self.scene.timed(count or len(self.scene.values) * len(pool.devices))
-        strobe = make_strobe(self.system, SPLITTINGS[setting.form], int(setting.knob))
+        strobe = make_return_map(self.system, SPLITTINGS[setting.form], int(setting.knob))
 
         def run() -> int:
             self._iterate(pool, strobe, lanes, periods)
@@ -83,7 +84,7 @@ class Contestant(Splittings[Scene]):
 
         return run
 
-    def _iterate(self, pool: Lanes, strobe: Strobe, lanes: np.ndarray, periods: int) -> State:
+    def _iterate(self, pool: LaneExecutor, strobe: ReturnMap, lanes: np.ndarray, periods: int) -> State:
         x, y, n1, n2 = self.scene.unit_states[lanes].T
         start = ((x, y), (n1, n2)), {"b": self.scene.b[lanes]}
         return pool(iterate, (strobe, np.int32(periods)), start, periods=periods)

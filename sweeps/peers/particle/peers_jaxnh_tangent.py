@@ -13,9 +13,9 @@ import numpy as np
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import Scene as AnalysisScene
 from jaxnh.analyses.scene import spread
-from jaxnh.maps.build import make_strobe
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
-from jaxnh.maps.protocol import Strobe
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.solvers import SPLITTINGS
 from sweeps.peers.particle.peers_jaxnh import Splittings
 from sweeps.peers.particle.peers_scene import TANGENT_PERIODS, WHOLE, Errors, Setting, TangentScene, best, unit
@@ -39,13 +39,13 @@ class Contestant(Splittings[TangentScene]):
         solver = SPLITTINGS[found.form]
         parts = lyapunov.choose(_options(3), self._analysed(found), self.lanes)["parts"]
         steps = -(-int(found.knob) // parts) * parts
-        errors = self.errors(make_strobe(self.system, solver, steps))
+        errors = self.errors(make_return_map(self.system, solver, steps))
         label = f"{steps} steps, {solver.total_kicks(steps)} kicks a period"
         whole = replace(found, knob=float(steps), label=label, errors=errors, parts=parts)
         rows = [replace(whole, peer=peer) for peer in (MAP, ONE)]
         return [replace(whole, peer=SPECTRUM, label=f"{label}, {parts} orthonormalisations a period"), *rows]
 
-    def errors(self, strobe: Strobe) -> Errors:
+    def errors(self, strobe: ReturnMap) -> Errors:
         lanes = self.scene.timed()
         start = self.scene.states[lanes], {"b": self.scene.b[lanes]}
         return self.scene.derivative_errors(self.lanes(derivatives, (strobe, np.int32(1)), start)[1])
