@@ -71,11 +71,12 @@ NEWEST ?= $(lastword $(wildcard $(foreach minor,11 12 13 14 15,$(HOME)/.pyenv/ve
 release-check: $(INSTALLED)
 	$(RUN)/python -m sweeps.checks.release_check --newest '$(NEWEST)'
 
-# Style, layers, types and all tests but those marked slow. Types are checked beside the tests, by one core for a minute.
+# Style, layers, names, types and all tests but those marked slow. Types are checked beside the tests, by one core for a minute.
 test: $(INSTALLED)
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check .
 	$(RUN)/lint-imports --no-cache
+	$(RUN)/python -m sweeps.checks.names
 	$(MAKE) --jobs=2 --keep-going check_types check_tests
 
 check_types: $(INSTALLED)

@@ -49,7 +49,7 @@ def explore(
     worker = Worker()
     source: PictureSource
     if config.suffix == ".h5":
-        from jaxnh.explorer.recorded import recorded
+        from jaxnh.explorer.recording import recorded
 
         if overrides:
             raise InputError("command line: KEY=VALUE: a result file is as it is; leave it out")

@@ -286,11 +286,11 @@ OTHERS = {
     "ConstructorError": {"config/yaml_tree.py": "caught by the reader of YAML, which says it in a line"},
     "Fault": {"config/yaml_tree.py": "caught at once, and given its line", "config/yaml_source.py": "likewise"},
     "FileNotFoundError": {"storage/tiles.py": "a tile that is not there: caught by those who look for it"},
-    "_Unnamed": {"engine/cache/executables.py": "caught at once: such a program is compiled and not kept"},
+    "_NoNameError": {"engine/cache/executables.py": "caught at once: such a program is compiled and not kept"},
     "NotImplementedError": {
         "config/user_system.py": "a method for subclasses",
         "maps/protocol.py": "likewise",
-        "maps/along.py": "a map that is for the host alone",
+        "maps/map_family.py": "a map that is for the host alone",
         "maps/rows.py": "likewise",
         "maps/extended_precision.py": "an operation that no flow with a table of kicks has",
     },

@@ -12,8 +12,8 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.maps.along import MapFamily
 from jaxnh.maps.build import make_return_map
+from jaxnh.maps.map_family import MapFamily
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.rows import StrobeRows, strobe_rows
 from jaxnh.maps.single_precision import in_precision

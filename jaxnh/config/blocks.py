@@ -59,7 +59,7 @@ class OrderedBlock(Block):
 # ---- a sweep
 
 
-class Evenly(Block):
+class EvenGrid(Block):
     """Evenly spaced values, both ends included."""
 
     start: float = Field(description="First value")
@@ -67,7 +67,7 @@ class Evenly(Block):
     count: int = Field(ge=2, le=MOST_LANES, description="Number of values, both ends included")
 
     @model_validator(mode="after")
-    def _check(self) -> Evenly:
+    def _check(self) -> EvenGrid:
         if self.start == self.stop:
             raise rule(f"start and stop must differ, and both are {self.start:g}", "stop", "start")
         if not math.isfinite(self.stop - self.start):
@@ -89,7 +89,7 @@ class Evenly(Block):
         return np.linspace(self.start, self.stop, self.count)
 
 
-class Named(Block):
+class ValueGrid(Block):
     """Values named one by one."""
 
     values: tuple[float, ...] = Field(
@@ -112,12 +112,12 @@ class Named(Block):
 
 
 def _grid_kind(content: Any) -> str:
-    named = "values" in content if isinstance(content, dict) else isinstance(content, Named)
+    named = "values" in content if isinstance(content, dict) else isinstance(content, ValueGrid)
     return "values" if named else "start, stop, count"
 
 
 Grid: TypeAlias = Annotated[
-    Annotated[Evenly, Tag("start, stop, count")] | Annotated[Named, Tag("values")], Discriminator(_grid_kind)
+    Annotated[EvenGrid, Tag("start, stop, count")] | Annotated[ValueGrid, Tag("values")], Discriminator(_grid_kind)
 ]
 """Values of an axis."""
 
@@ -127,7 +127,7 @@ class SweepBlock(Block, abc.ABC):
 
     @property
     @abc.abstractmethod
-    def grids(self) -> Mapping[str, Evenly | Named]:
+    def grids(self) -> Mapping[str, EvenGrid | ValueGrid]:
         """Name to grid, in the order of the config."""
 
     @property
@@ -317,7 +317,7 @@ Column = Annotated[tuple[float | None, ...], Field(strict=False), AfterValidator
 """Published numbers of one variable; NaN where the publication has none (null in YAML)."""
 
 
-class Published(Block):
+class PublishedValues(Block):
     """Published values of an analysis: where they are from, what they are of, and a list of numbers a variable."""
 
     model_config = ConfigDict(extra="allow")

@@ -22,7 +22,7 @@ from pydantic import Field, PrivateAttr, ValidationError, field_validator, model
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Options, Setting, rule
 from jaxnh.analyses.scene import Axis
-from jaxnh.config.blocks import Accuracy, Analyses, Block, Levels, Published, SectionBlock, SystemBlock
+from jaxnh.config.blocks import Accuracy, Analyses, Block, Levels, PublishedValues, SectionBlock, SystemBlock
 from jaxnh.config.fitting import check_accuracy, check_analysis, check_levels
 from jaxnh.config.layout import layout, user_layout
 from jaxnh.config.messages import close_match, first_fault
@@ -56,7 +56,7 @@ class Experiment(Block):
     )
     accuracy: Accuracy = Field(default=Accuracy(), description="Error allowed, or solver and steps")
     analyses: Analyses = Field(description="What to compute: name of the analysis to its options")
-    compare: dict[str, Published] | None = Field(
+    compare: dict[str, PublishedValues] | None = Field(
         default=None, description="Published values to show beside ours: name of the analysis to source and numbers"
     )
 
@@ -169,7 +169,7 @@ class Experiment(Block):
 
     @field_validator("compare")
     @classmethod
-    def _known(cls, compare: dict[str, Published] | None) -> dict[str, Published] | None:
+    def _known(cls, compare: dict[str, PublishedValues] | None) -> dict[str, PublishedValues] | None:
         for name in compare or {}:
             if name not in ANALYSES:
                 raise rule(f"unknown analysis{close_match(name, ANALYSES)}; known are {', '.join(ANALYSES)}", name)
@@ -296,7 +296,7 @@ class Experiment(Block):
         message = f"{counts} are {self.sweep.lanes:,} lanes{would}"
         return self._origin.error(self._origin.blame(keys), message) if self._origin else ConfigError(message)
 
-    def unlike(self, published: Published) -> list[str]:
+    def unlike(self, published: PublishedValues) -> list[str]:
         """In words, in what system and start differ from those that published values are of; the first axis may."""
         theirs = {**published.system, **published.initial}
         ours = self._parameters()

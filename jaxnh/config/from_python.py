@@ -11,14 +11,14 @@ import numpy as np
 from jaxnh.config.experiment import Experiment, validated
 from jaxnh.config.yaml_source import from_dict
 from jaxnh.exceptions import InputError
-from jaxnh.systems.defined import Defined
+from jaxnh.systems.definition import DefinedFlow
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.free_particle import FreeParticle
 from jaxnh.systems.function_source import text_of
 from jaxnh.systems.particle import IsokineticParticle
 from jaxnh.systems.user_file import UserFile
 
-System = Callable[..., Any] | IsokineticParticle | Defined
+System = Callable[..., Any] | IsokineticParticle | DefinedFlow
 """What can be given: a function of parameters, `constant_speed(...)` and the others, or `lagrangian(...)`."""
 
 _FIRST = {"portrait": {}}  # an experiment asks for something
@@ -53,11 +53,11 @@ def experiment_of(
     if isinstance(system, IsokineticParticle | FreeParticle):
         content["system"] = {**_particle(system), **(parameters or {})}
         lane = "b", float(content["system"].pop("b", 0.0))
-    elif isinstance(system, Defined) or callable(system):
-        function = system.define if isinstance(system, Defined) else system
+    elif isinstance(system, DefinedFlow) or callable(system):
+        function = system.define if isinstance(system, DefinedFlow) else system
         given = (
             {name: float(np.asarray(value)) for name, value in system.values.items()}
-            if isinstance(system, Defined)
+            if isinstance(system, DefinedFlow)
             else {}
         )
         path = Path(f"{getattr(function, '__name__', 'system')}.py")

@@ -8,19 +8,19 @@ from typing import Any
 from pydantic import BaseModel
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.config.blocks import Accuracy, Analyses, Evenly, Levels, Named, Published
+from jaxnh.config.blocks import Accuracy, Analyses, EvenGrid, Levels, PublishedValues, ValueGrid
 from jaxnh.config.messages import Layout
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_tree import KeyPath
 
-_GRIDS: Mapping[str, type[BaseModel]] = {"start, stop, count": Evenly, "values": Named}
+_GRIDS: Mapping[str, type[BaseModel]] = {"start, stop, count": EvenGrid, "values": ValueGrid}
 _SHARED: Mapping[KeyPath, type[BaseModel]] = {
     ("accuracy",): Accuracy,
     ("analyses",): Analyses,
     ("levels",): Levels,
     **{("analyses", name): analysis.options for name, analysis in ANALYSES.items()},
-    **{("compare", name): Published for name in ANALYSES},
+    **{("compare", name): PublishedValues for name in ANALYSES},
 }
 _SYSTEMS: Mapping[str, type[BaseModel]] = {
     "constant_speed": ConstantSpeed,

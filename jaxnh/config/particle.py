@@ -12,14 +12,14 @@ from pydantic import ConfigDict, Field, field_validator
 
 from jaxnh.analyses.base import rule
 from jaxnh.config.blocks import (
-    Evenly,
+    EvenGrid,
     Grid,
     InitialBlock,
-    Named,
     OrderedBlock,
     SectionBlock,
     SweepBlock,
     SystemBlock,
+    ValueGrid,
 )
 from jaxnh.config.messages import close_match, listed, shown
 from jaxnh.exceptions import InputError
@@ -70,7 +70,7 @@ class Sweep(OrderedBlock, SweepBlock):
     y2: Grid | None = _axis("Velocity y2 of the start, where there is no constraint")
 
     @property
-    def grids(self) -> Mapping[str, Evenly | Named]:
+    def grids(self) -> Mapping[str, EvenGrid | ValueGrid]:
         """Name to grid, in the order of the config."""
         return {name: grid for name in self._order if (grid := getattr(self, name)) is not None}
 

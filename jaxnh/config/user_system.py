@@ -16,7 +16,7 @@ from jaxtyping import Float
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
 from jaxnh.analyses.base import rule
-from jaxnh.config.blocks import Block, Evenly, Grid, InitialBlock, Named, SectionBlock, SweepBlock, SystemBlock
+from jaxnh.config.blocks import Block, EvenGrid, Grid, InitialBlock, SectionBlock, SweepBlock, SystemBlock, ValueGrid
 from jaxnh.config.messages import listed, unknown
 from jaxnh.maps.section import SectionedFlow
 from jaxnh.systems.first_order import FirstOrder
@@ -82,7 +82,7 @@ class UserSweep(SweepBlock, UserBlock):
     model_config = ConfigDict(json_schema_extra={"minProperties": 1})
 
     @property
-    def grids(self) -> Mapping[str, Evenly | Named]:
+    def grids(self) -> Mapping[str, EvenGrid | ValueGrid]:
         """Name to grid, in the order of the config."""
         return self.__pydantic_extra__
 

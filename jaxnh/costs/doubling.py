@@ -23,7 +23,7 @@ from jaxnh.analyses.cascade import follow
 from jaxnh.analyses.periodic.location import period_map, refined, walk
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, section_points
-from jaxnh.costs.stage import Inside
+from jaxnh.costs.stage import StagelessRunner
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.doubling_points import doubling_point, follow_branch, moved_doubling
@@ -75,7 +75,7 @@ class _Watch:
 def price(scene: Scene, lanes: LaneRunner) -> xr.Dataset | None:
     """Every estimate with its error and times; None where the sweep has no doubling."""
     with lanes.stage("cost: the first doubling of the sweep", 0):
-        place = _first_doubling(scene, Inside(lanes))
+        place = _first_doubling(scene, StagelessRunner(lanes))
     if place is None:
         return None
     with lanes.stage(f"cost: doubling of period {place.n} by three methods", 0):

@@ -21,7 +21,7 @@ from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.costs.operations import count
-from jaxnh.costs.stage import Inside
+from jaxnh.costs.stage import StagelessRunner
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver, dopri8
@@ -205,7 +205,7 @@ def _stored(scene: Scene, requested: Requested, lanes: LaneRunner) -> dict[str, 
             found[analysis.name] = 0.0  # of the sweep, not of a lane
             continue
         needed: tuple[Mapping[str, xr.Dataset], ...] = ({n: done[n] for n in analysis.needs},) if analysis.needs else ()
-        data = analysis.run(options.model_copy(update=dict(analysis.brief)), two, Inside(lanes), *needed)
+        data = analysis.run(options.model_copy(update=dict(analysis.brief)), two, StagelessRunner(lanes), *needed)
         done[analysis.name] = data
         found[analysis.name] = sum(v.nbytes for v in data.variables.values() if v.dims[:1] == (LANE,)) / 2
     return found

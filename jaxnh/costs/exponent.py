@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.base import variable
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in
-from jaxnh.costs.stage import Inside
+from jaxnh.costs.stage import StagelessRunner
 
 _SEARCHED = 256  # lanes of the sweep among which the most chaotic is looked for
 _SEARCH_PERIODS = 256
@@ -40,13 +40,13 @@ class _Average(NamedTuple):
 def price(scene: Scene, lanes: LaneRunner) -> xr.Dataset | None:
     """Error and error bar at every averaging time; None where no lane of the sweep is chaotic beyond its error bar."""
     with lanes.stage(f"cost: largest exponents of {_SEARCHED} lanes", _SEARCHED * (_TRANSIENT + _SEARCH_PERIODS)):
-        value = _most_chaotic(scene, Inside(lanes))
+        value = _most_chaotic(scene, StagelessRunner(lanes))
     if value is None:
         return None
     averaged = np.array([*_AVERAGED, 10 * _AVERAGED[-1]])
     label = f"cost: largest exponent at {scene.line.name} = {value:.6g}"
     with lanes.stage(label, _LANES * float(np.sum(_TRANSIENT + averaged))):
-        return _measured(scene, Inside(lanes), value, averaged)
+        return _measured(scene, StagelessRunner(lanes), value, averaged)
 
 
 def _measured(scene: Scene, lanes: LaneRunner, value: float, averaged: Int[np.ndarray, " times"]) -> xr.Dataset:

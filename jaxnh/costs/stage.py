@@ -9,7 +9,7 @@ from typing import Any
 from jaxnh.analyses.scene import LaneRunner
 
 
-class Inside:
+class StagelessRunner:
     """Runs lanes as another runner does, and begins no stage."""
 
     def __init__(self, lanes: LaneRunner) -> None:

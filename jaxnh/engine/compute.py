@@ -24,7 +24,7 @@ from jaxnh.storage.pieces import Job, Piece
 from jaxnh.storage.tiles import SecondsSpent
 
 
-class Done(NamedTuple):
+class ComputedPiece(NamedTuple):
     """A piece that is computed.
 
     Attributes:
@@ -80,7 +80,7 @@ def compute(
     lanes: LaneExecutor,
     gathered: Callable[[str], xr.Dataset],
     level: Level | None = None,
-) -> list[Done]:
+) -> list[ComputedPiece]:
     """The datasets of pieces of a batch, each what it is if computed alone, bit for bit.
 
     Args:
@@ -114,7 +114,9 @@ def compute(
             (after.lane_periods - before.lane_periods) * share,
             after.device,
         )
-        done.append(Done(piece, {n: on_axes(data, piece, axes, line=line) for n, data in cut.items()}, counts, cost))
+        done.append(
+            ComputedPiece(piece, {n: on_axes(data, piece, axes, line=line) for n, data in cut.items()}, counts, cost)
+        )
     return done
 
 
@@ -156,7 +158,7 @@ def _of_all_tiles(
     piece: Piece,
     lanes: LaneExecutor,
     gathered: Callable[[str], xr.Dataset],
-) -> Done:
+) -> ComputedPiece:
     """What an analysis makes of all its tiles."""
     began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
     [(analysis, options)] = [(a, o) for a, o in requested if a.name == piece.names[0]]
@@ -181,4 +183,4 @@ def _of_all_tiles(
         lane_periods=after.lane_periods - before.lane_periods,
     )
     counts = {name: dict(analysis.count(data)) if name == analysis.name else {} for name, data in groups.items()}
-    return Done(piece, {name: whole_on_axes(data, axes) for name, data in groups.items()}, counts, cost)
+    return ComputedPiece(piece, {name: whole_on_axes(data, axes) for name, data in groups.items()}, counts, cost)

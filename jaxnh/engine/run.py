@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine import dask_workers, early_imports
 from jaxnh.engine.batches import batches
-from jaxnh.engine.compute import Done, compute, spent
+from jaxnh.engine.compute import ComputedPiece, compute, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.threads import side_by_side
 from jaxnh.engine.levels import files
@@ -357,7 +357,7 @@ class _Run:
             finally:
                 settle()
 
-    def _write(self, job: Job, computed: Sequence[Done], calls: CallJournal) -> list[TileRecord]:
+    def _write(self, job: Job, computed: Sequence[ComputedPiece], calls: CallJournal) -> list[TileRecord]:
         receipts = [tiles.write_piece(self._folder, job, *done) for done in computed]
         calls.close(remove=True)
         return receipts

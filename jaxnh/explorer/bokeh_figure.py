@@ -9,7 +9,7 @@ from bokeh.plotting import figure
 
 from jaxnh.exceptions import ResultError
 from jaxnh.explorer.figures import Drawing
-from jaxnh.explorer.recorded import source_of
+from jaxnh.explorer.recording import source_of
 
 
 def bokeh_figure(result: xr.DataTree, quantity: str | None = None) -> figure:

@@ -17,7 +17,7 @@ from jaxnh.explorer import batch
 from jaxnh.explorer.lattice import Lattice, Places, blocks
 from jaxnh.explorer.quantities import BASINS, OF_LANES, Options, analyses_of, shortened
 from jaxnh.explorer.raster import plane_raster
-from jaxnh.explorer.sessions import Calibrated, Sessions, goes_with
+from jaxnh.explorer.sessions import CalibratedSession, Sessions, goes_with
 from jaxnh.explorer.source import LaneReport, Picture, measured
 from jaxnh.explorer.view import View
 from jaxnh.plotting.panels import pixels_of
@@ -127,7 +127,9 @@ class LivePlane:
 
     # ---- how
 
-    def _blocks(self, view: View, known: Calibrated, step: int, *, first: bool) -> Iterator[tuple[Places, Places]]:
+    def _blocks(
+        self, view: View, known: CalibratedSession, step: int, *, first: bool
+    ) -> Iterator[tuple[Places, Places]]:
         """Places of the lanes of a level, as many at a time as a pass has time for; of basins all at once."""
         shape = (view.columns, view.rows)
         if view.variable == BASINS:
@@ -142,7 +144,7 @@ class LivePlane:
         at = {name: values[place] for (name, values), place in zip(view.grid().items(), places, strict=True)}
         return session.groups(analyses, **at, **self.sessions.moved(view))
 
-    def _step(self, view: View, known: Calibrated) -> int:
+    def _step(self, view: View, known: CalibratedSession) -> int:
         """Places between lanes of a coarse picture: all of these are in one tile a device, which takes least."""
         lanes, step = TILE * known.session.devices, 1
         while step < _LARGEST_STEP and -(-view.columns // step) * -(-view.rows // step) > lanes:
@@ -152,7 +154,7 @@ class LivePlane:
     def _picture(
         self,
         view: View,
-        known: Calibrated,
+        known: CalibratedSession,
         lattice: Lattice,
         groups: Mapping[str, xr.Dataset],
         places: tuple[Places, Places],

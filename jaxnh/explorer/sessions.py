@@ -29,7 +29,7 @@ _SECOND_REPORT = ("period", "lyapunov", "chaos01", "verdict")
 _SHIFTED = 1e3  # errors of one period: in a narrower range they may move what is seen
 
 
-class Calibrated(NamedTuple):
+class CalibratedSession(NamedTuple):
     """A session and what it is calibrated for.
 
     Attributes:
@@ -84,7 +84,7 @@ class Sessions:
         self.content = batch.fixed_at(batch.swept(content, grids, self.own), others, self.coordinates)
         self._base = self._experiment(grids, None)
         self.parameters = tuple(self._movable())
-        self._calibrated: list[Calibrated] = []
+        self._calibrated: list[CalibratedSession] = []
 
     @property
     def compiled(self) -> int:
@@ -108,7 +108,7 @@ class Sessions:
                 raise InputError(f"there is no parameter {name} to be moved; there are {', '.join(known)}")
         return {name: value for name, value in view.fixed.items() if value != known[name]}
 
-    def of(self, view: View) -> Calibrated:
+    def of(self, view: View) -> CalibratedSession:
         """A session that holds for a view, calibrated now if there is none yet.
 
         Raises:
@@ -150,7 +150,7 @@ class Sessions:
         solver = (plan.solver.name, plan.steps) if plan and not plan.compensated else None
         return batch.batch_text(self.content, view, analyses, self.coordinates, solver, title)
 
-    def notes(self, view: View, known: Calibrated) -> tuple[str, ...]:
+    def notes(self, view: View, known: CalibratedSession) -> tuple[str, ...]:
         """What one has to know of the accuracy of a picture."""
         plan = known.session.plan
         over = ", ".join(f"{name} in {low:g}..{high:g}" for name, (low, high) in known.ends.items())
@@ -193,12 +193,12 @@ class Sessions:
         axes: Mapping[str, tuple[float, float]],
         reach: Mapping[str, tuple[float, float]],
         moved: Mapping[str, float],
-    ) -> Calibrated:
+    ) -> CalibratedSession:
         grids = {name: batch.evenly(*ends, _CALIBRATED) for name, ends in axes.items()}
         grids |= {name: {"values": sorted({low, moved[name], high})} for name, (low, high) in reach.items()}
         session = Session(self._experiment(grids, view.target), progress=self._progress)
         _ = session.plan
-        return Calibrated({**axes, **reach}, view.target, session, session.of_few(_FEW))
+        return CalibratedSession({**axes, **reach}, view.target, session, session.of_few(_FEW))
 
 
 def goes_with(experiment: Experiment, name: str, options: Mapping[str, Any] | None) -> bool:

@@ -17,7 +17,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.maps.of_lane import of_lane
+from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.section import NO_RETURN, NOT_FINITE, Crossing, SectionedFlow
 from jaxnh.systems.flow import Flow, Parameters, State
@@ -57,7 +57,7 @@ class SteppedStrobe(ReturnMap):
         return lax.fori_loop(0, self.steps, lambda _, z: self.one(z, p), state)
 
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
-        begun = Pushforward(state, tangents, of_lane(jnp.ones_like(state[0][0]), state[0][0]))
+        begun = Pushforward(state, tangents, as_batched(jnp.ones_like(state[0][0]), state[0][0]))
         return lax.fori_loop(0, self.steps, lambda _, pushed: _pushed_on(self.one, pushed, p), begun)
 
 
@@ -187,7 +187,7 @@ class EventStrobe(ReturnMap):
         def unfinished(search: _Search) -> Array:
             return (search.left > 0) & ~search.lost & (search.steps < self.most_steps)
 
-        return lax.while_loop(unfinished, lambda search: self._stepped(search, p, advance), of_lane(first, rate))
+        return lax.while_loop(unfinished, lambda search: self._stepped(search, p, advance), as_batched(first, rate))
 
     def _stepped(self, search: _Search, p: Parameters, advance: Callable[[ReturnMap, Carried], Carried]) -> _Search:
         """One step on: a whole one, one that locates the crossing within it, or the one that ends there."""

@@ -234,7 +234,7 @@ _OPERATIONS: dict[str, Callable[..., Value]] = {
 }
 
 
-class Carried(NamedTuple):
+class PointAndTangent(NamedTuple):
     """P at a point and what it makes of a direction there, in section coordinates, (d,) each.
 
     Attributes:
@@ -246,11 +246,11 @@ class Carried(NamedTuple):
     vector: Double
 
 
-def carried(strobe: ReturnMap, hidden: ArrayLike, u: Double, w: Double, p: Mapping[str, Double]) -> Carried:
+def carried(strobe: ReturnMap, hidden: ArrayLike, u: Double, w: Double, p: Mapping[str, Double]) -> PointAndTangent:
     """One period of one lane from u (d,) along w (d,), and with parameters p of its own; see `extended`."""
     system = strobe.system
 
     def plain(u: Array, w: Array, p: Parameters) -> tuple[Array, Array]:
         return jax.jvp(lambda u: system.chart(strobe(system.unchart(u), p)), (u,), (w,))
 
-    return Carried(*extended(plain, hidden)(u, w, p))
+    return PointAndTangent(*extended(plain, hidden)(u, w, p))

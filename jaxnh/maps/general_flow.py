@@ -22,7 +22,7 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
-from jaxnh.maps.of_lane import of_lane
+from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.solvers import WrittenOutRungeKutta
@@ -147,7 +147,7 @@ class GeneralStrobe(ReturnMap):
             return Moving(value, moved, y.log_volume)
 
         first = jax.tree.leaves(state)[0]
-        zero = of_lane(jnp.zeros_like(first), first)
+        zero = as_batched(jnp.zeros_like(first), first)
         begun = Moving(state, tuple(t.state for t in tangents), zero)
         if system.drifts:
             ended = self._march(field, project, begun, len(tangents) + 1)

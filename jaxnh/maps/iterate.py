@@ -10,7 +10,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxnh.maps.of_lane import of_lane
+from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.systems.flow import Parameters, State
 
@@ -66,7 +66,7 @@ def derivatives(
         pushed = strobe.push(carry[0], p, carry[1])
         return pushed.state, pushed.tangents
 
-    state, moved = lax.fori_loop(0, n, period, of_lane((system.unchart(u), tuple(tangents)), u[0]))
+    state, moved = lax.fori_loop(0, n, period, as_batched((system.unchart(u), tuple(tangents)), u[0]))
     columns = [jnp.stack(system.lower(state, t.state)) for t in moved]
     by_parameter = jnp.stack(columns[d:], axis=-1) if isinstance(name, tuple) else columns[d] if name else None
     return Derivatives(system.chart(state), jnp.stack(columns[:d], axis=-1), by_parameter)

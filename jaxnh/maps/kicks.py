@@ -15,7 +15,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.maps.of_lane import of_lane
+from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.solvers import half_turn, kick
 from jaxnh.systems.flow import Parameters, Vector
@@ -88,7 +88,7 @@ class KickStrobe(ReturnMap):
         table = jnp.asarray(self.table)
         moved = [(*t.state[0], _cross(state[1], t.state[1])) for t in tangents]
         moved = tuple(_drift_tangent(state[1], v, table[0, 0]) for v in moved)
-        begun = self._begin(state), moved, of_lane(jnp.ones_like(state[0][0]), state[0][0])
+        begun = self._begin(state), moved, as_batched(jnp.ones_like(state[0][0]), state[0][0])
         carry, moved, volume = lax.fori_loop(0, self.kicks, advance, begun)
         q, n = self._end(carry)
         pushed = tuple(
@@ -138,7 +138,9 @@ class KickStrobe(ReturnMap):
         return entry[2] if self.system.forced else entry[1]
 
     def _begin(self, state: State) -> _Carry:
-        return _Carry(*state, of_lane(jax.tree.map(jnp.zeros_like, state), state[0][0]) if self.compensated else None)
+        return _Carry(
+            *state, as_batched(jax.tree.map(jnp.zeros_like, state), state[0][0]) if self.compensated else None
+        )
 
     def _end(self, carry: _Carry) -> State:
         q = _along(carry.q, carry.n, self.rest)

@@ -16,8 +16,8 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
+from jaxnh.maps.batching import as_batched
 from jaxnh.maps.iterate import derivatives
-from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.elimination import eliminate
 from jaxnh.systems.flow import Parameters
@@ -167,7 +167,7 @@ def find_doubled(
 
     far = jnp.full((), jnp.inf)
     begun = _Branches(u - _of(size, half), normal, first**2, jnp.int32(0), far, far)
-    found = lax.while_loop(unfinished, improve, of_lane(begun, u[0]))
+    found = lax.while_loop(unfinished, improve, as_batched(begun, u[0]))
     u = found.m + _of(size, jnp.sqrt(found.square) * found.v)
     image, monodromy, _ = derivatives(strobe, 2 * jnp.asarray(n), u, p)
     residual = jnp.max(_in(size, jnp.abs(system.wrap(image - u))))

@@ -10,7 +10,7 @@ from jaxnh.solvers.isokinetic import (
     kick,
 )
 from jaxnh.solvers.nystrom import NYSTROM, Nystrom, nystrom8
-from jaxnh.solvers.projected import Projected
+from jaxnh.solvers.projection import ProjectedSolver
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
 from jaxnh.solvers.tableaus import RUNGE_KUTTA, dopri5, dopri8, tsit5, tsitouras_papakostas8, verner9, written_out
 
@@ -26,7 +26,7 @@ __all__ = [
     "SPLITTINGS",
     "IsokineticSplitting",
     "Nystrom",
-    "Projected",
+    "ProjectedSolver",
     "Schedule",
     "Solver",
     "WrittenOutRungeKutta",

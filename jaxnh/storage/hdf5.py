@@ -68,7 +68,7 @@ class Hash(Protocol):
         ...
 
 
-class _Described(NamedTuple):
+class _VariableHeader(NamedTuple):
     """A variable but for its data."""
 
     name: str
@@ -123,13 +123,15 @@ def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, xr.Dataset]
     return seal
 
 
-def _write_group(target: h5py.Group, dataset: xr.Dataset, axes: Sequence[str]) -> tuple[Attributes, list[_Described]]:
+def _write_group(
+    target: h5py.Group, dataset: xr.Dataset, axes: Sequence[str]
+) -> tuple[Attributes, list[_VariableHeader]]:
     attrs = {str(key): value for key, value in dataset.attrs.items() if key != "warnings" or value}
     set_attributes(target, attrs)
     names = [str(name) for name in dataset.variables]
     first = [axis for axis in axes if axis in dataset.variables and dataset.variables[axis].dims == (axis,)]
     names = [*first, *(name for name in names if name not in first)]
-    written = list[_Described]()
+    written = list[_VariableHeader]()
     for name in names:
         content = dataset.variables[name]
         data = as_text(np.asarray(content.values))
@@ -137,7 +139,7 @@ def _write_group(target: h5py.Group, dataset: xr.Dataset, axes: Sequence[str]) -
         item[...] = as_stored(data)
         own = {**content.attrs, **_coordinates(dataset, name), DATA: checksum(data).hexdigest()}
         set_attributes(item, own)
-        written.append(_Described(name, data.shape, item.dtype.str, tuple(map(str, content.dims)), own))
+        written.append(_VariableHeader(name, data.shape, item.dtype.str, tuple(map(str, content.dims)), own))
     return attrs, written + attach(target, {one.name: one.dims for one in written})
 
 
@@ -190,9 +192,9 @@ def create(
     )
 
 
-def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> list[_Described]:
+def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> list[_VariableHeader]:
     """Make every axis a dimension scale, with an index where no variable has its name; those that were added."""
-    added, scales = list[_Described](), dict[str, h5py.Dataset]()
+    added, scales = list[_VariableHeader](), dict[str, h5py.Dataset]()
     for name, axes in dims.items():
         item = variable(target, name)
         for axis, dim in enumerate(axes):
@@ -201,7 +203,7 @@ def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> list[_Des
                     index = np.arange(item.shape[axis])
                     own = {**_index_words(dim), DATA: checksum(index).hexdigest()}
                     set_attributes(target.create_dataset(dim, data=index), own)
-                    added.append(_Described(dim, index.shape, index.dtype.str, (dim,), own))
+                    added.append(_VariableHeader(dim, index.shape, index.dtype.str, (dim,), own))
                 scales[dim] = variable(target, dim)
                 if not scales[dim].is_scale:
                     scales[dim].make_scale(dim)
@@ -408,7 +410,7 @@ def digest(file: h5py.File) -> str:
             name,
             attributes(group),
             [
-                _Described(name, item.shape, item.dtype.str, dimensions(item), attributes(item))
+                _VariableHeader(name, item.shape, item.dtype.str, dimensions(item), attributes(item))
                 for name, item in variables(group).items()
             ],
         )
@@ -417,7 +419,7 @@ def digest(file: h5py.File) -> str:
     return _seal_of(attributes(file), content)
 
 
-def _seal_of(attrs: Mapping[str, Any], groups: Iterable[tuple[str, Attributes, Sequence[_Described]]]) -> str:
+def _seal_of(attrs: Mapping[str, Any], groups: Iterable[tuple[str, Attributes, Sequence[_VariableHeader]]]) -> str:
     """The hash of a file with these root attributes, groups, and their attributes and variables."""
     found = hashlib.sha256()
 

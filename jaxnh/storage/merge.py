@@ -235,7 +235,7 @@ class _Target(Protocol):
         ...
 
 
-class _Collected:
+class _MemorySink:
     """Put together in memory, and written at the end."""
 
     def __init__(self, item: h5py.Dataset, dtype: np.dtype) -> None:
@@ -352,11 +352,11 @@ class _MergedGroup:
         if len(self._axes) == 1 and whole.dims[0] in self._axes:
             rows = item.chunks[0] if item.chunks else 0
             if small and rows * math.prod(item.shape[1:]) * size < _COPIED:
-                return _Collected(store.create(self._group, name, whole.shape, dtype), dtype)
+                return _MemorySink(store.create(self._group, name, whole.shape, dtype), dtype)
             chunks = row_chunks(whole.shape, size, rows or item.shape[0])
             return _InTurn(store.create(self._group, name, whole.shape, dtype, chunks))
         if small:
-            return _Collected(store.create(self._group, name, whole.shape, dtype), dtype)
+            return _MemorySink(store.create(self._group, name, whole.shape, dtype), dtype)
         chunks = slab_chunks(item.shape, whole.shape, size, _COLLECTED)
         return _Slabs(store.create(self._group, name, whole.shape, dtype, chunks))
 

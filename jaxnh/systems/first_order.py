@@ -13,7 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxnh.systems.defined import Defined, Definition, marked
+from jaxnh.systems.definition import DefinedFlow, Definition, marked
 from jaxnh.systems.flow import FAULTS, Number, Output, Parameters, Vector, turned
 
 
@@ -27,7 +27,7 @@ class Point(NamedTuple):
     y: Vector
 
 
-class FirstOrder(Defined):
+class FirstOrder(DefinedFlow):
     """Any system of a right-hand side, its definition's `rhs`; made by `first_order`."""
 
     # ---- names

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxnh.systems.defined import Definition
+from jaxnh.systems.definition import Definition
 from jaxnh.systems.flow import Number, Output, Parameters
 from jaxnh.systems.lagrangian import Lagrangian, Motion, lagrangian
 from jaxnh.systems.particle import WORDS

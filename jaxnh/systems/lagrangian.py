@@ -18,7 +18,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from jaxnh.systems.defined import Defined, Definition, marked
+from jaxnh.systems.definition import DefinedFlow, Definition, marked
 from jaxnh.systems.elimination import definite, eliminate, largest_of
 from jaxnh.systems.explicit import Explicit, all_velocities, explicit_velocities, free_accelerations
 from jaxnh.systems.flow import FAULTS, UNSAID, Number, Output, Parameters, Vector, turned
@@ -54,7 +54,7 @@ class Motion(NamedTuple):
     watch: Vector
 
 
-class Reduced(NamedTuple):
+class ReducedMotion(NamedTuple):
     """What steps carry of a lane whose constraints give some of its velocities.
 
     Attributes:
@@ -66,7 +66,7 @@ class Reduced(NamedTuple):
     u: Vector
 
 
-class Lagrangian(Defined):
+class Lagrangian(DefinedFlow):
     """Any system of a definition's `T`, `Q` and, where it has constraints, `f`; made by `lagrangian`.
 
     Attributes:
@@ -203,32 +203,32 @@ class Lagrangian(Defined):
         """Whether steps may leave the constraints."""
         return self.explicit is None
 
-    def stepped(self, y: Motion) -> Motion | Reduced:
+    def stepped(self, y: Motion) -> Motion | ReducedMotion:
         """Coordinates and the free velocities, where there is a choice."""
         explicit = self.explicit
-        return y if explicit is None else Reduced(y.q, tuple(y.v[j] for j in explicit.free))
+        return y if explicit is None else ReducedMotion(y.q, tuple(y.v[j] for j in explicit.free))
 
-    def stepped_rate(self, t: ArrayLike, z: Motion | Reduced, p: Parameters) -> Motion | Reduced:
+    def stepped_rate(self, t: ArrayLike, z: Motion | ReducedMotion, p: Parameters) -> Motion | ReducedMotion:
         """Time derivative of what steps carry."""
         explicit = self.explicit
-        if explicit is None or not isinstance(z, Reduced):
+        if explicit is None or not isinstance(z, ReducedMotion):
             assert isinstance(z, Motion)
             return self.rhs(t, z, p)
         equations = self.equations(p)
         v = all_velocities(equations, explicit, z.q, z.u, t)
-        return Reduced(v, free_accelerations(equations, explicit, z.q, z.u, t))
+        return ReducedMotion(v, free_accelerations(equations, explicit, z.q, z.u, t))
 
-    def restored(self, t: ArrayLike, z: Motion | Reduced, y: Motion, p: Parameters) -> Motion:
+    def restored(self, t: ArrayLike, z: Motion | ReducedMotion, y: Motion, p: Parameters) -> Motion:
         """The state on its constraints."""
         explicit = self.explicit
-        if explicit is None or not isinstance(z, Reduced):
+        if explicit is None or not isinstance(z, ReducedMotion):
             assert isinstance(z, Motion)
             return z
         return Motion(z.q, all_velocities(self.equations(p), explicit, z.q, z.u, t), y.watch)
 
-    def divergence_of(self, rate: Callable[[Any], Any], y: Motion | Reduced) -> Number:
+    def divergence_of(self, rate: Callable[[Any], Any], y: Motion | ReducedMotion) -> Number:
         """The same on the constraints: volumes of both are in a constant ratio, as C is constant."""
-        return jacobian_trace(rate, y, lambda z: z) if isinstance(y, Reduced) else super().divergence_of(rate, y)
+        return jacobian_trace(rate, y, lambda z: z) if isinstance(y, ReducedMotion) else super().divergence_of(rate, y)
 
     def compared(self, y: Motion) -> tuple[Vector, Vector]:
         """Coordinates and velocities."""

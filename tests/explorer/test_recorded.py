@@ -13,7 +13,7 @@ import jaxnh
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.explorer.key import key_html
 from jaxnh.explorer.raster import plane_raster
-from jaxnh.explorer.recorded import recorded
+from jaxnh.explorer.recording import recorded
 from jaxnh.explorer.report import lines
 from jaxnh.plotting.pixels import number_pixels
 from jaxnh.plotting.style import MANY

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxnh.maps.of_lane import of_lane
+from jaxnh.maps.batching import as_batched
 
 
 def batched(begin):
@@ -40,14 +40,14 @@ def batched(begin):
 
 
 def test_the_body_of_a_loop_is_batched_once():
-    assert batched(of_lane) == 1
+    assert batched(as_batched) == 1
     assert batched(lambda value, x: jnp.asarray(value)) > 1
 
 
 def test_the_same_numbers():
     """Of whatever type, in lanes that have failed too."""
     carry = {"sum": jnp.zeros(2), "count": jnp.int32(3), "far": jnp.array(-jnp.inf), "found": jnp.bool_(True)}
-    program = jax.jit(jax.vmap(lambda x: of_lane(carry, x)))
+    program = jax.jit(jax.vmap(lambda x: as_batched(carry, x)))
     lanes = jnp.array([0.0, 1.0, jnp.nan, jnp.inf])
     for found, leaf in zip(jax.tree.leaves(program(lanes)), jax.tree.leaves(carry), strict=True):
         assert found.dtype == leaf.dtype

@@ -13,7 +13,7 @@ from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.solvers import tsit5
 from jaxnh.systems.explicit import all_velocities, free_accelerations
 from jaxnh.systems.jourdain import accelerations
-from jaxnh.systems.lagrangian import Motion, Reduced, lagrangian
+from jaxnh.systems.lagrangian import Motion, ReducedMotion, lagrangian
 
 PERIOD = 2 * np.pi
 
@@ -224,6 +224,6 @@ def test_steps_carry_no_velocity_that_is_given():
     """Two coordinates and one velocity of the governor, in place of both velocities and what is watched."""
     system, start = SYSTEMS["governor"][0], on_constraints("governor")
     carried = system.stepped(start)
-    assert isinstance(carried, Reduced)
+    assert isinstance(carried, ReducedMotion)
     assert len(jax.tree.leaves(carried)) == 3
     assert not system.drifts

@@ -15,7 +15,7 @@ from paper_equations import constrained_field
 
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.solvers.isokinetic import DriftTerm, KickTerm
-from jaxnh.solvers.projected import Projected
+from jaxnh.solvers.projection import ProjectedSolver
 from jaxnh.systems.lagrangian import FAULTS, Equations, Motion, accelerations, lagrangian
 
 MOMENTS = 200
@@ -126,7 +126,7 @@ def test_energy_that_depends_on_place_and_time():
 
 def march(system, state, t1, steps, p=None, solver="dopri8"):
     """State at t1 from t = 0 by constant steps."""
-    solver = Projected(SOLVERS[solver], system)
+    solver = ProjectedSolver(SOLVERS[solver], system)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(system.rhs),
         solver,
@@ -239,7 +239,7 @@ def test_projection_is_orthogonal_and_its_drift_is_kept():
     """One coarse step leaves f = 0 by its error; the projection moves v along M⁻¹Aᵀ alone, and keeps that |f|."""
     system, plain = lagrangian(sleigh, {"mass": 1.3, "inertia": 0.4, "length": 0.6}), SOLVERS["tsit5"]
     start = motion((0, 0, 0.3), (math.cos(0.3), math.sin(0.3), 2.0))
-    before, after = stepped((plain, Projected(plain, system)), system, start, 0.3, {"mass": 1.3})
+    before, after = stepped((plain, ProjectedSolver(plain, system)), system, start, 0.3, {"mass": 1.3})
     (drift,), (left,) = (system.residuals(0.3, state, {"mass": 1.3}) for state in (before, after))
     assert abs(float(drift)) > 1e-6
     assert abs(float(left)) < 1e-15
@@ -297,7 +297,7 @@ def test_redundant_constraints_are_singular():
 
 def march_traced(system, state, p, t1, steps):
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(system.rhs), Projected(SOLVERS["dopri5"], system), 0.0, t1, t1 / steps, state, args=p
+        diffrax.ODETerm(system.rhs), ProjectedSolver(SOLVERS["dopri5"], system), 0.0, t1, t1 / steps, state, args=p
     )
     return jax.tree.map(lambda leaf: leaf[-1], solution.ys)
 

@@ -90,7 +90,7 @@ class ContinuedAttractors(NamedTuple):
     unseen: Sequence[Unseen]
 
 
-class _Continued(NamedTuple):
+class _OrbitsBeyond(NamedTuple):
     """Orbits at other values: which are there, and which of these are stable; points of them, and how they attract."""
 
     there: Bool[np.ndarray, " some"]
@@ -231,7 +231,7 @@ class _Line:
         u: Float[np.ndarray, "some d"],
         begin: Int[np.ndarray, " some"],
         end: Int[np.ndarray, " some"],
-    ) -> _Continued:
+    ) -> _OrbitsBeyond:
         """Orbits of some attractors, through u at the values `begin`, at `end`: there only if they lead back to u."""
         found = self._newton(some, u, end)
         back = self._newton(some, found.u, begin)
@@ -242,10 +242,10 @@ class _Line:
 
     def _newton(
         self, some: Int[np.ndarray, " some"], u: Float[np.ndarray, "some d"], points: Int[np.ndarray, " some"]
-    ) -> _Continued:
+    ) -> _OrbitsBeyond:
         """Newton from u for orbits with the periods of some attractors, at values of the parameters."""
         count = len(some)
-        found = _Continued(np.zeros(count, bool), np.zeros(count, bool), u.copy(), *np.full((2, count), np.nan))
+        found = _OrbitsBeyond(np.zeros(count, bool), np.zeros(count, bool), u.copy(), *np.full((2, count), np.nan))
         finite = np.all(np.isfinite(u), axis=1)
         for here, scene in self._grid.at(points):
             for kind in (PERIODIC, EQUILIBRIUM):
@@ -258,18 +258,18 @@ class _Line:
                     whole[which] = part
         return found
 
-    def _periodic(self, scene: Scene, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> _Continued:
+    def _periodic(self, scene: Scene, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> _OrbitsBeyond:
         period = self._every.period[some]
         orbit = orbits(self._lanes, scene.strobe(), u, dict(scene.p), period, self._every.size[some])
         multiplier = largest_multiplier(orbit.monodromy)
         with np.errstate(divide="ignore", invalid="ignore"):
             exponent = np.log(multiplier) / (period * scene.system.period)
-        return _Continued(orbit.residual < CONVERGED, multiplier < 1.0, orbit.u, multiplier, exponent)
+        return _OrbitsBeyond(orbit.residual < CONVERGED, multiplier < 1.0, orbit.u, multiplier, exponent)
 
-    def _at_rest(self, scene: Scene, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> _Continued:
+    def _at_rest(self, scene: Scene, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> _OrbitsBeyond:
         size = np.broadcast_to(self._largest, u.shape)
         found = equilibria_from_starts(scene, self._lanes, u, size)
-        return _Continued(found.found, found.stable, found.u, np.full(len(u), np.nan), found.exponent)
+        return _OrbitsBeyond(found.found, found.stable, found.u, np.full(len(u), np.nan), found.exponent)
 
     # ---- all others
 

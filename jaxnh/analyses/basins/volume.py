@@ -13,8 +13,8 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.smooth_window import window
 from jaxnh.analyses.window_averages import maps
+from jaxnh.maps.batching import as_batched
 from jaxnh.maps.iterate import derivatives
-from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters, State
 
@@ -64,6 +64,6 @@ def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, pa
             state, change = flow.unchart(u), jnp.linalg.slogdet(tangent)[1]
         return state, total + weight * change, weights + weight
 
-    zero = of_lane(jnp.zeros(()), jax.tree.leaves(state)[0])
+    zero = as_batched(jnp.zeros(()), jax.tree.leaves(state)[0])
     _, total, weights = lax.fori_loop(0, jnp.asarray(periods), period, (state, zero, zero))
     return total / weights

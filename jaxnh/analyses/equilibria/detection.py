@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.maps.of_lane import of_lane
+from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.newton import solve
 from jaxnh.systems.flow import Flow, Parameters, State
@@ -99,7 +99,7 @@ def _run(strobe: ReturnMap, flow: Flow, count: ArrayLike, state: State, p: Param
             y = strobe(carry[0], p)
             return y, jnp.maximum(carry[1], jnp.abs(rate(y)))
 
-        return lax.fori_loop(0, n, unit, (state, of_lane(jnp.zeros(flow.dimension), state[0][0])))
+        return lax.fori_loop(0, n, unit, (state, as_batched(jnp.zeros(flow.dimension), state[0][0])))
 
     quarter = jnp.asarray(count) // 4
     first = jnp.abs(rate(state))

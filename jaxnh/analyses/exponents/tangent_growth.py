@@ -20,8 +20,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.smooth_window import BLOCKS, windows
+from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import between, cut_strobe
-from jaxnh.maps.of_lane import of_lane
 from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.maps.rows import StackedMaps, stack
 from jaxnh.maps.single_precision import in_precision
@@ -165,7 +165,7 @@ def advance(
 ) -> TangentState:
     """One lane `count` periods on, its sums begun anew."""
     zeros = jax.tree.map(jnp.zeros_like, growth[2:])
-    growth = TangentState(growth.state, growth.tangents, *of_lane(zeros, growth.state[0][0]))
+    growth = TangentState(growth.state, growth.tangents, *as_batched(zeros, growth.state[0][0]))
     # Where the divergence is a derivative more, it serves the sum rule alone.
     wanted = strobes.system.contraction or len(growth.logs) == strobes.system.exponents
 
@@ -208,7 +208,7 @@ def _divergence(quadrature: Quadrature, state: State, p: Parameters) -> Array:
         return (state, carry[1] + weight * flow.divergence(t, state, p)), None
 
     nodes = (quadrature.maps, jnp.asarray(quadrature.t), jnp.asarray(quadrature.weights))
-    return lax.scan(node, (state, of_lane(jnp.zeros_like(state[0][0]), state[0][0])), nodes)[0][1]
+    return lax.scan(node, (state, as_batched(jnp.zeros_like(state[0][0]), state[0][0])), nodes)[0][1]
 
 
 def _across(

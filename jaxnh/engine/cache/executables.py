@@ -48,7 +48,7 @@ _SETTINGS = (
 _ACCOUNTED = ("jaxnh", *_LIBRARIES, "builtins", "math", "collections")  # modules whose text the versions say
 
 
-class _Unnamed(Exception):
+class _NoNameError(Exception):
     """Something in a program that no name can be given to."""
 
 
@@ -70,7 +70,7 @@ def name_of(
         return None
     try:
         words = [surroundings(), of_devices(devices), *_constant(function), *_constant(static), *_shapes(arguments)]
-    except _Unnamed:
+    except _NoNameError:
         return None
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
@@ -123,7 +123,7 @@ def _shapes(value: Any) -> Iterator[str]:
             yield field.name
             yield from (_constant if field.metadata.get("static") else _shapes)(getattr(value, field.name))
     else:
-        raise _Unnamed(value)
+        raise _NoNameError(value)
 
 
 def _constant(value: Any) -> Iterator[str]:
@@ -133,7 +133,7 @@ def _constant(value: Any) -> Iterator[str]:
     elif isinstance(value, np.ndarray | np.generic):
         yield f"{_class(type(value))} {value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
         if value.dtype.hasobject:
-            raise _Unnamed(value)
+            raise _NoNameError(value)
     elif isinstance(value, tuple | list):
         yield f"{_class(type(value))} {len(value)}"
         for item in value:
@@ -144,7 +144,7 @@ def _constant(value: Any) -> Iterator[str]:
         yield from sorted("\t".join(_constant(item)) for item in items)
     elif isinstance(value, UserFile):
         if (said := of_user_file(value)) is None:
-            raise _Unnamed(value)
+            raise _NoNameError(value)
         yield said
     elif isinstance(value, MethodType):
         yield from (value.__func__.__qualname__, *_constant(value.__self__))
@@ -164,20 +164,20 @@ def _constant(value: Any) -> Iterator[str]:
             yield field.name
             yield from _constant(getattr(value, field.name))
     else:
-        raise _Unnamed(value)
+        raise _NoNameError(value)
 
 
 def _class(kind: type) -> str:
     name = _known(kind)
     if "<locals>" in name:
-        raise _Unnamed(kind)
+        raise _NoNameError(kind)
     return name
 
 
 def _known(thing: Any) -> str:
     """Name of a function or class of a package whose text is accounted for."""
     if thing.__module__.split(".")[0] not in _ACCOUNTED:
-        raise _Unnamed(thing)
+        raise _NoNameError(thing)
     return f"{thing.__module__}.{thing.__qualname__}"
 
 

@@ -17,7 +17,7 @@ wanted a `time_unit` that lengths of time are counted in, and where it has some,
 parameters and coordinates are called in words, `labels`, and their `units`, by name."""
 
 
-class Defined(Flow):
+class DefinedFlow(Flow):
     """A flow whose equations are those of a definition, made anew of the parameters of each lane.
 
     Attributes:

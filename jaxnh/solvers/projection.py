@@ -11,7 +11,7 @@ from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow, State
 
 
-class Projected(diffrax.AbstractSolver):
+class ProjectedSolver(diffrax.AbstractSolver):
     """Steps of another solver, each followed by `Flow.project`.
 
     The order stays: a projection moves a step by no more than a multiple of its own error.

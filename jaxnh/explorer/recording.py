@@ -63,7 +63,7 @@ def source_of(tree: xr.DataTree, name: str) -> PictureSource:
     raise ResultError(f"{name} has {there}, and no diagram and no plane of two axes")
 
 
-class _Recorded:
+class _Recording:
     """What every source of a file has, beside what it draws."""
 
     computes = False
@@ -93,7 +93,7 @@ class _Recorded:
         return ""
 
 
-class RecordedDiagram(_Recorded):
+class RecordedDiagram(_Recording):
     """The diagram of a result file; as `PictureSource`."""
 
     def __init__(self, groups: _Groups, axis: str, attrs: _Attrs, name: str) -> None:
@@ -129,7 +129,7 @@ class RecordedDiagram(_Recorded):
         return super().lane(view, _nearest(self._data, where))
 
 
-class RecordedPlane(_Recorded):
+class RecordedPlane(_Recording):
     """The planes of a result file, a quantity each; as `PictureSource`."""
 
     def __init__(self, groups: _Groups, planes: list[str], axes: tuple[str, str], attrs: _Attrs, name: str) -> None:

@@ -12,7 +12,7 @@ from jaxtyping import Array
 Carry = TypeVar("Carry")
 
 
-def of_lane(carry: Carry, lane: ArrayLike) -> Carry:
+def as_batched(carry: Carry, lane: ArrayLike) -> Carry:
     """The same numbers, which `jax.vmap` takes to differ from lane to lane.
 
     It finds out by tracing the body of a loop that what begins as a constant does not stay one, and then traces it

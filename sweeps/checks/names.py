@@ -1,0 +1,127 @@
+"""Names that say too little: a class name that is defined twice, or one word that is a participle or an adverb.
+
+Of classes and modules.
+
+    python -m sweeps.checks.names
+
+`make test` runs this. A class is what it is, a module what it has: `CalibratedSession`, not `Calibrated`.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+from sweeps.checks.measured_at import PACKAGE, ROOT
+
+_PARTICIPLES = [
+    "begun",
+    "built",
+    "chosen",
+    "done",
+    "drawn",
+    "found",
+    "given",
+    "gone",
+    "grown",
+    "held",
+    "kept",
+    "known",
+    "left",
+    "lost",
+    "made",
+    "met",
+    "put",
+    "said",
+    "seen",
+    "sent",
+    "shown",
+    "spent",
+    "taken",
+    "told",
+    "written",
+]
+_PLACES = [
+    "about",
+    "above",
+    "across",
+    "after",
+    "along",
+    "apart",
+    "around",
+    "before",
+    "behind",
+    "below",
+    "beneath",
+    "beside",
+    "besides",
+    "between",
+    "beyond",
+    "evenly",
+    "from",
+    "in",
+    "inside",
+    "into",
+    "near",
+    "of",
+    "off",
+    "on",
+    "onto",
+    "outside",
+    "over",
+    "past",
+    "through",
+    "to",
+    "toward",
+    "towards",
+    "under",
+    "until",
+    "up",
+    "upon",
+    "with",
+    "within",
+    "without",
+]
+_NOUNS = {"seed", "speed", "_seed", "bed", "feed", "need"}
+_ALLOWED = {"Stopped": "the public exception of a call that was stopped, as `asyncio.CancelledError` is named"}
+
+
+def faults(folder: Path) -> Iterator[str]:
+    """Lines that say what is wrong with the names of a package."""
+    homes = defaultdict[str, list[str]](list)
+    for path in sorted(folder.rglob("*.py")):
+        place = path.relative_to(folder.parent).as_posix()
+        if _says_too_little(path.stem):
+            yield f"{place}: a module is named by what it has, not {path.stem}"
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                homes[node.name].append(f"{place}:{node.lineno}")
+                if _says_too_little(node.name) and node.name not in _ALLOWED:
+                    yield f"{place}:{node.lineno}: a class is named by what it is, not {node.name}"
+    for name, places in homes.items():
+        if len(places) > 1:
+            yield f"{places[1]}: a class {name} is defined at {places[0]} as well"
+
+
+def _says_too_little(name: str) -> bool:
+    """Whether a name is one word, and that a participle, a preposition or an adverb."""
+    words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
+    if len(words) != 1:
+        return False
+    word = words[0].lower()
+    return word in _PARTICIPLES or word in _PLACES or (word.endswith("ed") and word not in _NOUNS)
+
+
+def main() -> int:
+    """Run the check; returns its exit code."""
+    found = list(faults(ROOT / PACKAGE))
+    print("\n".join(found) or "names: every class has one of its own, and none is a bare participle")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
