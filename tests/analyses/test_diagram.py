@@ -18,6 +18,7 @@ from jaxnh.analyses.trajectories.diagram import DiagramOptions, random_starts, r
 from jaxnh.config.experiment import load
 from jaxnh.config.yaml_source import ConfigError
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.exceptions import InputError
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS
 
@@ -204,7 +205,7 @@ def test_lanes_near_a_doubling_are_drawn_on_their_orbit(b, n):
 
 def test_orbits_go_with_starts_side_by_side():
     for other in ({"start": "up"}, {"phase": 0.5}):
-        with pytest.raises(ValueError, match="side by side and strobes at phase 0"):
+        with pytest.raises(InputError, match="side by side and strobes at phase 0"):
             DiagramOptions(orbits=4, **other)
 
 
