@@ -184,7 +184,7 @@ def cluster(where: str) -> Iterator[Any]:
     with contextlib.ExitStack() as stack:
         local = _LOCAL.fullmatch(where)
         if local:
-            count = int(local[1] or len(os.sched_getaffinity(0)))
+            count = int(local[1] or len(xla_options.cores()))
             environment = {"JAX_NUM_CPU_DEVICES": "1", "OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
             settings.set({"distributed.nanny.pre-spawn-environ": environment})
             settings.set({"distributed.worker.multiprocessing-method": "spawn"})
@@ -230,9 +230,9 @@ def _lanes() -> LaneExecutor:
     """One device, on one core where there are several to choose from."""
     from distributed import get_worker
 
-    cores = sorted(os.sched_getaffinity(0))
+    cores = xla_options.cores()
     number = _NUMBERED.fullmatch(str(get_worker().name))
-    if len(cores) > 1 and number:
+    if len(cores) > 1 and number and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {cores[int(number[1]) % len(cores)]})
     xla_options.configure(1)
     return LaneExecutor()

@@ -62,7 +62,7 @@ def configure(devices: int | None = None) -> None:
     os.environ["XLA_FLAGS"] = wanted
     os.environ.setdefault("EQX_ON_ERROR", "nan")  # no host callbacks: they keep diffrax programs out of the cache
     if "JAX_NUM_CPU_DEVICES" not in os.environ and not _started():
-        jax.config.update("jax_num_cpu_devices", devices or len(os.sched_getaffinity(0)))
+        jax.config.update("jax_num_cpu_devices", devices or len(cores()))
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(root / "jaxnh" / "programs"))
@@ -144,6 +144,13 @@ def _flags(given: str) -> str:
     if _WIDTH not in flags:
         flags = f"{flags} {_WIDTH}=512".strip()  # where the processor has it: vectors of eight lanes, not four
     return flags
+
+
+def cores() -> list[int]:
+    """Numbers of the cores that this process may use; all of the machine where the system cannot say, as macOS."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
 
 
 def _started() -> bool:

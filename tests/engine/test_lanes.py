@@ -14,6 +14,7 @@ import pytest
 from conftest import ROOT
 from measure import SYSTEMS
 
+from jaxnh.engine import xla_options
 from jaxnh.engine.executor.lanes import TILE, LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
@@ -199,3 +200,9 @@ def test_a_flow_first_seen_by_two_devices():
     lanes = start, {"damping": np.full(8, 0.1)}
     found = [LaneExecutor(devices=jax.devices("cpu")[:n])(iterate, (step, np.int32(20)), lanes) for n in (2, 1)]
     same(*found)
+
+
+def test_cores_of_a_system_that_cannot_say(monkeypatch):
+    """macOS has no affinities: all cores of the machine are there to be used."""
+    monkeypatch.delattr(os, "sched_getaffinity")
+    assert xla_options.cores() == list(range(os.cpu_count()))

@@ -20,7 +20,7 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.base import OptionError, Setting, variable
-from jaxnh.analyses.exponents.errors import STUDENT
+from jaxnh.analyses.exponents.errors import student
 from jaxnh.analyses.scene import Axis
 
 BOX = 5
@@ -142,8 +142,7 @@ def uncertainty_exponent(labels: Int[np.ndarray, "x y"]) -> BoundaryMeasures:
     counting = float(np.sqrt(np.sum(away**2 / differ[use])) / (away @ away))
     inner = -(-len(x) // 2) + 1
     bias = 2.0 * (_line(x[:inner], y[:inner])[0] - slope)
-    student = STUDENT[min(len(x) - 1, max(STUDENT))]
-    return BoundaryMeasures(slope, float(np.hypot(max(student * scatter, _COVER * counting), bias)))
+    return BoundaryMeasures(slope, float(np.hypot(max(student(len(x) - 1) * scatter, _COVER * counting), bias)))
 
 
 def _different(labels: Int[np.ndarray, "x y"], distance: int, margin: int) -> tuple[int, int]:

@@ -10,13 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import stdtrit
 
 from jaxnh.analyses.exponents.tangent_growth import TangentState
 from jaxnh.analyses.smooth_window import BLOCKS, window, windows
-
-STUDENT = {16: 2.131, 15: 2.145, 14: 2.160, 13: 2.179, 12: 2.201, 11: 2.228, 10: 2.262, 9: 2.306, 8: 2.365}
-STUDENT |= {7: 2.447, 6: 2.571, 5: 2.776, 4: 3.182, 3: 4.303, 2: 12.706}
-"""Student's quantile of 95 %, two-sided, for the mean of so many numbers: one more than its degrees of freedom."""
 
 _FEWEST = 4  # means of a batch that an error is taken from
 _ROUNDING = 1e-10  # of a smooth average a period
@@ -36,6 +33,11 @@ class Average(NamedTuple):
     error: Float[np.ndarray, "lanes sums"]
 
 
+def student(count: int) -> float:
+    """Return Student's two-sided quantile of 95 % for the mean of so many numbers, by one less degrees of freedom."""
+    return float(stdtrit(count - 1, 0.975))
+
+
 def of_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
     """Mean over blocks, and its error at 95 % by the scatter of blocks and of batches of them.
 
@@ -50,7 +52,7 @@ def of_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
     while blocks // size >= _FEWEST:
         count = blocks // size
         batches = rates[:, : count * size].reshape(len(rates), count, size, -1).mean(axis=2)
-        error = np.maximum(error, STUDENT[count] * batches.std(axis=1, ddof=1) / math.sqrt(count))
+        error = np.maximum(error, student(count) * batches.std(axis=1, ddof=1) / math.sqrt(count))
         size *= 2
     strayed = np.cumsum(rates - mean[:, None], axis=1) / blocks
     low, high = np.minimum(strayed.min(axis=1), 0.0), np.maximum(strayed.max(axis=1), 0.0)
