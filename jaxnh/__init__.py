@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from jaxnh.config.experiment import Experiment, load
     from jaxnh.engine.session import Session, run
     from jaxnh.explorer.bokeh_figure import bokeh_figure
+    from jaxnh.plotting.meanings import labels
     from jaxnh.plotting.results import figure
     from jaxnh.storage.hdf5 import open_result
     from jaxnh.systems.free_particle import FreeParticle, free_particle
@@ -67,6 +68,7 @@ _HOMES = {
     "disturbed_speed": "systems.particle",
     "figure": "plotting.results",
     "free_particle": "systems.free_particle",
+    "labels": "plotting.meanings",
     "lagrangian": "systems.lagrangian",
     "load": "config.experiment",
     "open_result": "storage.hdf5",
@@ -140,6 +142,7 @@ __all__ = [
     "disturbed_speed",
     "figure",
     "free_particle",
+    "labels",
     "lagrangian",
     "load",
     "open_result",

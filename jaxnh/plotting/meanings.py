@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from jaxnh.exceptions import ResultError
+from jaxnh.exceptions import InputError, ResultError
 from jaxnh.plotting.style import BLUE, GREEN, MANY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 FAILED = "#000000"
@@ -22,6 +22,26 @@ _MEANINGS = {
     "failed": FAILED,
 }
 _OTHER_MEANINGS = (PURPLE, GREEN, SKY, YELLOW, *MANY)
+
+
+def labels(variable: xr.DataArray) -> xr.DataArray:
+    """Return the words that a variable's whole numbers stand for, of its shape; "" where a number stands for none.
+
+    Args:
+        variable: of a result, with attributes `flag_values` and `flag_meanings` as the CF conventions have them.
+
+    Raises:
+        InputError: it is no such variable.
+        ResultError: `flag_values` and `flag_meanings` are not equally many.
+    """
+    if not isinstance(variable, xr.DataArray) or "flag_meanings" not in variable.attrs:  # pyright: ignore[reportUnnecessaryIsInstance]
+        name = getattr(variable, "name", None) or f"a {type(variable).__name__}"
+        raise InputError(
+            f"{name} has no words: labels are of a variable with flag_meanings, as tree['verdict']['kind']"
+        )
+    words = {value: word for value, (word, _) in meanings(variable).items()}
+    found = np.vectorize(lambda value: words.get(int(value), ""), otypes=[object])(variable.to_numpy())
+    return variable.copy(data=found).drop_attrs().assign_attrs(long_name=variable.attrs.get("long_name", ""))
 
 
 def meanings(variable: xr.DataArray) -> dict[int, tuple[str, str]]:
