@@ -169,13 +169,15 @@ def run(example: Example) -> Ran:
 
 
 def _copy(folder: Path) -> None:
-    """The files of the repository, and its environment by a link; times are kept, so that make finds it up to date."""
+    """The files of the repository, and its environment by a link, which make finds up to date: it is what runs this."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     for name in filter(None, listed.split("\0")):
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, folder / name)
+            shutil.copy(ROOT / name, folder / name)
     (folder / ".venv").symlink_to(_environment_folder())
+    for name in ("pyproject.toml", "constraints.txt"):
+        os.utime(folder / name, (0, 0))
     for result in (folder / "results").glob("*.h5"):
         result.unlink()  # as in a fresh checkout nothing has been run
 
