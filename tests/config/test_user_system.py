@@ -31,7 +31,7 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.general_flow import GeneralStrobe
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.plotting import results as figures
-from jaxnh.solvers import SOLVERS, SPLITTINGS, Projected
+from jaxnh.solvers import SOLVERS, SPLITTINGS, ProjectedSolver
 from jaxnh.storage import hdf5 as store
 from jaxnh.systems import flow as flows
 from jaxnh.systems.lagrangian import Motion
@@ -90,7 +90,7 @@ def test_map_is_diffeqsolve_with_projected_steps(tmp_path):
     assert isinstance(strobe, GeneralStrobe)
     start = jax.tree.map(lambda component: jnp.float64(component[0]), own.start)
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(own.system.rhs), Projected(SOLVERS["tsit5"], own.system), 0.0, own.system.period,
+        diffrax.ODETerm(own.system.rhs), ProjectedSolver(SOLVERS["tsit5"], own.system), 0.0, own.system.period,
         own.system.period / 100, start, args={"b": 2.0}, max_steps=128,
     )  # fmt: skip
     moved = LaneExecutor()(section_map, (strobe, np.int32(1)), (own.system.section_point(own.start), own.p))[0]

@@ -43,13 +43,13 @@ HEAD = """
 import os, time
 import jaxnh.storage.calls as storage
 storage._OFTEN, storage._BYTES = 0.0, 1 << 60
-add, number = storage.Calls.add, iter(range(10**6))
+add, number = storage.CallJournal.add, iter(range(10**6))
 def added(self, part):
     add(self, part)
     if next(number) == {at}:
         os.kill(os.getpid(), {signal})
         time.sleep({wait})
-storage.Calls.add = added
+storage.CallJournal.add = added
 """
 
 

@@ -36,7 +36,7 @@ START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 
 @pytest.fixture(scope="module")
 def lanes():
-    """Tiles as commands have them: here are thousands of lanes, and bits are those of `Lanes()` on one device."""
+    """Tiles as commands have them: here are thousands of lanes, and bits are those of `LaneExecutor()` on one device."""
     return lanes_with_kept_programs()
 
 

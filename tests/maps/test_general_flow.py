@@ -18,7 +18,7 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.general_flow import general_strobe
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.step_grids import step_grid
-from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, Projected, dopri8, tsit5
+from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, ProjectedSolver, dopri8, tsit5
 from jaxnh.systems.free_particle import definition, free_particle
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.particle import disturbed_speed
@@ -65,7 +65,7 @@ def test_steps_are_diffeqsolve_with_projected_steps(name, flow, rolled):
     strobe = general_strobe(system, solver, grid, rolled=rolled)
     assert strobe.turns == ((100.0, float(solver.stages)) if rolled else (100.0,))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(system.rhs), Projected(solver, system), 0.0, system.period, None, start, args=p,
+        diffrax.ODETerm(system.rhs), ProjectedSolver(solver, system), 0.0, system.period, None, start, args=p,
         stepsize_controller=diffrax.StepTo(grid), max_steps=128,
     )  # fmt: skip
     exact = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
