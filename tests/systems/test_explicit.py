@@ -111,7 +111,7 @@ def test_accelerations_are_those_of_the_bordered_system(name):
 
 @LARGE_SLOW
 def test_motions_keep_the_constraints_and_are_those_of_projected_steps(lanes, name):
-    """The other way is the package's own too, by steps of the whole state each projected: `Projected` in diffrax."""
+    """The other way is the package's own too, by steps of the whole state each projected: `ProjectedSolver` in diffrax."""
     system, start = SYSTEMS[name][0], on_constraints(name)
     p = {"drive": np.array([0.3, 0.8])}
     end = lanes(iterate, (make_return_map(system, tsit5, 400), np.int32(2)), (spread(start, 2), p))
