@@ -1,10 +1,10 @@
 """The strobe map of any flow by a Runge–Kutta method, each step projected on the constraints, on a grid of steps.
 
 The loop does the arithmetic of `solvers.projection.ProjectedSolver` under `diffrax.diffeqsolve`, and so many steps are
-data: one program serves every accuracy. What the field makes of time alone is in a table (`time_tables`). Tangents and volume
-go along with the state, stage by stage, by the field's linearisation, which is the exact derivative of the steps.
-Solvers that are not the package's run under `diffeqsolve` itself. Derivatives go through the constraints as well: in 2k
-coordinates and velocities the map has m multipliers zero.
+data: one program serves every accuracy. What the field makes of time alone is in a table (`time_tables`). Tangents and
+volume go along with the state, stage by stage, by the field's linearisation, which is the exact derivative of the
+steps. Solvers that are not the package's run under `diffeqsolve` itself. Derivatives go through the constraints as
+well: in 2k coordinates and velocities the map has m multipliers zero.
 """
 
 from __future__ import annotations

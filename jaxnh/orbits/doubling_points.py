@@ -17,7 +17,6 @@ from numpy.polynomial import polynomial
 
 from jaxnh.orbits import cyclic
 from jaxnh.orbits.shooting import Period, ShootingOrbits, Wrap, close_orbits
-from jaxnh.systems.particle import wrap as planar_wrap
 
 FEIGENBAUM = 4.669201609102990
 """Ratio δ of successive distances between doublings, far down a cascade; here it only says where to look."""
@@ -69,7 +68,7 @@ class DoublingBranch(NamedTuple):
 
 
 def follow_branch(
-    period: Period, points: Float[np.ndarray, "n d"], start: float, stop: float, wrap: Wrap = planar_wrap
+    period: Period, points: Float[np.ndarray, "n d"], start: float, stop: float, wrap: Wrap
 ) -> DoublingBranch | None:
     """The branch of a stable orbit from one value of the parameter on to where it has doubled; None: not before `stop`.
 
@@ -110,7 +109,7 @@ def follow_branch(
     return None
 
 
-def doubling_point(period: Period, branch: DoublingBranch, wrap: Wrap = planar_wrap) -> DoublingPoint | None:
+def doubling_point(period: Period, branch: DoublingBranch, wrap: Wrap) -> DoublingPoint | None:
     """The doubling on a branch; None where it is not there.
 
     Rounds of nodes narrow about the root of the round before, until the error falls no more: rounding is reached.
@@ -148,7 +147,7 @@ def doubling_point(period: Period, branch: DoublingBranch, wrap: Wrap = planar_w
     return found
 
 
-def moved_doubling(period: Period, point: DoublingPoint, wrap: Wrap = planar_wrap) -> DoublingPoint | None:
+def moved_doubling(period: Period, point: DoublingPoint, wrap: Wrap) -> DoublingPoint | None:
     """The doubling of nearly the same map, as of more steps a period, by Newton with the slope of the one known.
 
     None where it is not there. Its error has that of the known one in it.

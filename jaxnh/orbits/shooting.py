@@ -16,7 +16,6 @@ from jaxnh.maps.iterate import Derivatives
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits import cyclic
 from jaxnh.systems.flow import Parameters
-from jaxnh.systems.particle import wrap as planar_wrap
 
 _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-9  # step, in sizes of the orbit, after which the points are known to rounding
@@ -61,7 +60,7 @@ def close_orbits(
     period: Period,
     points: Float[np.ndarray, "nodes n d"],
     values: Float[np.ndarray, " nodes"],
-    wrap: Wrap = planar_wrap,
+    wrap: Wrap,
 ) -> ShootingOrbits:
     """Newton on P(u_i; p) = u_{i+1} around the orbits of all nodes at once; nodes that have come to rest drop out.
 

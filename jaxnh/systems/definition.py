@@ -6,10 +6,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
 from jaxnh.systems.flow import UNSAID, Flow, Parameters, Vector, unit_of_time
+from jaxnh.systems.tracing import KnownValue, Program
 
 Definition = Mapping[str, Any]
 """What a system says of itself: its equations of motion, `coordinates`, with a clock its `period`, without one if
@@ -68,9 +70,7 @@ class DefinedFlow(Flow):
 
     def shares(self, name: str) -> bool:
         """Whether the strobe period depends on a parameter."""
-        if name not in self.values:
-            return False
-        return unit_of_time(self.define(**{**self.values, name: self.values[name] + 1.0})) != self.period
+        return name in self.values and _decides_the_clock(self.define, self.values, name)
 
     def definition(self, p: Parameters) -> Definition:
         """The definition of a lane."""
@@ -80,6 +80,27 @@ class DefinedFlow(Flow):
         """k tangents to begin with, in no special direction: none is lost on constraints or invariant planes."""
         draws = np.linalg.qr(np.random.default_rng(0).normal(size=(self.dimension, self.dimension)))[0]
         return tuple(tuple(row.tolist()) for row in draws[:k])
+
+
+def _decides_the_clock(define: Callable[..., Definition], values: Mapping[str, ArrayLike], name: str) -> bool:
+    """Whether a parameter has a part in the period, or the unit of time, that a definition says.
+
+    The definition is traced. Where it makes its period by functions of plain numbers alone, values near by are
+    compared.
+    """
+
+    def clock(value: ArrayLike) -> Any:
+        definition = define(**{**values, name: value})
+        return jnp.asarray(definition.get("period", definition.get("time_unit", 1.0)), float)
+
+    now = float(np.asarray(values[name]))
+    try:
+        traced = Program(clock, now)
+    except Exception:
+        near = (now + shift * (abs(now) or 1.0) for shift in (-1e-3, 1e-3))
+        return len({unit_of_time(define(**{**values, name: value})) for value in (now, *near)}) > 1
+    (output,), depends = traced.outputs, traced.depends([1])
+    return not isinstance(output, KnownValue) and depends[output] > 0
 
 
 def marked(definition: Definition, kind: str) -> tuple[bool, ...]:

@@ -70,6 +70,7 @@ def test_strong_contraction(battery, lanes):
             lambda u, b, strobe=strobe: lanes(derivatives, (strobe, np.int32(1)), (u, {"b": b}), tile=32),
             walk(lanes, scene, found.u[0], n)[None],
             np.array([b]),
+            wrap,
         )
         options = lyapunov.LyapunovOptions(transient=128, periods=512 if battery.full else 128)
         x, y, theta = found.u[0]

@@ -36,7 +36,7 @@ def one_period(lanes):
 def first(lanes, one_period):
     """The doubling 1 → 2."""
     start = attractor_survey.survey(SCENE, lanes, constant_speed().section_point(START)[None], 2, "hard", 300)
-    return doubling_point(one_period, follow_branch(one_period, start.u, 5.54, 5.515))
+    return doubling_point(one_period, follow_branch(one_period, start.u, 5.54, 5.515, wrap), wrap)
 
 
 # ---- on the edge of a doubling
@@ -139,7 +139,7 @@ def test_deep_in_the_cascade(battery, lanes, one_period):
         n, last = 2**k, points[k]
         # Midway between two doublings, from the orbit at the second.
         at = 0.5 * (points[k - 1].value + last.value)
-        orbit = close_orbits(one_period, last.orbit[None], np.array([at]))
+        orbit = close_orbits(one_period, last.orbit[None], np.array([at]), wrap)
         residual, blocks = orbit.residual[0], orbit.blocks[0]
         closing.append(residual)
         battery.row(f"period {n} at b = {at:.12f}: closed", residual, 1e-10, "largest gap")

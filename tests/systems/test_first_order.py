@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import heyoka as hy
 import jax.numpy as jnp
 import numpy as np
@@ -158,3 +160,20 @@ def test_names_of_states(lanes):
     assert outputs["phi"].long_name == "angle phi"
     assert flow.plane == ("phi", "rate")
     assert isinstance(lagrangian(pendulum_by_t_and_q, PENDULUM).start({"phi": 0.0, "phi_dot": 0.0}), Motion)
+
+
+def test_what_decides_the_clock():
+    """A period that is the same one further, one by plain numbers alone, and parameters that have no part in it."""
+
+    def define(tilt=0.1, pace=2.0, size=1.0):
+        period = 2 * np.pi / (1.5 + jnp.cos(2 * np.pi * tilt))
+        return {"rhs": lambda y, t: (size * jnp.cos(t),), "coordinates": ("x",), "period": period * math.sqrt(4.0)}
+
+    flow = first_order(define, {"tilt": 0.1, "pace": 2.0, "size": 1.0})
+    assert [name for name in flow.parameters if flow.shares(name)] == ["tilt"]
+
+    def plainly(pace=2.0, size=1.0):
+        return {"rhs": lambda y, t: (size * jnp.cos(t),), "coordinates": ("x",), "period": math.sqrt(pace)}
+
+    flow = first_order(plainly, {"pace": 2.0, "size": 1.0})
+    assert [name for name in flow.parameters if flow.shares(name)] == ["pace"]
