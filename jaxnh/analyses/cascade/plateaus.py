@@ -57,11 +57,6 @@ class PeriodScan(NamedTuple):
         order = np.unique(both.value, return_index=True)[1]
         return both.take(order if self.sign > 0 else order[::-1])
 
-    def run_end(self, first: int) -> int:
-        """Last lane of the run of equal periods that begins at a lane."""
-        other = np.flatnonzero(self.period[first:] != self.period[first])
-        return first + int(other[0]) - 1 if len(other) else len(self.value) - 1
-
     def runs(self) -> list[Plateau]:
         """Its runs, in order."""
         starts = np.flatnonzero(np.diff(self.period, prepend=-1)).tolist()
