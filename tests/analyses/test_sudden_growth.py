@@ -8,7 +8,7 @@ from conftest import session_of
 from test_basins import experiment
 from test_tracking import changes
 
-from jaxnh.analyses.crises.sudden_growth import sudden_growths
+from jaxnh.analyses.crises.sudden_growth import agreed, sudden_growths
 
 CRISIS = 1.790327
 """Of period 3: the iterates 6 and 9 of 0 are one (`test_windows.CRISES`)."""
@@ -35,6 +35,21 @@ def test_a_trend_is_no_crisis(shift):
     """Beyond the crisis it fills the interval, which goes on as the parameter does, wherever it lies."""
     values = 1.93 + 0.001 * np.arange(8)
     assert not np.any(sudden_growths(clouds(values, shift), values))
+
+
+def test_twins_agree():
+    """Of two with the same exponents what one shows alone is none; of others, or at other values, it is."""
+    first, second = np.array([False, True, True]), np.array([False, True, False])
+    rates = np.array([0.10, 0.12, 0.11, 0.13])
+    places = [3, 4, 5, 6]
+
+    def shown(other, where=places):
+        return [found.tolist() for found in agreed([first, second], [places, where], [rates, other])]
+
+    assert shown(1.02 * rates) == [second.tolist()] * 2
+    assert shown(1.2 * rates) == [first.tolist(), second.tolist()]
+    assert shown(1.02 * rates, [3, 4, 5, 7]) == [first.tolist(), second.tolist()]
+    assert agreed([], [], []) == []
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, PERIODIC,
 from jaxnh.analyses.basins.clustering import Assignment, match, same_orbits, same_within
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, go_on, settle
 from jaxnh.analyses.crises.band_phase import embedded
-from jaxnh.analyses.crises.sudden_growth import sudden_growths
+from jaxnh.analyses.crises.sudden_growth import agreed, sudden_growths
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, largest_multiplier, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
@@ -333,12 +333,14 @@ class _Line:
                 begin, end = self._ends[way].get(one, (int(self._point[one]), int(self._beside[way][one])))
                 if self._links[way][one] < 0 <= end:
                     found.append(Change(CRISIS if kind == CHAOTIC else change, one, self._axis, begin, end))
-        for chain in self._chaotic_chains():
-            places = [
-                np.unravel_index(self._point[one], [len(v) for v in self._grid.values])[self._axis] for one in chain
-            ]
-            values = self._grid.values[self._axis][places]
-            for k in np.flatnonzero(sudden_growths(self._clouds(chain), values)).tolist():
+        chains, sizes = list(self._chaotic_chains()), [len(values) for values in self._grid.values]
+        along = [np.unravel_index(self._point[chain], sizes)[self._axis] for chain in chains]
+        values = self._grid.values[self._axis]
+        grown = [sudden_growths(self._clouds(chain), values[at]) for chain, at in zip(chains, along, strict=True)]
+        points = [self._point[chain].tolist() for chain in chains]
+        grown = agreed(grown, points, [self._every.exponent[chain] for chain in chains])
+        for chain, steps in zip(chains, grown, strict=True):
+            for k in np.flatnonzero(steps).tolist():
                 one, other = chain[k], chain[k + 1]
                 found.append(Change(CRISIS, one, self._axis, int(self._point[one]), int(self._point[other])))
         return found

@@ -2,7 +2,8 @@
 
 A chaotic attractor changes with the parameter, and is known by finitely many points: from one value to the next some of
 it is always off what is known of it at the other. In a crisis it is off by more than from there to the values beside,
-and by more than points of one and the same attractor are off each other.
+and by more than points of one and the same attractor are off each other. Attractors that a symmetry makes of each other
+change together: what one of them shows alone is chance.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from jaxtyping import Bool, Float
 _SHARE = 0.95  # of points, that are nearer than the reach
 _POINTS = 1024  # of an attractor, at most
 _JUMP = 3.0  # times the trend, or what points of one attractor are off each other
+_ALIKE = 0.05  # of an exponent, that those of twins are apart at most: averages over a thousand periods
+_FEWEST = 3  # values at which exponents are compared
 _NO_TREND = 0.05  # sizes: what stands for the trend where there is none
 
 
@@ -38,6 +41,35 @@ def sudden_growths(
         trend = step / rate * float(beside.max()) if len(beside) else _NO_TREND
         found[k] = step > _JUMP * max(trend, float(own[k : k + 2].max()))
     return found
+
+
+def agreed(
+    grown: Sequence[Bool[np.ndarray, " steps"]],
+    places: Sequence[Sequence[int]],
+    exponents: Sequence[Float[np.ndarray, " values"]],
+) -> list[Bool[np.ndarray, " steps"]]:
+    """What attractors show of sudden growth, of twins by a symmetry only what all of them show.
+
+    Twins are there at the same values and have the same exponents, whatever the symmetry is, and whatever phase of the
+    period it shifts; attractors that have not are hardly alike in them at every value.
+
+    Args:
+        grown: of each attractor, whether it is suddenly another from each of its values to the next.
+        places: of each, the numbers of its values.
+        exponents: of each, the largest at each value.
+    """
+    kept = list[np.ndarray]()
+    for k, own in enumerate(exponents):
+        twins = [i for i, other in enumerate(exponents) if i == k or _twins(places[k], own, places[i], other)]
+        kept.append(np.all([grown[i] for i in twins], axis=0))
+    return kept
+
+
+def _twins(here: Sequence[int], own: np.ndarray, there: Sequence[int], other: np.ndarray) -> bool:
+    """Whether two attractors may be images of each other."""
+    if list(here) != list(there) or len(here) < _FEWEST:
+        return False
+    return bool(np.all(np.abs(own - other) <= _ALIKE * np.maximum(np.abs(own), np.abs(other))))
 
 
 def nearest_distances(
