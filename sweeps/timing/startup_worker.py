@@ -51,7 +51,9 @@ def main() -> None:
     clock, runners = Clock(), list[Any]()
     in_calibration = {"compiling": 0.0, "programs": 0.0, "run": 0.0}
 
-    class Watched(run.Lanes):
+    name = "LaneExecutor" if hasattr(run, "LaneExecutor") else "Lanes"  # of a checkout from before it was called so
+
+    class Watched(getattr(run, name)):
         def __init__(self, *arguments: Any, **options: Any) -> None:
             super().__init__(*arguments, **options)
             runners.append(self)
@@ -71,7 +73,8 @@ def main() -> None:
             in_calibration.update({key: value - before[key] for key, value in spent().items()})
 
     plain = run.decide
-    run.Lanes, run.decide = Watched, clock.timed("calibration", decide)
+    setattr(run, name, Watched)
+    run.decide = clock.timed("calibration", decide)
     run.merge = clock.timed("writing", run.merge)
     jax.stages.Lowered.compile = clock.timed("compiling", jax.stages.Lowered.compile)  # pyright: ignore[reportAttributeAccessIssue]
     sys.argv = ["jaxnh.sweep", *arguments]
