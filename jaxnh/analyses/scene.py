@@ -207,7 +207,7 @@ def counted_in(system: Flow) -> str:
 
 
 class LaneRunner(Protocol):
-    """Runs a per-lane function over any number of lanes (`jaxnh.engine.executor.lanes.Lanes`)."""
+    """Runs a per-lane function over any number of lanes (`jaxnh.engine.executor.lanes.LaneExecutor`)."""
 
     def __call__(
         self,
