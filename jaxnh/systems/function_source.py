@@ -10,8 +10,10 @@ import ast
 import builtins
 import inspect
 import sys
+import sysconfig
 import textwrap
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -20,6 +22,7 @@ import numpy as np
 
 from jaxnh.exceptions import InputError
 
+_LIBRARIES = tuple(sysconfig.get_paths()[name] for name in ("stdlib", "platstdlib", "purelib", "platlib"))
 _ENTRY = "system"  # the function that a file must have
 
 
@@ -108,8 +111,10 @@ def _defaults(function: FunctionType, known: Mapping[str, Any]) -> dict[str, Any
 
 def _installed(function: FunctionType) -> bool:
     """Whether a function is of a module that other processes can import by its name, and not of the user's own."""
+    if function.__module__.split(".")[0] == __name__.split(".")[0]:
+        return True
     path = getattr(sys.modules.get(function.__module__), "__file__", None)
-    return path is not None and any(part in path for part in ("site-packages", "lib/python", "jaxnh/"))
+    return path is not None and any(Path(path).is_relative_to(folder) for folder in _LIBRARIES)
 
 
 def _home(value: Any) -> tuple[str, str] | None:

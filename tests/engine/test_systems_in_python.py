@@ -117,6 +117,22 @@ def test_what_a_function_takes_from_around_it_goes_with_it():
     assert scope["system"].__defaults__ == oscillator.__defaults__
 
 
+def test_a_module_of_the_user_s_own_goes_with_it(tmp_path, monkeypatch):
+    """Wherever it lies, in a checkout called as the package is as well; what is installed is imported by its name."""
+    (tmp_path / "jaxnh").mkdir()
+    (tmp_path / "jaxnh" / "springs_of_mine.py").write_text("def stiff(x):\n    return 3.0 * x\n")
+    monkeypatch.syspath_prepend(tmp_path / "jaxnh")
+    scope = typed(
+        "from statistics import fmean\nfrom springs_of_mine import stiff\n\n"
+        "def flow(a=1.0):\n"
+        "    return {'rhs': lambda y, t: (fmean([a, a]) * stiff(y[0]),), 'coordinates': ('x',)}\n"
+    )
+    text = text_of(scope["flow"])
+    assert "def stiff(x):" in text
+    assert "from statistics import fmean" in text
+    assert "springs_of_mine" not in text
+
+
 def test_what_is_taken_from_a_function_around_it():
     def made(power):
         def system(k=1.0):
