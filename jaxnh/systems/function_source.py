@@ -36,7 +36,7 @@ def text_of(function: Callable[..., Any]) -> str:
         known_as = getattr(function, "__name__", type(function).__name__)
         raise InputError(f"a system is a function written with def, and {known_as} is not")
     parts = dict[str, str]()
-    _gather(function, function.__name__, parts)
+    _gather(function, function.__name__, parts, {})
     *needed, own = parts.values()
     imports = [part for part in needed if part.startswith(("import ", "from "))]
     others = [part for part in needed if part not in imports]
@@ -44,26 +44,36 @@ def text_of(function: Callable[..., Any]) -> str:
     return "\n".join(["".join(f"{part}\n" for part in imports), *others, own, *alias]).lstrip("\n")
 
 
-def _gather(function: FunctionType, name: str, parts: dict[str, str]) -> None:
-    """Put what a function takes from around it into the parts, by name, each before what needs it, then its source."""
-    parts[name] = ""  # a function that calls itself
+def _gather(function: FunctionType, name: str, parts: dict[str, str], known: dict[str, Any]) -> None:
+    """Put what a function takes from around it into the parts, by name, each before what needs it, then its source.
+
+    Raises:
+        InputError: a name is one thing to one function and another to another, as of two modules.
+    """
+    parts[name], known[name] = "", function  # a function that calls itself
     around = inspect.getclosurevars(function)
     values = {**around.globals, **around.nonlocals, **_defaults(function, around.globals)}
     for other in sorted(_names_of(function.__code__) & function.__globals__.keys()):
         values.setdefault(other, function.__globals__[other])
     for other, value in values.items():
-        if other not in parts:
-            _put(other, value, function, parts)
+        if other not in known:
+            known[other] = value
+            _put(other, value, function, parts, known)
+        elif known[other] is not value and not (_is_literal(value) and repr(value) == repr(known[other])):
+            raise InputError(
+                f"{other} is one thing to {function.__name__} and another to a function that goes with it, and a file "
+                "has one; rename one of them"
+            )
     del parts[name]
     parts[name] = _source(function)
 
 
-def _put(name: str, value: Any, user: FunctionType, parts: dict[str, str]) -> None:
+def _put(name: str, value: Any, user: FunctionType, parts: dict[str, str], known: dict[str, Any]) -> None:
     """Put the definition of one name into the parts."""
     if isinstance(value, ModuleType):
         parts[name] = f"import {value.__name__}" + ("" if value.__name__ == name else f" as {name}")
     elif inspect.isfunction(value) and not _installed(value):
-        _gather(value, name, parts)
+        _gather(value, name, parts, known)
         if value.__name__ != name:
             parts[name] += f"\n{name} = {value.__name__}\n"
     elif isinstance(value, np.ndarray | jax.Array):

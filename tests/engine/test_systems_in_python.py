@@ -145,6 +145,24 @@ def test_what_is_taken_from_a_function_around_it():
     assert scope["system"](2.0)["rhs"]((2.0, 1.0), 0.0) == (1.0, -16.0)
 
 
+def test_a_name_that_is_two_things_is_refused():
+    """Two springs of one function each know a k of their own: a text with one of them would be another system."""
+
+    def spring(k):
+        def force(x):
+            return k * x
+
+        return force
+
+    soft, hard = spring(1.0), spring(9.0)
+
+    def system(a=1.0):
+        return {"rhs": lambda y, t: (y[1], -soft(y[0]) - hard(y[1])), "coordinates": ("x", "v")}
+
+    with pytest.raises(jaxnh.InputError, match="is one thing to force and another"):
+        text_of(system)
+
+
 class Thing:
     """Nothing that a text could say."""
 
