@@ -60,12 +60,17 @@ def _gather(function: FunctionType, name: str, parts: dict[str, str], known: dic
             known[other] = value
             _put(other, value, function, parts, known)
         elif known[other] is not value and not (_is_literal(value) and repr(value) == repr(known[other])):
-            raise InputError(
-                f"{other} is one thing to {function.__name__} and another to a function that goes with it, and a file "
-                "has one; rename one of them"
-            )
+            raise _clash(other, function)
     del parts[name]
     parts[name] = _source(function)
+
+
+def _clash(name: str, function: FunctionType) -> InputError:
+    """Return the error of a name that is two things."""
+    return InputError(
+        f"{name} is one thing to {function.__name__} and another to a function that goes with it, and a file has one; "
+        "rename one of them"
+    )
 
 
 def _put(name: str, value: Any, user: FunctionType, parts: dict[str, str], known: dict[str, Any]) -> None:
@@ -73,6 +78,8 @@ def _put(name: str, value: Any, user: FunctionType, parts: dict[str, str], known
     if isinstance(value, ModuleType):
         parts[name] = f"import {value.__name__}" + ("" if value.__name__ == name else f" as {name}")
     elif inspect.isfunction(value) and not _installed(value):
+        if value.__name__ != name and known.setdefault(value.__name__, value) is not value:
+            raise _clash(value.__name__, user)
         _gather(value, name, parts, known)
         if value.__name__ != name:
             parts[name] += f"\n{name} = {value.__name__}\n"

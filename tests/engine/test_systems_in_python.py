@@ -159,8 +159,36 @@ def test_a_name_that_is_two_things_is_refused():
     def system(a=1.0):
         return {"rhs": lambda y, t: (y[1], -soft(y[0]) - hard(y[1])), "coordinates": ("x", "v")}
 
-    with pytest.raises(jaxnh.InputError, match="is one thing to force and another"):
+    with pytest.raises(jaxnh.InputError, match="force is one thing to system and another"):
         text_of(system)
+
+    def harder(k):
+        def pull(x):
+            return k * x
+
+        return pull
+
+    pull = harder(4.0)
+
+    def two(a=1.0):
+        return {"rhs": lambda y, t: (y[1], -soft(y[0]) - pull(y[1])), "coordinates": ("x", "v")}
+
+    with pytest.raises(jaxnh.InputError, match="k is one thing to (pull|force) and another"):
+        text_of(two)
+
+    def force(x):
+        return STEPS * x
+
+    def other(x):
+        STEPS = 3.0  # its own
+        return STEPS * force(x)
+
+    def nested(a=1.0):
+        return {"rhs": lambda y, t: (y[1], -other(y[0])), "coordinates": ("x", "v")}
+
+    scope = {}
+    exec(text_of(nested), scope)
+    assert scope["system"]()["rhs"]((2.0, 1.0), 0.0) == (1.0, -3.0 * STEPS * 2.0)
 
 
 class Thing:
