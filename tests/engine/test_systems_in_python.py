@@ -173,7 +173,7 @@ def test_a_name_that_is_two_things_is_refused():
     def two(a=1.0):
         return {"rhs": lambda y, t: (y[1], -soft(y[0]) - pull(y[1])), "coordinates": ("x", "v")}
 
-    with pytest.raises(jaxnh.InputError, match="k is one thing to (pull|force) and another"):
+    with pytest.raises(jaxnh.InputError, match=r"k is one thing to (pull|force) and another"):
         text_of(two)
 
     def force(x):
