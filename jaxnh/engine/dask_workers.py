@@ -108,11 +108,15 @@ def _run_stage(
         while futures and len(lost) < _MOST_LOST:
             heed()
             for future in _ended(client, list(futures)):
-                piece = futures.pop(future)
                 try:
-                    finished(_receipt(future, piece))
+                    receipt = _receipt(future, futures[future])
                 except LostError as error:
                     lost.append(error)
+                else:
+                    if receipt is None:
+                        continue
+                    finished(receipt)
+                del futures[future]
         if lost:
             raise RunError("; ".join(map(str, lost))) from lost[0]
     finally:
@@ -136,20 +140,32 @@ def machine(where: str, lanes: LaneExecutor, heed: Callable[[], None]) -> dict[s
         return future.result()
 
 
-def _receipt(future: Any, piece: Piece) -> TileRecord:
+def _receipt(future: Any, piece: Piece) -> TileRecord | None:
+    """The receipt of a piece that has ended; None if it is gone with its worker, and the scheduler has it made anew.
+
+    Raises:
+        LostError: the piece has lost all workers that it was at.
+        RunError: it failed on every try.
+        Stopped: the cluster is gone.
+    """
     from distributed import CancelledError
 
+    status = future.status  # read once: another worker's death may change it at any time
     try:
-        if future.status == "finished":
+        if status == "finished":
             return future.result(timeout=_CONNECT)
-        error = future.exception(timeout=_CONNECT)
-    except (OSError, TimeoutError, CancelledError):
+        error = future.exception(timeout=_CONNECT) if status == "error" else None
+    except TimeoutError:  # the worker that had it died just now; one that has no scheduler is told by `_ended`
+        return None
+    except (OSError, CancelledError):
         raise Stopped("the Dask scheduler is gone") from None
-    if error is not None:
-        if type(error).__name__ == "KilledWorker":
-            raise LostError(f"tile {piece.number} has lost its worker again and again") from error
-        raise RunError(f"tile {piece.number} failed on a worker: {' '.join(str(error).split())[:500]}") from error
-    raise Stopped("the Dask scheduler has dropped the work")
+    if status == "cancelled":
+        raise Stopped("the Dask scheduler has dropped the work")
+    if error is None:
+        return None
+    if type(error).__name__ == "KilledWorker":
+        raise LostError(f"tile {piece.number} has lost its worker again and again") from error
+    raise RunError(f"tile {piece.number} failed on a worker: {' '.join(str(error).split())[:500]}") from error
 
 
 def _ended(client: Any, futures: list[Any]) -> list[Any]:
@@ -188,6 +204,8 @@ def cluster(where: str) -> Iterator[Any]:
             environment = {"JAX_NUM_CPU_DEVICES": "1", "OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
             settings.set({"distributed.nanny.pre-spawn-environ": environment})
             settings.set({"distributed.worker.multiprocessing-method": "spawn"})
+            # A worker that dies is counted against all pieces that wait there: so none but the one at work waits there.
+            settings.set({"distributed.scheduler.worker-saturation": 1.0})
             layout: dict[str, Any] = {"n_workers": count, "threads_per_worker": 1, "processes": True}
             layout |= {"dashboard_address": None, "memory_limit": 0, "host": _LOOPBACK}
             options["address"] = stack.enter_context(LocalCluster(**layout))
