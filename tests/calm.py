@@ -14,7 +14,7 @@ from measure import CALM, CALM_B, CALM_STATES, apart, twin
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.systems.particle import unchart
+from jaxnh.systems.particle import CHART
 
 # Roundings of some 2000 kicks add up at random to 1e-14, and the calm flow enlarges them up to ten times: with ten
 # times that to spare,
@@ -32,12 +32,12 @@ def image(lanes, strobe, n=1):
 
 def start_states():
     """The states of the calm lanes, components (lanes,)."""
-    return jax.tree.map(np.asarray, jax.vmap(unchart)(jnp.asarray(CALM_STATES)))
+    return jax.tree.map(np.asarray, jax.vmap(CHART.state)(jnp.asarray(CALM_STATES)))
 
 
 def one_lane():
     """The state and parameters of the first of them."""
-    return unchart(jnp.asarray(CALM_STATES[0])), {"b": jnp.asarray(CALM_B[0])}
+    return CHART.state(jnp.asarray(CALM_STATES[0])), {"b": jnp.asarray(CALM_B[0])}
 
 
 def check_convergence(lanes, system, solver):

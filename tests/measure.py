@@ -16,7 +16,7 @@ from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import section_map
 from jaxnh.solvers import IsokineticSplitting, isokinetic_terms
-from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart
+from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
 
 
 def some_slow(cases, *quick):
@@ -49,7 +49,7 @@ def twin(system):
 def scene_of(system, start, values, solver, steps, compensated=False, error=0.0, *, name="b", **others):
     """A scene of lanes along one axis, all from the same start state of floats."""
     values = np.asarray(values, float)
-    axis = Axis(name, values, system.words(name))
+    axis = Axis(name, values, system.labels.long_names[name])
     return Scene(
         system, spread(start, len(values)), {name: values}, solver, steps, compensated, error, along=axis, **others
     )
@@ -75,9 +75,9 @@ def stock(system, solver):
 
     def lane(u, b, dt):
         solution = diffrax.diffeqsolve(
-            terms, solver, 0.0, system.period, dt, unchart(u), args={"b": b}, max_steps=4096, throw=False
+            terms, solver, 0.0, system.period, dt, CHART.state(u), args={"b": b}, max_steps=4096, throw=False
         )
-        return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
+        return CHART.point(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
 
     return jax.jit(jax.vmap(lane, in_axes=(0, 0, None)))
 

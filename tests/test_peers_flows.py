@@ -28,9 +28,9 @@ def test_what_users_write_is_the_flow_of_the_others(name):
     for _ in range(4):
         y = np.array(case.start) + rng.uniform(-0.5, 0.5, len(case.start))
         value, t = rng.uniform(case.low, case.high), rng.uniform(0.0, case.period)
-        state = flow.flow.unchart(flow.embed(jnp.asarray(y)))
+        state = flow.flow.chart.state(flow.embed(jnp.asarray(y)))
         rate = flow.flow.rhs(t, state, {case.parameter: value})
-        ours = np.asarray(flow.flow.lower(state, rate))[list(flow.picks)]
+        ours = np.asarray(flow.flow.chart.lower(state, rate))[list(flow.picks)]
         force = {"sin": np.sin, "cos": np.cos}.get(case.forcing, np.zeros_like)(t)
         theirs = np.array(case.field(np, y, force, value))
         assert np.abs(ours - theirs).max() < 1e-13 * (1.0 + np.abs(theirs).max())
@@ -58,7 +58,7 @@ def test_variational_equations_of_a_flow():
     run = jax.jit(lambda z: strobe(z, {"rho": 30.0}))
 
     def end(y):
-        return np.asarray(flow.chart(run(flow.unchart(jnp.asarray(y)))))
+        return np.asarray(flow.chart.point(run(flow.chart.state(jnp.asarray(y)))))
 
     y, h = scene.states[1], 1e-4
     columns = [(end(y + h * e) - end(y - h * e)) / (2 * h) for e in np.eye(3)]

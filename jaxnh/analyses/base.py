@@ -20,7 +20,8 @@ from pydantic_core import PydanticCustomError
 from jaxnh.analyses.price import Price
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene
 from jaxnh.exceptions import InputError
-from jaxnh.systems.flow import Flow, State
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.state import State
 
 LANE = "lane"
 """Dimension of lanes side by side."""
@@ -98,7 +99,7 @@ class Setting(NamedTuple):
     def advice(self) -> str:
         """What to say of a first axis that is no parameter of a lane's own: which one may be put in its place."""
         names = [axis.name for axis in self.axes if axis.kind == "lane"]
-        names = names[:1] or sorted(name for name in self.flow.parameters if not self.flow.shares(name))[-1:]
+        names = names[:1] or sorted(name for name in self.flow.parameters if not self.flow.is_shared(name))[-1:]
         return f"; put a parameter such as {names[0]} first" if names else ""
 
 

@@ -29,7 +29,8 @@ from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 _ANGLES = 64
 _TILE = 32
@@ -83,7 +84,7 @@ def _growth(
     strobe: ReturnMap, transient: ArrayLike, angles: Float[Array, " angles"], state: State, p: Parameters, count: int
 ) -> Float[Array, " angles"]:
     """K of one lane for every angle."""
-    signals = strobe.system.signal(record(strobe, iterate(strobe, transient, state, p), p, count)[1])
+    signals = strobe.chart.observable(record(strobe, iterate(strobe, transient, state, p), p, count)[1])
     return growth_rates(without_period(signals), angles, mean_square(signals))
 
 

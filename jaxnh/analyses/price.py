@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnh.analyses.scene import Scene, section_points
+from jaxnh.analyses.scene import Scene
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import ReturnMap
 
@@ -50,7 +50,7 @@ def map_alone(scene: Scene, strobe: ReturnMap | None = None, tile: int | None = 
 def newton_price(scene: Scene, tile: int) -> Price:
     """A period of Newton on orbits: the map with a tangent for every coordinate, against the map alone."""
     strobe = scene.strobe()
-    lanes = section_points(scene), dict(scene.p)
+    lanes = scene.chart.host_points(scene.start), dict(scene.p)
     program = PricedProgram(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=tile)
-    note = f"{scene.system.dimension} tangents in every period of Newton, the map alone before it"
+    note = f"{scene.chart.dimension} tangents in every period of Newton, the map alone before it"
     return Price(program, map_alone(scene, tile=tile), note)

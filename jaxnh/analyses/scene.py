@@ -16,9 +16,12 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.map_family import MapFamily
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.rows import StrobeRows, strobe_rows
+from jaxnh.maps.section import System
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
-from jaxnh.systems.flow import Flow, State
+from jaxnh.systems.chart import Chart
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.state import State
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class Scene:
         target: the error asked for, while analyses choose by it steps of their own; 0 where they are to have none.
     """
 
-    system: Flow
+    system: System
     start: State
     p: Mapping[str, Float[np.ndarray, " lanes"]]
     solver: Solver
@@ -117,6 +120,11 @@ class Scene:
     def flow(self) -> Flow:
         """The system in continuous time."""
         return self.system.flow
+
+    @property
+    def chart(self) -> Chart:
+        """What its return map acts on."""
+        return self.system.chart
 
     def in_time(self) -> Scene:
         """The same scene with no section, for what is an average or a path over time."""
@@ -192,18 +200,13 @@ def spread(start: State, lanes: int) -> State:
     return jax.tree.map(lane, start)
 
 
-def section_points(scene: Scene) -> Float[np.ndarray, "lanes dimension"]:
-    """Section coordinates of the start states, on the host."""
-    return scene.system.section_point(scene.start)
-
-
-def counted_in(system: Flow) -> str:
+def counted_in(system: System) -> str:
     """Units of a number of iterates of a system's map: periods, crossings, or without either units of time."""
     if system.flow is not system:
         return "crossings"
-    if not system.autonomous:
+    if not system.flow.autonomous:
         return "periods"
-    return "units of time 2 pi/omega" if "omega" in system.parameters else "units of time"
+    return "units of time 2 pi/omega" if "omega" in system.flow.parameters else "units of time"
 
 
 class LaneRunner(Protocol):

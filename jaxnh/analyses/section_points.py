@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.systems.flow import Flow, State
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.state import State
 
 
 def points_at(scene: Scene, lanes: LaneRunner, state: State) -> Float[np.ndarray, "lanes d"]:
@@ -20,8 +21,8 @@ def states_at(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) 
 
 
 def _point_of(system: Flow, state: State) -> Float[Array, " d"]:
-    return system.chart(state)
+    return system.chart.point(state)
 
 
 def _state_at(system: Flow, u: Float[Array, " d"]) -> State:
-    return system.unchart(u)
+    return system.chart.state(u)

@@ -55,10 +55,11 @@ from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.smooth_window import BLOCKS
-from jaxnh.analyses.window_averages import angles, average_window, extents
+from jaxnh.analyses.window_averages import average_window, extents
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State
 
 KINDS = ("periodic", "quasiperiodic", "chaotic", "undecided", "failed", "equilibrium", "limit_cycle")
 """Meanings of the flags 0 to 6."""
@@ -98,8 +99,8 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
     span, n, clock = lyapunov["averaged"].to_numpy(), period["period"].to_numpy(), not scene.flow.autonomous
     transient = max(int(done[name].attrs["transient"]) for name in ("period", "chaos01"))
     largest, error = (exponents[:, 0], errors[:, 0]) if clock else across(exponents, errors)
-    each = np.full(scene.count, scene.system.period) if clock else _returns(scene, lanes, n, transient)
-    iterates = span * (scene.system.period / each)
+    each = np.full(scene.count, scene.flow.period) if clock else _returns(scene, lanes, n, transient)
+    iterates = span * (scene.flow.period / each)
     kind = judge(
         n,
         period["multiplier"].to_numpy(),
@@ -112,7 +113,7 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
     )
     if clock:
         some = timeless(scene, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
-        cycle = contracts(exponents[some], errors[some], scene.system.period, span[some])
+        cycle = contracts(exponents[some], errors[some], scene.flow.period, span[some])
         kind[some] = np.where(cycle, _LIMIT_CYCLE, _UNDECIDED)
     else:
         some = np.flatnonzero(np.isin(kind, (_PERIODIC, _UNDECIDED, _FAILED)))
@@ -222,7 +223,7 @@ def unsteadiness(scene: Scene, lanes: LaneRunner, begun: int, count: int) -> Flo
     runs = np.concatenate([first.halves, second.halves], axis=1)
     change = np.abs(runs[:, 0] - 3.0 * runs[:, 1] + 3.0 * runs[:, 2] - runs[:, 3])
     with np.errstate(invalid="ignore"):
-        return np.max(change / extents(angles(scene.flow), low, high), axis=1)
+        return np.max(change / extents(np.array(scene.flow.chart.angles), low, high), axis=1)
 
 
 def repeats(strobe: ReturnMap, count: ArrayLike, state: State, p: Parameters, longest: int) -> Array:
@@ -231,14 +232,14 @@ def repeats(strobe: ReturnMap, count: ArrayLike, state: State, p: Parameters, lo
     Of a lane that does not come so far `_LOST`.
     """
     system = strobe.system
-    early = jax.vmap(system.chart)(record(strobe, state, p, longest)[1])[longest // 2 :]
+    early = jax.vmap(system.chart.point)(record(strobe, state, p, longest)[1])[longest // 2 :]
     near = _BACK * (jnp.max(early, axis=0) - jnp.min(early, axis=0)).max()
-    points = jax.vmap(system.chart)(record(strobe, iterate(strobe, count, state, p), p, 2 * longest)[1])
+    points = jax.vmap(system.chart.point)(record(strobe, iterate(strobe, count, state, p), p, 2 * longest)[1])
     first = points[:longest]
 
     def back(lag: Array) -> Array:
         later = lax.dynamic_slice_in_dim(points, lag, longest)
-        return jnp.max(jnp.abs(system.wrap(later - first))) <= near
+        return jnp.max(jnp.abs(system.chart.wrap(later - first))) <= near
 
     found = lax.map(back, jnp.arange(1, longest + 1))
     lag = jnp.where(jnp.any(found), 1 + jnp.argmax(found), 0)

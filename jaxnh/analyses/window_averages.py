@@ -24,7 +24,8 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 _STILL = 1e-9  # of its modulus: a coordinate that changes by no more is at rest
 _MOST_PARTS = 8
@@ -71,11 +72,6 @@ class _Sums(NamedTuple):
     low: Array
     high: Array
     path: Array
-
-
-def angles(system: Flow) -> Bool[np.ndarray, " d"]:
-    """Which section coordinates return after 2π."""
-    return np.abs(system.wrap(np.full(system.dimension, 2 * np.pi))) < 1.0
 
 
 def features(turns: Bool[np.ndarray, " d"], u: Array, moved: Array) -> Array:
@@ -130,14 +126,14 @@ def average_window(scene: Scene, lanes: LaneRunner, state: State, count: int) ->
 def window_averages(strobe: ReturnMap, each: ArrayLike, state: State, p: Parameters, parts: int) -> WindowAverages:
     """One lane over `BLOCKS` times `each` periods."""
     flow = strobe.system
-    turns, d = angles(flow), flow.dimension
+    turns, d = np.array(flow.chart.angles), flow.chart.dimension
     width = int(3 * turns.sum() + 2 * (~turns).sum())
 
     def point(sums: _Sums, strobe: ReturnMap) -> tuple[_Sums, Array]:
         system, before = strobe.system, sums.state
         after = strobe(before, p)
-        moved = jnp.stack(system.lower(before, jax.tree.map(jnp.subtract, after, before)))
-        u = system.chart(after)
+        moved = jnp.stack(system.chart.lower(before, jax.tree.map(jnp.subtract, after, before)))
+        u = system.chart.point(after)
         low, high = jnp.minimum(sums.low, u), jnp.maximum(sums.high, u)
         sums = sums._replace(state=after, low=low, high=high, path=sums.path + jnp.abs(moved))
         return sums, features(turns, u, moved)

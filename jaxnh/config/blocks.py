@@ -26,7 +26,7 @@ from pydantic import (
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Options, rule
 from jaxnh.config.messages import close_match, shown
-from jaxnh.maps.section import LONGEST, SectionedFlow
+from jaxnh.maps.section import LONGEST, Section
 from jaxnh.solvers import NYSTROM, SOLVERS, SPLITTINGS
 from jaxnh.systems.flow import Flow
 
@@ -195,9 +195,9 @@ class SystemBlock(Block, abc.ABC):
     def start(self, initial: Any) -> Mapping[str, float]:
         """Coordinates of the start state that the flow asks for."""
 
-    def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
+    def is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Whether all lanes of a program must have the same of these values of a parameter."""
-        return flow.shares(name)
+        return flow.is_shared(name)
 
 
 class SectionBlock(Block, abc.ABC):
@@ -216,7 +216,7 @@ class SectionBlock(Block, abc.ABC):
         return self.longest_return or LONGEST
 
     @abc.abstractmethod
-    def of(self, flow: Flow) -> SectionedFlow:
+    def of(self, flow: Flow) -> Section:
         """A flow on this section."""
 
 

@@ -30,8 +30,9 @@ from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, 
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem, admitted
 from jaxnh.config.yaml_source import ConfigSource, from_dict, from_text, read
 from jaxnh.exceptions import ConfigError, InputError
-from jaxnh.maps.section import Crossing
-from jaxnh.systems.flow import Flow, State
+from jaxnh.maps.section import System, begin
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.state import State
 from jaxnh.systems.user_file import UserFile
 
 __all__ = ["Experiment", "load"]
@@ -187,7 +188,7 @@ class Experiment(Block):
             raise rule("this scene has a clock, and is seen at its strobes; leave section out", "section")
         axes = self.axes
         setting = Setting(
-            self._in_time({}), self.autonomous, axes, self.precision, lambda value: self._in_time({axes[0].name: value})
+            self.flow(), self.autonomous, axes, self.precision, lambda value: self.flow({axes[0].name: value})
         )
         for analysis, options in requested:
             check_analysis(analysis, options, setting)
@@ -205,19 +206,23 @@ class Experiment(Block):
     def _block(self) -> SystemBlock:
         return self.system
 
-    def _in_time(self, shared: Mapping[str, float]) -> Flow:
-        """The flow in continuous time."""
-        coordinates = self.initial.coordinates()
-        swept = {name: grid.first for name, grid in self.sweep.grids.items() if name not in coordinates}
-        return self._block.flow({**swept, **shared})
-
     def flow(self, shared: Mapping[str, float] | None = None) -> Flow:
-        """What moves; on its section where it has no clock and that is asked for.
+        """What moves, in continuous time.
 
         Args:
             shared: values of shared axes; the first value of each where it is not named.
         """
-        flow = self._in_time(shared or {})
+        coordinates = self.initial.coordinates()
+        swept = {name: grid.first for name, grid in self.sweep.grids.items() if name not in coordinates}
+        return self._block.flow({**swept, **(shared or {})})
+
+    def dynamics(self, shared: Mapping[str, float] | None = None) -> System:
+        """What return maps are of: the flow, or its section where it has no clock and that is asked for.
+
+        Args:
+            shared: as of `flow`.
+        """
+        flow = self.flow(shared)
         return (self.section or self._default_section()).of(flow) if self.sectioned else flow
 
     def start(
@@ -235,11 +240,10 @@ class Experiment(Block):
             shared: values of shared axes, as of `flow`.
             own: parameters that lanes have of their own.
         """
-        flow = self._in_time(shared or {})
+        flow = self.flow(shared)
         given = {**self._block.start(self.initial), **coordinates}
         state = flow.start({name: np.full(count, value, dtype=np.float64) for name, value in given.items()})
-        state = self._admitted(flow, state, own or {})
-        return Crossing(state, np.zeros(count), np.zeros(count)) if self.sectioned else state
+        return begin(self.dynamics(shared), self._admitted(flow, state, own or {}))
 
     def _admitted(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
         """Start states, those that the constraints do not admit failed or moved: here their coordinates see to it."""
@@ -256,21 +260,21 @@ class Experiment(Block):
 
         Made anew at every call.
         """
-        flow, coordinates, found = self._in_time({}), self.initial.coordinates(), []
+        flow, coordinates, found = self.flow(), self.initial.coordinates(), []
         for name, grid in self.sweep.grids.items():
             values = grid.grid()
             kind = "lane"
             if name in coordinates:
                 kind = "start"
-            elif self._block.shares(name, values, flow):
+            elif self._block.is_shared(name, values, flow):
                 kind = "shared"
-            found.append(Axis(name, values, flow.words(name), kind, flow.units(name)))
+            found.append(Axis(name, values, flow.labels.long_names[name], kind, flow.labels.units[name]))
         return tuple(found)
 
     @property
     def autonomous(self) -> bool:
         """Whether the scene has no clock: neither forcing nor disturbance."""
-        return self._in_time({}).autonomous
+        return self.flow().autonomous
 
     @property
     def sectioned(self) -> bool:

@@ -23,7 +23,7 @@ from jaxnh.config.blocks import (
 )
 from jaxnh.config.messages import close_match, listed, shown
 from jaxnh.exceptions import InputError
-from jaxnh.maps.section import SectionedFlow
+from jaxnh.maps.section import Section
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.particle import EFFECTS, constant_speed, disturbed_speed, strobe_period
@@ -86,10 +86,10 @@ class PoincareSection(SectionBlock):
     coordinate: Literal["x1", "y1"] = Field(default="x1", description="Position that decides")
     value: float = Field(default=0.0, description="Its value on the section")
 
-    def of(self, flow: Flow) -> SectionedFlow:
+    def of(self, flow: Flow) -> Section:
         """A flow on this section."""
         number = ("x1", "y1").index(self.coordinate)
-        return SectionedFlow(flow, self.coordinate, number, self.value, self.direction, longest=self.longest)
+        return Section(flow, self.coordinate, number, self.value, self.direction, longest=self.longest)
 
 
 # ---- system

@@ -18,7 +18,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, model_valid
 from jaxnh.analyses.base import rule
 from jaxnh.config.blocks import Block, EvenGrid, Grid, InitialBlock, SectionBlock, SweepBlock, SystemBlock, ValueGrid
 from jaxnh.config.messages import listed, unknown
-from jaxnh.maps.section import SectionedFlow
+from jaxnh.maps.section import Section
 from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.flow import FAULTS, Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian, Motion
@@ -117,15 +117,15 @@ class UserSection(SectionBlock):
             raise rule("a normal has a length; one number at least must not be 0", "normal")
         return self
 
-    def of(self, flow: Flow) -> SectionedFlow:
+    def of(self, flow: Flow) -> Section:
         """A flow on this section."""
         if self.coordinate is not None:
             number = self._names.index(self.coordinate)
-            return SectionedFlow(flow, self.coordinate, number, self.value, self.direction, longest=self.longest)
+            return Section(flow, self.coordinate, number, self.value, self.direction, longest=self.longest)
         given = self.normal or {}
         normal = tuple(given.get(name, 0.0) for name in self._names)
         number = int(np.argmax(np.abs(normal)))
-        made = SectionedFlow(flow, self._names[number], number, self.value, self.direction, normal)
+        made = Section(flow, self._names[number], number, self.value, self.direction, normal)
         return replace(made, longest=self.longest, title=_combination(given))
 
 
@@ -172,11 +172,11 @@ class UserSystem(SystemBlock, UserBlock):
         """The system, with these parameters, which lanes may have of their own, in place of its own."""
         return self._file.flow({**self.parameters, **parameters}, tuple(parameters))
 
-    def shares(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
+    def is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Whether the strobe period depends on a parameter: anywhere near its value, or between these."""
         picked = values[_evenly(len(values), _MOST_CLOCKS)]
         return (
-            flow.shares(name)
+            flow.is_shared(name)
             or len({self._file.period({**dict(flow.parameters), name: float(value)}) for value in picked}) > 1
         )
 

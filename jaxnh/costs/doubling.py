@@ -22,7 +22,7 @@ from jaxnh.analyses.base import Entry, variable
 from jaxnh.analyses.cascade import follow
 from jaxnh.analyses.periodic.location import period_map, refined, walk
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, orbits
-from jaxnh.analyses.scene import LaneRunner, Scene, section_points
+from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.costs.stage import StagelessRunner
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import ReturnMap
@@ -116,7 +116,7 @@ def by_detection(scene: Scene, lanes: LaneRunner, place: DoublingBracket, transi
             gap = lanes(
                 _recurrence,
                 (scene.strobe(), np.int32(transient)),
-                (section_points(row), row.p),
+                (row.chart.host_points(row.start), row.p),
                 periods=transient + 2 * place.n,
                 tile=_TILE,
                 static=(place.n,),
@@ -171,7 +171,7 @@ def by_interpolation(scene: Scene, lanes: LaneRunner, place: DoublingBracket) ->
 
     coarse, fine, finest = refined(scene)
     points = walk(scene, lanes, _settled(scene, lanes, place)[None], place.bracket[0], place.n)
-    wrap = scene.system.wrap
+    wrap = scene.chart.wrap
     branch = follow_branch(period_map(scene, lanes, coarse), points, *place.bracket, wrap)
     point = branch and doubling_point(watched(coarse), branch, wrap)
     for period in (watched(fine), period_map(scene, lanes, finest)):
@@ -182,7 +182,7 @@ def by_interpolation(scene: Scene, lanes: LaneRunner, place: DoublingBracket) ->
 def _settled(scene: Scene, lanes: LaneRunner, place: DoublingBracket) -> Float[np.ndarray, " d"]:
     """A point near the orbit at the stable end of the bracket."""
     row = scene.at(np.array(place.bracket[:1]))
-    strobe, start = scene.strobe(0.5), (section_points(row), row.p)
+    strobe, start = scene.strobe(0.5), (row.chart.host_points(row.start), row.p)
     return lanes(section_map, (strobe, np.int32(_SETTLED)), start, periods=_SETTLED, tile=_TILE)[0]
 
 
@@ -212,7 +212,7 @@ def _recurrence(
 ) -> Float[Array, ""]:
     """Largest distance between signals n strobes apart, over n strobes after a transient, of one lane."""
     system = strobe.system
-    signals = system.signal(record(strobe, iterate(strobe, transient, system.unchart(u), p), p, 2 * n)[1])
+    signals = system.chart.observable(record(strobe, iterate(strobe, transient, system.chart.state(u), p), p, 2 * n)[1])
     return jnp.stack([jnp.abs(signal[n:] - signal[:n]).max() for signal in signals]).max()
 
 

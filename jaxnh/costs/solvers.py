@@ -187,7 +187,7 @@ def _rows(calibration: Calibration, bench: SolverBench) -> list[SolverRow]:
     """Settings from coarse to as fine as pays, method by method; those beyond hope are left out."""
     rows: dict[str, list[SolverRow]] = {}
     if not bench.split:
-        for ladder in _explicit(bench.system):
+        for ladder in _explicit(bench.system.flow):
             limit = _limit(rows)
             found = _measure(ladder, calibration, bench, limit, _FEW_ROWS)
             rows |= {found[0].setting.method: found} if found else {}
@@ -203,7 +203,7 @@ def _rows(calibration: Calibration, bench: SolverBench) -> list[SolverRow]:
     limit = _limit(rows)
     for solver in low:
         rows[solver.name] = _measure(_splitting(solver), calibration, bench, limit)
-    for ladder in _explicit(bench.system):
+    for ladder in _explicit(bench.system.flow):
         found = _measure(ladder, calibration, bench, limit, _FEW_ROWS)
         rows |= {found[0].setting.method: found} if found else {}
     order = {name: i for i, name in enumerate(chain.from_iterable((s, f"{s} compensated") for s in SPLITTINGS))}

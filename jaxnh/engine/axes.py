@@ -15,8 +15,10 @@ from jaxnh.analyses.base import LANE, variable
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
 from jaxnh.maps.rows import ROW
+from jaxnh.maps.section import System
 from jaxnh.storage.pieces import Piece
-from jaxnh.systems.flow import Flow, State
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.state import State
 
 _MOST_ROWS = 8  # values of shared axes that samples of a sweep are taken at
 
@@ -32,7 +34,7 @@ class SweepPoints(NamedTuple):
         flows: of rows, those at all values of the shared axes that lanes are at; else none.
     """
 
-    system: Flow
+    system: System
     start: State
     p: Mapping[str, Float[np.ndarray, " lanes"]]
     where: Mapping[str, Float[np.ndarray, " lanes"]]
@@ -44,7 +46,7 @@ def points(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np
     where = {axis.name: axis.values[place] for axis, place in zip(axes, places, strict=True)}
     shared = {axis.name: float(where[axis.name][0]) for axis in axes if axis.kind == "shared"}
     own, begun = ({a.name: where[a.name] for a in axes if a.kind == kind} for kind in ("lane", "start"))
-    return SweepPoints(experiment.flow(shared), experiment.start(begun, len(places[0]), shared, own), own, where)
+    return SweepPoints(experiment.dynamics(shared), experiment.start(begun, len(places[0]), shared, own), own, where)
 
 
 def points_in_rows(
@@ -62,7 +64,7 @@ def points_in_rows(
 
     start, p, where = jax.tree.map(joined, *((one.start, dict(one.p), dict(one.where)) for one in found))
     return SweepPoints(
-        found[0].system, start, {**p, ROW: row.astype(np.int32)}, where, tuple(one.system for one in found)
+        found[0].system, start, {**p, ROW: row.astype(np.int32)}, where, tuple(one.system.flow for one in found)
     )
 
 

@@ -140,7 +140,7 @@ def _groups(
     scene = scene_of(at, plan_of_job(job), experiment.precision, job.chosen, place, axes[0] if line else None)
     if line and axes[0].kind == "shared":
         shared = {axis.name: float(at.where[axis.name][0]) for axis in axes[1:] if axis.kind == "shared"}
-        scene = replace(scene, flow_at=lambda value: experiment.flow({**shared, axes[0].name: value}))
+        scene = replace(scene, flow_at=lambda value: experiment.dynamics({**shared, axes[0].name: value}))
     options = {analysis.name: options for analysis, options in requested}
     groups: dict[str, xr.Dataset] = {}
     for name in names:

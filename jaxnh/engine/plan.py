@@ -25,6 +25,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor, turns_of
 from jaxnh.engine.levels.levels import Level
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map, scheme_of
+from jaxnh.maps.section import Section
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece, tile_lanes
 from jaxnh.storage.provenance import versions
@@ -277,9 +278,10 @@ def clock_of(experiment: Experiment, axes: Sequence[Axis]) -> Clock:
     """The clock of a sweep."""
     shared = [axis for axis in axes if axis.kind == "shared"]
     grids = np.meshgrid(*(axis.values for axis in shared), indexing="ij")
-    flows = [
-        experiment.flow({axis.name: float(grid.ravel()[k]) for axis, grid in zip(shared, grids, strict=True)})
+    systems = [
+        experiment.dynamics({axis.name: float(grid.ravel()[k]) for axis, grid in zip(shared, grids, strict=True)})
         for k in range(grids[0].size if shared else 1)
     ]
-    periods = np.array([flow.period for flow in flows])
-    return Clock(float(periods[0]) if np.all(periods == periods[0]) else periods, flows[0].section)
+    periods = np.array([system.flow.period for system in systems])
+    section = systems[0].description if isinstance(systems[0], Section) else ""
+    return Clock(float(periods[0]) if np.all(periods == periods[0]) else periods, section)

@@ -68,13 +68,15 @@ class LiveDiagram:
         self.first = View(
             axis.name,
             *self.sessions.ends[axis.name],
-            flow.plane[0],
+            flow.labels.planes[0][0],
             transient=options.get("transient", 512),
             strobes=options.get("strobes", 128),
             columns=columns,
         )
         self.axis_words = {axis.name: measured(axis.long_name, axis.units)}
-        self.variables = {name: measured(flow.words(name), flow.units(name)) for name in flow.coordinates}
+        self.variables = {
+            name: measured(flow.labels.long_names[name], flow.labels.units[name]) for name in flow.coordinates
+        }
         self._seconds: dict[int, float] = {}  # a lane-period, by session
 
     def passes(self, view: View) -> Iterator[Picture]:

@@ -20,7 +20,7 @@ from jaxnh.maps.kicks import KickStrobe
 from jaxnh.maps.nystrom import nystrom_strobe, nystrom_unit_step
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.second_order import second_order
-from jaxnh.maps.section import SectionedFlow
+from jaxnh.maps.section import Section
 from jaxnh.maps.step_grids import GRID_POINTS, share_of_steps, step_grid
 from jaxnh.solvers import (
     SPLITTINGS,
@@ -203,9 +203,9 @@ WAYS: dict[type[Flow], tuple[Scheme, Scheme]] = {
 """The registry: how flows of a kind are integrated by solvers of that way, and by others."""
 
 
-def scheme_of(flow: Flow, solver: Any = None) -> Scheme:
+def scheme_of(system: Flow | Section, solver: Any = None) -> Scheme:
     """How a flow is integrated, by a solver if one is named."""
-    own, other = next(WAYS[kind] for kind in type(flow.flow).__mro__ if kind in WAYS)
+    own, other = next(WAYS[kind] for kind in type(system.flow).__mro__ if kind in WAYS)
     return own if solver is None or isinstance(solver, type(own.reference)) else other
 
 
@@ -213,7 +213,7 @@ def scheme_of(flow: Flow, solver: Any = None) -> Scheme:
 
 
 def make_return_map(
-    system: Flow,
+    system: Flow | Section,
     solver: Solver,
     steps: int,
     *,
@@ -230,9 +230,9 @@ def make_return_map(
     Raises:
         TypeError: the solver is none for flows of this kind.
     """
-    if isinstance(system, SectionedFlow):
+    if isinstance(system, Section):
         most = math.ceil(system.longest * steps)
-        return EventStrobe(system, _unit_step(system.flow, solver), system.period / steps, np.int32(most))
+        return EventStrobe(system, _unit_step(system.flow, solver), system.flow.period / steps, np.int32(most))
     t0, t1 = span or (0.0, system.period)
     if system.autonomous:
         steps = max(1, math.ceil(steps * (t1 - t0) / system.period - 1e-6))

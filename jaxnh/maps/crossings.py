@@ -19,8 +19,9 @@ from jaxtyping import Array
 
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
-from jaxnh.maps.section import NO_RETURN, NOT_FINITE, Crossing, SectionedFlow
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.maps.section import NO_RETURN, NOT_FINITE, Crossing, Section
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State, masked
 
 _ON_SECTION = 1e-9  # a state as near as this is on the section, and leaves it: of its value and of a step's way across
 _SETTLED = 1e-9  # a step of Newton below this, as a share of the step, leaves its square
@@ -110,7 +111,7 @@ class EventStrobe(ReturnMap):
         most_steps: without a crossing in so many a lane has failed.
     """
 
-    system: SectionedFlow
+    system: Section
     unit: ReturnMap
     step: ArrayLike
     most_steps: ArrayLike
@@ -123,7 +124,7 @@ class EventStrobe(ReturnMap):
     @property
     def turns(self) -> tuple[float, ...]:
         """Of the loop over steps in a period of time, and those of a step."""
-        return (self.system.period / float(np.mean(self.step)), *self.unit.turns)
+        return (self.system.flow.period / float(np.mean(self.step)), *self.unit.turns)
 
     def __call__(self, state: Crossing, p: Parameters) -> Crossing:
         return self.iterate(1, state, p)
@@ -233,7 +234,7 @@ class EventStrobe(ReturnMap):
         """What comes to the section, its tangents moved along the flow onto it, and how much later each is there."""
         if not isinstance(ahead, Pushforward):
             return ahead, ()
-        moving = self.system.inner.rhs(jnp.zeros_like(search.t), ahead.state, p)
+        moving = self.system.flow.rhs(jnp.zeros_like(search.t), ahead.state, p)
         speed = self.system.across(moving)
         tangents, later = [], []
         for tangent in ahead.tangents:
@@ -273,7 +274,7 @@ class EventStrobe(ReturnMap):
         found = ended.left <= 0
         why = jnp.where(ended.lost, 1.0 * NOT_FINITE, 1.0 * NO_RETURN)
         reason = jnp.where(found, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
-        state = self.system.inner.blanked(state, found)
+        state = masked(state, found)
         return Crossing(state, jnp.where(found, ended.t, jnp.nan), reason)
 
 

@@ -251,6 +251,6 @@ def carried(strobe: ReturnMap, hidden: ArrayLike, u: Double, w: Double, p: Mappi
     system = strobe.system
 
     def plain(u: Array, w: Array, p: Parameters) -> tuple[Array, Array]:
-        return jax.jvp(lambda u: system.chart(strobe(system.unchart(u), p)), (u,), (w,))
+        return jax.jvp(lambda u: system.chart.point(strobe(system.chart.state(u), p)), (u,), (w,))
 
     return PointAndTangent(*extended(plain, hidden)(u, w, p))

@@ -26,7 +26,8 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.solvers import WrittenOutRungeKutta
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State
 from jaxnh.systems.tracing import once
 
 _SMALLEST_GRID = 2048  # steps of all parts: most accuracies, and refined ones, run through one program
@@ -119,10 +120,10 @@ class GeneralStrobe(ReturnMap):
         def project(t: Any, y: Moving) -> Moving:
             return Moving(system.project(t, y.state, p))
 
-        if system.drifts:
+        if system.reduction.leaves_constraints:
             return self._march(field, project, Moving(state), 0).state
         placed = self._placed(state, p)
-        return self._ended(self._march(field, None, Moving(system.stepped(placed)), 0).state, placed, p)
+        return self._ended(self._march(field, None, Moving(system.reduction.reduce(placed)), 0).state, placed, p)
 
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         if not isinstance(self.solver, WrittenOutRungeKutta):
@@ -149,11 +150,11 @@ class GeneralStrobe(ReturnMap):
         first = jax.tree.leaves(state)[0]
         zero = as_batched(jnp.zeros_like(first), first)
         begun = Moving(state, tuple(t.state for t in tangents), zero)
-        if system.drifts:
+        if system.reduction.leaves_constraints:
             ended = self._march(field, project, begun, len(tangents) + 1)
         else:
             placed, moved = linearised(lambda y, own: self._placed(y, {**p, **own}), state, own, begun.tangents, by_p)
-            begun = Moving(system.stepped(placed), tuple(map(system.stepped, moved)), zero)
+            begun = Moving(system.reduction.reduce(placed), tuple(map(system.reduction.reduce, moved)), zero)
             ended = self._march(field, None, begun, len(tangents) + 1)
             moved = linearised(
                 lambda z, own: self._ended(z, placed, {**p, **own}), ended.state, own, ended.tangents, by_p
@@ -189,7 +190,7 @@ class GeneralStrobe(ReturnMap):
     def _ended(self, carried: State, before: State, p: Parameters) -> State:
         """The state after such steps."""
         t = jnp.asarray(self.grid)[-1]
-        return self.system.project(t, self.system.restored(t, carried, before, p), p)
+        return self.system.project(t, self.system.reduction.restore(t, carried, before, p), p)
 
     def _by_diffrax(self, y: State, p: Parameters) -> State:
         grid = jnp.asarray(self.grid)
@@ -242,9 +243,9 @@ def lanes_of(each: int) -> int:
 
 def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:
     """The parameters that lanes may have of their own, from the flow where a lane has none."""
-    if unknown := set(p) - set(system.own):
+    if unknown := set(p) - set(system.lane_parameters):
         raise ValueError(f"lanes have {', '.join(sorted(unknown))} of their own, which the flow does not know of")
-    return {name: p[name] if name in p else system.parameters[name] for name in system.own}
+    return {name: p[name] if name in p else system.parameters[name] for name in system.lane_parameters}
 
 
 def split_of(system: Flow) -> TimeSplit:
@@ -259,11 +260,11 @@ def _split(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> TimeSplit:
 
     def rate(t: Any, system: Flow, lane: tuple[State, Mapping[str, Any]]) -> State:
         state, own = lane
-        return system.stepped_rate(t, state, own)
+        return system.reduction.rhs(t, state, own)
 
-    section = jax.ShapeDtypeStruct((system.dimension,), jnp.float64)
-    state = jax.eval_shape(lambda u: system.stepped(system.unchart(u)), section)
-    return TimeSplit(rate, system, (state, dict.fromkeys(system.own, 0.0)))
+    section = jax.ShapeDtypeStruct((system.chart.dimension,), jnp.float64)
+    state = jax.eval_shape(lambda u: system.reduction.reduce(system.chart.state(u)), section)
+    return TimeSplit(rate, system, (state, dict.fromkeys(system.lane_parameters, 0.0)))
 
 
 def general_strobe(

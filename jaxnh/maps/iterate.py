@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import ReturnMap, Tangent
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 
 def iterate(strobe: ReturnMap, n: ArrayLike, state: State, p: Parameters) -> State:
@@ -32,7 +33,7 @@ def record(strobe: ReturnMap, state: State, p: Parameters, count: int) -> tuple[
 
 def section_map(strobe: ReturnMap, n: ArrayLike, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
     """Pⁿ in section coordinates."""
-    return strobe.system.chart(iterate(strobe, n, strobe.system.unchart(u), p))
+    return strobe.chart.point(iterate(strobe, n, strobe.chart.state(u), p))
 
 
 class Derivatives(NamedTuple):
@@ -56,8 +57,8 @@ def derivatives(
 
     The same as `jax.jacfwd` of `section_map`, to rounding.
     """
-    system, d = strobe.system, strobe.system.dimension
-    tangents = [Tangent(jax.jvp(system.unchart, (u,), (e,))[1]) for e in jnp.eye(d)]
+    system, d = strobe.system, strobe.chart.dimension
+    tangents = [Tangent(jax.jvp(system.chart.state, (u,), (e,))[1]) for e in jnp.eye(d)]
     still = jax.tree.map(jnp.zeros_like, tangents[0].state)
     for one in (name,) if isinstance(name, str) else name or ():
         tangents.append(Tangent(still, {one: jnp.ones_like(u[0])}))
@@ -66,7 +67,7 @@ def derivatives(
         pushed = strobe.push(carry[0], p, carry[1])
         return pushed.state, pushed.tangents
 
-    state, moved = lax.fori_loop(0, n, period, as_batched((system.unchart(u), tuple(tangents)), u[0]))
-    columns = [jnp.stack(system.lower(state, t.state)) for t in moved]
+    state, moved = lax.fori_loop(0, n, period, as_batched((system.chart.state(u), tuple(tangents)), u[0]))
+    columns = [jnp.stack(system.chart.lower(state, t.state)) for t in moved]
     by_parameter = jnp.stack(columns[d:], axis=-1) if isinstance(name, tuple) else columns[d] if name else None
-    return Derivatives(system.chart(state), jnp.stack(columns[:d], axis=-1), by_parameter)
+    return Derivatives(system.chart.point(state), jnp.stack(columns[:d], axis=-1), by_parameter)

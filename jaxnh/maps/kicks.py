@@ -18,8 +18,9 @@ from jaxtyping import Array
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.solvers import half_turn, kick
-from jaxnh.systems.flow import Parameters, Vector
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.particle import IsokineticParticle, State
+from jaxnh.systems.state import Vector
 
 
 class _Carry(NamedTuple):

@@ -8,7 +8,8 @@ from typing import Any
 import equinox as eqx
 
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 
 class MapFamily(ReturnMap):

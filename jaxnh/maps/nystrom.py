@@ -25,7 +25,8 @@ from jaxnh.maps.general_flow import (
 from jaxnh.maps.protocol import Pushforward, Tangent
 from jaxnh.maps.second_order import SecondOrder, second_order
 from jaxnh.solvers import Nystrom
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State
 
 Carried = list[list[Any]]
 """Positions, or velocities: of the state, then of every tangent."""

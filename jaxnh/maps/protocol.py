@@ -10,7 +10,9 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.chart import Chart
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 
 class Tangent(NamedTuple):
@@ -43,9 +45,17 @@ class ReturnMap(eqx.Module):
     """P(z; p) for one lane: state and its own parameters in, the state one strobe period later out.
 
     Use under `jax.vmap`. For a section, from one crossing to the next.
+
+    Attributes:
+        system: a `Flow`, or a `Section` of one.
     """
 
-    system: eqx.AbstractVar[Any]  # a `Flow`; Any, as a mutable attribute cannot narrow its type in a subclass
+    system: eqx.AbstractVar[Any]  # Any, as a mutable attribute cannot narrow its type in a subclass
+
+    @property
+    def chart(self) -> Chart:
+        """What it acts on in section coordinates."""
+        return self.system.chart
 
     @property
     def most_lanes(self) -> int | None:

@@ -15,7 +15,8 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 ROW = "row of its map"
 """Key among the parameters of lanes under which the number of their row is handed over."""

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnh.maps.time_tables import TimeSplit
-from jaxnh.systems.flow import Flow, State
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.state import State
 from jaxnh.systems.tracing import KnownValue, Program, constants, once
 
 _MOST_COMPONENTS = 12  # of a state: each pair of them is traced
@@ -100,12 +101,14 @@ class _Field:
     """
 
     def __init__(self, system: Flow) -> None:
-        section = jax.ShapeDtypeStruct((system.dimension,), jnp.float64)
-        state, carried = jax.eval_shape(lambda u: (system.unchart(u), system.stepped(system.unchart(u))), section)
+        section = jax.ShapeDtypeStruct((system.chart.dimension,), jnp.float64)
+        state, carried = jax.eval_shape(
+            lambda u: (system.chart.state(u), system.reduction.reduce(system.chart.state(u))), section
+        )
         self.system, self._structure = system, jax.tree.structure(state)
         self.count = self._structure.num_leaves
         self.carried_whole = jax.tree.structure(carried) == self._structure
-        self.own = dict.fromkeys(system.own, 0.0)
+        self.own = dict.fromkeys(system.lane_parameters, 0.0)
         self._zeros = [0.0] * self.count
 
     @property

@@ -1,22 +1,22 @@
-"""A flow without a clock seen on a section: the states at which one of its positions passes a value.
+"""Sections of a flow without a clock: the states at which a position, or a sum of several, passes a value.
 
-The section takes the part of the strobe: `crossings.EventStrobe` is its map. Without forcing and disturbance the flow
-at constant speed keeps a volume: its divergence −n·F/s is a time derivative, d(V/c)/dt with F = −grad V. Exponents then
-come in pairs ±λ about zero (Dettmann and Morriss, Phys. Rev. E 53 (1996) R5545), and no orbit is attracting.
+A section is a plane of a flow's phase space, with a chart of its own; it takes the part of the strobe, and
+`crossings.EventStrobe` is its map. Without forcing and disturbance the flow at constant speed keeps a volume: its
+divergence −n·F/s is a time derivative, d(V/c)/dt with F = −grad V. Exponents then come in pairs ±λ about zero (Dettmann
+and Morriss, Phys. Rev. E 53 (1996) R5545), and no orbit is attracting.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
-from jaxtyping import Array, Float
 
-from jaxnh.systems.flow import FAULTS, Flow, Output, Parameters, State, Vector
+from jaxnh.systems.chart import Chart
+from jaxnh.systems.flow import FAULTS, Flow, Output, Parameters
+from jaxnh.systems.state import Number, State, Vector, error_components
 
 NOT_FINITE, NO_RETURN = FAULTS.index("not_finite"), len(FAULTS)
 """Why a lane has failed here, continuing `flow.FAULTS`."""
@@ -40,11 +40,16 @@ class Crossing(NamedTuple):
     reason: Any
 
 
-class SectionedFlow(Flow):
-    """A flow without a clock and a section of it.
+@error_components.register
+def _(y: Crossing) -> tuple[State, Any]:
+    return error_components(y.state), y.t
+
+
+class Section(eqx.Module):
+    """A section of a flow without a clock.
 
     Attributes:
-        inner: the flow.
+        flow: the flow.
         coordinate, number: name and number of the position that decides.
         value: where it does.
         direction: "up" or "down", in which it passes the value, or "both".
@@ -54,7 +59,7 @@ class SectionedFlow(Flow):
         longest: time without a crossing after which a lane has failed, in units of the flow's own.
     """
 
-    inner: Flow
+    flow: Flow
     coordinate: str = eqx.field(static=True)
     number: int = eqx.field(static=True)
     value: float = eqx.field(static=True)
@@ -63,189 +68,139 @@ class SectionedFlow(Flow):
     longest: float = eqx.field(static=True, default=LONGEST)
     title: str = eqx.field(static=True, default="")
 
-    def across(self, y: State) -> Any:
+    def across(self, y: State) -> Number:
         """The component across the section of a state of the flow, of its rate or of a tangent of it."""
         if self.normal is None:
             return y[0][self.number]
         return sum(weight * x for weight, x in zip(self.normal, y[0], strict=True) if weight)
 
-    def height(self, y: State) -> Any:
+    def height(self, y: State) -> Number:
         """How far a state of the flow is from the section: above zero after a passage up, or down if that is wanted."""
         above = self.across(y) - self.value
         return -above if self.direction == "down" else above
 
-    def rate(self, y: State, p: Parameters) -> Any:
-        """Its time derivative."""
-        rate = self.across(self.inner.rhs(jnp.zeros_like(y[0][0]), y, p))
+    def rate(self, y: State, p: Parameters) -> Number:
+        """Time derivative of the height of a state of the flow."""
+        rate = self.across(self.flow.rhs(jnp.zeros_like(y[0][0]), y, p))
         return -rate if self.direction == "down" else rate
 
     @property
-    def section(self) -> str:
+    def description(self) -> str:
         """The section in words."""
         return f"{self.title or self.coordinate} = {self.value:g}, {self.direction}"
 
     @property
-    def flow(self) -> Flow:
-        """The flow that it is a section of."""
-        return self.inner
+    def chart(self) -> SectionChart:
+        """Section coordinates of crossings: those of the flow but for the one that the section gives."""
+        whole = self.flow.chart
+        angles = whole.angles[: self.number] + whole.angles[self.number + 1 :]
+        section = self.number, self.value, self.normal
+        return SectionChart(angles, whole.positions - 1, whole.dimensionless, whole, *section)
 
-    # ---- as every flow
 
-    @property
-    def coordinates(self) -> tuple[str, ...]:
-        """Those of the flow."""
-        return self.inner.coordinates
+System = Flow | Section
+"""What a return map is of: its chart is `system.chart`, the flow in continuous time `system.flow`."""
 
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the flow."""
-        return self.inner.parameters
 
-    def words(self, name: str) -> str:
-        """As the flow says."""
-        return self.inner.words(name)
+class SectionChart(Chart):
+    """Section coordinates of crossings.
 
-    def units(self, name: str) -> str:
-        """As the flow says."""
-        return self.inner.units(name)
+    Attributes:
+        whole: the chart of the flow.
+        number: of its coordinate that the section gives.
+        value, normal: of the section.
+    """
 
-    @property
-    def plane(self) -> tuple[str, str]:
-        """The first plane of the flow that does not have the coordinate that the section gives, or has it second."""
-        first, second = self.inner.plane
-        fallback = (second, first) if self.coordinate == first else (first, second)
-        return next((pair for pair in self.inner.planes if self.coordinate not in pair), fallback)
+    whole: Chart
+    number: int = eqx.field(static=True)
+    value: float = eqx.field(static=True)
+    normal: tuple[float, ...] | None = eqx.field(static=True)
 
-    @property
-    def period(self) -> float:
-        """Unit that steps and lengths of time are counted in."""
-        return self.inner.period
+    def components(self, y: Crossing) -> Vector:
+        return self._without(self.whole.components(y.state))
 
-    @property
-    def autonomous(self) -> bool:
-        """As the flow."""
-        return self.inner.autonomous
-
-    def shares(self, name: str) -> bool:
-        """As the flow."""
-        return self.inner.shares(name)
-
-    def rhs(self, t: ArrayLike, y: Crossing, p: Parameters) -> Crossing:
-        """Time derivative of a crossing's state, of its time and of its reason."""
-        rate = self.inner.rhs(t, y.state, p)
-        return Crossing(rate, jnp.ones_like(rate[0][0]), jnp.zeros_like(rate[0][0]))
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """As the flow."""
-        return self.inner.own
-
-    def divergence(self, t: ArrayLike, y: Crossing, p: Parameters) -> Any:
-        """That of the flow at the crossing's state."""
-        return self.inner.divergence(t, y.state, p)
-
-    def project(self, t: ArrayLike, y: Crossing, p: Parameters) -> Crossing:
-        """The crossing with its state brought back to the constraints of the flow."""
-        return y._replace(state=self.inner.project(t, y.state, p))
-
-    def compared(self, y: Crossing) -> tuple[State, Any]:
-        """What is compared of a state of the flow, and the time of the crossing."""
-        return self.inner.compared(y.state), y.t
-
-    @property
-    def dimension(self) -> int:
-        """Coordinates of the section."""
-        return self.inner.dimension - 1
-
-    @property
-    def exponents(self) -> int:
-        """Lyapunov exponents of the flow, that along it included."""
-        return self.inner.exponents
-
-    def signal(self, y: Crossing) -> Vector:
-        """The first position that the section does not fix."""
-        return (y.state[0][1 if self.number == 0 else 0],)
-
-    def chart(self, y: Crossing) -> Float[Array, " dimension"]:
-        """Coordinates of a point on the section."""
-        u = self.inner.chart(y.state)
+    def point(self, y: Crossing) -> Any:
+        u = self.whole.point(y.state)
         return jnp.concatenate([u[: self.number], u[self.number + 1 :]])
 
-    def unchart(self, u: Float[Array, " dimension"]) -> Crossing:
+    def state(self, u: Number) -> Crossing:
         """The point with these coordinates, at t = 0."""
         zero = jnp.zeros_like(u[0])
         value = jnp.full_like(u[:1], self.value)
         if self.normal is not None:
-            others = [weight for i, weight in enumerate(self.normal) if i != self.number]
+            others = self._without(self.normal)
             value = (value - sum(w * u[i] for i, w in enumerate(others) if w)) / self.normal[self.number]
-        return Crossing(self.inner.unchart(jnp.concatenate([u[: self.number], value, u[self.number :]])), zero, zero)
-
-    def wrap(self, difference: Any) -> Any:
-        """A difference of section coordinates (..., dimension), its angles in [−π, π)."""
-        xp = np if isinstance(difference, np.ndarray) else jnp
-        return xp.delete(self.inner.wrap(self._whole(difference)), self.number, axis=-1)
-
-    @property
-    def dimensionless(self) -> bool:
-        """As the flow says."""
-        return self.inner.dimensionless
-
-    def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Largest difference of positions between section points (..., dimension): (...,)."""
-        return self.inner.apart(self._whole(one), self._whole(other))
-
-    def directions(self, k: int) -> tuple[Vector, ...]:
-        """The first k coordinate directions of the section."""
-        return tuple(tuple(row.tolist()) for row in np.eye(self.dimension)[:k])
+        return Crossing(self.whole.state(jnp.concatenate([u[: self.number], value, u[self.number :]])), zero, zero)
 
     def lift(self, y: Crossing, tangent: Vector) -> Crossing:
         """The tangent of a crossing with these section coordinates, which keeps to the section and to its time."""
         across = jnp.zeros_like(tangent[0])
         if self.normal is not None:
-            others = [weight for i, weight in enumerate(self.normal) if i != self.number]
+            others = self._without(self.normal)
             across -= sum(w * v for w, v in zip(others, tangent, strict=False) if w) / self.normal[self.number]
-        state = self.inner.lift(y.state, (*tangent[: self.number], across, *tangent[self.number :]))
+        state = self.whole.lift(y.state, (*tangent[: self.number], across, *tangent[self.number :]))
         return Crossing(state, jnp.zeros_like(across), jnp.zeros_like(across))
 
     def lower(self, y: Crossing, tangent: Crossing) -> Vector:
-        """Section coordinates of a tangent of a crossing."""
-        lowered = self.inner.lower(y.state, tangent.state)
-        return (*lowered[: self.number], *lowered[self.number + 1 :])
+        return self._without(self.whole.lower(y.state, tangent.state))
 
-    def start(self, coordinates: Mapping[str, ArrayLike]) -> Crossing:
-        """The state at t = 0, on its way to the section."""
-        state = self.inner.start(coordinates)
-        zero = np.zeros_like(state[0][0])
-        return Crossing(state, zero, zero)
+    def _without(self, components: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Components of the flow's, that which the section gives left out."""
+        return *components[: self.number], *components[self.number + 1 :]
 
-    def section_point(self, y: Crossing) -> Float[np.ndarray, "... dimension"]:
-        """Section coordinates of points (...,) on the host."""
-        return np.delete(self.inner.section_point(y.state), self.number, axis=-1)
 
-    def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> Crossing:
-        """Start states of even draws (lanes, dimension + 1) from [−1, 1], none of them on the section."""
-        return Crossing(self.inner.random_states(draws, box, p), np.zeros(len(draws)), np.zeros(len(draws)))
+# ---- states of a flow, or crossings of a section of it
 
-    def outputs(self, y: Crossing, t: np.ndarray) -> dict[str, Output]:
-        """Coordinates and velocities of states by name, and when they are met."""
-        del t
-        t_found = Output(y.t, "time since the start", {"units": self.inner.units("t")})
-        return {**self.inner.outputs(y.state, np.zeros(1)), "t": t_found}
 
-    def reports(self, y: Crossing) -> dict[str, Output]:
-        """What the flow reports, and why a trajectory has failed: the section may be one more reason."""
-        found = self.inner.reports(y.state)
-        reason = np.asarray(y.reason)[..., -1].astype(np.int8)
-        if "failure" in found:
-            inner = np.asarray(found["failure"].data)
-            reason = np.where((reason == NO_RETURN) | (inner == 0), reason, inner)
-        flags = {
-            "flag_values": np.arange(NO_RETURN + 1, dtype=np.int8),
-            "flag_meanings": " ".join((*FAULTS, "no_return")),
-        }
-        return {**found, "failure": Output(reason, "why the trajectory has failed", flags)}
+def begin(system: System, state: State) -> State:
+    """Start states of a flow, on the host; of a section on their way there."""
+    if not isinstance(system, Section):
+        return state
+    zero = np.zeros_like(state[0][0])
+    return Crossing(state, zero, zero)
 
-    def _whole(self, u: Any) -> Any:
-        """Section coordinates (..., dimension) as those of the flow."""
-        xp = np if isinstance(u, np.ndarray) else jnp
-        return xp.insert(u, self.number, 0.0, axis=-1)
+
+def rates(system: System, y: State, p: Parameters) -> Vector:
+    """Rates of the section coordinates at a state along the flow, which has no clock or is at t = 0."""
+    if not isinstance(system, Section):
+        return system.chart.lower(y, system.rhs(jnp.zeros_like(y[0][0]), y, p))
+    zero = jnp.zeros_like(y.t)
+    return system.chart.lower(y, Crossing(system.flow.rhs(zero, y.state, p), zero + 1.0, zero))
+
+
+def outputs(flow: Flow, y: State, t: np.ndarray) -> dict[str, Output]:
+    """Coordinates and velocities of states by name; of crossings also when they are met.
+
+    Args:
+        y: states of the flow, at times t that repeat along their last axis; or crossings.
+    """
+    if not isinstance(y, Crossing):
+        return flow.outputs(y, t)
+    met = Output(y.t, "time since the start", {"units": flow.labels.units["t"]})
+    return {**flow.outputs(y.state, np.zeros(1)), "t": met}
+
+
+def reports(flow: Flow, y: State) -> dict[str, Output]:
+    """What there is to report of each trajectory: of crossings the section may be one more reason of its failure."""
+    if not isinstance(y, Crossing):
+        return flow.reports(y)
+    of_flow = flow.reports(y.state)
+    reason = np.asarray(y.reason)[..., -1].astype(np.int8)
+    if "failure" in of_flow:
+        inner = np.asarray(of_flow["failure"].data)
+        reason = np.where((reason == NO_RETURN) | (inner == 0), reason, inner)
+    flags = {
+        "flag_values": np.arange(NO_RETURN + 1, dtype=np.int8),
+        "flag_meanings": " ".join((*FAULTS, "no_return")),
+    }
+    return {**of_flow, "failure": Output(reason, "why the trajectory has failed", flags)}
+
+
+def drawn_plane(system: System) -> tuple[str, str]:
+    """The two coordinates that motions are drawn over: of a section the first pair without the one that it gives."""
+    planes = system.flow.labels.planes
+    if not isinstance(system, Section):
+        return planes[0]
+    first, second = planes[0]
+    fallback = (second, first) if system.coordinate == first else (first, second)
+    return next((pair for pair in planes if system.coordinate not in pair), fallback)

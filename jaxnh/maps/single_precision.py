@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State
 
 
 class SingleStrobe(ReturnMap):

@@ -35,7 +35,7 @@ class Period(Protocol):
 
 
 class Wrap(Protocol):
-    """Brings the angles of differences of section coordinates (..., d) into their range: `Flow.wrap`."""
+    """Brings the angles of differences of section coordinates (..., d) into their range: `Chart.wrap`."""
 
     def __call__(self, difference: np.ndarray, /) -> np.ndarray: ...
 
@@ -153,7 +153,7 @@ def orbits_from_afar(
 
 def log_volume(strobe: ReturnMap, u: Float[Array, " d"], p: Parameters) -> Array:
     """ln det ∂P/∂u for one lane, exact where the determinant itself is lost to rounding."""
-    return jnp.log(strobe.push(strobe.system.unchart(u), p, ()).volume)
+    return jnp.log(strobe.push(strobe.chart.state(u), p, ()).volume)
 
 
 def multiplier_logs(blocks: np.ndarray, volume: float) -> np.ndarray:

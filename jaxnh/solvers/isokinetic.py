@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxnh.systems.flow import Number, Parameters, Vector
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.particle import IsokineticParticle, State
+from jaxnh.systems.state import Number, Vector
 
 
 class DriftTerm(diffrax.AbstractTerm):

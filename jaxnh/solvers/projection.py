@@ -8,7 +8,8 @@ import diffrax
 import equinox as eqx
 
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
-from jaxnh.systems.flow import Flow, State
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.state import State
 
 
 class ProjectedSolver(diffrax.AbstractSolver):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxnh.systems.flow import UNSAID, Flow, Parameters, Vector, unit_of_time
+from jaxnh.systems.flow import UNSAID, Flow, Labels, Parameters, unit_of_time
 from jaxnh.systems.tracing import KnownValue, Program
 
 Definition = Mapping[str, Any]
@@ -44,19 +44,25 @@ class DefinedFlow(Flow):
         return self.values
 
     @property
-    def own(self) -> tuple[str, ...]:
+    def lane_parameters(self) -> tuple[str, ...]:
         """Names of the parameters that lanes may have of their own."""
         return tuple(self.values) if self.of_lanes is None else self.of_lanes
 
-    def units(self, name: str) -> str:
-        """As the definition says; angles are in radians."""
-        return self.said("units", name) or (
-            "rad" if name in self.names and self.angles[self.names.index(name)] else UNSAID
-        )
+    def labelled(self, kinds: Mapping[str, str], planes: tuple[tuple[str, str], ...]) -> Labels:
+        """Labels from the definition's own `labels` and `units`; angles are in radians.
 
-    def said(self, what: str, name: str) -> str:
-        """The label or the units of a name, of the definition's `labels` or `units`; "" where it says nothing."""
-        return self.define(**self.values).get(what, {}).get(name, "")
+        Args:
+            kinds: of coordinates, by name: what each is called where the definition says nothing.
+        """
+        definition = self.define(**self.values)
+        said, units = definition.get("labels", {}), definition.get("units", {})
+        kinds = {**dict.fromkeys(self.values, "parameter"), **kinds}
+        radians = {name: "rad" for name, angle in zip(self.names, self.angles, strict=True) if angle}
+        return Labels(
+            {name: f"{said.get(name) or kind} {name}" for name, kind in kinds.items()},
+            {name: units.get(name) or radians.get(name, UNSAID) for name in (*kinds, "t")},
+            planes,
+        )
 
     @property
     def period(self) -> float:
@@ -68,18 +74,13 @@ class DefinedFlow(Flow):
         """Whether there is no clock."""
         return not self.clock
 
-    def shares(self, name: str) -> bool:
+    def is_shared(self, name: str) -> bool:
         """Whether the strobe period depends on a parameter."""
         return name in self.values and _decides_the_clock(self.define, self.values, name)
 
     def definition(self, p: Parameters) -> Definition:
         """The definition of a lane."""
         return self.define(**{**self.values, **p})
-
-    def directions(self, k: int) -> tuple[Vector, ...]:
-        """k tangents to begin with, in no special direction: none is lost on constraints or invariant planes."""
-        draws = np.linalg.qr(np.random.default_rng(0).normal(size=(self.dimension, self.dimension)))[0]
-        return tuple(tuple(row.tolist()) for row in draws[:k])
 
 
 def _decides_the_clock(define: Callable[..., Definition], values: Mapping[str, ArrayLike], name: str) -> bool:

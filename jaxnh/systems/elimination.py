@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxnh.systems.flow import Number
+from jaxnh.systems.state import Number
 
 
 def eliminate(

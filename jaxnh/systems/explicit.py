@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnh.systems.elimination import definite, eliminate, is_zero, minus, times
-from jaxnh.systems.flow import Number, Vector
 from jaxnh.systems.jourdain import Equations, applied, constraint_functions, matrices, slope
+from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import constants
 
 _MOST = 6  # velocities among which those are looked for that constraints give

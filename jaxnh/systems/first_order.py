@@ -11,10 +11,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
 
+from jaxnh.systems.chart import Chart, general_directions, turned
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
-from jaxnh.systems.flow import FAULTS, Number, Output, Parameters, Vector, turned
+from jaxnh.systems.flow import FAULTS, Labels, Output, Parameters, pairs
+from jaxnh.systems.state import Number, Vector
 
 
 class Point(NamedTuple):
@@ -27,6 +28,19 @@ class Point(NamedTuple):
     y: Vector
 
 
+class CoordinateChart(Chart):
+    """All coordinates."""
+
+    def components(self, y: Point) -> Vector:
+        return tuple(y.y)
+
+    def state(self, u: Number) -> Point:
+        return Point(tuple(u[i] for i in range(self.dimension)))
+
+    def directions(self, k: int) -> tuple[Vector, ...]:
+        return general_directions(self.dimension, k)
+
+
 class FirstOrder(DefinedFlow):
     """Any system of a right-hand side, its definition's `rhs`; made by `first_order`."""
 
@@ -37,18 +51,11 @@ class FirstOrder(DefinedFlow):
         """As the system names them."""
         return self.names
 
-    def words(self, name: str) -> str:
-        """What a parameter or coordinate is called."""
-        if label := self.said("labels", name):
-            return f"{label} {name}"
-        if name not in self.names:
-            return f"parameter {name}"
-        return f"{'angle' if self.angles[self.names.index(name)] else 'coordinate'} {name}"
-
     @property
-    def plane(self) -> tuple[str, str]:
-        """The first coordinate, and the second where there is one."""
-        return self.names[0], self.names[min(1, len(self.names) - 1)]
+    def labels(self) -> Labels:
+        """As the definition says."""
+        kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(self.names, self.angles, strict=True)}
+        return self.labelled(kinds, pairs(self.names))
 
     # ---- motion
 
@@ -57,50 +64,15 @@ class FirstOrder(DefinedFlow):
         rates = self.definition(p)["rhs"](tuple(y.y), t)
         return Point(tuple(jnp.asarray(rate, jnp.float64) + jnp.zeros_like(y.y[0]) for rate in rates))
 
-    # ---- the section: all coordinates
-
-    @property
-    def dimension(self) -> int:
-        """Number of coordinates."""
-        return len(self.names)
-
     @property
     def exponents(self) -> int:
         """One a coordinate."""
-        return self.dimension
+        return len(self.names)
 
-    def chart(self, y: Point) -> Float[Array, " dimension"]:
-        """The coordinates, angles in [−π, π)."""
-        return jnp.stack([turned(x) if angle else x for x, angle in zip(y.y, self.angles, strict=True)])
-
-    def unchart(self, u: Number) -> Point:
-        """The state with these coordinates."""
-        return Point(tuple(u[i] for i in range(self.dimension)))
-
-    def wrap(self, difference: Number) -> Number:
-        """A difference of coordinates (..., dimension), its angles in [−π, π)."""
-        xp = np if isinstance(difference, np.ndarray) else jnp
-        columns = [difference[..., i] for i in range(self.dimension)]
-        return xp.stack([turned(x) if angle else x for x, angle in zip(columns, self.angles, strict=True)], axis=-1)
-
-    def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Largest difference of coordinates between points (..., dimension): (...,)."""
-        return np.max(np.abs(self.wrap(one - other)), axis=-1)
-
-    def signal(self, y: Point) -> Vector:
-        """The first coordinate; of an angle its cosine and sine."""
-        first = y.y[0]
-        return (jnp.cos(first), jnp.sin(first)) if self.angles[0] else (first,)
-
-    # ---- tangents
-
-    def lift(self, y: Point, tangent: Vector) -> Point:
-        """The tangent itself."""
-        return Point(tuple(tangent))
-
-    def lower(self, y: Point, tangent: Point) -> Vector:
-        """The tangent itself."""
-        return tuple(tangent.y)
+    @property
+    def chart(self) -> CoordinateChart:
+        """All coordinates."""
+        return CoordinateChart(self.angles, positions=len(self.names), dimensionless=False)
 
     # ---- host: start states and results
 
@@ -108,18 +80,11 @@ class FirstOrder(DefinedFlow):
         """The state with coordinates by name."""
         return Point(tuple(np.asarray(coordinates[name], float) for name in self.names))
 
-    def section_point(self, y: Point) -> Float[np.ndarray, "... dimension"]:
-        """Coordinates of states (...,) on the host."""
-        return np.stack(np.broadcast_arrays(*y.y), axis=-1)
-
-    def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> Point:
-        """Start states of even draws (lanes, dimension) from [−1, 1], times the box; angles times π."""
-        return Point(tuple(draws[:, i] * (np.pi if angle else box) for i, angle in enumerate(self.angles)))
-
     def outputs(self, y: Point, t: np.ndarray) -> dict[str, Output]:
         """The coordinates by name."""
+        words = self.labels
         return {
-            name: Output(turned(x) if angle else x, self.words(name), {"units": self.units(name)})
+            name: Output(turned(x) if angle else x, words.long_names[name], {"units": words.units[name]})
             for name, x, angle in zip(self.names, y.y, self.angles, strict=True)
         }
 

@@ -1,7 +1,8 @@
-"""What a system is: the one protocol that the particle, systems of T, Q and f, and sections of them implement.
+"""What a system is: the one protocol that the particle, systems of T, Q and f, and any ẏ = rhs(y, t) implement.
 
-A flow says what moves; a lane says with which numbers. A lane is a start state and a mapping `p` of the parameters that
-differ between lanes to its own values; all other parameters are the flow's.
+A flow says what moves; a lane says with which numbers; a chart (`chart`) on which of them maps act. A lane is a start
+state and a mapping `p` of the parameters that differ between lanes to its own values; all other parameters are the
+flow's.
 """
 
 from __future__ import annotations
@@ -12,25 +13,12 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
 
+from jaxnh.systems.chart import Chart
+from jaxnh.systems.state import Number, State, error_components
 from jaxnh.systems.tracing import jacobian_trace
-
-Number = Any
-"""A number, or many of any one shape (...,): a JAX array in a lane, a NumPy array or a float on the host.
-
-Python has no type for what arithmetic takes of all three; this name says what is meant.
-"""
-
-Vector = tuple[Number, ...]
-"""Cartesian components."""
-
-State = Any
-"""A pytree of components of shape (...,): (q, n) of a particle at a prescribed speed, `Motion`, `Crossing`."""
 
 Parameters = Mapping[str, ArrayLike]
 """Name to value, of the parameters that a lane has of its own; of lanes side by side each (lanes,)."""
@@ -52,11 +40,23 @@ class Output(NamedTuple):
     attrs: Mapping[str, Any] = {}
 
 
-class Flow(eqx.Module):
-    """A flow with named coordinates and parameters; its lanes keep one clock, or none.
+class Labels(NamedTuple):
+    """What a flow's parameters, coordinates and time are called in results, by name.
 
-    Section coordinates are those that a Poincaré map acts on: of shape (dimension,), or (..., dimension) on the host.
+    Attributes:
+        long_names: in words, the name included: "coupling b".
+        units: "1" where there is none, `UNSAID` where nobody says which.
+        planes: pairs of coordinates that a motion may be drawn over, the first choice first: the first position and its
+            velocity.
     """
+
+    long_names: Mapping[str, str]
+    units: Mapping[str, str]
+    planes: tuple[tuple[str, str], ...]
+
+
+class Flow(eqx.Module):
+    """A flow with named coordinates and parameters; its lanes keep one clock, or none."""
 
     # ---- names
 
@@ -70,33 +70,19 @@ class Flow(eqx.Module):
     def parameters(self) -> Parameters:
         """All parameters by name, with the value of lanes that have none of their own."""
 
+    @property
+    def lane_parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that lanes may have of their own; all that only the flow has may decide a table."""
+        return tuple(self.parameters)
+
     @abc.abstractmethod
-    def words(self, name: str) -> str:
-        """What a parameter or coordinate is called in results, its name included: "coupling b"."""
-
-    def units(self, name: str) -> str:
-        """Units of a parameter, a coordinate or the time t: "1" where it has none, `UNSAID` where nobody says which."""
-        return "1"
+    def is_shared(self, name: str) -> bool:
+        """Whether all lanes of a program must have the same value of a parameter: it changes their clock or table."""
 
     @property
     @abc.abstractmethod
-    def plane(self) -> tuple[str, str]:
-        """The two coordinates that portraits are drawn over: the first position and its velocity."""
-
-    @property
-    def planes(self) -> tuple[tuple[str, str], ...]:
-        """All planes that a motion may be drawn over, the first choice first."""
-        return (self.plane, *itertools.combinations(self.coordinates, 2))
-
-    @property
-    def flow(self) -> Flow:
-        """The flow in continuous time: itself, or of a section the flow that it is of."""
-        return self
-
-    @property
-    def section(self) -> str:
-        """Where the flow is a section of another: in words, else ""."""
-        return ""
+    def labels(self) -> Labels:
+        """Words and units of what has a name."""
 
     # ---- time
 
@@ -110,15 +96,6 @@ class Flow(eqx.Module):
     def autonomous(self) -> bool:
         """Whether there is no clock."""
 
-    @abc.abstractmethod
-    def shares(self, name: str) -> bool:
-        """Whether all lanes of a program must have the same value of a parameter: it changes their clock or table."""
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Names of the parameters that lanes may have of their own; all that only the flow has may decide a table."""
-        return tuple(self.parameters)
-
     def density(self, t: np.ndarray) -> np.ndarray:
         """Steps a unit of time, up to a factor, that suit all lanes; t of any shape."""
         return np.ones_like(t)
@@ -129,21 +106,16 @@ class Flow(eqx.Module):
     def rhs(self, t: ArrayLike, y: State, p: Parameters) -> State:
         """Time derivative of a state; components (...,) in and out."""
 
-    def fault_at(self, t: ArrayLike, y: State, p: Parameters) -> str:
-        """Why one state has no time derivative, in words; "" where nothing is known of that. On the host alone."""
-        return ""
-
-    def lost_on_the_way(self, t: ArrayLike, y: State, p: Parameters) -> str:
-        """What a motion nearly loses, in words: states (points,) at times t; "" where that is nothing. On the host."""
-        return ""
-
     def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Number:
         """Divergence of the flow; its mean is the sum of the Lyapunov exponents."""
         return self.divergence_of(lambda z: self.rhs(t, z, p), y)
 
     def divergence_of(self, rate: Callable[[State], State], y: State) -> Number:
-        """Divergence at a state of a rate that is this flow's: Σ ∂ẏ_i/∂y_i over the components that are compared."""
-        return jacobian_trace(rate, y, self.compared)
+        """Divergence at a state, or at what steps carry of one, of a rate that is this flow's.
+
+        Σ ∂ẏ_i/∂y_i over the components that are compared.
+        """
+        return jacobian_trace(rate, y, error_components)
 
     @property
     def contraction(self) -> str:
@@ -153,110 +125,41 @@ class Flow(eqx.Module):
         """
         return ""
 
-    def project(self, t: ArrayLike, y: State, p: Parameters) -> State:
-        """The state brought back to the constraints, where there are some that a step leaves."""
-        return y
-
-    # ---- what steps carry
-
-    def stepped(self, y: State) -> State:
-        """What steps carry of a state: less of it where constraints give the rest."""
-        return y
-
-    def stepped_rate(self, t: ArrayLike, z: State, p: Parameters) -> State:
-        """Time derivative of what steps carry."""
-        return self.rhs(t, z, p)
-
-    def restored(self, t: ArrayLike, z: State, y: State, p: Parameters) -> State:
-        """The state of what steps carry; what only reports is as in a state y before."""
-        return z
-
-    @property
-    def drifts(self) -> bool:
-        """Whether steps may leave the constraints, so that each is projected."""
-        return True
-
-    # ---- comparing states
-
-    def compared(self, y: State) -> State:
-        """The components of a state that an error is a difference of: all but those that only report."""
-        return y
-
-    def blanked(self, y: State, kept: Number) -> State:
-        """The state of a lane that is kept, and not a number of one that is not."""
-
-        def component(x: Array) -> Array:
-            return jnp.where(kept, x, jnp.nan)
-
-        return jax.tree.map(component, y)
-
-    # ---- section coordinates
-
-    @property
-    def dimensionless(self) -> bool:
-        """Whether section coordinates are of order one as they are, so that what is near needs no other measure."""
-        return False
-
-    @property
-    @abc.abstractmethod
-    def dimension(self) -> int:
-        """Number of section coordinates."""
-
     @property
     @abc.abstractmethod
     def exponents(self) -> int:
         """Number of Lyapunov exponents of motions that keep the constraints."""
 
+    def project(self, t: ArrayLike, y: State, p: Parameters) -> State:
+        """The state brought back to the constraints, where there are some that a step leaves."""
+        return y
+
+    def nearest(self, y: State, p: Parameters) -> State:
+        """The state near one that is on the constraints at t = 0, where there are some."""
+        return y
+
+    # ---- what maps act on, and what steps carry
+
+    @property
     @abc.abstractmethod
-    def chart(self, y: State) -> Float[Array, " dimension"]:
-        """Section coordinates of a state."""
+    def chart(self) -> Chart:
+        """Section coordinates."""
 
-    @abc.abstractmethod
-    def unchart(self, u: Float[Array, " dimension"]) -> State:
-        """The state with section coordinates."""
+    @property
+    def flow(self) -> Flow:
+        """The flow in continuous time, as a section has one (`maps.section.Section.flow`)."""
+        return self
 
-    @abc.abstractmethod
-    def wrap(self, difference: Number) -> Number:
-        """A difference of section coordinates (..., dimension), its angles in [−π, π)."""
-
-    @abc.abstractmethod
-    def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Largest difference of positions between section points (..., dimension): (...,)."""
-
-    @abc.abstractmethod
-    def signal(self, y: State) -> Vector:
-        """The observables that stand for a motion where few are enough: one position, or of an angle cosine and sine.
-
-        An angle itself is no observable: it may grow for ever, and whole turns of it are no motion.
-        """
-
-    # ---- tangents
-
-    @abc.abstractmethod
-    def directions(self, k: int) -> tuple[Vector, ...]:
-        """k tangents in section coordinates to begin with."""
-
-    @abc.abstractmethod
-    def lift(self, y: State, tangent: Vector) -> State:
-        """The tangent of a state with these section coordinates."""
-
-    @abc.abstractmethod
-    def lower(self, y: State, tangent: State) -> Vector:
-        """Section coordinates of a tangent of a state."""
+    @property
+    def reduction(self) -> Reduction:
+        """What steps carry of a state."""
+        return Reduction(self)
 
     # ---- host: start states and results
 
     @abc.abstractmethod
     def start(self, coordinates: Mapping[str, ArrayLike]) -> State:
         """The state at t = 0 with coordinates by name, floats or (lanes,); what the constraint decides is left out."""
-
-    @abc.abstractmethod
-    def section_point(self, y: State) -> Float[np.ndarray, "... dimension"]:
-        """Section coordinates of states (...,) on the host."""
-
-    @abc.abstractmethod
-    def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> State:
-        """Start states (lanes,) from even draws (lanes, d) in [−1, 1]: positions within the box, any direction."""
 
     @abc.abstractmethod
     def outputs(self, y: State, t: np.ndarray) -> dict[str, Output]:
@@ -266,10 +169,44 @@ class Flow(eqx.Module):
         """What there is to report of each trajectory (..., points), such as why it has failed."""
         return {}
 
+    def fault_at(self, t: ArrayLike, y: State, p: Parameters) -> str:
+        """Why one state has no time derivative, in words; "" where nothing is known of that."""
+        return ""
 
-def turned(angle: Number) -> Number:
-    """An angle in [−π, π)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+    def lost_on_the_way(self, t: ArrayLike, y: State, p: Parameters) -> str:
+        """What a motion nearly loses, in words: states (points,) at times t; "" where that is nothing."""
+        return ""
+
+
+class Reduction:
+    """What steps carry of the states of a flow: all of them, here; less where constraints give the rest.
+
+    Attributes:
+        flow: whose states.
+        leaves_constraints: whether steps may leave the constraints, so that each is projected.
+    """
+
+    leaves_constraints = True
+
+    def __init__(self, flow: Flow) -> None:
+        self.flow = flow
+
+    def reduce(self, y: State) -> State:
+        """What steps carry of a state."""
+        return y
+
+    def rhs(self, t: ArrayLike, z: State, p: Parameters) -> State:
+        """Time derivative of what steps carry."""
+        return self.flow.rhs(t, z, p)
+
+    def restore(self, t: ArrayLike, z: State, y: State, p: Parameters) -> State:
+        """The state of what steps carry; what only reports is as in a state y before."""
+        return z
+
+
+def pairs(names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """All pairs of coordinates, to be drawn over; of one coordinate itself."""
+    return tuple(itertools.combinations(names, 2)) or ((names[0], names[0]),)
 
 
 def unit_of_time(definition: Mapping[str, Any]) -> float:

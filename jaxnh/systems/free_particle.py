@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,9 +17,10 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxnh.systems.definition import Definition
-from jaxnh.systems.flow import Number, Output, Parameters
-from jaxnh.systems.lagrangian import Lagrangian, Motion, lagrangian
-from jaxnh.systems.particle import WORDS
+from jaxnh.systems.flow import Labels, Output, Parameters
+from jaxnh.systems.lagrangian import Lagrangian, Motion, MotionChart, lagrangian
+from jaxnh.systems.particle import LABELS
+from jaxnh.systems.state import Number
 
 
 class FreeParticle(Lagrangian):
@@ -41,23 +43,19 @@ class FreeParticle(Lagrangian):
         return {name: self.values[name] for name in ("a", "b", "omega")}
 
     @property
-    def own(self) -> tuple[str, ...]:
+    def lane_parameters(self) -> tuple[str, ...]:
         """a and b; ω is in the table of times."""
         return "a", "b"
 
-    def words(self, name: str) -> str:
-        """What a parameter or coordinate is called."""
-        return WORDS[name]
+    @property
+    def labels(self) -> Labels:
+        """The paper's words."""
+        return LABELS
 
     @property
-    def plane(self) -> tuple[str, str]:
-        """(x1, x2)."""
-        return "x1", "x2"
-
-    @property
-    def dimensionless(self) -> bool:
-        """The paper's equations are."""
-        return True
+    def chart(self) -> MotionChart:
+        """Positions and velocities, of order one as the paper's equations have no dimensions."""
+        return replace(super().chart, dimensionless=True)
 
     @property
     def autonomous(self) -> bool:

@@ -22,7 +22,7 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxnh.systems.elimination import definite, eliminate, known, minus
-from jaxnh.systems.flow import Number, Vector
+from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import constants
 
 Energy = Callable[[Vector, Vector, Number], Number]

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Float
 
+from jaxnh.systems.chart import Chart, general_directions, turned
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
 from jaxnh.systems.elimination import definite, eliminate, largest_of
 from jaxnh.systems.explicit import Explicit, all_velocities, explicit_velocities, free_accelerations
-from jaxnh.systems.flow import FAULTS, UNSAID, Number, Output, Parameters, Vector, turned
+from jaxnh.systems.flow import FAULTS, UNSAID, Labels, Output, Parameters, Reduction
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
     Equations,
@@ -31,7 +31,8 @@ from jaxnh.systems.jourdain import (
     constraint_slopes,
     matrices,
 )
-from jaxnh.systems.tracing import jacobian_trace, once
+from jaxnh.systems.state import Number, Vector, error_components, masked
+from jaxnh.systems.tracing import once
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
@@ -54,6 +55,17 @@ class Motion(NamedTuple):
     watch: Vector
 
 
+@error_components.register
+def _(y: Motion) -> tuple[Vector, Vector]:
+    return y.q, y.v
+
+
+@masked.register
+def _(y: Motion, kept: Number) -> Motion:
+    q, v = masked((y.q, y.v), kept)
+    return Motion(q, v, y.watch)
+
+
 class ReducedMotion(NamedTuple):
     """What steps carry of a lane whose constraints give some of its velocities.
 
@@ -64,6 +76,52 @@ class ReducedMotion(NamedTuple):
 
     q: Vector
     u: Vector
+
+
+class MotionChart(Chart):
+    """Coordinates of a motion, those that are ignorable left out, and all its velocities.
+
+    Attributes:
+        kept: numbers of the coordinates that are not left out.
+        count: number of all of them.
+    """
+
+    kept: tuple[int, ...] = eqx.field(static=True)
+    count: int = eqx.field(static=True)
+
+    def components(self, y: Motion) -> Vector:
+        return *(y.q[i] for i in self.kept), *y.v
+
+    def state(self, u: Number) -> Motion:
+        """The motion with section coordinates; ignorable coordinates are zero."""
+        zero = np.zeros_like(u[0]) if isinstance(u, np.ndarray) else jnp.zeros_like(u[0])
+        q = [zero] * self.count
+        for j, i in enumerate(self.kept):
+            q[i] = u[j]
+        return Motion(tuple(q), tuple(u[len(self.kept) + i] for i in range(len(q))), (zero, zero))
+
+    def directions(self, k: int) -> tuple[Vector, ...]:
+        return general_directions(self.dimension, k)
+
+
+class ExplicitReduction(Reduction):
+    """Coordinates and the free velocities of a motion whose constraints give the others."""
+
+    leaves_constraints = False
+
+    def __init__(self, flow: Lagrangian, explicit: Explicit) -> None:
+        self.flow, self.explicit = flow, explicit
+
+    def reduce(self, y: Motion) -> ReducedMotion:
+        return ReducedMotion(y.q, tuple(y.v[j] for j in self.explicit.free))
+
+    def rhs(self, t: ArrayLike, z: ReducedMotion, p: Parameters) -> ReducedMotion:
+        equations = self.flow.equations(p)
+        v = all_velocities(equations, self.explicit, z.q, z.u, t)
+        return ReducedMotion(v, free_accelerations(equations, self.explicit, z.q, z.u, t))
+
+    def restore(self, t: ArrayLike, z: ReducedMotion, y: Motion, p: Parameters) -> Motion:
+        return Motion(z.q, all_velocities(self.flow.equations(p), self.explicit, z.q, z.u, t), y.watch)
 
 
 class Lagrangian(DefinedFlow):
@@ -84,25 +142,13 @@ class Lagrangian(DefinedFlow):
         """Each coordinate and its velocity: x, x_dot, y, y_dot, …"""
         return tuple(word for name in self.names for word in (name, f"{name}_dot"))
 
-    def words(self, name: str) -> str:
-        """What a parameter or coordinate is called."""
-        base = name.removesuffix("_dot")
-        if label := self.said("labels", name):
-            return f"{label} {name}"
-        if name in self.names:
-            return f"angle {name}" if self.angles[self.names.index(name)] else f"coordinate {name}"
-        return f"velocity {name}" if base != name and base in self.names else f"parameter {name}"
-
     @property
-    def plane(self) -> tuple[str, str]:
-        """The first coordinate of the section, and its velocity."""
-        name = self.names[self.kept[0]]
-        return name, f"{name}_dot"
-
-    @property
-    def planes(self) -> tuple[tuple[str, str], ...]:
-        """Each coordinate of the section with its velocity."""
-        return tuple(zip(self.coordinates[::2], self.coordinates[1::2], strict=True))
+    def labels(self) -> Labels:
+        """As the definition says; each coordinate of the section is drawn with its velocity, then all others."""
+        kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(self.names, self.angles, strict=True)}
+        rates = {f"{name}_dot": "velocity" for name in self.names}
+        order = sorted(range(len(self.names)), key=self.ignorable.__getitem__)
+        return self.labelled(kinds | rates, tuple((self.names[i], f"{self.names[i]}_dot") for i in order))
 
     # ---- motion
 
@@ -191,132 +237,30 @@ class Lagrangian(DefinedFlow):
         q, v = (tuple(jnp.where(reason > 0.0, jnp.nan, x) for x in side) for side in (q, v))
         return Motion(q, v, lax.stop_gradient((drift, reason)))
 
-    # ---- what steps carry: no velocity that the constraints give
-
-    @property
-    def explicit(self) -> Explicit | None:
-        """Which velocities those are; None where there are none."""
-        return _explicit(jax.tree.structure(self), tuple(np.shape(leaf) for leaf in jax.tree.leaves(self)))
-
-    @property
-    def drifts(self) -> bool:
-        """Whether steps may leave the constraints."""
-        return self.explicit is None
-
-    def stepped(self, y: Motion) -> Motion | ReducedMotion:
-        """Coordinates and the free velocities, where there is a choice."""
-        explicit = self.explicit
-        return y if explicit is None else ReducedMotion(y.q, tuple(y.v[j] for j in explicit.free))
-
-    def stepped_rate(self, t: ArrayLike, z: Motion | ReducedMotion, p: Parameters) -> Motion | ReducedMotion:
-        """Time derivative of what steps carry."""
-        explicit = self.explicit
-        if explicit is None or not isinstance(z, ReducedMotion):
-            assert isinstance(z, Motion)
-            return self.rhs(t, z, p)
-        equations = self.equations(p)
-        v = all_velocities(equations, explicit, z.q, z.u, t)
-        return ReducedMotion(v, free_accelerations(equations, explicit, z.q, z.u, t))
-
-    def restored(self, t: ArrayLike, z: Motion | ReducedMotion, y: Motion, p: Parameters) -> Motion:
-        """The state on its constraints."""
-        explicit = self.explicit
-        if explicit is None or not isinstance(z, ReducedMotion):
-            assert isinstance(z, Motion)
-            return z
-        return Motion(z.q, all_velocities(self.equations(p), explicit, z.q, z.u, t), y.watch)
-
-    def divergence_of(self, rate: Callable[[Any], Any], y: Motion | ReducedMotion) -> Number:
-        """The same on the constraints: volumes of both are in a constant ratio, as C is constant."""
-        return jacobian_trace(rate, y, lambda z: z) if isinstance(y, ReducedMotion) else super().divergence_of(rate, y)
-
-    def compared(self, y: Motion) -> tuple[Vector, Vector]:
-        """Coordinates and velocities."""
-        return y.q, y.v
-
-    def blanked(self, y: Motion, kept: Number) -> Motion:
-        """The state of a lane that is kept; of one that is not, its reports alone are numbers."""
-        q, v = jax.tree.map(lambda x: jnp.where(kept, x, jnp.nan), (y.q, y.v))
-        return Motion(q, v, y.watch)
-
-    # ---- the section: coordinates and velocities, those that are ignorable left out
-
-    @property
-    def kept(self) -> tuple[int, ...]:
-        """Numbers of the coordinates that the section has."""
-        return tuple(i for i, left_out in enumerate(self.ignorable) if not left_out)
-
-    def signal(self, y: Motion) -> Vector:
-        """The first coordinate of the section; of an angle its cosine and sine."""
-        q = y.q[self.kept[0]]
-        return (jnp.cos(q), jnp.sin(q)) if self.angles[self.kept[0]] else (q,)
-
-    @property
-    def dimension(self) -> int:
-        """Coordinates of the section: positions, then all velocities."""
-        return len(self.kept) + len(self.names)
+    # ---- what maps act on, and what steps carry: no velocity that the constraints give
 
     @property
     def exponents(self) -> int:
         """Lyapunov exponents of motions that keep the constraints."""
-        return self.dimension - self.constraints
+        return self.chart.dimension - self.constraints
 
-    def chart(self, y: Motion) -> jax.Array:
-        """Section coordinates of a state, (dimension,); angles in [−π, π)."""
-        q = [turned(y.q[i]) if self.angles[i] else y.q[i] for i in self.kept]
-        return jnp.stack([*q, *y.v])
+    @property
+    def chart(self) -> MotionChart:
+        """Coordinates but for those that are ignorable, and all velocities."""
+        kept = tuple(i for i, left_out in enumerate(self.ignorable) if not left_out)
+        angles = *(self.angles[i] for i in kept), *(False for _ in self.names)
+        return MotionChart(angles, len(kept), dimensionless=False, kept=kept, count=len(self.names))
 
-    def unchart(self, u: Number) -> Motion:
-        """The state with section coordinates (dimension,), ignorable coordinates zero."""
-        zero = jnp.zeros_like(u[0])
-        q = [zero] * len(self.names)
-        for j, i in enumerate(self.kept):
-            q[i] = u[j]
-        return Motion(tuple(q), tuple(u[len(self.kept) + i] for i in range(len(q))), (zero, zero))
+    @property
+    def explicit(self) -> Explicit | None:
+        """Which velocities the constraints give; None where there are none."""
+        return _explicit(jax.tree.structure(self), tuple(np.shape(leaf) for leaf in jax.tree.leaves(self)))
 
-    def wrap(self, difference: Number) -> Number:
-        """A difference of section coordinates (..., dimension), its angles in [−π, π)."""
-        xp = np if isinstance(difference, np.ndarray) else jnp
-        turns = [j for j, i in enumerate(self.kept) if self.angles[i]]
-        columns = [turned(difference[..., j]) if j in turns else difference[..., j] for j in range(self.dimension)]
-        return xp.stack(columns, axis=-1)
-
-    def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Largest difference of positions between section points (..., dimension): (...,)."""
-        return np.max(np.abs(self.wrap(one - other)[..., : len(self.kept)]), axis=-1)
-
-    def start(self, coordinates: Mapping[str, ArrayLike]) -> Motion:
-        """(q, q̇) at t = 0."""
-        q = tuple(np.asarray(coordinates[name], float) for name in self.names)
-        v = tuple(np.asarray(coordinates[f"{name}_dot"], float) for name in self.names)
-        return Motion(q, v, (np.zeros_like(q[0]), np.zeros_like(q[0])))
-
-    def section_point(self, y: Motion) -> Float[np.ndarray, "... dimension"]:
-        """Section coordinates of states (...,) on the host."""
-        return np.stack(np.broadcast_arrays(*(y.q[i] for i in self.kept), *y.v), axis=-1)
-
-    def lift(self, y: Motion, tangent: Vector) -> Motion:
-        """δ(q, q̇) of a tangent in section coordinates."""
-        zero = jnp.zeros_like(tangent[0])
-        q = [zero] * len(self.names)
-        for j, i in enumerate(self.kept):
-            q[i] = tangent[j]
-        return Motion(tuple(q), tuple(tangent[len(self.kept) :]), (zero, zero))
-
-    def lower(self, y: Motion, tangent: Motion) -> Vector:
-        """Section coordinates of a tangent δ(q, q̇)."""
-        return (*(tangent.q[i] for i in self.kept), *tangent.v)
-
-    def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> Motion:
-        """Start states of even draws (lanes, dimension) from [−1, 1], times the box (angles: times π), on f = 0."""
-        scale = [np.pi if self.angles[i] else box for i in self.kept] + [box] * len(self.names)
-        return jax.tree.map(
-            np.asarray, jax.vmap(self.approach)(jnp.asarray(draws * scale), jax.tree.map(jnp.asarray, dict(p)))
-        )
-
-    def approach(self, u: Number, p: Parameters) -> Motion:
-        """The state near section coordinates u that is on the constraints at t = 0."""
-        return self.nearest(self.unchart(u), p)
+    @property
+    def reduction(self) -> Reduction:
+        """Coordinates and the free velocities, where there is a choice."""
+        explicit = self.explicit
+        return Reduction(self) if explicit is None else ExplicitReduction(self, explicit)
 
     def nearest(self, y: Motion, p: Parameters) -> Motion:
         """The state near one that is on the constraints at t = 0: of other velocities, by many projections."""
@@ -329,14 +273,23 @@ class Lagrangian(DefinedFlow):
 
         return self.project(zero, lax.fori_loop(0, _APPROACHES, again, y), p)
 
+    # ---- host: start states and results
+
+    def start(self, coordinates: Mapping[str, ArrayLike]) -> Motion:
+        """(q, q̇) at t = 0."""
+        q = tuple(np.asarray(coordinates[name], float) for name in self.names)
+        v = tuple(np.asarray(coordinates[f"{name}_dot"], float) for name in self.names)
+        return Motion(q, v, (np.zeros_like(q[0]), np.zeros_like(q[0])))
+
     def outputs(self, y: Motion, t: np.ndarray) -> dict[str, Output]:
         """Coordinates and velocities of states by name: x, x_dot, y, y_dot, …"""
-        found: dict[str, Output] = {}
+        words, units, _ = self.labels
+        outputs: dict[str, Output] = {}
         for name, q, v, is_angle in zip(self.names, y.q, y.v, self.angles, strict=True):
             rate = f"{name}_dot"
-            found[name] = Output(turned(q) if is_angle else q, self.words(name), {"units": self.units(name)})
-            found[rate] = Output(v, f"{self.words(rate)} = d{name}/dt", {"units": self.units(rate)})
-        return found
+            outputs[name] = Output(turned(q) if is_angle else q, words[name], {"units": units[name]})
+            outputs[rate] = Output(v, f"{words[rate]} = d{name}/dt", {"units": units[rate]})
+        return outputs
 
     def reports(self, y: Motion) -> dict[str, Output]:
         """Of each trajectory, by the last of its states (..., points): largest |f| before a projection, and its end."""
@@ -358,7 +311,7 @@ def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit |
         return 0.0
 
     system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
-    jax.eval_shape(look, system, dict.fromkeys(system.own, 0.0))
+    jax.eval_shape(look, system, dict.fromkeys(system.lane_parameters, 0.0))
     return found[0]
 
 

@@ -20,7 +20,9 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxnh.systems.flow import Flow, Number, Output, Parameters, Vector
+from jaxnh.systems.chart import Chart
+from jaxnh.systems.flow import Flow, Labels, Output, Parameters
+from jaxnh.systems.state import Number, Vector
 
 State = tuple[Vector, Vector]
 """(q, n): position (x1, y1) and unit vector of the velocity (n1, n2)."""
@@ -28,7 +30,7 @@ State = tuple[Vector, Vector]
 EFFECTS = ("forcing", "coupling", "cubic_stiffness", "damping")
 """What can be left out of a system; the disturbance is left out by d = 0, the constraint by another system."""
 
-WORDS = {
+_LONG_NAMES = {
     "a": "stiffness a",
     "b": "coupling b",
     "c": "squared speed c",
@@ -39,28 +41,45 @@ WORDS = {
     "y1": "position y1",
     "y2": "velocity y2",
 }
+LABELS = Labels(_LONG_NAMES, dict.fromkeys((*_LONG_NAMES, "t"), "1"), (("x1", "x2"), ("y1", "y2")))
 """What the paper's parameters and coordinates are called."""
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _LARGEST_DENOMINATOR = 64
 
 
-def chart(state: State) -> Float[Array, " 3"]:
-    """(x1, y1, θ), θ the direction of n in (−π, π]: coordinates of the section."""
-    (x, y), (n1, n2) = state
-    return jnp.stack([x, y, jnp.arctan2(n2, n1)])
+class ParticleChart(Chart):
+    """(x1, y1, θ) of states (q, n), θ the direction of n in (−π, π]."""
+
+    def components(self, y: State) -> Vector:
+        (x1, y1), (n1, n2) = y
+        if isinstance(n1, jax.Array):
+            return x1, y1, jnp.arctan2(n2, n1)
+        # The arctangent of the C library, which is the same on all processors; NumPy's own is not.
+        return x1, y1, np.vectorize(math.atan2, otypes=[float])(n2, n1)
+
+    def point(self, y: State) -> Float[Array, " 3"]:
+        return jnp.stack(self.components(y))
+
+    def state(self, u: Number) -> State:
+        xp = _namespace(u)
+        return (u[0], u[1]), (xp.cos(u[2]), xp.sin(u[2]))
+
+    def lift(self, y: State, tangent: Vector) -> State:
+        (dx, dy, dtheta), n = tangent, y[1]
+        return (dx, dy), (-n[1] * dtheta, n[0] * dtheta)
+
+    def lower(self, y: State, tangent: State) -> Vector:
+        """δ(x1, y1, θ) of a tangent δ(q, n) at a state.
+
+        Of n × δn the compiler may fuse either product with the difference: which one, it decides by the shape of a
+        tile. One quotient has one rounding.
+        """
+        n, dn = y[1], tangent[1]
+        return *tangent[0], jnp.where(jnp.abs(n[0]) > jnp.abs(n[1]), dn[1] / n[0], -dn[0] / n[1])
 
 
-def unchart(u: Float[Array, " 3"]) -> State:
-    """The state with section coordinates (x1, y1, θ)."""
-    return (u[0], u[1]), (jnp.cos(u[2]), jnp.sin(u[2]))
-
-
-def wrap(difference: Number) -> Number:
-    """A difference of section coordinates (..., 3) with its angle brought into [−π, π)."""
-    xp = np if isinstance(difference, np.ndarray) else jnp
-    angle = (difference[..., 2] + np.pi) % (2 * np.pi) - np.pi
-    return xp.stack([difference[..., 0], difference[..., 1], angle], axis=-1)
+CHART = ParticleChart((False, False, True), positions=2, dimensionless=True)
 
 
 class IsokineticParticle(Flow):
@@ -100,23 +119,18 @@ class IsokineticParticle(Flow):
         return {name: value for name, value in own.items() if value is not None}
 
     @property
-    def own(self) -> tuple[str, ...]:
+    def lane_parameters(self) -> tuple[str, ...]:
         """a and b; the others are in the table of kicks."""
         return "a", "b"
 
-    def words(self, name: str) -> str:
-        """What a parameter or coordinate is called."""
-        return WORDS[name]
+    def is_shared(self, name: str) -> bool:
+        """c, d and ω are in the table of kicks, which all lanes share."""
+        return name in ("c", "d", "omega")
 
     @property
-    def plane(self) -> tuple[str, str]:
-        """(x1, x2)."""
-        return "x1", "x2"
-
-    @property
-    def planes(self) -> tuple[tuple[str, str], ...]:
-        """Each position with its velocity."""
-        return tuple(zip(self.coordinates[::2], self.coordinates[1::2], strict=True))
+    def labels(self) -> Labels:
+        """The paper's words; each position with its velocity."""
+        return LABELS
 
     # ---- time
 
@@ -143,10 +157,6 @@ class IsokineticParticle(Flow):
         """
         disturbed = self.disturbed and bool(self.d)
         return strobe_period(self.omega if self.forced or not disturbed else 1.0, disturbed=disturbed)
-
-    def shares(self, name: str) -> bool:
-        """c, d and ω are in the table of kicks, which all lanes share."""
-        return name in ("c", "d", "omega")
 
     def density(self, t: np.ndarray) -> np.ndarray:
         """Steps a unit of time, up to a factor; t of any shape.
@@ -269,60 +279,15 @@ class IsokineticParticle(Flow):
         s = self.speed(t)
         return s * y[1][0], s * y[1][1]
 
-    # ---- section coordinates and tangents
-
-    @property
-    def dimension(self) -> int:
-        """Section coordinates: (x1, y1, θ)."""
-        return 3
-
     @property
     def exponents(self) -> int:
         """Lyapunov exponents of motions that keep the constraint."""
         return 3
 
-    def chart(self, y: State) -> Float[Array, " 3"]:
-        """Section coordinates (x1, y1, θ) of a state."""
-        return chart(y)
-
-    def unchart(self, u: Float[Array, " 3"]) -> State:
-        """The state with section coordinates."""
-        return unchart(u)
-
-    def wrap(self, difference: Number) -> Number:
-        """A difference of section coordinates (..., 3), its angle in [−π, π)."""
-        return wrap(difference)
-
     @property
-    def dimensionless(self) -> bool:
-        """The paper's equations are: lengths are those of the cubic terms."""
-        return True
-
-    def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Largest difference of positions between section points (..., 3): (...,)."""
-        return np.maximum(*(np.abs(one[..., k] - other[..., k]) for k in range(2)))
-
-    def signal(self, y: State) -> Vector:
-        """The position x1."""
-        return (y[0][0],)
-
-    def directions(self, k: int) -> tuple[Vector, ...]:
-        """k tangents of three components to begin with: coordinate directions."""
-        return tuple(tuple(float(i == j) for j in range(3)) for i in range(k))
-
-    def lift(self, y: State, tangent: Vector) -> State:
-        """δ(q, n) of a tangent δ(x1, y1, θ) at a state."""
-        (dx, dy, dtheta), n = tangent, y[1]
-        return (dx, dy), (-n[1] * dtheta, n[0] * dtheta)
-
-    def lower(self, y: State, tangent: State) -> Vector:
-        """δ(x1, y1, θ) of a tangent δ(q, n) at a state.
-
-        Of n × δn the compiler may fuse either product with the difference: which one, it decides by the shape of a
-        tile. One quotient has one rounding.
-        """
-        n, dn = y[1], tangent[1]
-        return *tangent[0], jnp.where(jnp.abs(n[0]) > jnp.abs(n[1]), dn[1] / n[0], -dn[0] / n[1])
+    def chart(self) -> ParticleChart:
+        """(x1, y1, θ); lengths are those of the cubic terms."""
+        return CHART
 
     # ---- host: start states and results
 
@@ -332,17 +297,6 @@ class IsokineticParticle(Flow):
         speed = np.sqrt(self.c)  # c + d sin t at t = 0
         with np.errstate(invalid="ignore"):
             return (x1, y1), (x2 / speed, np.sqrt(self.c - x2 * x2) / speed)
-
-    def section_point(self, y: State) -> Float[np.ndarray, "... 3"]:
-        """Section coordinates of states (...,) on the host."""
-        (x, y_), (n1, n2) = y
-        # The arctangent of the C library, which is the same on all processors; NumPy's own is not.
-        return np.stack(np.broadcast_arrays(x, y_, np.vectorize(math.atan2, otypes=[float])(n2, n1)), axis=-1)
-
-    def random_states(self, draws: np.ndarray, box: float, p: Parameters) -> State:
-        """Start states of even draws (lanes, 3) from [−1, 1]: x1 and y1 in [−box, box] and any direction."""
-        angle = np.pi * draws[:, 2]
-        return (box * draws[:, 0], box * draws[:, 1]), (np.cos(angle), np.sin(angle))
 
     def outputs(self, y: State, t: np.ndarray) -> dict[str, Output]:
         """The paper's coordinates of states by name; times t repeat along their last axis."""

@@ -177,7 +177,7 @@ class UserFile:
         self._check_period(parameters)
         made = lagrangian if self.mechanical else first_order
         flow = made(self.define, parameters, of_lanes)
-        return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.shares(name)))
+        return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.is_shared(name)))
 
     def _check_period(self, parameters: Mapping[str, float]) -> None:
         """Hold the equations against themselves a period later, at random states and times."""

@@ -57,7 +57,7 @@ def read_cascade(path: Path) -> Cascade:
     gaps = np.diff(b)
     ahead = np.append(gaps, gaps[-1] ** 2 / gaps[-2])
     published = np.append(compare.columns()["b"], np.full(len(b), np.nan))[: len(b)]
-    strobe = make_return_map(experiment.flow(), SPLITTINGS[SOLVER], STEPS)
+    strobe = make_return_map(experiment.dynamics(), SPLITTINGS[SOLVER], STEPS)
     start = jax.tree.map(lambda leaf: float(leaf[0]), experiment.start({}, 1))
     n = doubling["period"].to_numpy()[found].astype(int)
     return Cascade(experiment.title, strobe, start, n, b, ahead, published, compare.source)

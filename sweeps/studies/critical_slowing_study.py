@@ -15,7 +15,7 @@ from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.newton import Orbit
 from jaxnh.systems.flow import Parameters
-from jaxnh.systems.particle import State, chart, unchart
+from jaxnh.systems.particle import CHART, State
 
 TABLES = ("table1", "table2")
 THRESHOLDS = (1e-4, 1e-5, 1e-6)
@@ -183,7 +183,7 @@ def _multisect(
 
 def section(strobe: ReturnMap, transient: ArrayLike, start: State, p: Parameters) -> Array:
     """Section coordinates of one lane after a transient, (3,)."""
-    return chart(iterate(strobe, transient, start, p))
+    return CHART.point(iterate(strobe, transient, start, p))
 
 
 def measure_law(cascade: Cascade, lanes: LaneExecutor) -> Law:
@@ -201,7 +201,7 @@ def measure_law(cascade: Cascade, lanes: LaneExecutor) -> Law:
         kappa[k] = (mu[0] - mu[2]) / (2 * abs(h))
         shift[k] = (mu[1] + 1.0) / kappa[k]
         at = beyond[k : k + 1]
-        start = unchart(_orbits(lanes, strobe, double[k], at, 2 * n).u.T)
+        start = CHART.state(_orbits(lanes, strobe, double[k], at, 2 * n).u.T)
         x1 = lanes(strobe_points, (strobe, np.int32(0)), (start, {"b": at}), tile=8, static=(2 * int(n),))[0]
         gamma[k] = kappa[k] * _SPLIT * abs(ahead[k]) / np.max(np.abs(x1[n:] - x1[:n])) ** 2
     return Law(kappa, gamma, shift)

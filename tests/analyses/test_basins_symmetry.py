@@ -17,8 +17,7 @@ from test_basins import experiment, grid, kinds, line, same_partition
 
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
 from jaxnh.analyses.basins.tables import wilson
-from jaxnh.analyses.window_averages import angles
-from jaxnh.systems.flow import turned
+from jaxnh.systems.first_order import CoordinateChart
 
 STEPS = {"accuracy": {"solver": "tsit5", "steps": 24}}
 
@@ -266,30 +265,20 @@ def test_shares_beside_heyoka(tmp_path, name):
 # ---- distances
 
 
-class _Plane:
-    """Coordinates r and φ, an angle."""
-
-    dimension = 2
-
-    def wrap(self, difference):
-        return np.stack([difference[..., 0], turned(difference[..., 1])], axis=-1)
-
-
 def test_distance_from_points():
     """By brute force, also across the cut of an angle."""
-    random, plane = np.random.default_rng(3), _Plane()
+    random, plane = np.random.default_rng(3), CoordinateChart((False, True), 2, dimensionless=False)
     points, lanes = (random.uniform([-2.0, -9.0], [2.0, 9.0], (n, 2)) for n in (50, 400))
     size = np.array([2.0, 1.0])
     away = offsets(point_set(plane, points, np.zeros_like(points), size), lanes)
     every = plane.wrap(lanes[:, None] - points[None])
     expected = np.linalg.norm(every / size, axis=2).min(axis=1)
     np.testing.assert_allclose(np.linalg.norm(away / size, axis=1), expected, atol=1e-12)
-    assert angles(plane).tolist() == [False, True]
 
 
 def test_distance_from_a_path():
     """From four points of a circle and their velocities: π/2 apart, a cubic errs by (π/2)⁴/384 = 0.016 of the radius."""
-    plane = SimpleNamespace(dimension=2, wrap=lambda difference: difference)
+    plane = CoordinateChart((False, False), 2, dimensionless=False)
     at, phase = np.arange(5) * np.pi / 2, np.linspace(0.0, 6.0, 97)
     circle = np.stack([np.cos(at), np.sin(at)], axis=1)
     velocity = np.stack([-np.sin(at), np.cos(at)], axis=1) * np.pi / 2

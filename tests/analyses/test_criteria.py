@@ -60,7 +60,7 @@ def test_multiple_of_the_period():
     """A point of the orbits of period 1 at b = 5.8 and 2 at 2.5, met by Newton at a period of 8, is of theirs."""
     strobe = make_return_map(constant_speed(), SPLITTINGS["kahan_li8"], 120)
     lanes, b = LaneExecutor(), np.array([5.8, 2.5])
-    start, p = constant_speed().section_point(spread(START, 2)), {"b": b}
+    start, p = constant_speed().chart.host_points(spread(START, 2)), {"b": b}
     u = lanes(section_map, (strobe, np.int32(400)), (start, p))
     np.testing.assert_array_equal(least_period(lanes, strobe, u, p, 8, np.ones((2, 3))), [1, 2])
 
@@ -300,7 +300,7 @@ def test_averages_tell_weak_chaos_from_tori():
     assert list(grown / math.log(n) < 2.0) == [True, True, False, False]
     assert np.all(grown[2:] > 5 * math.log(n))
     flow = lagrangian(undamped, {"drive": 0.3})
-    start = jax.tree.map(np.asarray, jax.vmap(flow.unchart)(np.stack([angles, 0.0 * angles], axis=-1)))
+    start = jax.tree.map(np.asarray, jax.vmap(flow.chart.state)(np.stack([angles, 0.0 * angles], axis=-1)))
     scene = Scene(
         flow, start, {"drive": np.full(4, 0.3)}, SOLVERS["dopri5"], 120, compensated=False, error_estimate=1e-8
     )

@@ -14,7 +14,7 @@ import jaxnh
 from jaxnh.analyses.continuation.equilibria import equilibria
 from jaxnh.analyses.continuation.seeds import random_wave
 from jaxnh.exceptions import ConfigError
-from jaxnh.maps.section import SectionedFlow
+from jaxnh.maps.section import Section, begin
 from jaxnh.orbits.branches import StepControl
 from jaxnh.orbits.kinds import KINDS
 from jaxnh.solvers import verner9
@@ -43,8 +43,10 @@ def roessler(c=5.7):
 
 def followed(define, name, ends, box, lanes):
     """The branches of equilibria over a range, and the family's bifurcations as (kind, parameter, point)."""
-    flow = SectionedFlow(first_order(define, {name: ends[0]}), "y", 1, 0.0, "up")
-    scene = scene_of(flow, flow.start({"x": 1.0, "y": 1.0, "z": 1.0}), np.linspace(*ends, 3), verner9, 8, name=name)
+    flow = Section(first_order(define, {name: ends[0]}), "y", 1, 0.0, "up")
+    scene = scene_of(
+        flow, begin(flow, flow.flow.start({"x": 1.0, "y": 1.0, "z": 1.0})), np.linspace(*ends, 3), verner9, 8, name=name
+    )
     found = equilibria(scene, lanes, 8, 1, box, ends, StepControl(), lambda label: contextlib.nullcontext())
     points = sorted(found.tree.bifurcations, key=lambda point: point.value)
     return found.tree.branches, points
@@ -106,8 +108,10 @@ def test_equilibria_of_roessler(lanes):
 @pytest.mark.slow
 def test_random_starts_on_a_section(lanes):
     """Newton finds Lorenz's shortest orbit, which repels (Viswanath, Nonlinearity 16 (2003) 1035), from random starts."""
-    flow = SectionedFlow(first_order(lorenz, {"rho": 28.0}), "z", 2, 27.0, "up")
-    scene = scene_of(flow, flow.start({"x": 1.0, "y": 1.0, "z": 20.0}), [28.0], verner9, 64, name="rho")
+    flow = Section(first_order(lorenz, {"rho": 28.0}), "z", 2, 27.0, "up")
+    scene = scene_of(
+        flow, begin(flow, flow.flow.start({"x": 1.0, "y": 1.0, "z": 20.0})), [28.0], verner9, 64, name="rho"
+    )
     box = {"x": (-10.0, 10.0), "y": (-10.0, 10.0)}
     found = random_wave(scene, lanes, 16, 1, box, 2, np.array([8.0, 8.0]), 16)
     assert {len(orbit.points) for orbit in found} >= {2}

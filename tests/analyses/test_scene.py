@@ -14,9 +14,9 @@ from jaxnh.analyses.base import LANE, OptionError, Setting, SweepLanes
 from jaxnh.analyses.cascade import follow
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
-from jaxnh.analyses.scene import Axis, section_points
+from jaxnh.analyses.scene import Axis
 from jaxnh.analyses.trajectories import diagram, poincare
-from jaxnh.maps.section import SectionedFlow
+from jaxnh.maps.section import Section
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.particle import constant_speed, disturbed_speed
@@ -83,7 +83,7 @@ def test_scene_along_its_first_axis():
     there = scene.at(np.array([1.0, 2.0]))
     assert {name: values.tolist() for name, values in there.p.items()} == {"b": [1.0, 2.0], "a": [0.4, 0.4]}
     assert there.line.values.tolist() == [1.0, 2.0]
-    assert section_points(there).shape == (2, 3)
+    assert there.chart.host_points(there.start).shape == (2, 3)
     few = scene.take(np.array([3, 1]))
     assert few.line.values.tolist() == few.p["b"].tolist() == B[[3, 1]].tolist()
     assert few.places.tolist() == [3, 1]
@@ -142,7 +142,7 @@ def test_a_dataset_says_what_it_is(lanes, name):
 @pytest.mark.slow
 def test_words_without_a_clock(lanes):
     """Lengths are in units of time, and the dimension is that of the flow; with a clock, in periods and on the section."""
-    still = SectionedFlow(constant_speed(without=("forcing",)), "y1", 1, 0.0, "up").flow
+    still = Section(constant_speed(without=("forcing",)), "y1", 1, 0.0, "up").flow
     options = lyapunov.LyapunovOptions(transient=8, periods=16)
     for flow, unit, of in (
         (still, "units of time 2 pi/omega", "flow"),

@@ -45,12 +45,12 @@ def test_error_after_the_first_look(lanes):
     state = average_window(others, lanes, others.start, TRANSIENT // 2).state
     par, worst, with_fewer = twin(SYSTEM), [], []
     for _ in range(16):
-        u = SYSTEM.section_point(state)
+        u = SYSTEM.chart.host_points(state)
         exact = taylor.strobe(par, B, u.astype(taylor.REAL))
         maps = (replace(others, steps=n).strobe() for n in (steps, 3 * steps // 4))
         images = [lanes(lambda strobe, z: strobe(z, {}), (strobe,), (state,)) for strobe in maps]
         for found, image in zip((worst, with_fewer), images, strict=True):
-            found.append(apart(SYSTEM.section_point(image), exact).max())
+            found.append(apart(SYSTEM.chart.host_points(image), exact).max())
         state = images[0]
     assert max(worst) < TARGET < max(with_fewer)
 

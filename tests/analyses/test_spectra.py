@@ -54,7 +54,7 @@ def test_spectra_beside_heyoka(name):
     reference, states = by_heyoka(name)
     flow, k = there.flow, there.flow.exponents
     assert k == reference.shape[1]
-    start = jax.vmap(lambda y: flow.unchart(there.embed(y)))(jnp.asarray(states))
+    start = jax.vmap(lambda y: flow.chart.state(there.embed(y)))(jnp.asarray(states))
     p = {case.parameter: np.linspace(case.low, case.high, COUNT)}
     scene = Scene(flow, jax.tree.map(np.asarray, start), p, dopri8, STEPS[name], False, 1e-8)
     options = lyapunov.LyapunovOptions(transient=0, periods=PERIODS, exponents=k)

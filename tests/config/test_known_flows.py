@@ -22,7 +22,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import orbits
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.section import SectionedFlow
+from jaxnh.maps.section import Section
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.systems.first_order import Point
 
@@ -159,7 +159,7 @@ def ends(name, periods):
     # Mechanics are slow to compile and smooth: six stages in place of twelve are enough.
     strobe = make_return_map(flow, tsit5 if name in MECHANICS else dopri8, STEPS)
     end = LANES(iterate, (strobe, np.int32(periods)), (state, p), tile=4)
-    return flow.section_point(state), flow.section_point(end), flow.period * periods, values
+    return flow.chart.host_points(state), flow.chart.host_points(end), flow.period * periods, values
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ def test_limit_cycle_of_van_der_pol():
     flow = loaded("van_der_pol_free").flow()
     strobe, p = make_return_map(flow, dopri8, 64), {"mu": np.ones(1)}
     orbit = orbits(LANES, strobe, np.array([[2.17]]), p, 1)
-    state = jax.vmap(flow.unchart)(jnp.asarray(orbit.u))
+    state = jax.vmap(flow.chart.state)(jnp.asarray(orbit.u))
     assert float(LANES(iterate, (strobe, np.int32(1)), (state, p), tile=4).t[0]) == pytest.approx(
         6.663286859323, abs=2e-11
     )
@@ -258,11 +258,11 @@ def test_shortest_orbit_of_roessler():
 
     The list has 1.000000003 for the multiplier one: it is known to 3e-9, in z, which falls at a rate of 7 there, to 2e-8.
     """
-    flow = SectionedFlow(loaded("roessler").flow().flow, "x", 0, 0.0, "down")
+    flow = Section(loaded("roessler").flow().flow, "x", 0, 0.0, "down")
     strobe, p = make_return_map(flow, dopri8, 256), {"c": np.array([5.7])}
     orbit = orbits(LANES, strobe, np.array([[6.0, 1.3]]), p, 1)
     assert np.abs(orbit.u[0] - [6.09176831742, 1.29973195919]).max() < 5e-8
-    state = jax.vmap(flow.unchart)(jnp.asarray(orbit.u))
+    state = jax.vmap(flow.chart.state)(jnp.asarray(orbit.u))
     duration = float(LANES(iterate, (strobe, np.int32(1)), (state, p), tile=4).t[0])
     assert duration == pytest.approx(5.88108845586, abs=1e-8)
     assert np.linalg.eigvals(orbit.monodromy[0]).real.min() == pytest.approx(-2.403953527, abs=1e-7)

@@ -9,7 +9,7 @@ from unforced import write_config
 
 from jaxnh.config.experiment import load
 from jaxnh.exceptions import ConfigError, InputError
-from jaxnh.maps.section import Crossing, SectionedFlow
+from jaxnh.maps.section import Crossing, Section
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 
 
@@ -159,10 +159,10 @@ def test_start_states_of_lanes(tmp_path):
 
 def test_start_without_a_clock_is_on_its_way_to_the_section(config):
     experiment = load(config, ["sweep.x1={values: [0.0, 0.1]}"])
-    flow, start = experiment.flow(), experiment.start({"x1": np.array([0.0, 0.1])}, 2)
-    assert isinstance(flow, SectionedFlow)
-    assert (flow.coordinate, flow.number, flow.value, flow.direction) == ("y1", 1, 0.0, "up")
-    assert flow.inner == constant_speed(b=0.2, without=["forcing"])
+    section, start = experiment.dynamics(), experiment.start({"x1": np.array([0.0, 0.1])}, 2)
+    assert isinstance(section, Section)
+    assert (section.coordinate, section.number, section.value, section.direction) == ("y1", 1, 0.0, "up")
+    assert section.flow == experiment.flow() == constant_speed(b=0.2, without=["forcing"])
     assert isinstance(start, Crossing)
     assert start.t.tolist() == start.reason.tolist() == [0.0, 0.0]
     assert start.state[0][0].tolist() == [0.0, 0.1]
@@ -172,7 +172,7 @@ def test_a_section_that_nothing_needs_is_left_out(config):
     """A spectrum is an average over time; what is found at crossings has the default section where none is given."""
     for analysis, sectioned in (("lyapunov", False), ("diagram", True)):
         experiment = load(config, ["section=null", f"analyses={{{analysis}: null}}"])
-        assert isinstance(experiment.flow(), SectionedFlow) == sectioned
+        assert isinstance(experiment.dynamics(), Section) == sectioned
         assert isinstance(experiment.start({}, 1), Crossing) == sectioned
 
 

@@ -8,7 +8,7 @@ from conftest import ROOT, session_of
 
 import jaxnh
 from jaxnh.exceptions import AccuracyError, ConfigError
-from jaxnh.maps.section import SectionedFlow
+from jaxnh.maps.section import Section, drawn_plane
 
 LORENZ = (ROOT / "configs/flows/lorenz.py").read_text()
 CONFIG = """system: {file: own.py, sigma: 10.0}
@@ -37,13 +37,14 @@ def write(folder, config=CONFIG, text=LORENZ):
 
 def test_system_and_section(tmp_path):
     experiment = jaxnh.load(write(tmp_path))
-    flow = experiment.flow()
-    assert isinstance(flow, SectionedFlow)
-    assert (flow.autonomous, flow.dimension, flow.exponents, flow.period) == (True, 2, 3, 1.0)
-    assert flow.section == "x - y = 0, up"
-    assert flow.plane == ("y", "z")
+    section, flow = experiment.dynamics(), experiment.flow()
+    assert isinstance(section, Section)
+    assert section.flow == flow
+    assert (flow.autonomous, section.chart.dimension, flow.exponents, flow.period) == (True, 2, 3, 1.0)
+    assert section.description == "x - y = 0, up"
+    assert drawn_plane(section) == ("y", "z")
     assert dict(flow.parameters) == {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}
-    assert flow.own == ("rho",)
+    assert flow.lane_parameters == ("rho",)
     assert [float(x[0]) for x in experiment.start({}, 1).state.y] == [1.0, 1.0, 20.0]
 
 
@@ -53,7 +54,7 @@ def test_system_and_section(tmp_path):
 )
 def test_a_plane_in_words(tmp_path, normal, words):
     config = CONFIG.replace("{x: 1.0, y: -1.0}", normal)
-    assert jaxnh.load(write(tmp_path, config)).flow().section == words
+    assert jaxnh.load(write(tmp_path, config)).dynamics().description == words
 
 
 def test_solver_of_other_flows_is_refused(tmp_path):
@@ -66,8 +67,8 @@ def test_solver_of_other_flows_is_refused(tmp_path):
 def test_lengths_of_time_and_of_returns(tmp_path):
     text = LORENZ.replace('"coordinates"', '"time_unit": 0.5, "coordinates"')
     config = CONFIG.replace("direction: up", "direction: up, longest_return: 30.0")
-    flow = jaxnh.load(write(tmp_path, config, text)).flow()
-    assert (flow.period, flow.longest) == (0.5, 30.0)
+    section = jaxnh.load(write(tmp_path, config, text)).dynamics()
+    assert (section.flow.period, section.longest) == (0.5, 30.0)
 
 
 @pytest.mark.slow
@@ -77,7 +78,7 @@ def test_without_a_section_what_needs_none_runs_in_time(tmp_path):
     config = whole.replace("section: {normal: {x: 1.0, y: -1.0}, value: 0.0, direction: up}\n", "")
     experiment = jaxnh.load(write(tmp_path, config))
     assert experiment.autonomous
-    assert not isinstance(experiment.flow(), SectionedFlow)
+    assert not isinstance(experiment.dynamics(), Section)
     tree, sectioned = (session_of(one).tree() for one in (experiment, jaxnh.load(write(tmp_path, whole))))
     assert "section" not in tree.attrs
     assert sectioned.attrs["section"] == "x - y = 0, up"

@@ -76,7 +76,7 @@ def scene_of(experiment, values, steps):
     (axis,), values = experiment.axes, np.asarray(values)
     along = Axis(axis.name, values, axis.long_name)
     start = experiment.start({}, len(values))
-    return Scene(experiment.flow(), start, {axis.name: values}, SOLVERS["dopri8"], steps, False, 0.0, along=along)
+    return Scene(experiment.dynamics(), start, {axis.name: values}, SOLVERS["dopri8"], steps, False, 0.0, along=along)
 
 
 # ---- the map
@@ -90,10 +90,10 @@ def test_map_is_diffeqsolve_with_projected_steps(tmp_path):
     assert isinstance(strobe, GeneralStrobe)
     start = jax.tree.map(lambda component: jnp.float64(component[0]), own.start)
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(own.system.rhs), ProjectedSolver(SOLVERS["tsit5"], own.system), 0.0, own.system.period,
-        own.system.period / 100, start, args={"b": 2.0}, max_steps=128,
+        diffrax.ODETerm(own.flow.rhs), ProjectedSolver(SOLVERS["tsit5"], own.flow), 0.0, own.flow.period,
+        own.flow.period / 100, start, args={"b": 2.0}, max_steps=128,
     )  # fmt: skip
-    moved = LaneExecutor()(section_map, (strobe, np.int32(1)), (own.system.section_point(own.start), own.p))[0]
+    moved = LaneExecutor()(section_map, (strobe, np.int32(1)), (own.system.chart.host_points(own.start), own.p))[0]
     exact = np.array([float(x[-1]) for x in (*solution.ys.q, *solution.ys.v)])
     assert np.abs(moved - exact).max() < 1e-11
 
@@ -110,7 +110,7 @@ def test_map_and_its_derivatives_are_those_of_the_splitting(tmp_path):
     lanes, one = LaneExecutor(), np.int32(1)
     u = np.tile([0.1, 0.1, np.arctan2(y2, x2)], (2, 1))
     exact, monodromy, slope = lanes(derivatives, (fine, one), (u, own.p), static=("b",))
-    points = own.system.section_point(own.start)
+    points = own.system.chart.host_points(own.start)
     image, whole, general_slope = lanes(derivatives, (own.strobe(), one), (points, own.p), static=("b",))
     assert np.abs(image[:, :2] - exact[:, :2]).max() < 1e-9
     assert np.abs(general_slope[:, :2] - slope[:, :2]).max() < 1e-8
@@ -210,13 +210,15 @@ def test_section_leaves_out_ignorable_coordinates_and_wraps_angles(tmp_path):
     config = CONFIG.replace("initial: {x1: 0.1, x1_dot: 0.1, y1: 0.1, y1_dot: 0.99498743710662}\n", "")
     experiment = load(write(tmp_path, ROLLING, config.replace("b: {", "r: {")))
     system = experiment.flow()
-    assert (system.dimension, system.exponents, system.constraints) == (5, 4, 1)
+    assert (system.chart.dimension, system.exponents, system.constraints) == (5, 4, 1)
     state = Motion((0.5, 7.0, 4.0), (1.0, 2.0, 3.0), (0.0, 0.0))
-    point = np.asarray(system.chart(jax.tree.map(jnp.float64, state)))
+    point = np.asarray(system.chart.point(jax.tree.map(jnp.float64, state)))
     assert np.abs(point - [0.5, 4.0 - 2 * np.pi, 1.0, 2.0, 3.0]).max() < 1e-15
-    assert system.unchart(point).q[1] == 0
+    assert system.chart.state(point).q[1] == 0
     assert (
-        np.abs(system.wrap(np.array([[9.0, 4.0, 9.0, 0.0, 0.0]]))[0] - [9.0, 4.0 - 2 * np.pi, 9.0, 0.0, 0.0]).max()
+        np.abs(
+            system.chart.wrap(np.array([[9.0, 4.0, 9.0, 0.0, 0.0]]))[0] - [9.0, 4.0 - 2 * np.pi, 9.0, 0.0, 0.0]
+        ).max()
         < 1e-15
     )
 

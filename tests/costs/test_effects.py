@@ -24,7 +24,7 @@ from jaxnh.config.experiment import load
 from jaxnh.costs.operations import count
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.section import Crossing, SectionedFlow
+from jaxnh.maps.section import Crossing, Section
 from jaxnh.solvers import SPLITTINGS, tsit5
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
@@ -96,7 +96,7 @@ def test_operations_fall_with_every_effect(lanes, left_out, saved):
 @pytest.fixture(scope="module")
 def spectrum(lanes):
     """Scene without forcing, chaotic but at the last b, and its three exponents."""
-    system = SectionedFlow(without("forcing"), "y1", 1, 0.0, "up")
+    system = Section(without("forcing"), "y1", 1, 0.0, "up")
     scene = scene_of(system, Crossing(START, 0.0, 0.0), [0.5, 0.8, 1.2], SPLITTING, 100, error=1e-9)
     options = lyapunov.LyapunovOptions(transient=64, periods=1024)
     return scene, lyapunov.run(options, scene, lanes)
@@ -110,7 +110,7 @@ def test_exponents_pair_about_zero(spectrum):
     """
     scene, group = spectrum
     exponents = group["exponents"].to_numpy()
-    time = group["averaged"].to_numpy() * scene.system.period
+    time = group["averaged"].to_numpy() * scene.flow.period
     np.testing.assert_array_equal(exponents[:, 1], 0.0)
     np.testing.assert_array_equal(group["exponents_error"].to_numpy()[:, 1], 0.0)
     assert np.all(np.abs(exponents.sum(axis=1)) < 10 / time)
@@ -156,7 +156,7 @@ def test_motion_that_comes_to_rest(lanes, exponents):
     add up to the divergence, which is −2a everywhere: to the error of the map.
     """
     flow = free_particle(0.5, None, 1.0, ("forcing", "coupling"))
-    system = SectionedFlow(flow, "x1", 0, 0.0, "up")
+    system = Section(flow, "x1", 0, 0.0, "up")
     start = Crossing(Motion((0.1, 0.1), (0.1, 0.2), (0.0, 0.0)), 0.0, 0.0)
     scene = scene_of(system, start, [0.0, 0.0], tsit5, 60, error=1e-8)
     options = lyapunov.LyapunovOptions(transient=8, periods=64, exponents=exponents)

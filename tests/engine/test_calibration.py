@@ -19,7 +19,7 @@ from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate, section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
-from jaxnh.systems.particle import chart, disturbed_speed
+from jaxnh.systems.particle import CHART, disturbed_speed
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 
@@ -46,7 +46,7 @@ def other_lanes(lanes, system, first, last):
     for k, n in enumerate((0, 3, 9, 41, 100)):
         state = jax.tree.map(lambda leaf: np.full(100, leaf), START)
         points.append(
-            jax.vmap(chart)(lanes(iterate, (strobe, np.int32(n)), (state, {"b": b[100 * k : 100 * k + 100]})))
+            jax.vmap(CHART.point)(lanes(iterate, (strobe, np.int32(n)), (state, {"b": b[100 * k : 100 * k + 100]})))
         )
     return b, np.concatenate(points)
 

@@ -196,7 +196,7 @@ def test_a_flow_first_seen_by_two_devices():
 
     flow = first_order(rotor, {"damping": 0.1})
     step = make_return_map(flow, tsit5, 1)
-    start = jax.vmap(flow.unchart)(np.stack([np.linspace(0.0, 1.0, 8), np.zeros(8)], axis=1))
+    start = jax.vmap(flow.chart.state)(np.stack([np.linspace(0.0, 1.0, 8), np.zeros(8)], axis=1))
     lanes = start, {"damping": np.full(8, 0.1)}
     found = [LaneExecutor(devices=jax.devices("cpu")[:n])(iterate, (step, np.int32(20)), lanes) for n in (2, 1)]
     same(*found)

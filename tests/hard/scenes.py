@@ -37,7 +37,7 @@ def hold(lanes, system, start, values, target, count=24):
         return Held(None, np.inf, str(refusal), target)
     strobe = make_return_map(system, plan.solver, plan.steps, compensated=plan.compensated)
     b = np.random.default_rng(11).choice(values, count)
-    u = np.tile(system.section_point(start), (count, 1))
+    u = np.tile(system.chart.host_points(start), (count, 1))
     for k, n in enumerate((0, 3, 20)):
         part = slice(k * count // 3, (k + 1) * count // 3)
         u[part] = lanes(section_map, (strobe, np.int32(n)), (u[part], {"b": b[part]}))
@@ -63,7 +63,7 @@ def hold_to_rounding(battery, lanes, what, system, start, values, target, count=
     held = hold(lanes, system, start, values, target, count)
     show(battery, what, held)
     if held.plan is None:
-        u, par = system.section_point(start), twin(system)
+        u, par = system.chart.host_points(start), twin(system)
         enlarged = max(taylor.enlargement(par, float(b), u, LOOKED_AT) for b in values)
         assert target < roundings(enlarged)
         held = hold(lanes, system, start, values, roundings(enlarged), count)

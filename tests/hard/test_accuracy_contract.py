@@ -121,7 +121,7 @@ def measured(experiment, target, plan, lanes, rng, count):
     starts, worst, over = [], [], 0
     for begin, end in itertools.pairwise(STRETCHES):
         state, start, gap, missed = lanes(walked, (strobe, finer, np.int32(end - begin), target), (state, own))
-        starts.append(flow.section_point(start))
+        starts.append(flow.chart.host_points(start))
         worst.append(gap)
         over += int(missed.sum())
     worst = np.concatenate(worst)

@@ -29,7 +29,7 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart, wrap
+from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 
@@ -70,7 +70,7 @@ def test_strong_contraction(battery, lanes):
             lambda u, b, strobe=strobe: lanes(derivatives, (strobe, np.int32(1)), (u, {"b": b}), tile=32),
             walk(lanes, scene, found.u[0], n)[None],
             np.array([b]),
-            wrap,
+            CHART.wrap,
         )
         options = lyapunov.LyapunovOptions(transient=128, periods=512 if battery.full else 128)
         x, y, theta = found.u[0]
@@ -93,9 +93,9 @@ def walk(lanes, scene, u, n):
     points = [u]
     for _ in range(n - 1):
         end = lanes(
-            iterate, (scene.strobe(), np.int32(1)), (unchart(points[-1][:, None]), scene.take(slice(1)).p), tile=32
+            iterate, (scene.strobe(), np.int32(1)), (CHART.state(points[-1][:, None]), scene.take(slice(1)).p), tile=32
         )
-        points.append(np.array(chart(jax.tree.map(lambda leaf: leaf[0], end))))
+        points.append(np.array(CHART.point(jax.tree.map(lambda leaf: leaf[0], end))))
     return np.array(points)
 
 
@@ -118,7 +118,7 @@ def test_long_chaos(battery, lanes):
     count, periods = (4096, 100_000) if battery.full else (256, 400)
     plan = calibrated(constant_speed(), START, [5.3], lanes).cheapest(1e-4)
     strobe = make_return_map(constant_speed(), plan.solver, plan.steps, compensated=plan.compensated)
-    state = jax.tree.map(np.array, unchart(random_points(count).T))
+    state = jax.tree.map(np.array, CHART.state(random_points(count).T))
     p = {"b": np.full(count, 5.3)}
     state = lanes(iterate, (strobe, np.int32(200)), (state, p), periods=200)
     end, averages = means(lanes, strobe, state, p, periods)
@@ -273,12 +273,12 @@ def mirror_of(u):
 
 def same_orbit(lanes, scene, u, n, other):
     """Whether a point lies on the period-n orbit through u."""
-    return bool(np.any(np.abs(wrap(orbit_of(lanes, scene, u, n) - other)).max(axis=1) < 1e-5))
+    return bool(np.any(np.abs(CHART.wrap(orbit_of(lanes, scene, u, n) - other)).max(axis=1) < 1e-5))
 
 
 def proven_chaotic(lanes, scene, u):
     """Which lanes, from section points (lanes, 3), have a largest exponent above twice its error bar."""
-    there = replace(scene.take(slice(len(u))), start=jax.tree.map(np.asarray, unchart(u.T)))
+    there = replace(scene.take(slice(len(u))), start=jax.tree.map(np.asarray, CHART.state(u.T)))
     found = lyapunov.run(lyapunov.LyapunovOptions(transient=64, periods=2048, exponents=1), there, lanes)
     return found["exponents"].to_numpy()[:, 0] > 2 * found["exponents_error"].to_numpy()[:, 0]
 
@@ -289,7 +289,7 @@ def attractors(lanes, scene, found, left):
     while len(left):
         first = left[0]
         points = orbit_of(lanes, scene, found.u[first], int(found.period[first]))
-        gap = np.abs(wrap(found.u[left][:, None, :] - points[None])).max(axis=2).min(axis=1)
+        gap = np.abs(CHART.wrap(found.u[left][:, None, :] - points[None])).max(axis=2).min(axis=1)
         mine = (gap < 1e-5) & (found.period[left] == found.period[first])
         assert mine[0]
         kinds.append(left[mine])

@@ -19,7 +19,7 @@ from jaxnh.maps.iterate import derivatives
 from jaxnh.orbits.doubling_points import doubling_point, follow_branch
 from jaxnh.orbits.shooting import close_orbits, log_volume, multiplier_logs
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.systems.particle import constant_speed, wrap
+from jaxnh.systems.particle import CHART, constant_speed
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SCENE = scene_of(constant_speed(), START, [5.54], SPLITTINGS["kahan_li8"], 320, True, 1e-11)
@@ -35,8 +35,8 @@ def one_period(lanes):
 @pytest.fixture(scope="module")
 def first(lanes, one_period):
     """The doubling 1 → 2."""
-    start = attractor_survey.survey(SCENE, lanes, constant_speed().section_point(START)[None], 2, "hard", 300)
-    return doubling_point(one_period, follow_branch(one_period, start.u, 5.54, 5.515, wrap), wrap)
+    start = attractor_survey.survey(SCENE, lanes, constant_speed().chart.host_points(START)[None], 2, "hard", 300)
+    return doubling_point(one_period, follow_branch(one_period, start.u, 5.54, 5.515, CHART.wrap), CHART.wrap)
 
 
 # ---- on the edge of a doubling
@@ -63,7 +63,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     kappa = (high - low) / (2 * h)
     edge = 10.0**-n_edges
     b = np.concatenate([first.value + edge / kappa, first.value - edge / kappa])
-    start = np.tile(constant_speed().section_point(START), (len(b), 1))
+    start = np.tile(constant_speed().chart.host_points(START), (len(b), 1))
     scene = SCENE.at(b)
     found = attractor_survey.survey(scene, lanes, start, 16, "hard", 512)
     found = attractor_survey.beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
@@ -139,11 +139,11 @@ def test_deep_in_the_cascade(battery, lanes, one_period):
         n, last = 2**k, points[k]
         # Midway between two doublings, from the orbit at the second.
         at = 0.5 * (points[k - 1].value + last.value)
-        orbit = close_orbits(one_period, last.orbit[None], np.array([at]), wrap)
+        orbit = close_orbits(one_period, last.orbit[None], np.array([at]), CHART.wrap)
         residual, blocks = orbit.residual[0], orbit.blocks[0]
         closing.append(residual)
         battery.row(f"period {n} at b = {at:.12f}: closed", residual, 1e-10, "largest gap")
-        half = np.abs(wrap(orbit.points[0] - np.roll(orbit.points[0], n // 2, 0))).max()
+        half = np.abs(CHART.wrap(orbit.points[0] - np.roll(orbit.points[0], n // 2, 0))).max()
         assert half > 1e-7  # not the orbit of half the period
         volume = lanes(log_volume, (SCENE.strobe(),), (orbit.points[0], {"b": np.full(n, at)}), tile=32).sum()
         ours = multiplier_logs(blocks, volume)

@@ -20,7 +20,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.iterate import record
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.lagrangian import Motion, lagrangian
-from jaxnh.systems.particle import IsokineticParticle, chart, constant_speed, disturbed_speed, unchart
+from jaxnh.systems.particle import CHART, IsokineticParticle, constant_speed, disturbed_speed
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SEED = 20
@@ -68,7 +68,7 @@ def references(scene, lanes, periods, k):
     Whether there is a stable orbit is asked after all the longer run, so that lanes that come to rest late have one.
     """
     truth = exponents(scene, lanes, 10 * periods, k)[0]
-    u = scene.system.section_point(scene.start)
+    u = scene.chart.host_points(scene.start)
     found = attractor_survey.survey(scene, lanes, u, 64, "reference", 256 + 10 * periods)
     for i in np.flatnonzero(found.period > 0):
         truth[i] = of_orbit(scene, lanes, int(found.period[i]), found.u[i], int(i))[:k]
@@ -78,9 +78,9 @@ def references(scene, lanes, periods, k):
 def of_orbit(scene, lanes, n, u, i):
     """ln|μ|/(nT) (3,) of an orbit by Taylor integration."""
     par, b = twin(scene.system), float(scene.p["b"][i])
-    state = jax.tree.map(np.asarray, unchart(u[:, None]))
+    state = jax.tree.map(np.asarray, CHART.state(u[:, None]))
     points = lanes(record, (scene.strobe(),), (state, {"b": np.full(1, b)}), static=(n,))[1]
-    points = np.roll(np.array(chart(jax.tree.map(lambda leaf: leaf[0], points))).T, 1, axis=0)
+    points = np.roll(np.array(CHART.point(jax.tree.map(lambda leaf: leaf[0], points))).T, 1, axis=0)
     points = taylor.periodic_orbit(par, n, b, points)  # those above err by what their map does
     return taylor.multiplier_logs(par, n, b, points) / (n * float(par.period))
 

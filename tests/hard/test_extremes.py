@@ -86,7 +86,7 @@ def test_strong_force(battery, lanes):
         show(battery, f"b = {b}, c = {c:g}, x1 = {x1:g}", held)
         assert (held.plan is not None) == expected
         if held.plan is None:
-            enlarged = taylor.enlargement(twin(system), float(b), system.section_point(start), 2)
+            enlarged = taylor.enlargement(twin(system), float(b), system.chart.host_points(start), 2)
             battery.note(
                 f"b = {b}, c = {c:g}, x1 = {x1:g}: two periods enlarge roundings at most {enlarged:.2g} times by heyoka. It "
                 "is the number of kicks that is too small, not the precision."
@@ -132,7 +132,7 @@ def test_slow_forcing(battery, lanes):
     for c, b in scenes:
         system = constant_speed(c=c, omega=omega)
         start = start_at(system)
-        enlarged = taylor.enlargement(twin(system), b, system.section_point(start), 24)
+        enlarged = taylor.enlargement(twin(system), b, system.chart.host_points(start), 24)
         held = hold(lanes, system, start, np.array([b]), max(1e-9, roundings(enlarged)), 12)
         show(battery, f"ω = {omega:g}, c = {c:g}, b = {b:g}, roundings enlarged {enlarged:.0e} times", held)
         assert held.plan is not None

@@ -37,7 +37,7 @@ def enlargement(lanes, system, calibration):
     Which sample that is, of those whose matrices are largest but for the share left out, the package may say.
     """
     strobe, samples = make_return_map(system, SPLITTINGS["kahan_li8"], 120), calibration._samples
-    u = system.section_point(samples.states)
+    u = system.chart.host_points(samples.states)
     found = lanes(derivatives, (strobe, np.int32(1)), (u, dict(samples.p)))
     i = calibration._largest_at(np.linalg.norm(found.monodromy, ord=2, axis=(1, 2)))
     monodromy = taylor.strobe_jacobian(twin(system), samples.p["b"][i], u[i : i + 1])[1][0]
@@ -60,7 +60,7 @@ def test_error_and_gain(battery, lanes):
         plan = calibration.cheapest(10 * rounding)
         count = 48 if battery.full else 12
         b = np.random.default_rng(3).choice(values, count)
-        u = np.tile(constant_speed().section_point(start), (count, 1))
+        u = np.tile(constant_speed().chart.host_points(start), (count, 1))
         maps = {
             precision: in_precision(
                 make_return_map(system, plan.solver, plan.steps, compensated=plan.compensated), precision

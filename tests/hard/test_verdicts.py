@@ -148,7 +148,7 @@ def test_weak_chaos_beside_tori(battery):
         scene = scene_of(
             flow, flow.start({"angle": 0.0, "angle_dot": 0.0}), angles, SOLVERS["dopri5"], 120, name="drive"
         )
-        start = jax.tree.map(np.asarray, jax.vmap(flow.unchart)(np.stack([angles, np.zeros(count)], axis=-1)))
+        start = jax.tree.map(np.asarray, jax.vmap(flow.chart.state)(np.stack([angles, np.zeros(count)], axis=-1)))
         scene = replace(scene, start=start, p={"drive": np.full(count, drive)}, error_estimate=1e-8)
         kind = judged(scene, lanes, *lengths)["kind"].to_numpy()
         chaos = growth_of_a_tangent(angles, drive, periods) > 4 * math.log(periods)

@@ -10,7 +10,7 @@ from measure import CALM, CALM_B, CALM_STATES, apart, twin
 
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
-from jaxnh.systems.particle import chart
+from jaxnh.systems.particle import CHART
 
 
 @pytest.mark.parametrize("name", ["blanes_moan6", "processed6"])
@@ -24,7 +24,7 @@ def test_map_over_a_part_of_the_period(name):
         first, second = (
             make_return_map(system, solver, steps, span=span) for span in ((0.0, 2.0), (2.0, system.period))
         )
-        errors.append(apart(chart(second(first(state, p), p)), exact))
+        errors.append(apart(CHART.point(second(first(state, p), p)), exact))
     assert errors[1] < errors[0] * 2.0 ** (1 - solver.convergence_order) < 1e-6
 
 
@@ -35,4 +35,4 @@ def test_map_cut_into_parts(name):
     parts = cut_strobe(system, solver, 93, 7)
     state, p = one_lane()
     end, _ = jax.lax.scan(lambda state, part: (part(state, p), None), state, parts)
-    assert apart(chart(end), chart(make_return_map(system, solver, 98)(state, p))) < ROUNDOFF
+    assert apart(CHART.point(end), CHART.point(make_return_map(system, solver, 98)(state, p))) < ROUNDOFF

@@ -16,15 +16,15 @@ from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, record
-from jaxnh.maps.section import Crossing, SectionedFlow
+from jaxnh.maps.section import Crossing, Section, reports
 from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
 
 SECTIONS = {
-    "up": (SectionedFlow(without("forcing"), "y1", 1, 0.0, "up"), 1),
-    "down": (SectionedFlow(without("forcing"), "x1", 0, 0.0, "down"), -1),
-    "both": (SectionedFlow(without("forcing"), "y1", 1, 0.0, "both"), 0),
+    "up": (Section(without("forcing"), "y1", 1, 0.0, "up"), 1),
+    "down": (Section(without("forcing"), "x1", 0, 0.0, "down"), -1),
+    "both": (Section(without("forcing"), "y1", 1, 0.0, "both"), 0),
 }
 
 
@@ -80,7 +80,7 @@ def test_crossings_converge_at_the_order(lanes, name):
 def test_crossings_of_a_free_particle(lanes):
     """The same by the general route, with damping, whose energy only falls."""
     flow = free_particle(0.5, None, 1.0, ("forcing",))
-    system = SectionedFlow(flow, "x1", 0, 0.0, "both")
+    system = Section(flow, "x1", 0, 0.0, "both")
     start = Crossing(Motion((0.1, 0.1), (0.1, math.sqrt(0.99)), (0.0, 0.0)), 0.0, 0.0)
     b = np.array([0.1, 0.2, 0.3])
     strobe = make_return_map(system, dopri8, 120)
@@ -108,7 +108,7 @@ def test_return_in_one_step():
     """A passage and return within one step are seen, in each direction that is wanted, from above and from below."""
     flow = without("forcing", "coupling", "cubic_stiffness")  # y'' alone: towards y = 0, however it starts
     for tilt, direction, expected in ((0.02, "up", "first"), (0.02, "both", "first"), (0.02, "down", "second")):
-        system = SectionedFlow(flow, "y1", 1, 1.0, direction)  # y = 1 is touched from below: passed up, and down again
+        system = Section(flow, "y1", 1, 1.0, direction)  # y = 1 is touched from below: passed up, and down again
         theta = math.asin(tilt)
         y = 1.0 - 0.4 * tilt**2 / 2.0
         start = Crossing(((0.0, y), (math.cos(theta), math.sin(theta))), 0.0, 0.0)
@@ -116,7 +116,7 @@ def test_return_in_one_step():
             make_return_map(system, SPLITTING, steps)(jax.tree.map(jnp.float64, start), {"b": 0.0})
             for steps in (40, 4000)
         )
-        step = system.period / 40
+        step = flow.period / 40
         assert float(fine.t) < step  # within the first coarse step
         assert abs(float(coarse.t - fine.t)) < 1e-9
         assert (float(fine.state[1][1]) > 0) == (expected == "first")
@@ -136,9 +136,11 @@ def test_derivatives_of_the_return(lanes):
     h = 1e-5
     for j in range(2):
         ends = [lanes(derivatives, (strobe, np.int32(1)), (u + s * h * np.eye(2)[j], P)).image for s in (1, -1)]
-        np.testing.assert_allclose(monodromy[..., j], system.wrap(ends[0] - ends[1]) / (2 * h), atol=1e-5, rtol=1e-5)
+        np.testing.assert_allclose(
+            monodromy[..., j], system.chart.wrap(ends[0] - ends[1]) / (2 * h), atol=1e-5, rtol=1e-5
+        )
     ends = [lanes(derivatives, (strobe, np.int32(1)), (u, {"b": B + s * h})).image for s in (1, -1)]
-    np.testing.assert_allclose(slope, system.wrap(ends[0] - ends[1]) / (2 * h), atol=1e-5, rtol=1e-5)
+    np.testing.assert_allclose(slope, system.chart.wrap(ends[0] - ends[1]) / (2 * h), atol=1e-5, rtol=1e-5)
 
     def potential(x):  # at y1 = 0
         return 0.25 * x**2 + 0.25 * x**4
@@ -150,12 +152,12 @@ def test_derivatives_of_the_return(lanes):
 
 
 def volume_of(strobe, u, p):
-    return strobe.push(strobe.system.unchart(u), p, ()).volume
+    return strobe.push(strobe.chart.state(u), p, ()).volume
 
 
 def test_reversal_of_time(lanes):
     """Reversed on the section, a motion comes back: P of (q, −n) downwards is where it came from, upwards."""
-    up, down = (SectionedFlow(without("forcing"), "y1", 1, 0.0, way) for way in ("up", "down"))
+    up, down = (Section(without("forcing"), "y1", 1, 0.0, way) for way in ("up", "down"))
     first, second = (
         lanes(iterate, (make_return_map(up, SPLITTING, 200), np.int32(n)), (spread(Crossing(START, 0.0, 0.0)), P))
         for n in (1, 2)
@@ -171,14 +173,14 @@ def test_reversal_of_time(lanes):
 def test_lanes_that_do_not_return(lanes):
     """A damped particle comes to rest beside the section, one lane begins with no number: both say why, others go on."""
     flow = free_particle(0.5, None, 1.0, ("forcing", "coupling"))
-    system = SectionedFlow(flow, "x1", 0, 3.0, "up")
+    system = Section(flow, "x1", 0, 3.0, "up")
     strobe = dataclasses.replace(make_return_map(system, dopri8, 40), most_steps=np.int32(400))
     x = np.array([2.9, 0.1, np.nan])
     state = Motion((x, np.full(3, 0.1)), (np.full(3, 5.0), np.zeros(3)), (np.zeros(3), np.zeros(3)))
     start = Crossing(state, np.zeros(3), np.zeros(3))
     found = lanes(iterate, (strobe, np.int32(1)), (start, {"b": np.zeros(3)}))
-    reports = system.reports(jax.tree.map(lambda leaf: leaf[:, None], found))
-    reasons, _, flags = reports["failure"]
+    reported = reports(flow, jax.tree.map(lambda leaf: leaf[:, None], found))
+    reasons, _, flags = reported["failure"]
     words = str(flags["flag_meanings"]).split()
     assert [words[i] for i in reasons] == ["none", "no_return", "not_finite"]
     assert np.isfinite(found.t).tolist() == [True, False, False]

@@ -128,7 +128,7 @@ def test_derivatives_of_a_system_of_its_own_parameters(lanes):
     """∂P/∂a of T, Q and f is that of jacfwd of the map."""
     system, start = FLOWS["constrained"]
     p = {"a": np.array([0.5, 0.6]), "b": np.array([4.9, 5.2])}
-    u, strobe = system.section_point(spread(start, 2)), make_return_map(system, dopri8, 120)
+    u, strobe = system.chart.host_points(spread(start, 2)), make_return_map(system, dopri8, 120)
     image, monodromy, slope = lanes(derivatives, (strobe, np.int32(1)), (u, p), static=("a",))
     assert np.all(np.isfinite(image))
     by_state, by_p = lanes(jacfwd, (strobe,), (u, p))

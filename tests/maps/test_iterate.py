@@ -10,7 +10,7 @@ from measure import CALM, CALM_B, CALM_STATES, SYSTEMS, apart
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.systems.particle import chart
+from jaxnh.systems.particle import CHART
 
 
 def test_iterates_add_up(lanes):
@@ -28,10 +28,10 @@ def test_record_is_every_iterate(lanes):
     """The states after 1, 2, 3 periods, and the last of them once more; to the rounding of another program."""
     strobe = make_return_map(CALM["constant"], SPLITTINGS["blanes_moan6"], 100)
     last, states = lanes(record, (strobe,), (start_states(), P), static=(3,))
-    recorded = np.asarray(jax.vmap(jax.vmap(chart))(states))
+    recorded = np.asarray(jax.vmap(jax.vmap(CHART.point))(states))
     for n in (1, 2, 3):
         assert np.max(apart(recorded[:, n - 1], image(lanes, strobe, n))) < 10**n * ROUNDOFF  # the flow of n periods
-    assert np.max(apart(recorded[:, 2], jax.vmap(chart)(last))) == 0
+    assert np.max(apart(recorded[:, 2], jax.vmap(CHART.point)(last))) == 0
 
 
 def test_derivatives_over_periods_by_the_chain_rule(lanes):

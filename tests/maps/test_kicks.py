@@ -28,7 +28,7 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS, isokinetic_terms
-from jaxnh.systems.particle import chart, constant_speed, disturbed_speed, unchart
+from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
 
 # ---- one period
 
@@ -49,11 +49,11 @@ def test_kicks_are_diffeqsolve_on_the_same_grid(lanes, system, name):
             0.0,
             system.period,
             None,
-            unchart(u),
+            CHART.state(u),
             args={"b": b},
             stepsize_controller=grid,
         )
-        return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
+        return CHART.point(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
 
     solved = jax.jit(jax.vmap(solve))(CALM_STATES, CALM_B)
     assert apart(image(lanes, make_return_map(system, solver, steps)), solved).max() < ROUNDOFF
@@ -86,7 +86,7 @@ def test_strobe_that_is_part_of_the_program():
         jax.jit(lambda strobe, state, p: strobe(state, p))(strobe, state, p),
     )
     for one in images:
-        assert apart(chart(one), chart(images[0])) < ROUNDOFF
+        assert apart(CHART.point(one), CHART.point(images[0])) < ROUNDOFF
 
 
 # ---- derivatives

@@ -14,7 +14,7 @@ from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.nystrom import NystromStrobe
 from jaxnh.maps.second_order import second_order
-from jaxnh.maps.section import SectionedFlow
+from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import nystrom8, verner9
 from jaxnh.systems.first_order import Point, first_order
 from jaxnh.systems.lagrangian import Motion, lagrangian
@@ -157,7 +157,8 @@ def test_map_comes_to_taylor_at_order_eight(lanes):
     exact, start = by_heyoka(DRIVES), spread(Point(START), 3)
     errors = [
         np.abs(
-            flow.section_point(lanes(iterate, (make_return_map(flow, nystrom8, n), np.int32(1)), (start, p))) - exact
+            flow.chart.host_points(lanes(iterate, (make_return_map(flow, nystrom8, n), np.int32(1)), (start, p)))
+            - exact
         )
         for n in (24, 48, 200)
     ]
@@ -192,7 +193,7 @@ def test_tangents_are_derivatives_of_the_map(lanes, make, system):
     by_state, by_p = lanes(jacobians, (strobe,), (u, p))
     assert np.abs(found.monodromy - by_state).max() < 1e-12
     assert np.abs(found.by_parameter - by_p["drive"]).max() < 1e-12
-    start = jax.tree.map(np.asarray, jax.vmap(flow.unchart)(jnp.asarray(u)))
+    start = jax.tree.map(np.asarray, jax.vmap(flow.chart.state)(jnp.asarray(u)))
     volume = lanes(volume_of, (strobe,), (start, p))
     assert np.abs(np.log(volume) + 0.7 * PERIOD).max() < 1e-13
     assert np.abs(np.linalg.det(found.monodromy) / volume - 1.0).max() < 1e-8  # as the map has it, of order eight
@@ -231,10 +232,11 @@ def test_crossings_of_a_flow_that_keeps_its_energy(lanes):
         return {"rhs": rhs, "coordinates": ("x", "y", "v", "w")}
 
     flow = first_order(wells, {"cubic": 1.0}, ("cubic",))
-    section = SectionedFlow(flow, "y", 1, 0.0, "up")
+    section = Section(flow, "y", 1, 0.0, "up")
     p = {"cubic": np.array([0.9, 1.0])}
-    start = section.start({"x": np.array([0.1, 0.2]), "y": np.zeros(2), "v": np.full(2, 0.2), "w": np.full(2, 0.3)})
-    u = section.section_point(start)
+    begun = {"x": np.array([0.1, 0.2]), "y": np.zeros(2), "v": np.full(2, 0.2), "w": np.full(2, 0.3)}
+    start = begin(section, flow.start(begun))
+    u = section.chart.host_points(start)
     ends = [lanes(derivatives, (make_return_map(section, s, 24), np.int32(2)), (u, p)) for s in (nystrom8, verner9)]
     assert np.abs(ends[0].image - ends[1].image).max() < 1e-9
     assert np.abs(ends[0].monodromy - ends[1].monodromy).max() < 1e-8
@@ -267,4 +269,4 @@ def test_lanes_by_t_and_q_are_those_of_the_field(lanes):
     first = lanes(iterate, (make_return_map(one, nystrom8, 40), n), (spread(Point(START), 3), p))
     motion = Motion(START[:2], START[2:], (0.0, 0.0))
     second = lanes(iterate, (make_return_map(two, nystrom8, 40), n), (spread(motion, 3), p))
-    assert np.abs(one.section_point(first) - two.section_point(second)).max() < 1e-12
+    assert np.abs(one.chart.host_points(first) - two.chart.host_points(second)).max() < 1e-12

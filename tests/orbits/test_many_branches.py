@@ -12,7 +12,7 @@ from measure import scene_of
 from jaxnh.analyses.continuation.families import orbits_of
 from jaxnh.analyses.continuation.known_branches import on_branch
 from jaxnh.analyses.continuation.seeds import random_wave
-from jaxnh.maps.section import SectionedFlow
+from jaxnh.maps.section import Section, begin
 from jaxnh.orbits.arclength import FINE, along_parameter, correct
 from jaxnh.orbits.branches import StepControl, both_ways
 from jaxnh.solvers import SPLITTINGS, dopri8
@@ -75,7 +75,7 @@ def test_search_finds_what_attracts_and_what_does_not(scene, lanes):
         image = orbits_of(scene, lanes, strobe, np.ones(3), ENDS).period(
             orbit.points, np.full(len(orbit.points), orbit.value)
         )
-        gap = scene.system.wrap(np.asarray(image.image) - np.roll(orbit.points, -1, 0))
+        gap = scene.chart.wrap(np.asarray(image.image) - np.roll(orbit.points, -1, 0))
         assert np.abs(gap).max() < 1e-8  # Newton's last step, below 1e-9 of its size, times the expansion of a period
 
 
@@ -101,8 +101,10 @@ def test_few_lanes_on_a_section(lanes):
     def roessler(c=3.0):
         return {"rhs": lambda y, t: (-y[1] - y[2], y[0] + 0.2 * y[1], 0.2 + y[2] * (y[0] - c)), "coordinates": "xyz"}
 
-    flow = SectionedFlow(first_order(roessler, {"c": 3.0}), "y", 1, 0.0, "up")
-    scene = scene_of(flow, flow.start({"x": 2.0, "y": 0.0, "z": 0.1}), [2.9, 3.1], dopri8, 24, name="c")
+    flow = Section(first_order(roessler, {"c": 3.0}), "y", 1, 0.0, "up")
+    scene = scene_of(
+        flow, begin(flow, flow.flow.start({"x": 2.0, "y": 0.0, "z": 0.1})), [2.9, 3.1], dopri8, 24, name="c"
+    )
     family = orbits_of(scene, lanes, scene.strobe(), np.ones(2), (2.0, 4.0))
     rng = np.random.default_rng(0)
     u, c = np.array([2.0, 0.1]) + 0.1 * rng.uniform(size=(20, 2)), rng.uniform(2.5, 3.5, 20)

@@ -21,7 +21,7 @@ from jaxnh.orbits.doubling_points import doubling_function, doubling_point, foll
 from jaxnh.orbits.newton import find_doubled, find_orbits, look, solve3
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.systems.particle import wrap as planar_wrap
+from jaxnh.systems.particle import CHART
 
 FINEST = max(SPLITTINGS.values(), key=lambda solver: solver.convergence_order)
 # Error of one period by 150 steps of order ten near the attractors of b from 5.4 to 5.9, and of its derivatives relative
@@ -250,7 +250,7 @@ def test_doubling_function(lanes, strobes):
         for value in np.linspace(5.58 if past else b, b, 9):
             points = taylor.periodic_orbit(twin(SYSTEMS["constant"]), n, value, points)
         found = close_orbits(
-            period_of(lanes, strobes["constant"]), points[None].astype(float), np.array([b]), planar_wrap
+            period_of(lanes, strobes["constant"]), points[None].astype(float), np.array([b]), CHART.wrap
         )
         exact = np.linalg.det(monodromy_of("constant", b, points) + np.eye(3))
         assert found.converged[0]
@@ -266,8 +266,8 @@ def test_doubling_point(lanes, strobes, name, level):
     guess, before = DOUBLINGS[name][level]
     points = attractor(name, before, n).astype(float)
     period = period_of(lanes, strobes[name])
-    branch = follow_branch(period, points + 1e-3, before, guess - 0.3 * (before - guess), planar_wrap)
-    found = doubling_point(period, branch, planar_wrap)
+    branch = follow_branch(period, points + 1e-3, before, guess - 0.3 * (before - guess), CHART.wrap)
+    found = doubling_point(period, branch, CHART.wrap)
     reference = taylor.orbit(twin(SYSTEMS[name]), n, found.value, found.orbit[0])
     exact, _, info = taylor.doubling_point(twin(SYSTEMS[name]), n, guess, reference[0])
     sensitivity = info.error / (64 * np.finfo(taylor.REAL).eps)  # of b to the shooting equations, or a little more
@@ -284,9 +284,9 @@ def test_doubling_point(lanes, strobes, name, level):
 def test_no_doubling_on_the_way(lanes, strobes):
     """The orbit is followed to the end of the range and has not doubled; and from far off no orbit is found at all."""
     points, period = attractor("constant", 5.58, 1).astype(float), period_of(lanes, strobes["constant"])
-    assert follow_branch(period, points, 5.58, 5.54, planar_wrap) is None
-    assert follow_branch(period, points + 0.5, 3.0, 2.9, planar_wrap) is None
-    assert follow_branch(period, np.full((1, 3), np.nan), 5.58, 5.4, planar_wrap) is None
+    assert follow_branch(period, points, 5.58, 5.54, CHART.wrap) is None
+    assert follow_branch(period, points + 0.5, 3.0, 2.9, CHART.wrap) is None
+    assert follow_branch(period, np.full((1, 3), np.nan), 5.58, 5.4, CHART.wrap) is None
 
 
 # ---- a map whose doublings are known

@@ -16,7 +16,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS, isokinetic_terms, kick
-from jaxnh.systems.particle import unchart
+from jaxnh.systems.particle import CHART
 
 systems = pytest.mark.parametrize("system", some_slow(SYSTEMS, "other"))  # which has all effects
 some_splittings = pytest.mark.parametrize("solver", some_slow(dict(SPLITTINGS), "strang2", "processed6"))
@@ -171,12 +171,12 @@ def test_step_is_symmetric_in_time(system, solver):
     terms = isokinetic_terms(system)
 
     def there_and_back(u, b, t, h):
-        there = solver.step(terms, t, t + h, unchart(u), {"b": b}, None, False)[0]
+        there = solver.step(terms, t, t + h, CHART.state(u), {"b": b}, None, False)[0]
         return there, solver.step(terms, t + h, t, there, {"b": b}, None, False)[0]
 
     t = np.linspace(0, system.period, LANES)
     there, back = jax.vmap(there_and_back)(STATES, B, t, np.full(LANES, 2 * np.pi / 50))  # compiling takes longer
-    start = jax.vmap(unchart)(jnp.asarray(STATES))
+    start = jax.vmap(CHART.state)(jnp.asarray(STATES))
     moved = [
         [
             np.abs(np.asarray(a) - np.asarray(b))

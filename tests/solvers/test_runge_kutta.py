@@ -10,7 +10,7 @@ import taylor
 from measure import CALM, STATES, SYSTEMS, UNIT, B, apart, order_of, some_slow, twin
 
 from jaxnh.solvers import RUNGE_KUTTA
-from jaxnh.systems.particle import chart, unchart
+from jaxnh.systems.particle import CHART
 
 methods = pytest.mark.parametrize("solver", RUNGE_KUTTA.values(), ids=RUNGE_KUTTA)
 OWN = {name: getattr(diffrax, name.capitalize()) for name in RUNGE_KUTTA if hasattr(diffrax, name.capitalize())}
@@ -33,7 +33,7 @@ def test_step_is_that_of_diffrax(name):
     solver, own = RUNGE_KUTTA[name], OWN[name]()
 
     def step(solver, u, b):
-        state = unchart(u)
+        state = CHART.state(u)
         memory = solver.init(term, 0.3, 0.5, state, {"b": b})
         end, error, *_ = solver.step(term, 0.3, 0.5, state, {"b": b}, memory, False)
         return end, error
@@ -86,11 +86,11 @@ def test_adaptive_steps(name):
             0.0,
             system.period,
             0.01,
-            unchart(u),
+            CHART.state(u),
             args={"b": b},
             stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         )
-        return chart(jax.tree.map(lambda leaf: leaf[-1], solution.ys)), solution.stats["num_accepted_steps"]
+        return CHART.point(jax.tree.map(lambda leaf: leaf[-1], solution.ys)), solution.stats["num_accepted_steps"]
 
     ours, steps = jax.jit(jax.vmap(lambda u, b: solve(solver, u, b)))(STATES, B)
     theirs, their_steps = jax.jit(jax.vmap(lambda u, b: solve(OWN[name](), u, b)))(STATES, B)

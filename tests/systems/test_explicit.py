@@ -120,7 +120,7 @@ def test_motions_keep_the_constraints_and_are_those_of_projected_steps(lanes, na
     assert np.all(end.watch[1] == 0.0)
     whole = lanes(stepped_whole, (system,), (spread(start, 2), p))
     # h⁴ over two periods of the classical method, h = π/1000, is 1e-9; that of order five, h = π/200, is below it.
-    assert np.abs(system.section_point(end) - system.section_point(whole)).max() < 1e-9
+    assert np.abs(system.chart.host_points(end) - system.chart.host_points(whole)).max() < 1e-9
 
 
 def stepped_whole(system, state, p):
@@ -149,7 +149,7 @@ def test_tangents_are_derivatives_of_the_map(lanes, name):
     """In state and parameter, against jacfwd; as many multipliers are zero as there are constraints."""
     system, start = SYSTEMS[name][0], on_constraints(name)
     strobe, p = make_return_map(system, tsit5, 80), {"drive": np.array([0.3, 0.8])}
-    u = system.section_point(spread(start, 2))
+    u = system.chart.host_points(spread(start, 2))
     found = lanes(derivatives, (strobe, np.int32(1)), (u, p), static=("drive",))
     by_state, by_p = lanes(jacobians, (strobe,), (u, p))
     scale = np.abs(by_state).max()
@@ -223,7 +223,7 @@ def test_a_state_off_the_constraint_is_brought_back_or_fails(lanes):
 def test_steps_carry_no_velocity_that_is_given():
     """Two coordinates and one velocity of the governor, in place of both velocities and what is watched."""
     system, start = SYSTEMS["governor"][0], on_constraints("governor")
-    carried = system.stepped(start)
+    carried = system.reduction.reduce(start)
     assert isinstance(carried, ReducedMotion)
     assert len(jax.tree.leaves(carried)) == 3
-    assert not system.drifts
+    assert not system.reduction.leaves_constraints

@@ -12,7 +12,7 @@ import pytest
 from jaxnh.analyses.scene import spread
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
-from jaxnh.maps.section import SectionedFlow
+from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import dopri8
 from jaxnh.systems.first_order import Point, first_order
 from jaxnh.systems.lagrangian import Motion, lagrangian
@@ -131,9 +131,9 @@ def test_circle_on_a_plane(lanes):
         return {"rhs": lambda y, t: (-omega * y[1], omega * y[0], -y[2]), "coordinates": ("x", "y", "z")}
 
     flow = first_order(circle, {"omega": 1.0}, ("omega",))
-    plane = SectionedFlow(flow, "x", 0, 0.0, "up", (1.0, -1.0, 0.0))
+    plane = Section(flow, "x", 0, 0.0, "up", (1.0, -1.0, 0.0))
     omega = np.array([1.0, 2.0])
-    start = plane.start({"x": np.full(2, 1.0), "y": np.zeros(2), "z": np.ones(2)})
+    start = begin(plane, flow.start({"x": np.full(2, 1.0), "y": np.zeros(2), "z": np.ones(2)}))
     strobe = make_return_map(plane, dopri8, 40)
     crossing = lanes(iterate, (strobe, np.int32(2)), (start, {"omega": omega}))
     # From (1, 0) the angle is 5π/4 at the first passage upward of x − y, and 2π more at the second.
@@ -158,7 +158,7 @@ def test_names_of_states(lanes):
     outputs = flow.outputs(state, np.zeros(1))
     assert outputs["phi"].data == pytest.approx(4.0 - 2 * np.pi, abs=1e-15)
     assert outputs["phi"].long_name == "angle phi"
-    assert flow.plane == ("phi", "rate")
+    assert flow.labels.planes[0] == ("phi", "rate")
     assert isinstance(lagrangian(pendulum_by_t_and_q, PENDULUM).start({"phi": 0.0, "phi_dot": 0.0}), Motion)
 
 
@@ -170,10 +170,10 @@ def test_what_decides_the_clock():
         return {"rhs": lambda y, t: (size * jnp.cos(t),), "coordinates": ("x",), "period": period * math.sqrt(4.0)}
 
     flow = first_order(define, {"tilt": 0.1, "pace": 2.0, "size": 1.0})
-    assert [name for name in flow.parameters if flow.shares(name)] == ["tilt"]
+    assert [name for name in flow.parameters if flow.is_shared(name)] == ["tilt"]
 
     def plainly(pace=2.0, size=1.0):
         return {"rhs": lambda y, t: (size * jnp.cos(t),), "coordinates": ("x",), "period": math.sqrt(pace)}
 
     flow = first_order(plainly, {"pace": 2.0, "size": 1.0})
-    assert [name for name in flow.parameters if flow.shares(name)] == ["pace"]
+    assert [name for name in flow.parameters if flow.is_shared(name)] == ["pace"]

@@ -78,17 +78,17 @@ def test_names():
     """The paper's; the period is shared, and so is what it depends on."""
     flow = free_particle(A, B, OMEGA)
     assert dict(flow.parameters) == {"a": A, "b": B, "omega": OMEGA}
-    assert [name for name in flow.parameters if flow.shares(name)] == ["omega"]
+    assert [name for name in flow.parameters if flow.is_shared(name)] == ["omega"]
     assert flow.coordinates == ("x1", "x2", "y1", "y2")
-    assert flow.plane == ("x1", "x2")
-    assert flow.words("a") == "stiffness a"
+    assert flow.labels.planes[0] == ("x1", "x2")
+    assert flow.labels.long_names["a"] == "stiffness a"
     assert flow.period == 2 * math.pi / OMEGA
     assert [free_particle(A, B, OMEGA, names).autonomous for names in ((), ("forcing",), ("damping",))] == [
         False,
         True,
         False,
     ]
-    assert (flow.dimension, flow.exponents) == (4, 4)
+    assert (flow.chart.dimension, flow.exponents) == (4, 4)
 
 
 def test_start_and_section_points():
@@ -96,8 +96,8 @@ def test_start_and_section_points():
     values = dict(zip(("x1", "x2", "y1", "y2"), np.random.default_rng(2).normal(size=(4, 5)), strict=True))
     flow = free_particle(A, None, OMEGA)
     start = flow.start(values)
-    points = flow.section_point(start)
+    points = flow.chart.host_points(start)
     np.testing.assert_array_equal(points, np.stack([values[name] for name in ("x1", "y1", "x2", "y2")], axis=-1))
-    np.testing.assert_array_equal(points, jax.vmap(flow.chart)(jax.tree.map(jnp.asarray, start)))
+    np.testing.assert_array_equal(points, jax.vmap(flow.chart.point)(jax.tree.map(jnp.asarray, start)))
     for name, output in flow.outputs(start, np.zeros(1)).items():
         np.testing.assert_array_equal(output.data, values[name])

@@ -17,14 +17,7 @@ from paper_equations import constrained_field
 from scipy.integrate import quad
 from scipy.special import ellipeinc
 
-from jaxnh.systems.particle import (
-    chart,
-    constant_speed,
-    disturbed_speed,
-    strobe_period,
-    unchart,
-    wrap,
-)
+from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed, strobe_period
 
 MOMENTS = 200
 RNG = np.random.default_rng(11)
@@ -224,11 +217,11 @@ def test_names(system):
     """Parameters by the paper's names; all lanes share what is in the table of kicks."""
     assert set(system.parameters) == {"a", "c", "d", "omega"}
     assert set(dataclasses.replace(system, b=5.0).parameters) == {"a", "b", "c", "d", "omega"}
-    assert [name for name in ("a", "b", "c", "d", "omega") if system.shares(name)] == ["c", "d", "omega"]
+    assert [name for name in ("a", "b", "c", "d", "omega") if system.is_shared(name)] == ["c", "d", "omega"]
     assert system.coordinates == ("x1", "x2", "y1", "y2")
-    assert system.plane == ("x1", "x2")
-    assert system.words("b") == "coupling b"
-    assert {system.words(name).rsplit(" ", 1)[1] for name in (*system.coordinates, *system.parameters)} == {
+    assert system.labels.planes[0] == ("x1", "x2")
+    assert system.labels.long_names["b"] == "coupling b"
+    assert {system.labels.long_names[name].rsplit(" ", 1)[1] for name in (*system.coordinates, *system.parameters)} == {
         *system.coordinates,
         *system.parameters,
     }
@@ -251,7 +244,7 @@ def test_start(system):
             float(np.broadcast_to(leaf, 4)[i]) for leaf in jax.tree.leaves(start)
         ]
     exact = twin(system).start(0.2, x2[1], -0.5)
-    assert apart(system.section_point(system.start({"x1": 0.2, "x2": x2[1], "y1": -0.5})), exact) < 8 * UNIT
+    assert apart(system.chart.host_points(system.start({"x1": 0.2, "x2": x2[1], "y1": -0.5})), exact) < 8 * UNIT
 
 
 def test_start_that_is_too_fast():
@@ -265,12 +258,12 @@ def test_start_that_is_too_fast():
 def test_section_points_of_many_states(system):
     """Of any shape, each with the digits of one alone, and those of the chart to the rounding of an arc tangent."""
     state = (X.reshape(8, -1), Y.reshape(8, -1)), tuple(n.reshape(8, -1) for n in N)
-    points = system.section_point(state)
+    points = system.chart.host_points(state)
     assert points.shape == (8, MOMENTS // 8, 3)
-    charted = np.asarray(jax.vmap(jax.vmap(system.chart))(jax.tree.map(jnp.asarray, state)))
+    charted = np.asarray(jax.vmap(jax.vmap(system.chart.point))(jax.tree.map(jnp.asarray, state)))
     assert apart(points, charted).max() < 8 * UNIT
     for i, j in np.ndindex(points.shape[:2]):
-        one = system.section_point(jax.tree.map(lambda leaf, i=i, j=j: leaf[i, j], state))
+        one = system.chart.host_points(jax.tree.map(lambda leaf, i=i, j=j: leaf[i, j], state))
         np.testing.assert_array_equal(one, points[i, j])
 
 
@@ -285,8 +278,8 @@ places = st.floats(-10, 10)
 def test_chart_and_back(x, y, theta):
     """The angle comes back modulo a whole turn, to the rounding of a sine, a cosine and an arc tangent."""
     u = np.array([x, y, theta])
-    assert unchart(jnp.asarray(u))[0] == (x, y)
-    back = np.asarray(chart(unchart(jnp.asarray(u))))
+    assert CHART.state(jnp.asarray(u))[0] == (x, y)
+    back = np.asarray(CHART.point(CHART.state(jnp.asarray(u))))
     assert tuple(back[:2]) == (x, y)
     assert apart(back, u) < 8 * UNIT
     assert -math.pi <= back[2] <= math.pi
@@ -297,8 +290,8 @@ def test_chart_and_back(x, y, theta):
 def test_wrap_takes_whole_turns_out(x, y, theta, turns):
     """For arrays of NumPy and of JAX alike, and never outside of [−π, π]."""
     u = np.array([x, y, theta + 2 * math.pi * turns])
-    for wrapped in (wrap(u), np.asarray(wrap(jnp.asarray(u)))):
+    for wrapped in (CHART.wrap(u), np.asarray(CHART.wrap(jnp.asarray(u)))):
         assert tuple(wrapped[:2]) == (x, y)
         assert apart(wrapped, [x, y, theta]) < 8 * 2 * math.pi * (1 + abs(turns)) * UNIT
         assert -math.pi <= wrapped[2] <= math.pi
-    np.testing.assert_array_equal(wrap(np.stack([u, -u])), np.stack([wrap(u), wrap(-u)]))
+    np.testing.assert_array_equal(CHART.wrap(np.stack([u, -u])), np.stack([CHART.wrap(u), CHART.wrap(-u)]))

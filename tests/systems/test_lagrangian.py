@@ -324,12 +324,12 @@ def test_names():
     """Coordinates with their velocities, parameters with their values; those that the period depends on are shared."""
     assert PENDULUM.coordinates == ("angle", "angle_dot", "place", "place_dot")
     assert dict(PENDULUM.parameters) == {"length": 1.0, "omega": 2.0, "push": 0.3}
-    assert [name for name in (*PENDULUM.parameters, "angle") if PENDULUM.shares(name)] == ["omega"]
-    words = [PENDULUM.words(name) for name in ("angle", "angle_dot", "place", "push")]
+    assert [name for name in (*PENDULUM.parameters, "angle") if PENDULUM.is_shared(name)] == ["omega"]
+    words = [PENDULUM.labels.long_names[name] for name in ("angle", "angle_dot", "place", "push")]
     assert words == ["angle angle", "velocity angle_dot", "coordinate place", "parameter push"]
-    assert PENDULUM.plane == ("angle", "angle_dot")
+    assert PENDULUM.labels.planes[0] == ("angle", "angle_dot")
     assert PENDULUM.period == math.pi
-    assert PENDULUM.dimension == PENDULUM.exponents == 3
+    assert PENDULUM.chart.dimension == PENDULUM.exponents == 3
 
 
 def test_start_and_section_points():
@@ -338,11 +338,11 @@ def test_start_and_section_points():
     start = PENDULUM.start({"angle": theta, "angle_dot": rate, "place": 0.5, "place_dot": -1.0})
     assert start.q[1] == 0.5
     np.testing.assert_array_equal(start.watch[0], np.zeros(7))
-    points = PENDULUM.section_point(start)
+    points = PENDULUM.chart.host_points(start)
     np.testing.assert_array_equal(points, np.stack([theta, rate, np.full(7, -1.0)], axis=-1))
     whole = jax.tree.map(lambda leaf: jnp.asarray(np.broadcast_to(leaf, 7)), start)
-    np.testing.assert_allclose(points, jax.vmap(PENDULUM.chart)(whole), rtol=0, atol=1e-15)
-    again = PENDULUM.section_point(jax.tree.map(np.asarray, jax.vmap(PENDULUM.unchart)(jnp.asarray(points))))
+    np.testing.assert_allclose(points, jax.vmap(PENDULUM.chart.point)(whole), rtol=0, atol=1e-15)
+    again = PENDULUM.chart.host_points(jax.tree.map(np.asarray, jax.vmap(PENDULUM.chart.state)(jnp.asarray(points))))
     np.testing.assert_array_equal(again, points)
 
 

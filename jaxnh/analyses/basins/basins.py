@@ -31,6 +31,7 @@ from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.smooth_window import BLOCKS
 from jaxnh.analyses.window_averages import average_window, maps, window_averages
+from jaxnh.maps.section import outputs
 from jaxnh.systems.flow import Output
 
 _SAMPLED = 1024  # lanes by which steps are chosen
@@ -266,9 +267,9 @@ def _coordinates(scene: Scene, lanes: LaneRunner, judged: Attractors) -> dict[st
     every = states_at(scene, lanes, points.reshape(-1, points.shape[-1]))
     every = jax.tree.map(lambda leaf: leaf.reshape(count, -1), every)
     start = np.zeros(1)
-    found = scene.system.outputs(jax.tree.map(lambda leaf: leaf[:, None], one), start)
+    found = outputs(scene.flow, jax.tree.map(lambda leaf: leaf[:, None], one), start)
     found = {name: output._replace(data=output.data[:, 0]) for name, output in found.items()}
-    return found | {f"{name}_points": output for name, output in scene.system.outputs(every, start).items()}
+    return found | {f"{name}_points": output for name, output in outputs(scene.flow, every, start).items()}
 
 
 def count(data: xr.Dataset) -> dict[str, int]:

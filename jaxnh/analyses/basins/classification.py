@@ -35,9 +35,12 @@ from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
-from jaxnh.analyses.window_averages import WindowAverages, angles, average_window, maps, points_a_unit, units
+from jaxnh.analyses.window_averages import WindowAverages, average_window, maps, points_a_unit, units
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.maps.section import rates
+from jaxnh.systems.chart import Chart
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State
 
 NONE = -1
 PERIODIC, QUASIPERIODIC, CHAOTIC, _, _, EQUILIBRIUM, LIMIT_CYCLE = range(len(KINDS))
@@ -108,8 +111,8 @@ def classify(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, lon
     """
     look = lot.time // 2
     seen, state = _confirming_look(scene, lanes, lot)
-    size = np.where(angles(scene.system), 1.0, np.maximum(seen.largest, lot.least))
-    unit = 2.0 * SETTLED_TO * units(angles(scene.system), size)
+    size = np.where(scene.chart.angles, 1.0, np.maximum(seen.largest, lot.least))
+    unit = 2.0 * SETTLED_TO * units(np.array(scene.chart.angles), size)
     with np.errstate(invalid="ignore"):
         stays = np.all(np.abs(seen.whole - lot.means) <= lot.unit + unit, axis=1) | (lot.known == RESTLESS)
     u = points_at(scene, lanes, state)
@@ -133,7 +136,7 @@ def classify(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, lon
         kind[here], period[here] = PERIODIC, found.period[on_orbit]
         multiplier[here], u[here] = found.multiplier[on_orbit], found.u[on_orbit]
         with np.errstate(divide="ignore"):
-            exponent[here] = np.log(multiplier[here]) / (period[here] * scene.system.period)
+            exponent[here] = np.log(multiplier[here]) / (period[here] * scene.flow.period)
         left = some[~on_orbit]
     near, margin = np.full((2, count), _NEAR_ORBIT)
     points = recorded(scene_from(scene, lanes, u), lanes, POINTS)
@@ -141,7 +144,7 @@ def classify(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, lon
     if len(left):
         kind[left], exponent[left] = _by_exponents(moved_on.take(left), lanes, picked(seen, left), LONGER * look[left])
         cloud = recorded(moved_on.take(left), lanes, _CLOUD)
-        drift = _drift(scene.system, cloud[:, -POINTS:], size[left])
+        drift = _drift(scene.chart, cloud[:, -POINTS:], size[left])
         passing = kind[left] == QUASIPERIODIC
         across = _drift_across(scene, picked((cloud, size[left]), passing)) if scene.flow.autonomous else drift[passing]
         passing[passing] = across * LONGER * look[left][passing] < 1.0
@@ -150,8 +153,8 @@ def classify(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, lon
         points, steps = filled_up(points, steps, _CLOUD)
         points[left], steps[left] = cloud, _steps(scene.take(left), lanes, cloud)
         for k in left:
-            near[k] = _WIDER * spacing(scene.system, points[k], np.zeros_like(steps[k]), size[k])
-            margin[k] = max(_WIDER * spacing(scene.system, points[k], steps[k], size[k]), _NEAR_ORBIT)
+            near[k] = _WIDER * spacing(scene.chart, points[k], np.zeros_like(steps[k]), size[k])
+            margin[k] = max(_WIDER * spacing(scene.chart, points[k], steps[k], size[k]), _NEAR_ORBIT)
     some = np.flatnonzero((kind == CHAOTIC) & (lot.known == SETTLED))  # regular and unstable: a repeller?
     if len(some):
         sets = (points[some], steps[some], size[some], margin[some])
@@ -187,9 +190,9 @@ def _followed(strobe: ReturnMap, u: Array, p: Parameters, parts: int) -> Float[A
             state, _ = lax.scan(lambda z, part: (part(z, p), None), state, strobe)
         else:
             state = strobe(state, p)
-        return state, flow.chart(state)
+        return state, flow.chart.point(state)
 
-    return jnp.concatenate([u[None], lax.scan(follow, flow.unchart(u), length=FOLLOWED)[1]])
+    return jnp.concatenate([u[None], lax.scan(follow, flow.chart.state(u), length=FOLLOWED)[1]])
 
 
 def stays_near(
@@ -252,7 +255,7 @@ def _by_exponents(
     scene: Scene, lanes: LaneRunner, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]
 ) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
     """Kinds by the largest exponents, and the one that counts."""
-    clock, period = not scene.flow.autonomous, scene.system.period
+    clock, period = not scene.flow.autonomous, scene.flow.period
     if not clock and scene.flow.exponents == 1:  # along the flow there is one alone
         around = _comes_back(scene, seen, looked)
         return np.where(around, LIMIT_CYCLE, NONE).astype(np.int8), np.full(scene.count, np.nan)
@@ -270,7 +273,7 @@ def _by_exponents(
         kind[here] = np.where(cycle, LIMIT_CYCLE, NONE)
         largest[here] = np.where(cycle, every[here, -1], largest[here])
     else:
-        if scene.system.dimension == 2 and angles(scene.system).sum() < 2:  # Poincaré and Bendixson: nothing but cycles
+        if len(scene.chart.angles) == 2 and sum(scene.chart.angles) < 2:  # Poincaré and Bendixson: nothing but cycles
             kind[:] = NONE
         kind[largest + error < 0.0] = LIMIT_CYCLE
         kind[(kind != CHAOTIC) & ~_comes_back(scene, seen, looked)] = NONE
@@ -279,7 +282,7 @@ def _by_exponents(
 
 def _comes_back(scene: Scene, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
     """Whether a motion without a clock has gone to and fro or around: a slow passage goes one way."""
-    turns = angles(scene.system)
+    turns = np.array(scene.chart.angles)
     fro = ~turns & (seen.path > _TO_AND_FRO * (seen.high - seen.low)) & (seen.high > seen.low)
     turned = turns & (np.abs(_turning(turns, seen)) * looked[:, None] * points_a_unit(scene) > _TURNED)
     return np.any(fro | turned, axis=1)
@@ -295,12 +298,12 @@ def _turning(turns: Bool[np.ndarray, " d"], seen: WindowAverages) -> Float[np.nd
 
 
 def _drift(
-    system: Flow, points: Float[np.ndarray, "lanes points d"], size: Float[np.ndarray, "lanes d"]
+    chart: Chart, points: Float[np.ndarray, "lanes points d"], size: Float[np.ndarray, "lanes d"]
 ) -> Float[np.ndarray, " lanes"]:
     """How far points move a period, in sizes, after the lag at which they repeat themselves best."""
     drift, scale = np.full(len(points), np.inf), np.where(size > 0.0, size, 1.0)[:, None]
     for lag in range(1, _LAGS + 1):
-        moved = np.abs(system.wrap(points[:, lag:] - points[:, :-lag])) / scale
+        moved = np.abs(chart.wrap(points[:, lag:] - points[:, :-lag])) / scale
         drift = np.fmin(drift, moved.max(axis=(1, 2)) / lag)
     return drift
 
@@ -312,7 +315,7 @@ def _drift_across(
 
     Paths between points are parabolas, through a point and those beside it.
     """
-    drift, wrap = np.full(len(motion[0]), np.inf), scene.system.wrap
+    drift, wrap = np.full(len(motion[0]), np.inf), scene.chart.wrap
     for k, (points, size) in enumerate(zip(*motion, strict=True)):
         scale = np.where(size > 0.0, size, 1.0)
         steps = wrap(np.diff(points, axis=0)) / scale
@@ -343,7 +346,7 @@ def recorded(scene: Scene, lanes: LaneRunner, count: int) -> Float[np.ndarray, "
 def _record(strobe: ReturnMap, state: State, p: Parameters, count: int, parts: int) -> Float[Array, "points d"]:
     def point(state: State, strobe: ReturnMap) -> tuple[State, Array]:
         after = strobe(state, p)
-        return after, strobe.system.chart(after)
+        return after, strobe.chart.point(after)
 
     if not parts:
         return lax.scan(lambda state, _: point(state, strobe), state, length=count)[1]
@@ -359,12 +362,12 @@ def _steps(
         return np.zeros_like(points)
     each = scene.take(np.repeat(np.arange(scene.count), points.shape[1]))
     rates = lanes(_rate, (scene.flow,), (points.reshape(-1, points.shape[2]), dict(each.p)))
-    return rates.reshape(points.shape) * (scene.system.period / points_a_unit(scene))
+    return rates.reshape(points.shape) * (scene.flow.period / points_a_unit(scene))
 
 
 def _rate(flow: Flow, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
-    state = flow.unchart(u)
-    return jnp.stack(flow.lower(state, flow.rhs(0.0, state, p)))
+    state = flow.chart.state(u)
+    return jnp.stack(rates(flow, state, p))
 
 
 def _leaves(
@@ -380,7 +383,7 @@ def _leaves(
     aside = 2.0 * np.mod(np.arange(1, u.shape[1] + 1) * _GOLDEN, 1.0) - 1.0  # along no symmetry
     cloud = recorded(scene_from(scene, lanes, u + _ASIDE * aside * sets[2]), lanes, _CLOUD)[:, -POINTS:]
     within = [
-        np.mean(lie_within(point_set(scene.system, points, steps, size), later, size, float(margin)))
+        np.mean(lie_within(point_set(scene.chart, points, steps, size), later, size, float(margin)))
         for later, points, steps, size, margin in zip(cloud, *sets, strict=True)
     ]
     return np.array(within) < 0.5

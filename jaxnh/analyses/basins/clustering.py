@@ -32,8 +32,7 @@ from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
 from jaxnh.analyses.basins.settling import CONSERVATIVE, OPEN, RESTLESS, SETTLED, Lot, go_on
 from jaxnh.analyses.basins.volume import keeps_volume
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
-from jaxnh.analyses.window_averages import angles
-from jaxnh.systems.flow import Flow
+from jaxnh.systems.chart import Chart
 
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
 _FRUITLESS = 4  # times in turn that lanes of one cluster are judged in vain
@@ -121,7 +120,7 @@ def _search(
         found.number[seeds[settled]] = place[settled]
         of_leader = np.where(cluster >= 0, place[cluster], -1)
         match(scene, lanes, lot, point, found, of_leader)
-        away = _away(scene.system, lot, judged, cluster)
+        away = _away(scene.chart, lot, judged, cluster)
         fruitful = len(found.point) > before
         open_, restless = (found.number < 0) & (away | (fruitful & (of_leader >= 0))), False
         fruitless = 0 if fruitful else fruitless + 1
@@ -129,14 +128,14 @@ def _search(
             return found
 
 
-def _away(system: Flow, lot: Lot, judged: Attractors, cluster: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
+def _away(chart: Chart, lot: Lot, judged: Attractors, cluster: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
     """Lanes of clusters whose leaders are on no attractor, and that are not where these are, as beside a repeller."""
     away = np.zeros(len(cluster), np.bool_)
     for k in np.flatnonzero(judged.kind == NONE).tolist():
         some = np.flatnonzero(cluster == k)
         if len(some) > 1:
             one: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
-            away[some] = _distances(system, one, lot.u[some], lot.size[some]) > 1.0
+            away[some] = _distances(chart, one, lot.u[some], lot.size[some]) > 1.0
     return away
 
 
@@ -167,7 +166,7 @@ def match(
         some = settled[point[settled] == found.point[k]]
         fits = np.all(np.abs(lot.means[some] - one.means) <= lot.unit[some] + one.unit, axis=1)
         some = some[fits if of_leader is None else fits | (of_leader[some] == k)]
-        distance = _distances(scene.system, one, lot.u[some], lot.size[some])
+        distance = _distances(scene.chart, one, lot.u[some], lot.size[some])
         here = np.flatnonzero(point[restless] == found.point[k])
         if len(here):
             here = here[_near(scene, one, paths[here])]
@@ -188,25 +187,25 @@ def _mean_distances(
 ) -> Float[np.ndarray, " lanes"]:
     """Mean distances of the points of paths from an attractor, in its margin."""
     every = paths.reshape(-1, paths.shape[2])
-    return _distances(scene.system, one, every, np.zeros_like(every)).reshape(paths.shape[:2]).mean(axis=1)
+    return _distances(scene.chart, one, every, np.zeros_like(every)).reshape(paths.shape[:2]).mean(axis=1)
 
 
 def _distances(
-    system: Flow, one: Attractors, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
+    chart: Chart, one: Attractors, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
 ) -> Float[np.ndarray, " lanes"]:
     """Distances of section points from an attractor, in what its margin is for lanes of these sizes."""
     if not len(u):
         return np.zeros(0)
     turns = max(1, int(one.period)) if one.kind in (PERIODIC, EQUILIBRIUM) else len(one.points)
-    away = offsets(point_set(system, one.points[:turns], one.steps[:turns], one.size, size.max(axis=0)), u)
-    unit = np.where(angles(system), 1.0, np.maximum(one.size, size))
+    away = offsets(point_set(chart, one.points[:turns], one.steps[:turns], one.size, size.max(axis=0)), u)
+    unit = np.where(chart.angles, 1.0, np.maximum(one.size, size))
     return np.max(np.abs(away) / np.where(unit > 0.0, unit, 1.0), axis=1) / float(one.margin)
 
 
 def _near(scene: Scene, one: Attractors, paths: Float[np.ndarray, "lanes followed d"]) -> Bool[np.ndarray, " lanes"]:
     """Whether paths stay near an attractor."""
     edge = one.near * np.where(one.size > 0.0, one.size, 1.0)
-    return stays_near(angles(scene.system), paths, one.points, edge)
+    return stays_near(np.array(scene.chart.angles), paths, one.points, edge)
 
 
 def _representatives(
@@ -293,14 +292,14 @@ def _same(
 ) -> Bool[np.ndarray, " others"]:
     """Which of some attractors at the same point another one is: orbits have a point in common, others fill one set."""
     if one.kind in (PERIODIC, EQUILIBRIUM):
-        return same_orbits(scene.system, one, others, largest) & here
+        return same_orbits(scene.chart, one, others, largest) & here
     alike = (others.kind == one.kind) & here
     for k in np.flatnonzero(alike):
-        alike[k] = same_set(scene.system, one, jax.tree.map(lambda leaf, k=k: leaf[k], others))
+        alike[k] = same_set(scene.chart, one, jax.tree.map(lambda leaf, k=k: leaf[k], others))
     return alike
 
 
-def same_set(system: Flow, one: Attractors, other: Attractors) -> bool:
+def same_set(chart: Chart, one: Attractors, other: Attractors) -> bool:
     """Whether two motions fill the same set: the points of each lie within the spacing of the other's.
 
     Of chaos the points of one are enough, as a finite look need not have visited all of it.
@@ -308,18 +307,18 @@ def same_set(system: Flow, one: Attractors, other: Attractors) -> bool:
     margin, within = max(float(one.margin), float(other.margin)), list[bool]()
     for a, b in ((one, other), (other, one)):
         points = a.points[:: max(1, len(a.points) // POINTS)]
-        inside = lie_within(point_set(system, b.points, b.steps, b.size), points, b.size, margin)
+        inside = lie_within(point_set(chart, b.points, b.steps, b.size), points, b.size, margin)
         within.append(bool(np.mean(inside) >= _MOSTLY))
     return any(within) if one.kind == CHAOTIC else all(within)
 
 
 def same_orbits(
-    system: Flow, one: Attractors, others: Attractors, largest: Float[np.ndarray, " d"]
+    chart: Chart, one: Attractors, others: Attractors, largest: Float[np.ndarray, " d"]
 ) -> Bool[np.ndarray, " others"]:
     """Which of some attractors are an equilibrium or an orbit that has these kind, period and point `u`."""
     turns = int(one.period)
     points = others.points[:, :turns] if turns else others.u[:, None]
-    apart = np.abs(system.wrap(points - one.u))
+    apart = np.abs(chart.wrap(points - one.u))
     alike = (others.kind == one.kind) & (others.period == one.period)
     return alike & np.any(np.all(apart <= same_within(largest), axis=-1), axis=1)
 

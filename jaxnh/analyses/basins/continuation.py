@@ -25,7 +25,6 @@ from jaxnh.analyses.crises.sudden_growth import agreed, sudden_growths
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, largest_multiplier, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
-from jaxnh.analyses.window_averages import angles
 
 BIRTH, DEATH, CRISIS = range(3)
 CHANGES = ("birth", "death", "crisis")
@@ -237,7 +236,7 @@ class _Line:
         back = self._newton(some, found.u, begin)
         system = self._grid.scenes[0].system
         with np.errstate(invalid="ignore"):
-            returns = np.all(np.abs(system.wrap(back.u - u)) <= same_within(self._largest), axis=1)
+            returns = np.all(np.abs(system.chart.wrap(back.u - u)) <= same_within(self._largest), axis=1)
         return found._replace(there=found.there & back.there & returns)
 
     def _newton(
@@ -263,7 +262,7 @@ class _Line:
         orbit = orbits(self._lanes, scene.strobe(), u, dict(scene.p), period, self._every.size[some])
         multiplier = largest_multiplier(orbit.monodromy)
         with np.errstate(divide="ignore", invalid="ignore"):
-            exponent = np.log(multiplier) / (period * scene.system.period)
+            exponent = np.log(multiplier) / (period * scene.flow.period)
         return _OrbitsBeyond(orbit.residual < CONVERGED, multiplier < 1.0, orbit.u, multiplier, exponent)
 
     def _at_rest(self, scene: Scene, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> _OrbitsBeyond:
@@ -360,5 +359,5 @@ class _Line:
     def _clouds(self, chain: Sequence[int]) -> list[Float[np.ndarray, "points k"]]:
         """Points of attractors, in the largest of their sizes."""
         size = np.max(self._every.size[chain], axis=0)
-        turns = angles(self._grid.scenes[0].system)
+        turns = np.array(self._grid.scenes[0].chart.angles)
         return [embedded(self._every.points[one], turns, np.where(size > 0.0, size, 1.0)) for one in chain]

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
-from jaxnh.systems.flow import Flow
+from jaxnh.systems.chart import Chart
 
 _BETWEEN = 8
 """Parts that the path from point to point is filled in with.
@@ -30,14 +30,14 @@ class PointSet(NamedTuple):
     """Points of a motion.
 
     Attributes:
-        system: of which these are section coordinates.
+        chart: of which these are section coordinates.
         scale: units of distances in the tree, (d,).
         points: (points, d).
         steps: from each to the next along the path, zero with a clock, (points, d).
         tree: of the points in units.
     """
 
-    system: Flow
+    chart: Chart
     scale: Float[np.ndarray, " d"]
     points: Float[np.ndarray, "points d"]
     steps: Float[np.ndarray, "points d"]
@@ -45,7 +45,7 @@ class PointSet(NamedTuple):
 
 
 def point_set(
-    system: Flow,
+    chart: Chart,
     points: Float[np.ndarray, "points d"],
     steps: Float[np.ndarray, "points d"],
     size: Float[np.ndarray, " d"],
@@ -60,21 +60,21 @@ def point_set(
     scale = np.maximum(size, _LEAST * lane_size)
     scale = np.where(scale > 0.0, scale, 1.0)
     if np.any(steps):
-        points, steps = _filled_in(system, points, steps)
-    return PointSet(system, scale, points, steps, KDTree(_placed(system, points, scale), boxsize=_box(system, scale)))
+        points, steps = _filled_in(chart, points, steps)
+    return PointSet(chart, scale, points, steps, KDTree(_placed(chart, points, scale), boxsize=_box(chart, scale)))
 
 
 def offsets(of: PointSet, u: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
     """Differences of section points from the nearest point of a set, without a clock from its path."""
-    nearest = of.tree.query(_placed(of.system, u, of.scale))[1]
-    away, along = of.system.wrap(u - of.points[nearest]), of.steps[nearest]
+    nearest = of.tree.query(_placed(of.chart, u, of.scale))[1]
+    away, along = of.chart.wrap(u - of.points[nearest]), of.steps[nearest]
     length = np.sum((along / of.scale) ** 2, axis=1)
     part = np.sum(away * along / of.scale**2, axis=1) / np.where(length > 0.0, length, 1.0)
     return away - np.clip(part, -1.0, 1.0)[:, None] * along
 
 
 def spacing(
-    system: Flow,
+    chart: Chart,
     points: Float[np.ndarray, "points d"],
     steps: Float[np.ndarray, "points d"],
     size: Float[np.ndarray, " d"],
@@ -84,9 +84,9 @@ def spacing(
     It is large where the motion has not come back by then.
     """
     half = len(points) // 2
-    earlier = point_set(system, points[:half], steps[:half], size)
+    earlier = point_set(chart, points[:half], steps[:half], size)
     if not np.any(steps):
-        placed = _placed(system, points[half:], earlier.scale)
+        placed = _placed(chart, points[half:], earlier.scale)
         return float(np.max(earlier.tree.query(placed, p=np.inf)[0]))
     return float(np.max(np.abs(offsets(earlier, points[half:])) / earlier.scale))
 
@@ -99,10 +99,10 @@ def lie_within(
 
 
 def _filled_in(
-    system: Flow, points: Float[np.ndarray, "points d"], steps: Float[np.ndarray, "points d"]
+    chart: Chart, points: Float[np.ndarray, "points d"], steps: Float[np.ndarray, "points d"]
 ) -> tuple[Float[np.ndarray, "more d"], Float[np.ndarray, "more d"]]:
     """Points between points, by cubic Hermite polynomials, and the steps from each of them to the next."""
-    gap, (begin, end) = system.wrap(np.diff(points, axis=0)), (steps[:-1], steps[1:])
+    gap, (begin, end) = chart.wrap(np.diff(points, axis=0)), (steps[:-1], steps[1:])
     square, cube = 3.0 * gap - 2.0 * begin - end, begin + end - 2.0 * gap
     at = (np.arange(_BETWEEN) / _BETWEEN)[:, None, None]
     between = points[:-1] + at * (begin + at * (square + at * cube))
@@ -110,17 +110,13 @@ def _filled_in(
     return between.reshape(-1, points.shape[1]), rate.reshape(-1, points.shape[1])
 
 
-def _turns(system: Flow) -> Bool[np.ndarray, " d"]:
-    return np.abs(system.wrap(np.full(system.dimension, 2 * np.pi))) < 1.0
-
-
-def _box(system: Flow, scale: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+def _box(chart: Chart, scale: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
     """Lengths after which coordinates in units return, zero of what does not."""
-    return np.where(_turns(system), 2 * np.pi / scale, 0.0)
+    return np.where(chart.angles, 2 * np.pi / scale, 0.0)
 
 
-def _placed(system: Flow, u: Float[np.ndarray, "points d"], scale: Float[np.ndarray, " d"]) -> np.ndarray:
+def _placed(chart: Chart, u: Float[np.ndarray, "points d"], scale: Float[np.ndarray, " d"]) -> np.ndarray:
     """Section points in units, angles in [0, 2π)."""
-    box = _box(system, scale)
+    box = _box(chart, scale)
     placed = np.where(box > 0.0, np.mod(u / scale, np.where(box > 0.0, box, 1.0)), u / scale)
     return np.where((box > 0.0) & (placed >= box), 0.0, placed)

@@ -16,8 +16,10 @@ from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.section_points import points_at, states_at
-from jaxnh.analyses.window_averages import WindowAverages, angles, average_window, units
-from jaxnh.systems.flow import FAULTS, Flow, State
+from jaxnh.analyses.window_averages import WindowAverages, average_window, units
+from jaxnh.maps.section import reports
+from jaxnh.systems.flow import FAULTS, Flow
+from jaxnh.systems.state import State, error_components
 
 SETTLED_TO = 1e-4
 """Difference of means over both halves of a look of a lane that has settled, in sizes of the motion."""
@@ -64,8 +66,8 @@ def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps:
 
     After half of the transient a period has `steps` steps (`steps_after_transient`), or as many as before.
     """
-    start, count, d = scene.start, scene.count, scene.system.dimension
-    width = units(angles(scene.system), np.ones((1, d))).shape[1]
+    start, count, d = scene.start, scene.count, scene.chart.dimension
+    width = units(np.array(scene.chart.angles), np.ones((1, d))).shape[1]
     lot = Lot(
         np.full(count, OPEN, np.int8),
         np.zeros(count, np.int64),
@@ -86,8 +88,8 @@ def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps:
     lot.least[some] = _LEAST * np.fmax(np.abs(points_at(here, lanes, here.start)), begun.largest)
     lot.size[some] = np.fmax(seen.largest, lot.least[some])
     lot.time[some], lot.u[some] = transient, points_at(scene, lanes, seen.state)
-    lot.gap[some] = _gap(seen, units(angles(scene.system), np.fmax(begun.largest, seen.largest)))
-    _fail(lot, some, scene.system, seen.state)
+    lot.gap[some] = _gap(seen, units(np.array(scene.chart.angles), np.fmax(begun.largest, seen.largest)))
+    _fail(lot, some, scene.flow, seen.state)
     left = lot.known[some] == OPEN
     _look_on(scene, lanes, lot, some[left], picked(seen.state, left), transient, longest)
     return lot
@@ -112,7 +114,7 @@ def _look_on(
     longest: int,
 ) -> None:
     """Look at lanes as long as all before, until they are done."""
-    turns = angles(scene.system)
+    turns = np.array(scene.chart.angles)
     while len(open_) and 2 * elapsed <= longest:
         here = scene.take(open_)
         seen = average_window(here, lanes, state, elapsed)
@@ -126,7 +128,7 @@ def _look_on(
         lot.known[open_], lot.time[open_], lot.gap[open_] = known, elapsed, gap
         lot.means[open_], lot.unit[open_] = seen.whole, 2.0 * SETTLED_TO * scale
         lot.u[open_] = points_at(scene, lanes, seen.state)
-        _fail(lot, open_, scene.system, seen.state)
+        _fail(lot, open_, scene.flow, seen.state)
         if 2 * elapsed > longest:
             _escape(lot, open_, seen, before, turns)
         lot.size[open_] = np.fmax(seen.largest, lot.least[open_])
@@ -155,18 +157,17 @@ def _escape(
     lot.known[some[gone]], lot.reason[some[gone]] = FAILED, REASONS.index("escaped")
 
 
-def _fail(lot: Lot, some: Int[np.ndarray, " some"], system: Flow, state: State) -> None:
+def _fail(lot: Lot, some: Int[np.ndarray, " some"], flow: Flow, state: State) -> None:
     """Mark lanes whose state is not finite, with their reasons."""
-    gone = ~_finite(state, system)
+    gone = ~_finite(error_components(state))
     if not np.any(gone):
         return
     ended = jax.tree.map(lambda leaf: leaf[gone][:, None], state)
-    said = system.reports(ended).get("failure")
+    said = reports(flow, ended).get("failure")
     reason = np.zeros(int(gone.sum()), np.int8) if said is None else np.asarray(said.data, np.int8)
     lot.known[some[gone]] = FAILED
     lot.reason[some[gone]] = np.where(reason > 0, reason, FAULTS.index("not_finite"))
 
 
-def _finite(state: State, system: Flow | None = None) -> np.ndarray:
-    leaves = jax.tree.leaves(state if system is None else system.compared(state))
-    return np.all([np.isfinite(leaf) for leaf in leaves], axis=0)
+def _finite(state: State) -> np.ndarray:
+    return np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(state)], axis=0)

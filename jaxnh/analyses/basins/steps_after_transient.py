@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import iterate, record
-from jaxnh.systems.flow import State
+from jaxnh.systems.state import State, error_components
 
 _PERIODS = 32  # that every lane is followed; 1024 lanes make as many samples as there are of a calibration, and more
 _SAFETY = 2.0  # as of a calibration: some lanes of the sweep have larger errors
@@ -65,4 +65,4 @@ def settled_steps(scene: Scene, lanes: LaneRunner, state: State) -> int:
 
 def _numbers(scene: Scene, state: State) -> np.ndarray:
     """What of states counts, (components, points)."""
-    return np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(scene.flow.compared(state))])
+    return np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(error_components(state))])

@@ -86,7 +86,12 @@ def basins_group(
         "undecided": variable(dims, undecided.reshape(shape), "why it is undecided where the lane leads", **reasons),
         "judged": variable((), np.int64(judged), "number of motions that were judged to be an attractor or none"),
         **{
-            name: variable(dims, values.reshape(shape), f"{flow.words(name)} of the start state", flow.units(name))
+            name: variable(
+                dims,
+                values.reshape(shape),
+                f"{flow.labels.long_names[name]} of the start state",
+                flow.labels.units[name],
+            )
             for name, values in drawn.items()
         },
     }

@@ -16,7 +16,8 @@ from jaxnh.analyses.window_averages import maps
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 _PERIODS = 128
 """Periods that the mean contraction is taken over."""
@@ -39,7 +40,7 @@ def keeps_volume(
     shared, state = (strobe, np.int32(_PERIODS)), states_at(scene, lanes, u)
     mean = lanes(_mean, shared, (state, dict(scene.p)), periods=_PERIODS, static=(parts,))
     with np.errstate(invalid="ignore"):
-        return np.abs(mean) * longest * (scene.system.period if parts else 1.0) < _KEEPS
+        return np.abs(mean) * longest * (scene.flow.period if parts else 1.0) < _KEEPS
 
 
 def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, parts: int) -> Array:
@@ -51,7 +52,7 @@ def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, pa
     flow = strobe.system
 
     def part(state: State, strobe: ReturnMap) -> tuple[State, Array]:
-        return strobe(state, p), strobe.system.divergence(jnp.zeros_like(state[0][0]), state, p)
+        return strobe(state, p), strobe.system.flow.divergence(jnp.zeros_like(state[0][0]), state, p)
 
     def period(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
         state, total, weights = carry
@@ -60,8 +61,8 @@ def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, pa
             state, rates = lax.scan(part, state, strobe)
             change = jnp.mean(rates)
         else:
-            u, tangent, _ = derivatives(strobe, 1, flow.chart(state), p)
-            state, change = flow.unchart(u), jnp.linalg.slogdet(tangent)[1]
+            u, tangent, _ = derivatives(strobe, 1, flow.chart.point(state), p)
+            state, change = flow.chart.state(u), jnp.linalg.slogdet(tangent)[1]
         return state, total + weight * change, weights + weight
 
     zero = as_batched(jnp.zeros(()), jax.tree.leaves(state)[0])

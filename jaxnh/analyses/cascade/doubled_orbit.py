@@ -49,11 +49,11 @@ def daughters(
     Returns:
         A lane a distance, of period 0 where none was found.
     """
-    n, system = len(born.orbit), scene.system
+    n, chart = len(born.orbit), scene.chart
     at = int(np.argmax(np.linalg.norm(born.vector / size, axis=1)))
     origin, direction = born.orbit[at], born.vector[at] / np.linalg.norm(born.vector[at] / size)
     if n > 1:  # half way to the next point of its own the orbit of twice the period has another neighbour
-        largest = float(np.delete(apart(system, born.orbit, origin, size), at).min())
+        largest = float(np.delete(apart(chart, born.orbit, origin, size), at).min())
     sizes = largest * _RATIO ** -np.arange(_AMPLITUDES)
     growth = np.sqrt(np.abs(distances / distances[-1]))
     amplitude = np.outer(growth, sizes).ravel()
@@ -62,7 +62,7 @@ def daughters(
     each = np.tile(size, (len(value), 1))
     orbit = orbits(lanes, scene.strobe(), origin + amplitude[:, None] * direction, p, 2 * n, each)
     ok = (orbit.residual < CONVERGED) & (largest_multiplier(orbit.monodromy) < 1.0)
-    ok &= apart(system, orbit.u, origin, size) <= largest
+    ok &= apart(chart, orbit.u, origin, size) <= largest
     found = np.flatnonzero(ok)
     shortest = least_period(lanes, scene.strobe(), orbit.u[found], picked(p, found), 2 * n, each[found])
     ok[found[shortest != 2 * n]] = False

@@ -26,7 +26,7 @@ from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
 from jaxnh.analyses.cascade.shared_parameter import value_by_value
 from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
-from jaxnh.systems.flow import Flow
+from jaxnh.maps.section import System
 
 _LIMITS = ("delta_limit", "alpha", "limit")  # each with its error
 _NUMBERS = (*_LIMITS, *(f"{name}_error" for name in _LIMITS), "levels_found")  # a cascade; attributes of the only one
@@ -94,11 +94,11 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
         return _dataset(scene.system, scene.line, levels, found)
     beyond = extended_doublings(scene, lanes, found, levels)
     whole = beyond_float64(scene, found, beyond, levels)
-    limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, found.size, scene.system.wrap)
+    limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, found.size, scene.chart.wrap)
     return _extended(_dataset(scene.system, scene.line, levels, whole), beyond, *limits)
 
 
-def _dataset(system: Flow, axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
+def _dataset(system: System, axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
     """Points as the variables of the contract, NaN where a level was not found."""
     name, count = axis.name, len(found.found)
     refined, rounding, value_error = np.full((3, levels), np.nan), np.full(levels, np.nan), np.full(levels, np.nan)
@@ -195,7 +195,7 @@ def _deltas(
     return delta, error
 
 
-def _widths(system: Flow, found: Cascade) -> tuple[Float[np.ndarray, " even"], Float[np.ndarray, " even"]]:
+def _widths(system: System, found: Cascade) -> tuple[Float[np.ndarray, " even"], Float[np.ndarray, " even"]]:
     """Widths of the orbits of even period, and their errors, by step refinement and by the rounding of the parameter.
 
     The width is the largest distance of a point from that half a period later, in sizes of the motion: near the
@@ -204,7 +204,7 @@ def _widths(system: Flow, found: Cascade) -> tuple[Float[np.ndarray, " even"], F
     even = [level for level in found.found if len(level.point.orbit) % 2 == 0]
 
     def width(orbit: Float[np.ndarray, "n d"]) -> float:
-        apart = system.wrap(orbit - np.roll(orbit, len(orbit) // 2, axis=0))
+        apart = system.chart.wrap(orbit - np.roll(orbit, len(orbit) // 2, axis=0))
         return float(np.linalg.norm(apart / found.size, axis=1).max())
 
     widths = np.array([[width(point.orbit) for point in level.refined] for level in even]).reshape(-1, 3)

@@ -66,7 +66,7 @@ def see_that_it_can(scene: Scene) -> None:
     Raises:
         AccuracyError: it does not.
     """
-    number, section = (jax.ShapeDtypeStruct(shape, np.float64) for shape in ((), (scene.system.dimension,)))
+    number, section = (jax.ShapeDtypeStruct(shape, np.float64) for shape in ((), (scene.chart.dimension,)))
     u, p = Double(section, section), dict.fromkeys(scene.p, Double(number, number))
     try:
         jax.eval_shape(carried, scene.strobe().shortest(), np.int64(0), u, u, p)
@@ -154,7 +154,7 @@ def _located(
     maps: Sequence[_Map], scene: Scene, found: Cascade, known: Sequence[tuple[ExtendedPoint, ...]]
 ) -> tuple[ExtendedPoint, ...] | None:
     """The doubling after those known, of each map."""
-    size, wrap, level = found.size, scene.system.wrap, len(known)
+    size, wrap, level = found.size, scene.chart.wrap, len(known)
     points: list[ExtendedPoint | None] = []  # of the first maps, where the others start from them
     if level < len(found.found):
         starts = [exactly(at.value, at.orbit, at.vector) for at in found.found[level].refined[:_MAPS]]

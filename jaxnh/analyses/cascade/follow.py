@@ -214,7 +214,7 @@ class _Steps:
         self.scene, self.limit = scene, limit
         self.tried: dict[tuple[int, float, float], int] = {}
         self._lanes = lanes
-        self.size = np.ones(scene.system.dimension)
+        self.size = np.ones(scene.chart.dimension)
         self._located: dict[tuple[int, float, float], LocatedDoubling | None] = {}
         self._daughters: dict[tuple[int, float, float, float], PeriodScan] = {}
 
@@ -245,7 +245,7 @@ class _Steps:
         key = len(born.orbit), born.value, float(distances[0]), float(distances[-1])
         if key not in self._daughters:
             points = np.concatenate([line.u, first_points(self.scene, self._lanes)])
-            largest = float(np.nanmax(apart(self.scene.system, points, born.orbit[0], self.size)))
+            largest = float(np.nanmax(apart(self.scene.chart, points, born.orbit[0], self.size)))
             label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {self.scene.line.name} = {born.value:.9g}"
             with self._lanes.stage(label, 0):
                 self._daughters[key] = daughters(self.scene, self._lanes, born, largest, self.size, distances)
@@ -259,7 +259,7 @@ class _Steps:
             near = _BEYOND * gap
             with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
                 period = period_map(self.scene, self._lanes, refined(self.scene)[0])
-                points = long_daughter(period, born, near, gap, self.size, self.scene.system.wrap)
+                points = long_daughter(period, born, near, gap, self.size, self.scene.chart.wrap)
                 found = points is not None
                 located = locate(self.scene, self._lanes, points, born.value + near, stop, n) if found else None
             beyond = located is not None and (located.point.value - born.value) / gap > _BEYOND

@@ -107,7 +107,7 @@ def check(options: BranchesOptions, setting: Setting) -> None:
         check_box(options.box, setting, "box")
     if options.equilibria and not setting.autonomous:
         raise OptionError("a flow with a clock has no equilibria; leave it out", "equilibria")
-    if options.equilibria and setting.flow.dimension > setting.flow.exponents:
+    if options.equilibria and setting.flow.chart.dimension > setting.flow.exponents:
         raise OptionError("equilibria of a flow with constraints are not isolated; leave it out", "equilibria")
 
 

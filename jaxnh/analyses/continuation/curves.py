@@ -122,7 +122,7 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
     surveys = [survey_from_start(scene, lanes, options.limit, "curves", options.transient) for scene in scenes]
     sizes = np.concatenate([survey.size[~survey.failed] for survey in surveys])
-    size = np.median(sizes, axis=0) if len(sizes) else np.ones(scenes[0].system.dimension)
+    size = np.median(sizes, axis=0) if len(sizes) else np.ones(scenes[0].system.chart.dimension)
     names = (first.name, second.name)
     plane, *others = (plane_of(scenes[0], lanes, strobe, size, names, low, high) for strobe in refined(scenes[0]))
     curves = list[Curve]()
@@ -213,7 +213,7 @@ def _dataset(
             found[k, : len(one)] = one
         return found
 
-    dims, d = ("curve", "point"), scene.system.dimension
+    dims, d = ("curve", "point"), scene.chart.dimension
     multipliers = [np.stack([np.real(curve.multipliers), np.imag(curve.multipliers)], axis=-1) for curve in curves]
     columns: dict[str, Entry] = {}
     for k, axis in enumerate(axes):
@@ -248,7 +248,7 @@ def _dataset(
 
 def _special(scene: Scene, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[_Point]) -> xr.Dataset:
     """Variables over (special,): the points of codimension two, each with its curve and its multipliers."""
-    multipliers = np.full((len(special), scene.system.dimension, 2), np.nan)
+    multipliers = np.full((len(special), scene.chart.dimension, 2), np.nan)
     for k, (_, point, _) in enumerate(special):
         multipliers[k] = np.stack([np.real(point.multipliers), np.imag(point.multipliers)], axis=-1)
     period = np.array([curves[one.curve].period for one in special], np.int32)

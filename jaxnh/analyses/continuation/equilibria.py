@@ -41,7 +41,7 @@ def equilibria(
     """
     still = replace(scene.in_time(), along=scene.line)
     many, _ = started(still, starts, seed, box)
-    u, values = many.system.section_point(many.start), np.repeat(scene.line.values, starts)
+    u, values = many.system.chart.host_points(many.start), np.repeat(scene.line.values, starts)
     size = np.ptp(u, axis=0) / 2.0
     size = np.where(size > 0.0, size, size.max())
     with stage(f"equilibria from {starts} points at {scene.count} values of {scene.line.name}"):

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.section import rates
 from jaxnh.orbits.arclength import Family
 from jaxnh.orbits.curves import ParameterPlane
 from jaxnh.systems.flow import Flow, Parameters
@@ -45,7 +46,7 @@ def orbits_of(
         tile = few if len(u) <= 2 * few else _TILE
         return lanes(derivatives, shared, (u, scene.at(values).p), tile=tile, static=(name,))
 
-    return Family(period, scene.system.wrap, size, *ends)
+    return Family(period, scene.chart.wrap, size, *ends)
 
 
 def plane_of(
@@ -67,7 +68,7 @@ def plane_of(
         both = p | dict(zip(names, values.T, strict=True))
         return lanes(derivatives, shared, (u, both), tile=_TILE, static=(names,))
 
-    return ParameterPlane(period, scene.system.wrap, size, low, high)
+    return ParameterPlane(period, scene.chart.wrap, size, low, high)
 
 
 def equilibria_of(scene: Scene, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]) -> Family:
@@ -79,15 +80,15 @@ def equilibria_of(scene: Scene, lanes: LaneRunner, size: Float[np.ndarray, " d"]
             return _nothing(u)
         return lanes(field, (scene.flow,), (u, scene.at(values).p), tile=_TILE, static=(name,))
 
-    return Family(period, scene.system.wrap, size, *ends, field=True)
+    return Family(period, scene.chart.wrap, size, *ends, field=True)
 
 
 def field(flow: Flow, u: Float[Array, " d"], p: Parameters, name: str) -> Derivatives:
     """u + f(u; p) with the rate f of the coordinates, and its derivatives in u and a parameter, of one lane."""
 
     def moved(u: Array, value: Array) -> Array:
-        y = flow.unchart(u)
-        return u + jnp.stack(flow.lower(y, flow.rhs(0.0, y, {**p, name: value})))
+        y = flow.chart.state(u)
+        return u + jnp.stack(rates(flow, y, {**p, name: value}))
 
     value = jnp.asarray(p[name])
     return Derivatives(moved(u, value), jax.jacfwd(moved)(u, value), jax.jacfwd(moved, 1)(u, value))

@@ -49,7 +49,7 @@ def random_wave(
     """
     many, _ = started(scene, starts, seed, box)
     many = replace(many, along=replace(scene.line, values=np.repeat(scene.line.values, starts)))
-    strobe, wrap, values = many.strobe(), scene.system.wrap, np.tile(many.line.values, 2)
+    strobe, wrap, values = many.strobe(), scene.chart.wrap, np.tile(many.line.values, 2)
     count, at = _WINDOWS * _WINDOW + limit, (first_points(many, lanes), dict(many.p))
     paths = [
         lanes(strobe_points, (strobe, np.int32(wait)), at, periods=wait + count, static=(count,))

@@ -14,6 +14,7 @@ from jaxnh.analyses.base import Entry, Table, variable
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.analyses.section_points import states_at
+from jaxnh.maps.section import drawn_plane, outputs
 from jaxnh.orbits.arclength import Family
 from jaxnh.orbits.branches import ENDS, Branch
 from jaxnh.orbits.kinds import KINDS, stable
@@ -66,7 +67,7 @@ def datasets(lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int) -
     found = [(of, point) for of, tree in enumerate(trees) for point in tree.bifurcations]
     found.sort(key=lambda pair: (pair[1].value, pair[1].kind, len(pair[1].points)))
     branches = _branches(lanes, grown, [(of, trees[of].branches[k]) for of, k in order])
-    drawn = f"{scene.system.plane[0]}_points"
+    drawn = f"{drawn_plane(scene.system)[0]}_points"
     attrs = {
         "limit": limit,
         "along": axis.name,
@@ -188,7 +189,7 @@ def bifurcations_table(data: xr.Dataset) -> Table:
 
 
 def _dimension(grown: Sequence[FollowedBranches]) -> int:
-    return max(part.scene.system.dimension for part in grown)
+    return max(part.scene.chart.dimension for part in grown)
 
 
 def _of_periods(grown: Sequence[FollowedBranches]) -> str:
@@ -231,12 +232,12 @@ def _outputs(
 ) -> Mapping[str, tuple[Output, list[Float[np.ndarray, "k n"]]]]:
     """Coordinates of the flow by name, of all points of some branches."""
     flat = [one.reshape(-1, one.shape[-1]) for one in points]
-    whole = np.concatenate(flat) if flat else np.zeros((1, scene.system.dimension))
+    whole = np.concatenate(flat) if flat else np.zeros((1, scene.chart.dimension))
     states = states_at(scene, lanes, whole)
-    named = scene.system.outputs(jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
+    named = outputs(scene.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
     cuts = np.cumsum([len(one) for one in flat])[:-1]
     found = dict[str, tuple[Output, list[np.ndarray]]]()
-    for name in scene.system.coordinates:
+    for name in scene.flow.coordinates:
         if name in named:
             parts = np.split(np.asarray(named[name].data)[:, 0], cuts) if flat else []
             rows = [part.reshape(one.shape[:2]) for part, one in zip(parts, points, strict=True)]

@@ -19,8 +19,10 @@ from jaxtyping import Array, Bool, Float
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.section import rates
 from jaxnh.orbits.newton import solve
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State
 
 _SLOW = 1e-6  # of the largest rate of a coordinate
 _STILL = 1e-9  # likewise: what is left may be rounding, and need not shrink
@@ -89,17 +91,17 @@ def _run(strobe: ReturnMap, flow: Flow, count: ArrayLike, state: State, p: Param
     """One lane over `count` units of time."""
 
     def rate(y: State) -> Array:
-        return jnp.stack(flow.lower(y, flow.rhs(0.0, y, p)))
+        return jnp.stack(rates(flow, y, p))
 
     def at(u: Float[Array, " d"]) -> Array:
-        return rate(flow.unchart(u))
+        return rate(flow.chart.state(u))
 
     def on(n: ArrayLike, state: State) -> tuple[State, Array]:
         def unit(_: Array, carry: tuple[State, Array]) -> tuple[State, Array]:
             y = strobe(carry[0], p)
             return y, jnp.maximum(carry[1], jnp.abs(rate(y)))
 
-        return lax.fori_loop(0, n, unit, (state, as_batched(jnp.zeros(flow.dimension), state[0][0])))
+        return lax.fori_loop(0, n, unit, (state, as_batched(jnp.zeros(flow.chart.dimension), state[0][0])))
 
     quarter = jnp.asarray(count) // 4
     first = jnp.abs(rate(state))
@@ -107,7 +109,7 @@ def _run(strobe: ReturnMap, flow: Flow, count: ArrayLike, state: State, p: Param
     state, third = on(quarter, state)
     state, fourth = on(quarter, state)
     largest = jnp.max(jnp.stack([first, half, third, fourth]), axis=0)
-    u, change = flow.chart(state), []
+    u, change = flow.chart.point(state), []
     for _ in range(3):
         change.append(jax.jacfwd(at)(u))
         u = u - solve(change[-1], at(u))

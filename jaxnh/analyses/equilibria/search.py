@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.analyses.window_averages import WindowAverages, angles
+from jaxnh.analyses.window_averages import WindowAverages
+from jaxnh.maps.section import rates
 from jaxnh.systems.flow import Flow, Parameters
 
 _STEPS = 20  # of Newton
@@ -37,7 +38,7 @@ def find_equilibria(
 ) -> Zeros:
     """Zeros of the field that lanes have come to: near their points, against how far they have moved in a look."""
     found = equilibria_from_starts(scene, lanes, u, size)
-    apart = np.abs(scene.system.wrap(found.u - u))
+    apart = np.abs(scene.chart.wrap(found.u - u))
     near = np.all(apart <= _NEAR * (seen.high - seen.low) + _rounding(scene, size), axis=1)
     exponent = np.where(near, found.exponent, np.nan)
     return Zeros(found.found & near, found.stable & near, found.u, exponent)
@@ -64,7 +65,7 @@ def equilibria_from_starts(
         rest = np.einsum("lij,lj->li", np.abs(change), rounding) + rounding / scene.flow.period
         found &= np.all(np.abs(rates) <= rest, axis=1)
     real = np.sort(np.linalg.eigvals(np.where(found[:, None, None], change, 0.0)).real, axis=1)[:, ::-1]
-    hidden = scene.flow.dimension - scene.flow.exponents  # zeros, of what constraints keep
+    hidden = scene.flow.chart.dimension - scene.flow.exponents  # zeros, of what constraints keep
     if hidden:
         order = np.argsort(np.abs(real), axis=1)[:, hidden:]
         real = np.sort(np.take_along_axis(real, order, axis=1), axis=1)[:, ::-1]
@@ -74,7 +75,7 @@ def equilibria_from_starts(
 
 
 def _rounding(scene: Scene, size: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
-    unit = np.where(angles(scene.system), 1.0, size)
+    unit = np.where(np.array(scene.chart.angles), 1.0, size)
     return _ROUNDING * unit + _NOTHING * unit.max(axis=1, keepdims=True)
 
 
@@ -88,7 +89,7 @@ def _field(flow: Flow, u: Float[Array, " d"], p: Parameters) -> tuple[Array, Arr
     """Rates of section coordinates and ∂(rate)/∂(coordinate), of one lane."""
 
     def rate(u: Array) -> Array:
-        y = flow.unchart(u)
-        return jnp.stack(flow.lower(y, flow.rhs(0.0, y, p)))
+        y = flow.chart.state(u)
+        return jnp.stack(rates(flow, y, p))
 
     return rate(u), jax.jacfwd(rate)(u)

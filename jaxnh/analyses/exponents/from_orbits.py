@@ -15,7 +15,8 @@ from jaxnh.analyses.exponents.tangent_growth import TangentState, parts_of, turn
 from jaxnh.analyses.periodic.attractor_survey import Survey, early_look, first_look, survey
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
-from jaxnh.systems.flow import Flow, State
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.state import State
 
 _LONGEST = 64  # period of an orbit that is looked for
 _SEEN = 1e-6  # a multiplier below this share of the monodromy matrix is left to tangents
@@ -94,7 +95,7 @@ def on_orbits(
     """
     if not len(candidates):
         return no_orbits(len(growth.tangents))
-    some, u = scene.take(candidates), scene.system.section_point(picked(growth.state, candidates))
+    some, u = scene.take(candidates), scene.chart.host_points(picked(growth.state, candidates))
     found = survey(some, lanes, u, min(longest, _LONGEST), "lyapunov", 0, tile=ORBIT_TILE)
     settled = np.flatnonzero(found.period > 0)
     return of_orbits(scene, lanes, growth, candidates[settled], picked(found, settled), parts)
@@ -182,4 +183,4 @@ def _carried(
 
 
 def _state_at(system: Flow, u: Float[Array, " d"]) -> State:
-    return system.unchart(u)
+    return system.chart.state(u)

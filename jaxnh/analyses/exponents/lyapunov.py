@@ -188,7 +188,7 @@ def averages(
                 running = np.setdiff1d(running, settled.lanes)
             if options.error and i + 1 >= BLOCKS // 4:
                 plain = of_blocks(rates[running, : i + 1, lead : lead + k])
-                error = nearly_neutral(plain, aligning, (i + 1) * block).error / scene.system.period
+                error = nearly_neutral(plain, aligning, (i + 1) * block).error / scene.flow.period
                 running = running[~(np.max(error, axis=1) < options.error)]
             if not len(running):
                 break
@@ -257,7 +257,7 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
         source[resting] = SOURCES.index("equilibrium")
         complete = exponents.shape[1] == scene.flow.exponents  # else some eigenvalues are those of constraints
         for values, found_there in ((mean, exponents), (error, bound)):
-            values[resting] = found_there[still, : lead + k] * scene.system.period if complete else np.nan
+            values[resting] = found_there[still, : lead + k] * scene.flow.period if complete else np.nan
     return Spectrum(mean, error, source)
 
 
@@ -353,7 +353,7 @@ def _refinement_needed(scene: Scene, lanes: LaneRunner, growth: TangentState, pa
 
 def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectrum: Spectrum, parts: int) -> xr.Dataset:
     """All variables; the first sum without a clock is that along the flow."""
-    period, k = scene.system.period, spectrum.mean.shape[1]
+    period, k = scene.flow.period, spectrum.mean.shape[1]
     wanted = min(options.exponents, k)
     found, spread = spectrum.mean / period, spectrum.error / period
     averaged = averages.blocks * (options.periods // BLOCKS)

@@ -24,10 +24,12 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import between, cut_strobe
 from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.maps.rows import StackedMaps, stack
+from jaxnh.maps.section import rates
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.systems.flow import Flow, Parameters, State, Vector
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State, Vector
 
 _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
@@ -147,11 +149,11 @@ def _advance_each(strobes: ReturnMap, growth: TangentState, p: Parameters, count
     return advance(strobes, None, count, 0.0, growth, p)
 
 
-def begin(system: Flow, state: State, k: int) -> TangentState:
+def begin(flow: Flow, state: State, k: int) -> TangentState:
     """A lane at a state with k tangents."""
     zero = jnp.zeros_like(state[0][0])
-    tangents = jax.tree.map(lambda component: zero + component, system.directions(k))
-    sums = k + int(system.autonomous)
+    tangents = jax.tree.map(lambda component: zero + component, flow.chart.directions(k))
+    sums = k + int(flow.autonomous)
     return TangentState(state, tangents, (zero,) * sums, zero, zero, ((zero,) * (sums + 1),) * 2, zero)
 
 
@@ -170,15 +172,15 @@ def advance(
     wanted = strobes.system.contraction or len(growth.logs) == strobes.system.exponents
 
     def part(growth: TangentState, strobe: ReturnMap) -> tuple[TangentState, None]:
-        system = strobe.system
-        pushed = strobe.push(growth.state, p, tuple(Tangent(system.lift(growth.state, v)) for v in growth.tangents))
-        moved = [system.lower(pushed.state, t.state) for t in pushed.tangents]
-        if system.autonomous:
-            tangents, grown = _across(system, growth.state, pushed.state, moved, p)
+        flow: Flow = strobe.system
+        pushed = strobe.push(growth.state, p, tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents))
+        moved = [flow.chart.lower(pushed.state, t.state) for t in pushed.tangents]
+        if flow.autonomous:
+            tangents, grown = _across(flow, growth.state, pushed.state, moved, p)
         else:
             tangents, grown = gram_schmidt(moved)
         logs = tuple(sum_ + g for sum_, g in zip(growth.logs, grown, strict=True))
-        largest = jnp.maximum(grown[0], grown[1]) if system.autonomous else grown[0]
+        largest = jnp.maximum(grown[0], grown[1]) if flow.autonomous else grown[0]
         loss = jnp.maximum(growth.loss, largest - grown[-1])
         volume = growth.volume + jnp.log(pushed.volume) if wanted else growth.volume
         return growth._replace(state=pushed.state, tangents=tangents, logs=logs, volume=volume, loss=loss), None
@@ -212,12 +214,12 @@ def _divergence(quadrature: Quadrature, state: State, p: Parameters) -> Array:
 
 
 def _across(
-    system: Flow, before: State, after: State, moved: Sequence[Vector], p: Parameters
+    flow: Flow, before: State, after: State, moved: Sequence[Vector], p: Parameters
 ) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
     """Orthonormal tangents across the flow, and the growth of the flow's own direction, then of each of them."""
 
     def direction(state: State) -> Vector:
-        return system.lower(state, system.rhs(jnp.zeros_like(state[0][0]), state, p))
+        return rates(flow, state, p)
 
     (_, *tangents), (along, *grown) = gram_schmidt([direction(after), *moved])
     return tuple(tangents), (along - gram_schmidt([direction(before)])[1][0], *grown)

@@ -26,12 +26,15 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     orbits,
     sizes,
 )
-from jaxnh.analyses.scene import LaneRunner, Scene, picked, section_points
+from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.rows import row_by_row
+from jaxnh.maps.section import rates
 from jaxnh.orbits.newton import find_doubled
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.systems.chart import Chart
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 _CLOSE = 0.03  # sizes of the motion: strobe points nearer than this may be one point of a slowly converging orbit
 _SMALLEST = 1e-4  # of the size at the start: branches, followed to 1e-9 of a size, then are so to hundreds of roundings
@@ -192,13 +195,13 @@ def _look(
     (wait, limit, tries), cost = timing, timing.periods
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
         shared, static = (strobe, np.int32(wait)), (2 * limit,)
-        if scene.system.dimensionless:
+        if scene.chart.dimensionless:
             points = lanes(strobe_points, shared, (u, p), periods=cost, static=static, tile=tile)
             size = np.ones_like(u)
         else:
-            shared = (*shared, scene.system.period / (2 * np.pi))
+            shared = (*shared, scene.flow.period / (2 * np.pi))
             points, size = lanes(_sized_points, shared, (u, p, scene.start), periods=cost, static=static, tile=tile)
-    recurs = _recurrences(scene.system, points, size, limit, least, only_doublings)
+    recurs = _recurrences(scene.chart, points, size, limit, least, only_doublings)
     period, found, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
     failed |= ~np.all(np.isfinite(points), axis=(1, 2))
     rank, first, last = np.cumsum(recurs, axis=0), 1, 1
@@ -208,7 +211,7 @@ def _look(
         first, last = last + 1, 2 * last + 1
         with lanes.stage(f"{label}: orbits of {len(np.unique(lane))} lanes", 0):
             orbit = orbits(lanes, strobe, found[lane], picked(p, lane), n, size[lane])
-        near = apart(scene.system, orbit.u, found[lane], size[lane]) < 2 * _CLOSE
+        near = apart(scene.chart, orbit.u, found[lane], size[lane]) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
         here, least_of = np.unique(lane[settled], return_index=True)
@@ -231,7 +234,7 @@ def _look(
 
 
 def _recurrences(
-    system: Flow,
+    chart: Chart,
     points: Float[np.ndarray, "lanes points d"],
     size: Float[np.ndarray, "lanes d"],
     limit: int,
@@ -248,11 +251,11 @@ def _recurrences(
     base, nearest = np.zeros(len(points), int), np.zeros(len(points))
     for n in range(least, limit + 1):
         lanes = np.flatnonzero((base == 0) | (n % np.maximum(base, 1) == 0))
-        lanes = lanes[apart(system, points[lanes, n], points[lanes, 0], size[lanes]) < _CLOSE]  # most do not recur
+        lanes = lanes[apart(chart, points[lanes, n], points[lanes, 0], size[lanes]) < _CLOSE]  # most do not recur
         if not len(lanes):
             continue
         ahead, behind = points[lanes, n : n + limit], points[lanes, :limit]
-        distance = np.max(apart(system, ahead, behind, size[lanes, None]), axis=1)
+        distance = np.max(apart(chart, ahead, behind, size[lanes, None]), axis=1)
         lanes, distance = lanes[distance < _CLOSE], distance[distance < _CLOSE]
         first = base[lanes] == 0
         base[lanes[first]], nearest[lanes[first]] = n, distance[first]
@@ -266,15 +269,15 @@ def _recurrences(
 def beyond_doublings(lanes: LaneRunner, strobe: ReturnMap, p: Parameters, found: Survey) -> Survey:
     """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
     period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in found)
-    system = strobe.system
+    chart = strobe.chart
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
     for of_row, own, own_p in row_by_row(strobe, p, len(u)):
         for n in np.unique(period[of_row][near[of_row]]):
             some = np.flatnonzero(near[of_row] & (period[of_row] == n))
             here = of_row[some]
-            arguments = (u[here], picked(own_p, some), *sizes(system, size[here]))
+            arguments = (u[here], picked(own_p, some), *sizes(chart, size[here]))
             orbit = lanes(find_doubled, (own, np.int32(n // 2)), arguments, tile=ORBIT_TILE)
-            settled = (orbit.residual < CONVERGED) & (apart(system, orbit.u, u[here], size[here]) < 2 * _CLOSE)
+            settled = (orbit.residual < CONVERGED) & (apart(chart, orbit.u, u[here], size[here]) < 2 * _CLOSE)
             part = here[settled]
             u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
             multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]
@@ -284,21 +287,20 @@ def beyond_doublings(lanes: LaneRunner, strobe: ReturnMap, p: Parameters, found:
 def first_points(scene: Scene, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
     """Section coordinates of every lane's start, or of its first crossing where there is a section."""
     if scene.flow is scene.system:
-        return section_points(scene)
+        return scene.chart.host_points(scene.start)
     return lanes(_first_crossing, (scene.strobe(),), scene.lanes, periods=1)
 
 
 def _first_crossing(strobe: ReturnMap, state: State, p: Parameters) -> Float[Array, " d"]:
-    return strobe.system.chart(strobe(state, p))
+    return strobe.chart.point(strobe(state, p))
 
 
 def strobe_points(
     strobe: ReturnMap, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, count: int
 ) -> Float[Array, "points d"]:
     """Section points after a transient, of one lane."""
-    system = strobe.system
-    settled = iterate(strobe, transient, system.unchart(u), p)
-    return jax.vmap(system.chart)(record(strobe, settled, p, count)[1])
+    settled = iterate(strobe, transient, strobe.chart.state(u), p)
+    return jax.vmap(strobe.chart.point)(record(strobe, settled, p, count)[1])
 
 
 def _sized_points(
@@ -320,15 +322,14 @@ def _sized_points(
     Args:
         radian: of the period, a length of time.
     """
-    system = strobe.system
+    chart = strobe.chart
 
     def size_at(y: State) -> Float[Array, " d"]:
-        rate = jnp.stack(system.lower(y, system.rhs(0.0, y, p)))
-        return jnp.maximum(jnp.abs(system.chart(y)), jnp.abs(rate) * radian)
+        rate = jnp.stack(rates(strobe.system, y, p))
+        return jnp.maximum(jnp.abs(chart.point(y)), jnp.abs(rate) * radian)
 
-    states = record(strobe, iterate(strobe, transient, system.unchart(u), p), p, count)[1]
-    points = jax.vmap(system.chart)(states)
-    sizes = jnp.abs(points) if system.autonomous else jax.vmap(size_at)(states)
+    states = record(strobe, iterate(strobe, transient, chart.state(u), p), p, count)[1]
+    points = jax.vmap(chart.point)(states)
+    sizes = jnp.abs(points) if strobe.system.flow.autonomous else jax.vmap(size_at)(states)
     size = jnp.maximum(jnp.max(sizes, axis=0), _SMALLEST * size_at(start))
-    turns = np.abs(system.wrap(np.full(system.dimension, 2 * np.pi))) < 1.0
-    return points, jnp.where(~turns & (size > 0.0) & (size < jnp.inf), size, 1.0)
+    return points, jnp.where(~np.array(chart.angles) & (size > 0.0) & (size < jnp.inf), size, 1.0)

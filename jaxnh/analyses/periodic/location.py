@@ -66,7 +66,7 @@ def locate(
     Returns:
         None where the orbit does not double before `stop`.
     """
-    wrap = scene.system.wrap
+    wrap = scene.chart.wrap
     coarse, fine, finest = (period_map(scene, lanes, strobe) for strobe in refined(scene))
     branch = follow_branch(coarse, walk(scene, lanes, points, start, n), start, stop, wrap)
     first = branch and doubling_point(coarse, branch, wrap)

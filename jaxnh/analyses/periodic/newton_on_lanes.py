@@ -14,7 +14,8 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.scene import LaneRunner, picked
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.newton import NewtonStep, Orbit, find_orbits, look
-from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.chart import Chart
+from jaxnh.systems.flow import Parameters
 
 CONVERGED = 1e-7
 """Residual of an orbit that Newton has found, in sizes of the motion."""
@@ -44,7 +45,7 @@ def orbits(
     def of(lane: Int[np.ndarray, " group"], tile: int) -> Orbit:
         def look_at(u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> NewtonStep:
             which = lane[some]
-            at = (n[which], u, picked(p, which), *(() if size is None else sizes(strobe.system, size[which])))
+            at = (n[which], u, picked(p, which), *(() if size is None else sizes(strobe.chart, size[which])))
             return lanes(look, (strobe,), at, tile=tile)
 
         return find_orbits(look_at, u[lane])
@@ -56,18 +57,18 @@ def orbits(
     return picked(found, np.argsort(np.concatenate([lane for lane, _ in groups])))
 
 
-def sizes(system: Flow, size: Float[np.ndarray, "lanes d"]) -> tuple[Float[np.ndarray, "lanes d"], ...]:
+def sizes(chart: Chart, size: Float[np.ndarray, "lanes d"]) -> tuple[Float[np.ndarray, "lanes d"], ...]:
     """Sizes as Newton's last argument, which a flow without dimensions has none of."""
-    return () if system.dimensionless else (size,)
+    return () if chart.dimensionless else (size,)
 
 
 def apart(
-    system: Flow, one: Float[np.ndarray, "... d"], other: Float[np.ndarray, "... d"], size: Float[np.ndarray, "... d"]
+    chart: Chart, one: Float[np.ndarray, "... d"], other: Float[np.ndarray, "... d"], size: Float[np.ndarray, "... d"]
 ) -> np.ndarray:
     """Largest difference (...) between section points in sizes of the motion; without dimensions that of positions."""
-    if system.dimensionless:
-        return system.apart(one, other)
-    return np.max(np.abs(system.wrap(one - other)) / size, axis=-1)
+    if chart.dimensionless:
+        return chart.distance(one, other)
+    return np.max(np.abs(chart.wrap(one - other)) / size, axis=-1)
 
 
 def least_period(
@@ -88,7 +89,7 @@ def least_period(
     while len(open_ := np.flatnonzero(factor)):
         open_ = open_[np.argsort(period[open_] // factor[open_], kind="stable")]
         d = (period[open_] // factor[open_]).astype(np.int32)
-        at = (d, u[open_], picked(p, open_), *sizes(strobe.system, size[open_]))
+        at = (d, u[open_], picked(p, open_), *sizes(strobe.chart, size[open_]))
         back = lanes(look, (strobe,), at, tile=ORBIT_TILE).residual < CONVERGED
         period[open_[back]] //= factor[open_[back]]
         factor[open_] = _prime_factors(period[open_], factor[open_] - back)

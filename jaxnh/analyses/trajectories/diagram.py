@@ -36,8 +36,11 @@ from jaxnh.analyses.trajectories.states import (
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.rows import ROW
+from jaxnh.maps.section import begin, drawn_plane
 from jaxnh.maps.single_precision import in_precision
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 _CARRIED_AT_ONCE = 32  # values that a call carries a state along at most: the steps of the progress shown
 _CARRIED_PERIODS = 1 << 15  # of such a call: some seconds, that a run that is killed may lose
@@ -137,15 +140,15 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
             states = _side_by_side(options, scene, lanes, *scene.lanes)
         else:
             states = _in_turn(options, scene, lanes)
-    t = np.array([options.phase * scene.system.period])
+    t = np.array([options.phase * scene.flow.period])
     attrs = {
         "start": options.start,
         "phase": options.phase,
         **section_attrs(scene),
         "panel": "density",
-        "panel_variables": scene.system.plane[0],
+        "panel_variables": drawn_plane(scene.system)[0],
     }
-    variables, first = state_variables(scene.system, states, t, dims), scene.system.plane[0]
+    variables, first = state_variables(scene.flow, states, t, dims), drawn_plane(scene.system)[0]
     if options.statistics:
         variables = statistics(variables, "strobe")
         shown = " ".join(name for name in (f"{first}_{kind}" for kind in ("max", "mean", "min")) if name in variables)
@@ -161,12 +164,15 @@ def random_starts(options: DiagramOptions, scene: Scene) -> tuple[State, Paramet
     """
     first, place = int(scene.places.min()), scene.places
     bits = np.random.PCG64(options.seed)
-    d = scene.flow.dimension
+    d = scene.flow.chart.dimension
     bits.advance(first * options.starts * d)  # a draw of 64 bits a number
     shape = int(place.max()) - first + 1, options.starts, d
     draws = np.random.Generator(bits).uniform(-1.0, 1.0, shape)[place - first]
     p = {name: np.repeat(values, options.starts) for name, values in scene.p.items()}
-    return scene.system.random_states(draws.reshape(-1, d), options.box, p), p
+    states = scene.flow.chart.state((draws.reshape(-1, d) * scene.flow.chart.scales(options.box)).T)
+    own = {name: values for name, values in p.items() if name != ROW}
+    states = jax.tree.map(np.asarray, jax.vmap(scene.flow.nearest)(states, own))
+    return begin(scene.system, states), p
 
 
 def starts(options: DiagramOptions) -> Starts | None:
@@ -244,7 +250,7 @@ def _at_phase(
     """States at t = 0 brought to the phase of the strobes, and the map of a period from there."""
     if not options.phase:
         return start, scene.strobe()
-    t, period = options.phase * scene.system.period, scene.system.period
+    t, period = options.phase * scene.flow.period, scene.flow.period
     first, strobe = (
         in_precision(
             make_return_map(scene.system, scene.solver, scene.steps, compensated=scene.compensated, span=span),

@@ -17,7 +17,9 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.trajectories.states import TILE, check_transient, count, section_attrs, settled, state_variables
 from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.maps.section import drawn_plane
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 _PRICED_STROBES = 65
 
@@ -54,10 +56,10 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
         )
     variables = {}
     if scene.flow is scene.system:  # else every crossing has its own time
-        time = scene.system.period * (options.transient + np.arange(options.strobes))
-        variables["t"] = variable("strobe", time, "time since the start", scene.flow.units("t"))
-    variables |= state_variables(scene.system, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
-    panel = {"panel": "points", "panel_variables": " ".join(scene.system.plane)}
+        time = scene.flow.period * (options.transient + np.arange(options.strobes))
+        variables["t"] = variable("strobe", time, "time since the start", scene.flow.labels.units["t"])
+    variables |= state_variables(scene.flow, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
+    panel = {"panel": "points", "panel_variables": " ".join(drawn_plane(scene.system))}
     return xr.Dataset(variables, attrs={**section_attrs(scene), **panel})
 
 

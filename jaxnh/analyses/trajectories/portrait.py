@@ -14,8 +14,10 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.trajectories.states import TILE, count, settled, state_variables
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.section import drawn_plane
 from jaxnh.maps.single_precision import in_precision
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 _PRICED_PERIODS = 2
 
@@ -52,14 +54,15 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
             tile=TILE,
             static=(options.periods,),
         )
-    in_period = scene.system.period * np.arange(options.samples) / options.samples
+    in_period = scene.flow.period * np.arange(options.samples) / options.samples
     elapsed = np.arange(options.periods * options.samples) / options.samples
-    time = scene.system.period * (options.transient + elapsed)
+    time = scene.flow.period * (options.transient + elapsed)
     variables = {
-        "t": variable("time", time, "time since the start", scene.flow.units("t")),
-        **state_variables(scene.system, states, in_period, (LANE, "time"), {"coordinates": "t"}),
+        "t": variable("time", time, "time since the start", scene.flow.labels.units["t"]),
+        **state_variables(scene.flow, states, in_period, (LANE, "time"), {"coordinates": "t"}),
     }
-    return xr.Dataset(variables, attrs={"panel": "trajectories", "panel_variables": " ".join(scene.system.plane)})
+    plane = " ".join(drawn_plane(scene.system))
+    return xr.Dataset(variables, attrs={"panel": "trajectories", "panel_variables": plane})
 
 
 def trajectory(parts: ReturnMap, state: State, p: Parameters, count: int) -> State:

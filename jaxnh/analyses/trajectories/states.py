@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import cast
 
 import numpy as np
 import xarray as xr
@@ -13,8 +12,9 @@ from jaxnh.analyses.base import Entry, OptionError, Setting, variable
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.section import SectionedFlow
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.maps.section import Section, outputs, reports
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State
 
 TILE = 16
 """Lanes a tile where few lanes are followed for long: small tiles take a period sooner."""
@@ -30,7 +30,7 @@ def settled(
 
 
 def state_variables(
-    system: Flow,
+    flow: Flow,
     states: State,
     t: Float[np.ndarray, " times"],
     dims: tuple[str, ...],
@@ -46,13 +46,13 @@ def state_variables(
     """
     named = {
         name: variable(dims, found.data, found.long_name, **found.attrs, **(attrs if attrs and name != "t" else {}))
-        for name, found in system.outputs(states, t).items()
+        for name, found in outputs(flow, states, t).items()
     }
-    reports = {
+    reported = {
         name: variable(dims[:-1], found.data, found.long_name, **found.attrs)
-        for name, found in system.reports(states).items()
+        for name, found in reports(flow, states).items()
     }
-    return named | reports
+    return named | reported
 
 
 _STATISTICS = (
@@ -83,10 +83,10 @@ def statistics(variables: Mapping[str, Entry], dim: str) -> dict[str, Entry]:
 
 def section_attrs(scene: Scene) -> dict[str, str]:
     """Attributes of a group of crossings: which section they cross; none of a group of strobes."""
-    if scene.flow is scene.system:
+    section = scene.system
+    if not isinstance(section, Section):
         return {}
-    section = cast(SectionedFlow, scene.system)
-    return {"section": section.section, "section_coordinate": section.coordinate}
+    return {"section": section.description, "section_coordinate": section.coordinate}
 
 
 def count(data: xr.Dataset) -> dict[str, int]:

@@ -95,7 +95,7 @@ def dataset(
 def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], scene: Scene) -> dict[str, Entry]:
     """The place, its error, its kind and the multipliers there of one end of all windows."""
     flags: dict[str, Any] = {"flag_values": np.arange(len(ENDS), dtype=np.int8), "flag_meanings": " ".join(ENDS)}
-    multipliers = np.full((len(ends), scene.system.dimension, 2), np.nan)
+    multipliers = np.full((len(ends), scene.chart.dimension, 2), np.nan)
     for k, end in enumerate(ends):
         multipliers[k] = np.stack([np.real(end.multipliers), np.imag(end.multipliers)], axis=-1)
     return {

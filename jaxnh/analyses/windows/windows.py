@@ -26,7 +26,6 @@ from jaxnh.analyses.crises.band_phase import embedded
 from jaxnh.analyses.periodic.attractor_survey import strobe_points, survey_from_start
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined, walk
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.analyses.window_averages import angles
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
 from jaxnh.analyses.windows.tables import NOWHERE, LocatedValue, count, dataset, table
@@ -157,7 +156,7 @@ def _crisis(
     stop = float(np.clip(start + _REACH * (start - window.end.value), low, high))
     inside, n = float(window.inside.value[0]), window.period
     family = families(min(inside, stop), max(inside, stop))[0]
-    u, turning = window.inside.u, angles(scene.system)
+    u, turning = window.inside.u, np.array(scene.chart.angles)
     with lanes.stage(f"windows: bands of period {n} up to {scene.line.name} = {stop:.9g}", 0):
         points = walk(scene, lanes, u, inside, n)[None]
         begun = correct(family, points, window.inside.value, along_parameter(family, 1, n), FINE)

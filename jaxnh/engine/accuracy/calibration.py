@@ -19,10 +19,11 @@ from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.section import Crossing, SectionedFlow
+from jaxnh.maps.section import Crossing, Section
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
-from jaxnh.systems.flow import Parameters, State
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State, error_components
 
 SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
@@ -117,10 +118,10 @@ class Calibration:
         self._said = time.monotonic()
         self._fall: list[tuple[int, float]] = []  # kicks, and how far apart references of so many and of fewer are
         self._near = max(_ROUNDING, _NEAR * (target or 0.0))
-        flow = self._flows[0]
+        flow = self._flows[0].flow
         self._way = way = scheme_of(flow)
         # Without a clock every step starts and ends by itself: no processor around many, no sums over them.
-        solvers = way.solvers(flow.flow, precision)
+        solvers = way.solvers(flow, precision)
         self._candidates = tuple(s for s in solvers if not (flow.autonomous and s.processor[1]))
         self._summations = (False,) if flow.autonomous else way.summations
         self._samples, looked_at = self._take_samples(rows)
@@ -163,7 +164,7 @@ class Calibration:
         where = _place(self._samples, worst)
         sample = jax.tree.map(lambda leaf: leaf[worst], self._samples)
         system = self._flows[int(sample.row)]
-        what, hint, length = "period", "", system.period
+        what, hint, length = "period", "", system.flow.period
         if system is not system.flow:
             lengths = np.abs(self._reference[-1] - self._samples.states.t)
             what, hint = "return", of_long_returns(lengths, worst)
@@ -257,7 +258,7 @@ class Calibration:
         periods = jax.tree.leaves(images)[0].shape[1]
         lane = np.repeat(np.arange(len(samples.row)), periods)
         each = samples.take(lane)._replace(states=jax.tree.map(np.ravel, samples.states))
-        theirs = jax.tree.leaves(self._flows[0].compared(jax.tree.map(np.ravel, images)))
+        theirs = jax.tree.leaves(error_components(jax.tree.map(np.ravel, images)))
         return _gaps(self._image(maps, each), theirs).reshape(-1, periods)
 
     def _at_rest(self, samples: _Samples) -> Bool[np.ndarray, "samples periods"]:
@@ -379,7 +380,7 @@ class Calibration:
     def _image(self, strobe: Callable[[int], ReturnMap], samples: _Samples) -> list[np.ndarray]:
         """What a map makes of the samples, component by component, without what flows only report."""
         states = self._by_flow(iterate, lambda row: (strobe(row), np.int32(1)), samples, 1)
-        return [np.array(leaf) for leaf in jax.tree.leaves(self._flows[0].compared(states))]
+        return [np.array(leaf) for leaf in jax.tree.leaves(error_components(states))]
 
 
 def _order_seen(few: int, before: float, many: int, after: float, order: float) -> float:
@@ -394,7 +395,7 @@ def _place(samples: _Samples, number: int) -> str:
     return ", ".join(f"{name} = {values[number]:.9g}" for name, values in samples.where.items())
 
 
-def _crossing_rates(section: SectionedFlow, states: Crossing, p: Parameters) -> Float[Array, " points"]:
+def _crossing_rates(section: Section, states: Crossing, p: Parameters) -> Float[Array, " points"]:
     """Rate of the height above the section at states of one lane."""
     return jax.vmap(lambda y: section.rate(y, p))(states.state)
 

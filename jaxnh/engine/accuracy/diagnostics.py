@@ -12,8 +12,9 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from jaxnh.maps.section import SectionedFlow
-from jaxnh.systems.flow import Flow, Parameters, State
+from jaxnh.maps.section import Section, System
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State
 
 ROUGH = 1e-8
 """References further apart than this say nothing: more steps may yet help."""
@@ -24,7 +25,7 @@ _ROUGHLY = 2048  # steps along a motion that is looked at
 _NOT_SMOOTH, _ORDER_OF_LAST = 2.5, 5  # order seen in the last refinements below which fields are taken to have corners
 
 
-def fault_of(system: Flow, state: State, p: Parameters) -> str:
+def fault_of(system: System, state: State, p: Parameters) -> str:
     """Why the map of a state, floats, has no value; "" where that is not seen."""
     flow = system.flow
     state = state if flow is system else state.state
@@ -37,12 +38,12 @@ def fault_of(system: Flow, state: State, p: Parameters) -> str:
             f"rates of change reach {fastest:.2g} a {unit}, and solvers are explicit: the system is stiff; "
             f"slow down what is fast in it{time_unit}"
         )
-    if isinstance(system, SectionedFlow):
+    if isinstance(system, Section):
         return f"the section may not be met within {system.longest:g} units of time"
     return ""
 
 
-def of_motion(system: Flow, state: State, p: Parameters, length: float) -> str:
+def of_motion(system: System, state: State, p: Parameters, length: float) -> str:
     """What to say of the sample of the largest error where its motion, so long, nearly loses something; "": nothing."""
     state = state if system.flow is system else state.state
     why = _lost(system.flow, state, p, length)

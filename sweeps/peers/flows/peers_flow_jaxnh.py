@@ -127,7 +127,7 @@ class FlowMaps:
 
     def started(self, lanes: np.ndarray) -> tuple[Any, dict[str, np.ndarray]]:
         """Start states and parameters of lanes."""
-        states = jax.vmap(lambda y: self.placed.flow.unchart(self.placed.embed(y)))(self.scene.states[lanes])
+        states = jax.vmap(lambda y: self.placed.flow.chart.state(self.placed.embed(y)))(self.scene.states[lanes])
         return jax.tree.map(np.asarray, states), {self.scene.case.parameter: self.scene.b[lanes]}
 
 
@@ -136,7 +136,7 @@ class Contestant(FlowMaps):
 
     def errors(self, strobe: ReturnMap) -> Errors:
         state = self.lanes(iterate, (strobe, np.int32(1)), self.started(np.arange(len(self.scene.b))))
-        return self.scene.errors(self.placed.flow.section_point(state)[:, self.placed.picks])
+        return self.scene.errors(self.placed.flow.chart.host_points(state)[:, self.placed.picks])
 
     def program(self, setting: Setting, count: int | None = None, periods: int = _PERIODS) -> Callable[[], int]:
         """As for every contestant; with a number of lanes (default: 256 a device) and of periods."""
