@@ -49,7 +49,7 @@ def twin(system):
 def scene_of(system, start, values, solver, steps, compensated=False, error=0.0, *, name="b", **others):
     """A scene of lanes along one axis, all from the same start state of floats."""
     values = np.asarray(values, float)
-    axis = Axis(name, values, system.labels.long_names[name])
+    axis = Axis(name, values, system.flow.labels.long_names[name])
     return Scene(
         system, spread(start, len(values)), {name: values}, solver, steps, compensated, error, along=axis, **others
     )

@@ -136,9 +136,9 @@ def find_doubled(
     Returns:
         The orbit of period 2n; the residual is infinite where Newton has not settled.
     """
-    system, d = strobe.system, strobe.chart.dimension
+    chart, d = strobe.chart, strobe.chart.dimension
     one = jnp.eye(d)
-    half = 0.5 * _in(size, system.chart.wrap(u - derivatives(strobe, n, u, p).image))
+    half = 0.5 * _in(size, chart.wrap(u - derivatives(strobe, n, u, p).image))
     first = jnp.sqrt(jnp.sum(half**2))
     normal = half / first
     _, around = _along(strobe, n, u - _of(size, half), first * normal, p, size)
@@ -154,7 +154,7 @@ def find_doubled(
             jnp.concatenate([bend, whole + one, cubic[:, None]], axis=1),
             jnp.concatenate([jnp.zeros(d), normal, jnp.zeros(1)])[None],
         ]
-        middle = 0.5 * _in(size, system.chart.wrap(image[0] - m) + system.chart.wrap(image[-1] - m))
+        middle = 0.5 * _in(size, chart.wrap(image[0] - m) + chart.wrap(image[-1] - m))
         missing = jnp.concatenate([middle, whole @ v + v, (normal @ v - 1.0)[None]])
         step = solve(jnp.concatenate(rows), -missing)
         moved = square + step[-1]
@@ -170,7 +170,7 @@ def find_doubled(
     found = lax.while_loop(unfinished, improve, as_batched(begun, u[0]))
     u = found.m + _of(size, jnp.sqrt(found.square) * found.v)
     image, monodromy, _ = derivatives(strobe, 2 * jnp.asarray(n), u, p)
-    residual = jnp.max(_in(size, jnp.abs(system.chart.wrap(image - u))))
+    residual = jnp.max(_in(size, jnp.abs(chart.wrap(image - u))))
     return Orbit(u, jnp.where(found.size < _NEWTON_TOLERANCE, residual, jnp.inf), monodromy, found.steps)
 
 

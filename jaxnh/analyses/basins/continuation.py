@@ -219,9 +219,9 @@ class _Line:
     def _met(self, one: int, u: Float[np.ndarray, " d"], at: int) -> int:
         """The attractor at a value that an orbit is, with its kind and period; −1 where it is none."""
         there = self._there(at)
-        system = self._grid.scenes[self._grid.row[at]].system
+        chart = self._grid.scenes[self._grid.row[at]].chart
         like = jax.tree.map(lambda leaf: leaf[one], self._every)._replace(u=u)
-        hits = there[same_orbits(system, like, picked(self._every, there), self._largest)]
+        hits = there[same_orbits(chart, like, picked(self._every, there), self._largest)]
         return int(hits[0]) if len(hits) else -1
 
     def _continued(
@@ -234,9 +234,9 @@ class _Line:
         """Orbits of some attractors, through u at the values `begin`, at `end`: there only if they lead back to u."""
         found = self._newton(some, u, end)
         back = self._newton(some, found.u, begin)
-        system = self._grid.scenes[0].system
+        chart = self._grid.scenes[0].chart
         with np.errstate(invalid="ignore"):
-            returns = np.all(np.abs(system.chart.wrap(back.u - u)) <= same_within(self._largest), axis=1)
+            returns = np.all(np.abs(chart.wrap(back.u - u)) <= same_within(self._largest), axis=1)
         return found._replace(there=found.there & back.there & returns)
 
     def _newton(
