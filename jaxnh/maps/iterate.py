@@ -57,8 +57,8 @@ def derivatives(
 
     The same as `jax.jacfwd` of `section_map`, to rounding.
     """
-    system, d = strobe.system, strobe.chart.dimension
-    tangents = [Tangent(jax.jvp(system.chart.state, (u,), (e,))[1]) for e in jnp.eye(d)]
+    chart, d = strobe.chart, strobe.chart.dimension
+    tangents = [Tangent(jax.jvp(chart.state, (u,), (e,))[1]) for e in jnp.eye(d)]
     still = jax.tree.map(jnp.zeros_like, tangents[0].state)
     for one in (name,) if isinstance(name, str) else name or ():
         tangents.append(Tangent(still, {one: jnp.ones_like(u[0])}))
@@ -67,7 +67,7 @@ def derivatives(
         pushed = strobe.push(carry[0], p, carry[1])
         return pushed.state, pushed.tangents
 
-    state, moved = lax.fori_loop(0, n, period, as_batched((system.chart.state(u), tuple(tangents)), u[0]))
-    columns = [jnp.stack(system.chart.lower(state, t.state)) for t in moved]
+    state, moved = lax.fori_loop(0, n, period, as_batched((chart.state(u), tuple(tangents)), u[0]))
+    columns = [jnp.stack(chart.lower(state, t.state)) for t in moved]
     by_parameter = jnp.stack(columns[d:], axis=-1) if isinstance(name, tuple) else columns[d] if name else None
-    return Derivatives(system.chart.point(state), jnp.stack(columns[:d], axis=-1), by_parameter)
+    return Derivatives(chart.point(state), jnp.stack(columns[:d], axis=-1), by_parameter)

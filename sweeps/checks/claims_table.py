@@ -268,7 +268,7 @@ def _tables() -> list[Claim]:
 
 
 def _bars() -> list[Claim]:
-    quote = "on random lanes [99.5] % of 400 λ1 and [99.4] % of 800 of all exponents"
+    quote = "on random lanes [99.5] % of 400 λ1 and [99.5] % of 800 of all exponents"
     return [Claim(_ACCURACY, quote, "make hard", _HARD, "Error bars of exponents", _covered)]
 
 
