@@ -234,10 +234,10 @@ def test_disk_without_its_spring_rolls_in_a_circle():
 @pytest.mark.slow  # derivatives to a crossing take half a minute to compile
 def test_limit_cycle_of_van_der_pol():
     """Its period at mu = 1, and its multiplier: e to the divergence around it, by DOP853 and its events."""
-    flow = loaded("van_der_pol_free").flow()
-    strobe, p = make_return_map(flow, dopri8, 64), {"mu": np.ones(1)}
+    section = loaded("van_der_pol_free").dynamics()
+    strobe, p = make_return_map(section, dopri8, 64), {"mu": np.ones(1)}
     orbit = orbits(LANES, strobe, np.array([[2.17]]), p, 1)
-    state = jax.vmap(flow.chart.state)(jnp.asarray(orbit.u))
+    state = jax.vmap(section.chart.state)(jnp.asarray(orbit.u))
     assert float(LANES(iterate, (strobe, np.int32(1)), (state, p), tile=4).t[0]) == pytest.approx(
         6.663286859323, abs=2e-11
     )

@@ -77,7 +77,7 @@ def components(u):
     return np.stack([u[..., 0], u[..., 1], np.cos(u[..., 2]), np.sin(u[..., 2])], axis=-1)
 
 
-def by_taylor(flow, own, u, image):
+def by_taylor(system.flow, own, u, image):
     """Error of images (lanes, 3) of section points (lanes, 3), the largest of x, y and n, by Taylor in long double.
 
     And the largest factor by which a period enlarges a small error.
@@ -109,19 +109,19 @@ class Kept(NamedTuple):
 
 def measured(experiment, target, plan, lanes, rng, count):
     """Lanes of a sweep drawn by chance, most of which were no samples, over more periods than samples are from."""
-    flow, axes = experiment.flow({}), experiment.axes
+    system, axes = experiment.dynamics({}), experiment.axes
     where = {axis.name: rng.choice(axis.values, count) for axis in axes}
     own = {axis.name: where[axis.name] for axis in axes if axis.kind == "lane"}
     begun = {axis.name: where[axis.name] for axis in axes if axis.kind == "start"}
     state = experiment.start(begun, count, {})
     strobe, finer = (
-        make_return_map(flow, plan.solver, factor * plan.steps, compensated=compensated)
+        make_return_map(system, plan.solver, factor * plan.steps, compensated=compensated)
         for factor, compensated in ((1, plan.compensated), (2, True))
     )
     starts, worst, over = [], [], 0
     for begin, end in itertools.pairwise(STRETCHES):
         state, start, gap, missed = lanes(walked, (strobe, finer, np.int32(end - begin), target), (state, own))
-        starts.append(flow.chart.host_points(start))
+        starts.append(system.chart.host_points(start))
         worst.append(gap)
         over += int(missed.sum())
     worst = np.concatenate(worst)
@@ -129,7 +129,7 @@ def measured(experiment, target, plan, lanes, rng, count):
     u = np.concatenate(starts)[picked]
     own = {name: np.tile(values, len(STRETCHES) - 1)[picked] for name, values in own.items()}
     image = lanes(section_map, (strobe, np.int32(1)), (u, own))
-    error, enlarged = by_taylor(flow, own, u, image)
+    error, enlarged = by_taylor(system.flow, own, u, image)
     # Section points hold a state to an ulp, and so do the steps, in a walk of as many as there are drifts: one that
     # passes a point of vanishing speed comes out larger by a million, and with other last bits as another error.
     ulp = np.spacing(np.maximum(np.abs(u).max(axis=1), 1.0))
