@@ -13,8 +13,8 @@ from pydantic import Field
 
 from jaxnh.analyses.base import OptionError, Setting
 from jaxnh.analyses.scene import Scene
+from jaxnh.maps.section import begin
 from jaxnh.systems.flow import Flow
-from jaxnh.systems.state import State
 
 Side = Annotated[tuple[float, float], Field(strict=False)]
 """The lowest and the highest value of a coordinate."""
@@ -62,7 +62,7 @@ def started(scene: Scene, starts: int, seed: int, box: Box) -> tuple[Scene, dict
     here = scene.flow.outputs(jax.tree.map(_as_path, scene.in_time().start), np.zeros(1))
     others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in here.items()}
     p = {name: np.repeat(values, starts) for name, values in scene.p.items()}
-    state: State = scene.flow.start(others | drawn)
+    state = begin(scene.system, scene.flow.start(others | drawn))
     return replace(scene, start=state, p=p, place=np.repeat(places, starts), along=None), drawn
 
 

@@ -231,15 +231,15 @@ def repeats(strobe: ReturnMap, count: ArrayLike, state: State, p: Parameters, lo
 
     Of a lane that does not come so far `_LOST`.
     """
-    system = strobe.system
-    early = jax.vmap(system.chart.point)(record(strobe, state, p, longest)[1])[longest // 2 :]
+    chart = strobe.chart
+    early = jax.vmap(chart.point)(record(strobe, state, p, longest)[1])[longest // 2 :]
     near = _BACK * (jnp.max(early, axis=0) - jnp.min(early, axis=0)).max()
-    points = jax.vmap(system.chart.point)(record(strobe, iterate(strobe, count, state, p), p, 2 * longest)[1])
+    points = jax.vmap(chart.point)(record(strobe, iterate(strobe, count, state, p), p, 2 * longest)[1])
     first = points[:longest]
 
     def back(lag: Array) -> Array:
         later = lax.dynamic_slice_in_dim(points, lag, longest)
-        return jnp.max(jnp.abs(system.chart.wrap(later - first))) <= near
+        return jnp.max(jnp.abs(chart.wrap(later - first))) <= near
 
     found = lax.map(back, jnp.arange(1, longest + 1))
     lag = jnp.where(jnp.any(found), 1 + jnp.argmax(found), 0)

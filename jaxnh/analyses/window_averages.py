@@ -125,15 +125,15 @@ def average_window(scene: Scene, lanes: LaneRunner, state: State, count: int) ->
 
 def window_averages(strobe: ReturnMap, each: ArrayLike, state: State, p: Parameters, parts: int) -> WindowAverages:
     """One lane over `BLOCKS` times `each` periods."""
-    flow = strobe.system
-    turns, d = np.array(flow.chart.angles), flow.chart.dimension
+    chart = strobe.chart
+    turns, d = np.array(chart.angles), chart.dimension
     width = int(3 * turns.sum() + 2 * (~turns).sum())
 
     def point(sums: _Sums, strobe: ReturnMap) -> tuple[_Sums, Array]:
-        system, before = strobe.system, sums.state
+        before = sums.state
         after = strobe(before, p)
-        moved = jnp.stack(system.chart.lower(before, jax.tree.map(jnp.subtract, after, before)))
-        u = system.chart.point(after)
+        moved = jnp.stack(chart.lower(before, jax.tree.map(jnp.subtract, after, before)))
+        u = chart.point(after)
         low, high = jnp.minimum(sums.low, u), jnp.maximum(sums.high, u)
         sums = sums._replace(state=after, low=low, high=high, path=sums.path + jnp.abs(moved))
         return sums, features(turns, u, moved)

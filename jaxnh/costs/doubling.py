@@ -211,8 +211,8 @@ def _recurrence(
     strobe: ReturnMap, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, n: int
 ) -> Float[Array, ""]:
     """Largest distance between signals n strobes apart, over n strobes after a transient, of one lane."""
-    system = strobe.system
-    signals = system.chart.observable(record(strobe, iterate(strobe, transient, system.chart.state(u), p), p, 2 * n)[1])
+    chart = strobe.chart
+    signals = chart.observable(record(strobe, iterate(strobe, transient, chart.state(u), p), p, 2 * n)[1])
     return jnp.stack([jnp.abs(signal[n:] - signal[:n]).max() for signal in signals]).max()
 
 

@@ -248,9 +248,9 @@ class PointAndTangent(NamedTuple):
 
 def carried(strobe: ReturnMap, hidden: ArrayLike, u: Double, w: Double, p: Mapping[str, Double]) -> PointAndTangent:
     """One period of one lane from u (d,) along w (d,), and with parameters p of its own; see `extended`."""
-    system = strobe.system
+    chart = strobe.chart
 
     def plain(u: Array, w: Array, p: Parameters) -> tuple[Array, Array]:
-        return jax.jvp(lambda u: system.chart.point(strobe(system.chart.state(u), p)), (u,), (w,))
+        return jax.jvp(lambda u: chart.point(strobe(chart.state(u), p)), (u,), (w,))
 
     return PointAndTangent(*extended(plain, hidden)(u, w, p))

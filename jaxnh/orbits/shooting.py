@@ -8,19 +8,15 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits import cyclic
-from jaxnh.systems.flow import Parameters
 
 _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-9  # step, in sizes of the orbit, after which the points are known to rounding
 _CONTRACTION = 0.5  # of successive steps; Newton that contracts less is on its way to somewhere else
-_MOST_TURNS = 200
 _FAR_STEPS = 40
 _LARGEST_STEP = 0.25  # sizes of the motion
 _NEAR = 1e-3  # step, likewise, after which `close_orbits` goes on
@@ -149,26 +145,3 @@ def orbits_from_afar(
     for leaf, new in zip(whole, found, strict=True):
         leaf[near] = new
     return whole
-
-
-def log_volume(strobe: ReturnMap, u: Float[Array, " d"], p: Parameters) -> Array:
-    """ln det ∂P/∂u for one lane, exact where the determinant itself is lost to rounding."""
-    return jnp.log(strobe.push(strobe.chart.state(u), p, ()).volume)
-
-
-def multiplier_logs(blocks: np.ndarray, volume: float) -> np.ndarray:
-    """ln|μ| of the three multipliers of an orbit with these ∂P/∂u (n, 3, 3), largest first; no product is formed.
-
-    Simultaneous iteration: two orthonormal vectors are carried around until their growth in a turn changes no more.
-    Rounding loses the third in a single period already; `volume`, the sum of `log_volume` around the orbit, has it.
-    Multipliers of one modulus, as complex ones, have it as the mean of their logarithms.
-    """
-    basis, logs = np.eye(3)[:, :2], np.full(2, np.inf)
-    for _ in range(_MOST_TURNS):
-        before, logs = logs, np.zeros(2)
-        for block in blocks:
-            basis, upper = np.linalg.qr(block @ basis)
-            logs += np.log(np.abs(np.diag(upper)))
-        if np.abs(logs - before).max() < 1e-13 * np.abs(logs).max():
-            break
-    return np.sort(np.append(logs, volume - logs.sum()))[::-1]

@@ -77,7 +77,7 @@ def components(u):
     return np.stack([u[..., 0], u[..., 1], np.cos(u[..., 2]), np.sin(u[..., 2])], axis=-1)
 
 
-def by_taylor(system.flow, own, u, image):
+def by_taylor(flow, own, u, image):
     """Error of images (lanes, 3) of section points (lanes, 3), the largest of x, y and n, by Taylor in long double.
 
     And the largest factor by which a period enlarges a small error.

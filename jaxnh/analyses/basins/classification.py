@@ -183,16 +183,16 @@ def followed(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -
 
 
 def _followed(strobe: ReturnMap, u: Array, p: Parameters, parts: int) -> Float[Array, "points d"]:
-    flow = strobe.system
+    chart = strobe.chart
 
     def follow(state: State, _: None) -> tuple[State, Array]:
         if parts:
             state, _ = lax.scan(lambda z, part: (part(z, p), None), state, strobe)
         else:
             state = strobe(state, p)
-        return state, flow.chart.point(state)
+        return state, chart.point(state)
 
-    return jnp.concatenate([u[None], lax.scan(follow, flow.chart.state(u), length=FOLLOWED)[1]])
+    return jnp.concatenate([u[None], lax.scan(follow, chart.state(u), length=FOLLOWED)[1]])
 
 
 def stays_near(

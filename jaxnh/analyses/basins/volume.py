@@ -49,7 +49,7 @@ def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, pa
     With a clock it is that of a period, by the determinant of the tangent map; without one that of time, by the flow's
     divergence at the points that means are taken over.
     """
-    flow = strobe.system
+    chart = strobe.chart
 
     def part(state: State, strobe: ReturnMap) -> tuple[State, Array]:
         return strobe(state, p), strobe.system.flow.divergence(jnp.zeros_like(state[0][0]), state, p)
@@ -61,8 +61,8 @@ def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, pa
             state, rates = lax.scan(part, state, strobe)
             change = jnp.mean(rates)
         else:
-            u, tangent, _ = derivatives(strobe, 1, flow.chart.point(state), p)
-            state, change = flow.chart.state(u), jnp.linalg.slogdet(tangent)[1]
+            u, tangent, _ = derivatives(strobe, 1, chart.point(state), p)
+            state, change = chart.state(u), jnp.linalg.slogdet(tangent)[1]
         return state, total + weight * change, weights + weight
 
     zero = as_batched(jnp.zeros(()), jax.tree.leaves(state)[0])
