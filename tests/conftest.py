@@ -49,7 +49,9 @@ from jaxnh.analyses.scene import Axis  # noqa: E402
 from jaxnh.config.experiment import Experiment  # noqa: E402
 from jaxnh.engine import plan, session  # noqa: E402
 from jaxnh.engine.accuracy.calibration import Calibration  # noqa: E402
-from jaxnh.engine.executor.lanes import LaneExecutor  # noqa: E402
+from jaxnh.engine.executor.lanes import TILE, LaneExecutor  # noqa: E402
+from jaxnh.engine.executor.programs import Programs  # noqa: E402
+from jaxnh.engine.progress import Progress  # noqa: E402
 from jaxnh.engine.session import Session  # noqa: E402
 
 pytest_plugins = ["battery", "parts"]
@@ -57,14 +59,14 @@ pytest_plugins = ["battery", "parts"]
 Command = Callable[..., subprocess.CompletedProcess]
 
 
-_PROGRAMS: dict = {}
+_PROGRAMS = Programs()
 
 
-def lanes_with_kept_programs(*arguments: object) -> LaneExecutor:
+def lanes_with_kept_programs(
+    progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE
+) -> LaneExecutor:
     """Lanes on all devices that find the programs of earlier runs in this process; their keys say all there is."""
-    lanes = LaneExecutor(*arguments)
-    lanes._programs = _PROGRAMS
-    return lanes
+    return LaneExecutor(progress, devices, tile, _PROGRAMS)
 
 
 _CALIBRATIONS: dict[Any, Calibration] = {}
@@ -130,7 +132,7 @@ def run_here(*arguments: object, cwd: Path = ROOT, command: str = "sweep") -> su
 def session_of(experiment: Experiment) -> Session:
     """A session that finds the programs of earlier ones in this process."""
     found = Session(experiment)
-    found._lanes._programs = _PROGRAMS
+    found._lanes = lanes_with_kept_programs(found._progress)
     return found
 
 

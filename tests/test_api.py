@@ -290,8 +290,6 @@ OTHERS = {
     "NotImplementedError": {
         "config/user_system.py": "a method for subclasses",
         "maps/protocol.py": "likewise",
-        "maps/map_family.py": "a map that is for the host alone",
-        "maps/rows.py": "likewise",
         "maps/extended_precision.py": "an operation that no flow with a table of kicks has",
     },
     "PydanticCustomError": dict.fromkeys(

@@ -208,7 +208,7 @@ class Analysis:
         newton: whether it rests on Newton for orbits, for which single precision is too coarse.
         extended: whether it makes use of `accuracy.precision: extended`.
         in_time: whether it looks at a flow without a clock in time, and needs no section of it.
-        rows: whether its lanes may be at several values of what lanes share (`Scene.rows`): its programs see the system
+        stackable: whether lanes at several values of what lanes share may go through one program: it sees the system
             through its maps alone, and no bit of theirs depends on the shape of a tile.
         numbers: options to about how many numbers a lane leaves.
         choose: (options, scene, lane runner) to whole numbers that hold for all lanes of a sweep; of several scenes
@@ -236,7 +236,7 @@ class Analysis:
     newton: bool = False
     extended: bool = False
     in_time: bool = False
-    rows: bool = False
+    stackable: bool = False
     numbers: Callable[[Any], int] = _few
     choose: Callable[[Any, Scene, LaneRunner], Mapping[str, int]] | None = None
     starts: Callable[[Any], Starts | None] = _no_starts

@@ -148,7 +148,7 @@ def growth_rates(signals: Signals, angles: Float[Array, " angles"], scale: Array
 
 def price(options: Chaos01Options, scene: Scene) -> Price:
     """The whole program, with the walks of all angles at the end, shared out over its periods."""
-    strobe = scene.strobe()
+    strobe = scene.map()
     angles = np.linspace(np.pi / 5, 4 * np.pi / 5, _ANGLES)  # others than in a run, of the same price
     shared = (strobe, np.asarray(options.transient, np.int32), angles)
     turns, total = (float(options.transient), *strobe.turns), options.transient + options.periods

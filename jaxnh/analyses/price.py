@@ -43,13 +43,13 @@ class Price(NamedTuple):
 
 def map_alone(scene: Scene, strobe: ReturnMap | None = None, tile: int | None = None) -> PricedProgram:
     """One period of the scene's own map, or of another one of the same lanes, and nothing else."""
-    strobe = scene.strobe() if strobe is None else strobe
+    strobe = scene.map() if strobe is None else strobe
     return PricedProgram(iterate, (strobe, np.int32(1)), scene.lanes, (1.0, *strobe.turns), tile=tile)
 
 
 def newton_price(scene: Scene, tile: int) -> Price:
     """A period of Newton on orbits: the map with a tangent for every coordinate, against the map alone."""
-    strobe = scene.strobe()
+    strobe = scene.map()
     lanes = scene.chart.host_points(scene.start), dict(scene.p)
     program = PricedProgram(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=tile)
     note = f"{scene.chart.dimension} tangents in every period of Newton, the map alone before it"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
@@ -13,14 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.maps.build import make_return_map
-from jaxnh.maps.map_family import MapFamily
+from jaxnh.maps.family import Family, Maps
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.rows import StrobeRows, strobe_rows
 from jaxnh.maps.section import System
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
 from jaxnh.systems.chart import Chart
-from jaxnh.systems.flow import Flow
+from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State
 
 
@@ -44,38 +43,19 @@ class Axis:
     units: str = "1"
 
 
-class Rows:
-    """The flows of lanes that are at several values of what lanes share: p names the row of each (`maps.rows.ROW`).
-
-    Attributes:
-        flows: of all rows.
-    """
-
-    def __init__(self, flows: Sequence[Flow]) -> None:
-        self.flows = tuple(flows)
-        self._maps: dict[Any, StrobeRows] = {}
-
-    def maps(self, name: Any, of_row: Callable[[Flow], ReturnMap]) -> StrobeRows:
-        """Maps of all rows, made once under each name."""
-        if name not in self._maps:
-            self._maps[name] = strobe_rows([of_row(flow) for flow in self.flows])
-        return self._maps[name]
-
-
 @dataclass(frozen=True)
 class Scene:
     """Lanes of one system, and the solver that meets the accuracy asked for.
 
     Attributes:
-        system: the flow, or without a clock the flow on its section.
+        system: the flow, or without a clock the flow on its section; that of the first lane where they differ.
         start: start states, components (lanes,).
-        p: parameters that lanes have of their own, by name, each (lanes,).
+        p: parameters of lanes, by name, each (lanes,): those of their own, and those of the family.
         solver, steps, compensated: what P is computed with.
         error_estimate: error of one period's map that about one in 10,000 of the periods of a sweep's lanes exceeds.
         place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
         along: the first axis, where the lanes are those along it, at one point of all others.
-        flow_at: where all lanes share the parameter that is this axis, the system at a value of it; else None.
-        rows: where lanes are at several values of what lanes share, the flows at these; the system is the first one.
+        family: where lanes differ in parameters that a program shares, the system at each value of these.
         chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
         precision: "float64" or, where asked for, "float32" or "extended", of the arithmetic within a period.
         target: the error asked for, while analyses choose by it steps of their own; 0 where they are to have none.
@@ -90,8 +70,7 @@ class Scene:
     error_estimate: float
     place: Int[np.ndarray, " lanes"] | None = None
     along: Axis | None = None
-    flow_at: Callable[[float], Flow] | None = None
-    rows: Rows | None = None
+    family: Family[System] | None = None
     chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     precision: str = "float64"
     target: float = 0.0
@@ -157,26 +136,20 @@ class Scene:
         start, p = jax.tree.map(repeated, (self.start, dict(self.p)))
         return replace(self, start=start, p={**p, along.name: along.values}, place=None, along=along)
 
-    def moved(self, value: float) -> Scene:
-        """The scene under the system at a value of the first axis, which all lanes share."""
-        assert self.flow_at is not None
-        return replace(self, system=self.flow_at(value), flow_at=None)
+    def under(self, system: System) -> Scene:
+        """The scene under one system of its family, without the parameters that this has decided."""
+        assert self.family is not None
+        p = {name: values for name, values in self.p.items() if name not in self.family.names}
+        return replace(self, system=system, p=p, family=None)
 
-    def of_row(self, flow: Flow) -> Scene:
-        """The scene under the flow of one of its rows."""
-        return replace(self, system=flow, rows=None)
+    def strobe(self, refinement: float = 1) -> Maps:
+        """P with `refinement` times the steps that the accuracy asks for; of a family one for each value."""
+        if self.family is not None:
+            return self.family.maps(self.system, ("period", refinement), lambda one: self.under(one).map(refinement))
+        return self.map(refinement)
 
-    def strobe(self, refinement: float = 1) -> ReturnMap:
-        """P with `refinement` times the steps that the accuracy asks for; of a shared axis, one for each value."""
-        if self.flow_at is not None:
-
-            @functools.cache
-            def at(value: float) -> ReturnMap:
-                return self.moved(value).strobe(refinement)
-
-            return MapFamily(self.system, self.line.name, at)
-        if self.rows is not None:
-            return self.rows.maps(("period", refinement), lambda flow: self.of_row(flow).strobe(refinement))
+    def map(self, refinement: float = 1) -> ReturnMap:
+        """P of lanes with one system."""
         steps = round(self.steps * refinement)
         strobe = make_return_map(self.system, self.solver, steps, compensated=self.compensated)
         return in_precision(strobe, self.precision)
@@ -221,8 +194,13 @@ class LaneRunner(Protocol):
         periods: float = 0.0,
         tile: int | None = None,
         static: tuple[Any, ...] = (),
+        together: bool = True,
     ) -> Any:
         """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
+
+    def iterate(self, maps: Maps, n: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
+        """Pⁿ of every lane, in as many calls as it takes for a run to be stopped in time."""
+        ...
 
     def stage(self, label: str, total: float) -> AbstractContextManager[None]:
         """Show the calls inside as one stage of `total` lane-periods."""

@@ -216,7 +216,7 @@ def unsteadiness(scene: Scene, lanes: LaneRunner, begun: int, count: int) -> Flo
     """
     each = BLOCKS * max(count // (2 * BLOCKS), 1)
     with lanes.stage(f"verdict: {scene.count} lanes that look quasiperiodic, longer", scene.count * (begun + 2 * each)):
-        state = lanes(iterate, (scene.strobe(), np.int32(begun)), scene.lanes, periods=begun)
+        state = lanes.iterate(scene.strobe(), begun, scene.lanes)
         first = average_window(scene, lanes, state, each)
         second = average_window(scene, lanes, first.state, each)
     low, high = np.minimum(first.low, second.low), np.maximum(first.high, second.high)

@@ -110,7 +110,7 @@ def points_a_unit(scene: Scene) -> int:
 def maps(scene: Scene) -> tuple[ReturnMap, int]:
     """The map of a period, and 0, or without a clock those of the parts of a unit of time, stacked, and how many."""
     if not scene.flow.autonomous:
-        return scene.strobe(), 0
+        return scene.map(), 0
     parts = points_a_unit(scene)
     strobes = make_parts(scene.flow, scene.solver, scene.steps, parts, compensated=scene.compensated)
     return in_precision(strobes, scene.precision), parts

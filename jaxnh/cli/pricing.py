@@ -102,7 +102,9 @@ def price_accuracy(experiment: Experiment, path: Path, repeats: int, began: floa
     for name, data in studies.items():
         console.print(show(STUDIES[name].table(data)))
     parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in times.items())
-    print(f"{time.perf_counter() - began:.1f} s: {parts}; of these, compile {bench.lanes.compile_seconds:.1f} s")
+    print(
+        f"{time.perf_counter() - began:.1f} s: {parts}; of these, compile {bench.lanes.accounts.compile_seconds:.1f} s"
+    )
     print("wrote " + ", ".join(map(str, (path, *pictures))))
 
 
@@ -115,7 +117,7 @@ def price_effects(experiment: Experiment, path: Path, repeats: int, began: float
     data = costs_of_effects.price(bench.scene, experiment.requested(), bench.lanes, repeats)
     _write(bench, path, {"effects": data})
     console.print(show(tables.effects(data)))
-    print(f"{time.perf_counter() - began:.1f} s; of these, compile {bench.lanes.compile_seconds:.1f} s")
+    print(f"{time.perf_counter() - began:.1f} s; of these, compile {bench.lanes.accounts.compile_seconds:.1f} s")
     print(f"wrote {path}")
 
 

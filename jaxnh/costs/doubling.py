@@ -24,6 +24,7 @@ from jaxnh.analyses.periodic.location import period_map, refined, walk
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, orbits
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.costs.stage import StagelessRunner
+from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.doubling_points import doubling_point, follow_branch, moved_doubling
@@ -157,7 +158,7 @@ def by_interpolation(scene: Scene, lanes: LaneRunner, place: DoublingBracket) ->
     watch = _Watch()
     roots: dict[float, Estimate] = {}  # by value, each as it was when the orbit there was closed
 
-    def watched(strobe: ReturnMap) -> Period:
+    def watched(strobe: Maps) -> Period:
         period = period_map(scene, lanes, strobe)
 
         def look(u: np.ndarray, values: np.ndarray) -> Derivatives:

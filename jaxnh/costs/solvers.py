@@ -25,7 +25,6 @@ from jaxnh.analyses.scene import Scene
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map, scheme_of
-from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS, IsokineticSplitting
 from jaxnh.systems.flow import Flow
 
@@ -125,14 +124,14 @@ class SolverBench:
         self.split = isinstance(scheme_of(scene.system).reference, IsokineticSplitting)
         self.count = lanes.tile * len(lanes.devices)
         begun = scene.take(np.linspace(0, scene.count - 1, self.count).round().astype(int)).lanes
-        state = lanes(iterate, (scene.strobe(), np.int32(_SETTLED)), begun, periods=_SETTLED)
+        state = lanes.iterate(scene.strobe(), _SETTLED, begun)
         self._at = state, begun[1]
 
     def seconds(self, setting: SolverSetting, periods: int = 1) -> float:
         """Wall time of one call a lane-period; a first call compiles, or `Calibration.error` has."""
         strobe = make_return_map(self.system, setting.solver, setting.steps, compensated=setting.compensated)
         began = time.perf_counter()
-        self._lanes(iterate, (strobe, np.int32(periods)), self._at, periods=periods)
+        self._lanes.iterate(strobe, periods, self._at)
         return (time.perf_counter() - began) / (self.count * periods)
 
     def medians(self, rows: Sequence[SolverRow], repeats: int) -> Float[np.ndarray, "3 rows"]:

@@ -7,6 +7,9 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from jaxnh.analyses.scene import LaneRunner
+from jaxnh.maps.family import Maps
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 
 class StagelessRunner:
@@ -19,6 +22,9 @@ class StagelessRunner:
         self, function: Callable[..., Any], shared: tuple[Any, ...], lanes: tuple[Any, ...], **options: Any
     ) -> Any:
         return self._lanes(function, shared, lanes, **options)
+
+    def iterate(self, maps: Maps, n: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
+        return self._lanes.iterate(maps, n, lanes, tile=tile)
 
     def stage(self, label: str, total: float) -> AbstractContextManager[None]:
         return nullcontext()

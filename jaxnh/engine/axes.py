@@ -14,10 +14,9 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.base import LANE, variable
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
-from jaxnh.maps.rows import ROW
+from jaxnh.maps.family import Family
 from jaxnh.maps.section import System
 from jaxnh.storage.pieces import Piece
-from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State
 
 _MOST_ROWS = 8  # values of shared axes that samples of a sweep are taken at
@@ -27,18 +26,18 @@ class SweepPoints(NamedTuple):
     """Lanes at points of a sweep.
 
     Attributes:
-        system: the flow, on its section where it has no clock; that of the first row where there are several.
+        system: the flow, on its section where it has no clock; that of the first lane where they differ.
         start: start states, components (lanes,).
-        p: parameters that lanes have of their own, by name, each (lanes,); of rows the lane's row as well (`ROW`).
+        p: parameters of lanes, by name, each (lanes,): those of their own, and those of the family.
         where: the value of every axis, by name, each (lanes,).
-        flows: of rows, those at all values of the shared axes that lanes are at; else none.
+        family: where lanes may be at several values of the shared axes, the system at each of these; else None.
     """
 
     system: System
     start: State
     p: Mapping[str, Float[np.ndarray, " lanes"]]
     where: Mapping[str, Float[np.ndarray, " lanes"]]
-    flows: tuple[Flow, ...] = ()
+    family: Family[System] | None = None
 
 
 def points(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np.ndarray, " lanes"]]) -> SweepPoints:
@@ -49,23 +48,34 @@ def points(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np
     return SweepPoints(experiment.dynamics(shared), experiment.start(begun, len(places[0]), shared, own), own, where)
 
 
-def points_in_rows(
+def points_together(
     experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np.ndarray, " lanes"]]
 ) -> SweepPoints:
-    """The lanes at places along each axis, a row for each point of the shared axes that some of them are at."""
+    """The lanes at places along each axis, at as many values of the shared axes as these have, as a family."""
     shared = [place for axis, place in zip(axes, places, strict=True) if axis.kind == "shared"]
-    row = np.unique(np.stack(shared), axis=1, return_inverse=True)[1].ravel()
-    of_row = [np.flatnonzero(row == k) for k in range(int(row.max()) + 1)]
-    found = [points(experiment, axes, [place[some] for place in places]) for some in of_row]
-    back = np.argsort(np.concatenate(of_row), kind="stable")
+    group = np.unique(np.stack(shared), axis=1, return_inverse=True)[1].ravel()
+    members = [np.flatnonzero(group == k) for k in range(int(group.max()) + 1)]
+    parts = [points(experiment, axes, [place[lanes] for place in places]) for lanes in members]
+    back = np.argsort(np.concatenate(members), kind="stable")
 
     def joined(*leaves: np.ndarray) -> np.ndarray:
         return np.concatenate(leaves)[back]
 
-    start, p, where = jax.tree.map(joined, *((one.start, dict(one.p), dict(one.where)) for one in found))
-    return SweepPoints(
-        found[0].system, start, {**p, ROW: row.astype(np.int32)}, where, tuple(one.system.flow for one in found)
-    )
+    start, p, where = jax.tree.map(joined, *((one.start, dict(one.p), dict(one.where)) for one in parts))
+    names = tuple(axis.name for axis in axes if axis.kind == "shared")
+    systems = {tuple(float(one.where[name][0]) for name in names): one.system for one in parts}
+    family = Family(names, systems.__getitem__, tuple(systems))
+    return SweepPoints(parts[0].system, start, {**p, **{name: where[name] for name in names}}, where, family)
+
+
+def points_along(
+    experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np.ndarray, " lanes"]]
+) -> SweepPoints:
+    """The lanes at places along the first axis, which all lanes of a program share: a family of its values."""
+    at, name = points(experiment, axes, places), axes[0].name
+    others = {axis.name: float(at.where[axis.name][0]) for axis in axes[1:] if axis.kind == "shared"}
+    family = Family((name,), lambda values: experiment.dynamics({**others, name: values[0]}))
+    return at._replace(p={**at.p, name: at.where[name]}, family=family)
 
 
 def places_of(piece: Piece) -> tuple[Int[np.ndarray, " lanes"], ...]:

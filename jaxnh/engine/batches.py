@@ -1,4 +1,4 @@
-"""Which pieces of a sweep are computed together, and whether they may be of several rows (`maps.rows`)."""
+"""Which pieces of a sweep are computed together, and whether they may be of several values of the shared axes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxnh.config.experiment import Experiment
 from jaxnh.engine.executor.lanes import TILE
 from jaxnh.engine.levels.levels import Level
 from jaxnh.maps.build import scheme_of
-from jaxnh.maps.rows import ROWS
+from jaxnh.maps.family import GROUPS
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece
 
@@ -41,18 +41,18 @@ def batches(
     numbers = sum(a.numbers(options) for a, options in requested if a.name in job.independent)
     share = sum(lanes_of(piece, level) for piece in pieces) // (_BATCHES * devices)
     most, held = max(job.tile, devices * TILE, min(_LANES, share)), max(job.tile, _BYTES // (8 * max(1, numbers)))
-    rows = 1
-    if in_rows(experiment, axes, requested, job):
-        rows = max(1, min(ROWS, len(pieces) // (_BATCHES * devices)))
+    most_values = 1
+    if stackable(experiment, axes, requested, job):
+        most_values = max(1, min(GROUPS, len(pieces) // (_BATCHES * devices)))
     alike = _alike(experiment, axes)
     found: list[list[Piece]] = []
-    computed, there, places = 0, 0, set[tuple[int, ...]]()  # lanes and rows of the last batch
+    computed, there, places = 0, 0, set[tuple[int, ...]]()  # lanes and shared places of the last batch
     for piece in pieces:
-        last, of_piece = found[-1] if found else [], rows_of(piece, job)
+        last, of_piece = found[-1] if found else [], shared_places(piece, job)
         follows = bool(last) and piece.number == last[-1].number + 1
         fits = computed + lanes_of(piece, level) <= most and there + piece.lanes <= held
         near = of_piece <= places
-        if not near and len(of_piece | places) <= rows:
+        if not near and len(of_piece | places) <= most_values:
             near = alike(of_piece | places)
         if follows and fits and near and piece.names == job.independent == last[-1].names:
             last.append(piece)
@@ -64,7 +64,7 @@ def batches(
     return found
 
 
-def in_rows(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> bool:
+def stackable(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> bool:
     """Whether lanes at several values of the axes that lanes share can go through one program.
 
     All that such an axis changes has to be in the tables of maps with a clock.
@@ -72,7 +72,7 @@ def in_rows(experiment: Experiment, axes: Sequence[Axis], requested: Requested, 
     shared = {axis.name: float(axis.values[0]) for axis in axes if axis.kind == "shared"}
     if not shared or experiment.precision != "float64":
         return False
-    if not all(analysis.rows for analysis, _ in requested if analysis.name in job.independent):
+    if not all(analysis.stackable for analysis, _ in requested if analysis.name in job.independent):
         return False
     flow = experiment.flow(shared)
     return not flow.autonomous and scheme_of(flow, SOLVERS[job.solver]).stacked
@@ -83,13 +83,13 @@ def lanes_of(piece: Piece, level: Level | None) -> int:
     return piece.lanes if level is None else int(level.wanted_in(piece).sum())
 
 
-def rows_a_tile(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> int:
+def shared_values_a_tile(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> int:
     """How many values of the shared axes a tile of a job may have: of all of them, or else 1."""
     shared = [range(len(axis.values)) for axis in axes if axis.kind == "shared"]
     many = math.prod(map(len, shared)) > _MOST_COMPARED
-    if many or not in_rows(experiment, axes, requested, job):
+    if many or not stackable(experiment, axes, requested, job):
         return 1
-    return ROWS if _alike(experiment, axes)(set(itertools.product(*shared))) else 1
+    return GROUPS if _alike(experiment, axes)(set(itertools.product(*shared))) else 1
 
 
 def _alike(experiment: Experiment, axes: Sequence[Axis]) -> Callable[[set[tuple[int, ...]]], bool]:
@@ -104,7 +104,7 @@ def _alike(experiment: Experiment, axes: Sequence[Axis]) -> Callable[[set[tuple[
     return lambda places: len(set(map(period, places))) <= 1
 
 
-def rows_of(piece: Piece, job: Job) -> set[tuple[int, ...]]:
+def shared_places(piece: Piece, job: Job) -> set[tuple[int, ...]]:
     """Places of a piece along the shared axes."""
     ends = zip(piece.begin, piece.end, job.axes, strict=True)
     return set(itertools.product(*(range(begin, end) for begin, end, (_, _, shared) in ends if shared)))

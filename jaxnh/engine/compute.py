@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +11,11 @@ import xarray as xr
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, SweepLanes
-from jaxnh.analyses.scene import Axis, Rows, Scene
+from jaxnh.analyses.scene import Axis, Scene
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.accuracy.calibration import Plan
-from jaxnh.engine.axes import SweepPoints, on_axes, places_of, points, points_in_rows, whole_on_axes
-from jaxnh.engine.batches import Requested, in_rows, lanes_of
+from jaxnh.engine.axes import SweepPoints, on_axes, places_of, points, points_along, points_together, whole_on_axes
+from jaxnh.engine.batches import Requested, lanes_of, stackable
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.levels.levels import Level, filled, with_computed
 from jaxnh.solvers import SOLVERS
@@ -43,7 +42,7 @@ class ComputedPiece(NamedTuple):
 def spent(lanes: LaneExecutor, seconds: float) -> SecondsSpent:
     """What a runner has spent so far, in so many seconds."""
     device = f"{len(lanes.devices)} x {lanes.devices[0].device_kind} ({lanes.devices[0].platform})"
-    return SecondsSpent(seconds, lanes.compile_seconds, lanes.lane_periods, device)
+    return SecondsSpent(seconds, lanes.accounts.compile_seconds, lanes.accounts.lane_periods, device)
 
 
 # ---- scenes
@@ -58,8 +57,7 @@ def scene_of(
     along: Axis | None = None,
 ) -> Scene:
     """Lanes with the solver and steps that were decided on."""
-    rows = Rows(at.flows) if at.flows else None
-    more = {"place": place, "along": along, "rows": rows, "chosen": chosen or {}, "precision": precision}
+    more = {"place": place, "along": along, "family": at.family, "chosen": chosen or {}, "precision": precision}
     return Scene(at.system, at.start, at.p, *plan, **more)
 
 
@@ -80,6 +78,7 @@ def compute(
     lanes: LaneExecutor,
     gathered: Callable[[str], xr.Dataset],
     level: Level | None = None,
+    earlier: float = 0.0,
 ) -> list[ComputedPiece]:
     """The datasets of pieces of a batch, each what it is if computed alone, bit for bit.
 
@@ -87,10 +86,11 @@ def compute(
         axes: of the sweep, or of a level of it with the values that this has.
         gathered: name of an analysis to what all its tiles say, for a piece that is made of them.
         level: of the job of one, which lanes are computed, and what the others are filled with.
+        earlier: seconds that a stopped run has spent on them, of which a journal has the results.
     """
     if job.is_whole(batch[0]):
-        return [_of_all_tiles(experiment, axes, requested, job, piece, lanes, gathered) for piece in batch]
-    began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
+        return [_of_all_tiles(experiment, axes, requested, job, piece, lanes, gathered, earlier) for piece in batch]
+    began, before = time.perf_counter() - earlier, spent(lanes, 0.0)
     line = batch[0].names != job.independent
     places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
     if level is not None:
@@ -134,13 +134,12 @@ def _groups(
     """The datasets of analyses of the lanes at some places along the axes; none where there are no lanes."""
     if not len(places[0]):
         return {}
-    rows = not line and in_rows(experiment, axes, requested, job)
-    at = (points_in_rows if rows else points)(experiment, axes, places)
+    if line:
+        at = (points_along if axes[0].kind == "shared" else points)(experiment, axes, places)
+    else:
+        at = (points_together if stackable(experiment, axes, requested, job) else points)(experiment, axes, places)
     place = places[0] * job.step
     scene = scene_of(at, plan_of_job(job), experiment.precision, job.chosen, place, axes[0] if line else None)
-    if line and axes[0].kind == "shared":
-        shared = {axis.name: float(at.where[axis.name][0]) for axis in axes[1:] if axis.kind == "shared"}
-        scene = replace(scene, flow_at=lambda value: experiment.dynamics({**shared, axes[0].name: value}))
     options = {analysis.name: options for analysis, options in requested}
     groups: dict[str, xr.Dataset] = {}
     for name in names:
@@ -158,9 +157,10 @@ def _of_all_tiles(
     piece: Piece,
     lanes: LaneExecutor,
     gathered: Callable[[str], xr.Dataset],
+    earlier: float,
 ) -> ComputedPiece:
     """What an analysis makes of all its tiles."""
-    began, before = time.perf_counter() - lanes.earlier_seconds, spent(lanes, 0.0)
+    began, before = time.perf_counter() - earlier, spent(lanes, 0.0)
     [(analysis, options)] = [(a, o) for a, o in requested if a.name == piece.names[0]]
     assert analysis.whole is not None
     number = np.arange(job.lanes).reshape(job.shape)

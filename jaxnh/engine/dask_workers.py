@@ -21,6 +21,7 @@ from jaxnh.config.experiment import Experiment
 from jaxnh.engine import xla_options
 from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.journal import journaled
 from jaxnh.engine.levels import files
 from jaxnh.engine.levels.levels import Level, axes_of
 from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
@@ -291,16 +292,17 @@ def _piece(folder: str, job_id: str, number: int) -> TileRecord:
         with contextlib.suppress(FileNotFoundError, DamagedError):
             return tiles.check(Path(folder), job, piece)
         calls = CallJournal(Path(folder), job, [piece])
-        with lanes.keeping(calls):
+        with journaled(lanes, calls) as keeping:
             [done] = compute(
                 experiment,
                 axes_of(experiment.axes, job),
                 experiment.requested(),
                 job,
                 [piece],
-                lanes,
+                keeping,
                 lambda name: gathered(Path(folder), job, name),
                 level,
+                calls.seconds,
             )
         receipt = tiles.write_piece(Path(folder), job, *done)
         calls.close(remove=True)

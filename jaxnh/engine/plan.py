@@ -17,11 +17,12 @@ from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
 from jaxnh.engine.axes import SweepPoints, points, sampled
-from jaxnh.engine.batches import Requested, lanes_of, rows_a_tile
+from jaxnh.engine.batches import Requested, lanes_of, shared_values_a_tile
 from jaxnh.engine.cache import calibrations
 from jaxnh.engine.cache.calibrations import Decision
 from jaxnh.engine.compute import scene_of
-from jaxnh.engine.executor.lanes import LaneExecutor, turns_of
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.executor.tiles import turns_of
 from jaxnh.engine.levels.levels import Level
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map, scheme_of
@@ -161,7 +162,7 @@ def job_of(
         levels=experiment.levels.count if experiment.levels else 1,
         refine=experiment.levels.refine if experiment.levels else "",
     )
-    return replace(job, rows=rows_a_tile(experiment, axes, requested, job))
+    return replace(job, shared_values=shared_values_a_tile(experiment, axes, requested, job))
 
 
 def decide(
@@ -187,7 +188,7 @@ def decide(
     name = calibrations.name_of(experiment, lanes.devices, lanes.tile)
     if kept := calibrations.find(name):
         plan, chosen = Plan(SOLVERS[kept.solver], kept.steps, kept.compensated, kept.error_estimate), kept.chosen
-        lanes.fastest = min(lanes.fastest, kept.fastest)
+        lanes.accounts.fastest = min(lanes.accounts.fastest, kept.fastest)
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
     else:
@@ -196,7 +197,7 @@ def decide(
             if not asked:
                 check_size(experiment, axes, plan, requested, lanes)
             chosen = choose(experiment, axes, plan, requested, lanes)
-        calibrations.keep(name, Decision(plan.solver.name, *plan[1:], chosen, lanes.fastest))
+        calibrations.keep(name, Decision(plan.solver.name, *plan[1:], chosen, lanes.accounts.fastest))
     return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
 
 
@@ -214,7 +215,7 @@ def check_size(
     work = work_of(requested, count) * count
     first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
     turns = turns_of((scene_of(first, plan, experiment.precision).strobe(),))
-    seconds = work * turns * lanes.fastest if math.isfinite(lanes.fastest) else 0.0
+    seconds = work * turns * lanes.accounts.fastest if math.isfinite(lanes.accounts.fastest) else 0.0
     if count > MOST_LANES or seconds > _LONGEST_RUN:
         size = f", {8e-9 * count:.2g} GB a variable" if count > MOST_LANES else ""
         would = f"{size}, and about {_rounded(work)} lane-periods, {_said(seconds)} on this machine; --yes goes on"

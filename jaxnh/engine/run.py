@@ -19,6 +19,7 @@ from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import ComputedPiece, compute, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.threads import side_by_side
+from jaxnh.engine.journal import journaled
 from jaxnh.engine.levels import files
 from jaxnh.engine.levels.levels import Level, axes_of
 from jaxnh.engine.output import other_than
@@ -341,16 +342,17 @@ class _Run:
                             self._earlier += calls.seconds
                         numbers = ", ".join(str(piece.number) for piece in batch)
                         self._progress.note(f"tiles {numbers}: going on after {calls.seconds:.0f} s of work")
-                    with lanes.keeping(calls):
+                    with journaled(lanes, calls) as keeping:
                         computed = compute(
                             self._experiment,
                             axes,
                             self._requested,
                             job,
                             batch,
-                            lanes,
+                            keeping,
                             lambda name: gathered(self._folder, job, name),
                             self._level,
+                            calls.seconds,
                         )
                     settle()
                     written.append(writer.submit(self._write, job, computed, calls))
@@ -405,8 +407,8 @@ class _Run:
             job,
             self._total if whole else self._spent(),
             time.perf_counter() - self._began,
-            lanes.compile_seconds if lanes else 0.0,
-            lanes.run_seconds if lanes else 0.0,
+            lanes.accounts.compile_seconds if lanes else 0.0,
+            lanes.accounts.run_seconds if lanes else 0.0,
             (len(self._pieces), self._every),
             whole,
         )

@@ -117,7 +117,7 @@ class Session:
     @property
     def programs(self) -> int:
         """Number of programs that it has."""
-        return self._lanes.programs
+        return len(self._lanes.programs)
 
     @property
     def plan(self) -> Plan:

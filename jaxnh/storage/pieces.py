@@ -52,7 +52,7 @@ class Job:
         independent: those whose lanes know nothing of each other; the others are run along the whole first axis.
         axes: of the sweep, in the order of results: name, size, and whether all lanes of a program share its value.
         tile: lanes a tile.
-        rows: values of the axes that lanes share which a tile may have, where it has all lanes of these.
+        shared_values: values of the axes that lanes share which a tile may have, where it has all lanes of these.
         wholes: groups that are made of all tiles together once these are there: name of the analysis, whose tiles have
             a group of that name as well, and then those that it brings.
         machine: kind of processor and options of the compiler, which the last bits of chaotic lanes rest on.
@@ -73,7 +73,7 @@ class Job:
     independent: tuple[str, ...]
     axes: tuple[tuple[str, int, bool], ...]
     tile: int
-    rows: int = 1
+    shared_values: int = 1
     wholes: tuple[tuple[str, ...], ...] = ()
     machine: Mapping[str, str] = field(default_factory=dict[str, str])
     levels: int = 1
@@ -147,7 +147,7 @@ class Job:
         Those that are made of all tiles come last.
 
         For each value of the axes that lanes share the others are cut into rectangles of at most `tile` lanes, or where
-        all of them fit into one, so are those at up to `rows` of these values.
+        all of them fit into one, so are those at up to `shared_values` of these values.
         """
         boxes = [(self.independent, box) for box in (self._tiles() if self.independent else ())]
         boxes += [((name,), box) for name in self.order if name not in self.independent for box in self._lines()]
@@ -158,8 +158,8 @@ class Job:
         own, shared = ([k for k, axis in enumerate(self.axes) if axis[2] == kind] for kind in (False, True))
         cut = dict(zip(own, tile_shape([self.shape[k] for k in own], self.tile), strict=True))
         whole = all(size == self.shape[k] for k, size in cut.items())
-        rows = min(self.rows, self.tile // max(1, math.prod(cut.values()))) if whole else 1
-        cut |= dict(zip(shared, tile_shape([self.shape[k] for k in shared], max(1, rows)), strict=True))
+        values = min(self.shared_values, self.tile // max(1, math.prod(cut.values()))) if whole else 1
+        cut |= dict(zip(shared, tile_shape([self.shape[k] for k in shared], max(1, values)), strict=True))
         for at in _corners(self.shape, cut, first=set(own)):
             yield at, tuple(min(b + cut[k], self.shape[k]) for k, b in enumerate(at))
 

@@ -80,7 +80,7 @@ def main(
     studies = [study_cascade(cascade, lanes, transients) for cascade in cascades]
     shift = max(float(np.abs(study.law.shift).max()) for study in studies)
     cost = (
-        f"{lanes.lane_periods:,.0f} lane-periods.\n"
+        f"{lanes.accounts.lane_periods:,.0f} lane-periods.\n"
         f"{SOLVER} with {STEPS} steps a period moves the doublings by {shift:.0e} at most."
     )
     text = page(studies, transients, cost, measured_at)

@@ -143,7 +143,7 @@ def test_tangents_cost_operations_only_where_asked_for():
 
 def programs(lanes):
     """The texts of all compiled programs."""
-    return [program.as_text() for program in lanes._programs.values()]
+    return lanes.programs.texts()
 
 
 def innermost(loop):

@@ -150,7 +150,7 @@ def test_expected_work_is_the_work_done(start):
     run(options, coarse(), lanes)
     carried = 0.5 if start in ("up", "down") else 0.5 * len(B)  # a carried state flies to the phase once
     expected = diagram.periods(options, len(B)) - 0.5 * len(B) * (16 if start == "random" else 1)
-    assert lanes.lane_periods == expected + carried * (16 if start == "random" else 1)
+    assert lanes.accounts.lane_periods == expected + carried * (16 if start == "random" else 1)
 
 
 def test_nothing_is_differentiated(monkeypatch):

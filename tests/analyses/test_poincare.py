@@ -85,4 +85,4 @@ def test_trajectories_that_leave_the_numbers_are_counted():
 def test_expected_work_is_the_work_done():
     options, lanes = PoincareOptions(transient=5, strobes=4), LaneExecutor()
     run(options, scene(SYSTEMS["constant"], "strang2", 30), lanes)
-    assert lanes.lane_periods == poincare.periods(options, len(B)) == 3 * 8
+    assert lanes.accounts.lane_periods == poincare.periods(options, len(B)) == 3 * 8

@@ -18,6 +18,7 @@ from test_pieces import job
 
 from jaxnh.engine.executor import lanes as engine
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.journal import journaled
 from jaxnh.exceptions import Stopped
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
@@ -85,7 +86,7 @@ def test_stopped_within_a_piece(tmp_path, text, tile, number, at):
         assert err.splitlines()[-1].startswith(f"stopped by {number.name} with 0 of ")
         assert err.splitlines()[-1].endswith(f"tiles done; {GO_ON}")
     assert stopped.done() == []
-    others = len(LaneExecutor().apart()) - 1  # may each have kept a call that was not counted yet
+    others = len(LaneExecutor().split()) - 1  # may each have kept a call that was not counted yet
     assert every - at - 1 - others <= calls_of(stopped) <= every - at - 1
     assert content(stopped.output) == content(whole.output)
 
@@ -126,13 +127,13 @@ def test_many_calls_give_the_bits_of_one(system, solver, steps, compensated):
     strobe = make_return_map(SYSTEMS[system], SOLVERS[solver], steps, compensated=compensated)
     lanes = LaneExecutor(devices=jax.devices("cpu")[:1], tile=8)
     at_once = lanes(iterate, (strobe, np.int32(150)), (STATE, CHAOTIC), periods=150)
-    one = lanes.lane_periods
+    one = lanes.accounts.lane_periods
     with mock.patch.object(engine, "_LONGEST", 7 * 8):
-        cut = lanes(iterate, (strobe, np.int32(150)), (STATE, CHAOTIC), periods=150)
+        cut = lanes.iterate(strobe, 150, (STATE, CHAOTIC))
     same(at_once, cut)
-    assert lanes.lane_periods == 2 * one == 2 * 20 * 150
+    assert lanes.accounts.lane_periods == 2 * one == 2 * 20 * 150
     assert np.ptp(at_once[0][0]) > 0.1
-    assert len(lanes._programs) == 1
+    assert len(lanes.programs) == 1
 
 
 class StopsAt:
@@ -157,22 +158,22 @@ def test_call_stopped_between_tiles(tmp_path):
     x, pair = np.arange(40.0), (np.arange(40.0) % 3, np.arange(80.0).reshape(40, 2))
     expected = LaneExecutor(tile=4)(_grown, (np.float64(1.0),), (x, pair), periods=2)
     lanes = LaneExecutor(StopsAt(30), devices=jax.devices("cpu")[:2], tile=4)
-    with pytest.raises(Stopped), lanes.keeping(CallJournal(tmp_path, job(), pieces)):
-        lanes(_grown, (np.float64(1.0),), (x, pair), periods=2)
-    assert lanes.lane_periods == 32
+    with pytest.raises(Stopped), journaled(lanes, CallJournal(tmp_path, job(), pieces)) as keeping:
+        keeping(_grown, (np.float64(1.0),), (x, pair), periods=2)
+    assert lanes.accounts.lane_periods == 32
     lanes = LaneExecutor(devices=jax.devices("cpu")[:1], tile=4)
     with (
         mock.patch.object(CallJournal, "add", autospec=True) as add,
-        lanes.keeping(kept := CallJournal(tmp_path, job(), pieces)),
+        journaled(lanes, kept := CallJournal(tmp_path, job(), pieces)) as keeping,
     ):
-        assert lanes.earlier_seconds > 0
-        found = lanes(_grown, (np.float64(1.0),), (x, pair), periods=2)
+        assert kept.seconds > 0
+        found = keeping(_grown, (np.float64(1.0),), (x, pair), periods=2)
         assert [call.args[1].first for call in add.call_args_list] == list(range(16, 40, 4))
         same(found, expected)
         assert jax.tree.structure(found) == jax.tree.structure(expected)
-        other = lanes(_grown, (np.float64(2.0),), (x, pair), periods=2)  # another call: nothing of it is there
+        other = keeping(_grown, (np.float64(2.0),), (x, pair), periods=2)  # another call: nothing of it is there
     np.testing.assert_array_equal(other["sum"], expected["sum"] + 1)
-    assert lanes.lane_periods == 160
+    assert lanes.accounts.lane_periods == 160
     kept.close(remove=True)
     assert list(tmp_path.iterdir()) == []
 
@@ -183,7 +184,7 @@ import numpy as np
 from jaxnh.config.experiment import load
 from jaxnh.engine.axes import points
 from jaxnh.engine.cache.fingerprints import CallFingerprints
-from jaxnh.engine.executor.row_blocks import of_block
+from jaxnh.engine.executor.grouped_blocks import of_block
 from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate

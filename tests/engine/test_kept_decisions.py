@@ -69,7 +69,7 @@ def test_a_second_run_calibrates_nothing(folder, calibrated):
     assert first.error_estimate > 0
     runner = LaneExecutor()
     assert plan.decide(experiment("another title"), runner) == first
-    assert runner.lane_periods == 0
+    assert runner.accounts.lane_periods == 0
     assert len(calibrated) == 1
 
 
@@ -111,7 +111,7 @@ def test_what_cannot_be_met_is_not_kept(folder, monkeypatch):
 def test_a_sweep_of_days_is_refused_where_its_decision_is_kept(folder, calibrated, monkeypatch):
     """One that was asked for is no reason to run it unasked: how fast the machine is, is kept as well."""
     asked = lanes_with_kept_programs()
-    asked.fastest = 1e-6
+    asked.accounts.fastest = 1e-6
     plan.decide(experiment(), asked)
     monkeypatch.setattr(plan, "_LONGEST_RUN", 0.0)
     with pytest.raises(ConfigError, match="--yes goes on"):

@@ -156,13 +156,13 @@ def test_accounts():
     with lanes.stage("doubling numbers", 40 * 3):
         lanes(_double, (), (np.arange(40.0),), periods=3)
     assert recorder.said == [("doubling numbers", 120), 48, 48, 24, "end"]
-    assert lanes.lane_periods == 120
-    compiled, ran = lanes.compile_seconds, lanes.run_seconds
+    assert lanes.accounts.lane_periods == 120
+    compiled, ran = lanes.accounts.compile_seconds, lanes.accounts.run_seconds
     assert compiled > 0
     lanes(_double, (), (np.arange(5.0),), periods=2)
-    assert lanes.lane_periods == 130
-    assert lanes.compile_seconds == compiled
-    assert lanes.run_seconds > ran
+    assert lanes.accounts.lane_periods == 130
+    assert lanes.accounts.compile_seconds == compiled
+    assert lanes.accounts.run_seconds > ran
 
 
 def test_stage_ends_when_something_fails():

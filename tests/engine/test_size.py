@@ -56,9 +56,9 @@ def test_what_is_asked(config):
     small = ["sweep.b.count=300", "sweep.a.count=300"]
     check(*small)  # where no call has told how fast the machine is
     turns = 10 * 20
-    lanes.fastest = 0.9 * 86400 / (90_000 * 900 * turns)
+    lanes.accounts.fastest = 0.9 * 86400 / (90_000 * 900 * turns)
     check(*small)
-    lanes.fastest *= 10
+    lanes.accounts.fastest *= 10
     with pytest.raises(ConfigError) as caught:
         check(*small)
     size = "300 x 300 are 90,000 lanes, and about 8.1e7 lane-periods, 9 days on this machine; --yes goes on"

@@ -11,6 +11,8 @@ from measure import some_slow
 
 import jaxnh
 from jaxnh.config.experiment import Experiment
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.executor.programs import Programs
 from jaxnh.engine.plan import clock_of
 from jaxnh.engine.session import Session
 
@@ -195,10 +197,10 @@ def test_strobe_period_of_each_value():
 
 def test_rows_share_their_programs():
     """More values of an axis that lanes share are more calls of the same programs."""
-    counts, programs = [], {}
+    counts, programs = [], Programs()
     for d in ([0.1], [0.1, 0.2]):
         session = Session(Experiment.from_dict(content({"b": B, "d": {"values": d}})))
-        session._lanes._programs = programs
+        session._lanes = LaneExecutor(programs=programs)
         session.tree()
         counts.append(len(programs))
     assert 0 < counts[0] == counts[1]

@@ -116,7 +116,7 @@ def test_one_program_for_all_values_of_the_flow():
     for c, d, omega, steps in ((1.0, 0.1, 1.0, 80), (1.3, 0.0, 1.5, 60), (0.7, -0.2, 2.0, 100)):
         strobe = make_return_map(disturbed_speed(c=c, d=d, omega=omega), tsit5, steps)
         lanes(iterate, (strobe, np.int32(1)), (start, {"b": np.array([4.9, 5.2])}))
-    assert len(lanes._programs) == 1
+    assert len(lanes.programs) == 1
 
 
 def jacfwd(strobe, u, p):

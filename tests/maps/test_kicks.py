@@ -235,12 +235,12 @@ def test_one_program_for_all_shared_parameters():
             (make_return_map(disturbed_speed(d=d), SPLITTINGS["blanes_moan6"], 60), np.int32(1)),
             (start_states(), P),
         )
-    assert len(lanes._programs) == 1
+    assert len(lanes.programs) == 1
     for system in (disturbed_speed(c=1.7), disturbed_speed(omega=1.5), disturbed_speed(a=0.3)):
         lanes(iterate, (make_return_map(system, SPLITTINGS["kahan_li8"], 40), np.int32(2)), (start_states(), P))
-    assert len(lanes._programs) == 1
-    spent = lanes.compile_seconds
+    assert len(lanes.programs) == 1
+    spent = lanes.accounts.compile_seconds
     lanes(
         iterate, (make_return_map(disturbed_speed(d=0.2), SPLITTINGS["strang2"], 900), np.int32(1)), (start_states(), P)
     )
-    assert lanes.compile_seconds == spent
+    assert lanes.accounts.compile_seconds == spent

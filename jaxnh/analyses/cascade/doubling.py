@@ -23,7 +23,6 @@ from jaxnh.analyses.cascade.extended_precision import (
 )
 from jaxnh.analyses.cascade.follow import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
-from jaxnh.analyses.cascade.shared_parameter import value_by_value
 from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.maps.section import System
@@ -86,10 +85,10 @@ def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
     if scene.precision == "extended":
         see_that_it_can(scene)
-    search = options.search and scene.flow_at is None
+    search = options.search and scene.family is None
     extended, levels = scene.precision == "extended", options.levels
     in_float64 = min(levels, FLOAT64_LEVELS) if extended else levels
-    found = follow(scene, value_by_value(scene, lanes), in_float64, search=search)
+    found = follow(scene, lanes, in_float64, search=search)
     if not extended:
         return _dataset(scene.system, scene.line, levels, found)
     beyond = extended_doublings(scene, lanes, found, levels)

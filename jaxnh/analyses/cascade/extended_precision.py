@@ -23,6 +23,7 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.double_double import Double
 from jaxnh.maps.extended_precision import carried
+from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.doubling_points import DoublingPoint
@@ -69,7 +70,7 @@ def see_that_it_can(scene: Scene) -> None:
     number, section = (jax.ShapeDtypeStruct(shape, np.float64) for shape in ((), (scene.chart.dimension,)))
     u, p = Double(section, section), dict.fromkeys(scene.p, Double(number, number))
     try:
-        jax.eval_shape(carried, scene.strobe().shortest(), np.int64(0), u, u, p)
+        jax.eval_shape(carried, scene.map().shortest(), np.int64(0), u, u, p)
     except NotImplementedError as error:
         raise AccuracyError(f"{error}, and the system has it: leave accuracy.precision out") from None
 
@@ -128,12 +129,12 @@ class _Map(NamedTuple):
 
 def _maps(scene: Scene, lanes: LaneRunner) -> list[_Map]:
     """The maps, all through one program."""
-    plain = [replace(scene, compensated=False).strobe(refinement).shortest() for refinement in REFINEMENTS[:_MAPS]]
+    plain = [replace(scene, compensated=False).map(refinement).shortest() for refinement in REFINEMENTS[:_MAPS]]
     exact = refined(scene)[:_MAPS]
     return [_map(scene, lanes, one.with_room_of(plain[-1]), same) for one, same in zip(plain, exact, strict=True)]
 
 
-def _map(scene: Scene, lanes: LaneRunner, plain: ReturnMap, exact: ReturnMap) -> _Map:
+def _map(scene: Scene, lanes: LaneRunner, plain: ReturnMap, exact: Maps) -> _Map:
     name = scene.line.name
 
     def period(u: Sum, w: Sum, value: tuple[float, float]) -> tuple[Sum, Sum]:

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
-from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
 from jaxnh.orbits.arclength import Family
 from jaxnh.orbits.curves import ParameterPlane
@@ -27,7 +27,7 @@ _FEW = 4
 
 
 def orbits_of(
-    scene: Scene, lanes: LaneRunner, strobe: ReturnMap, size: Float[np.ndarray, " d"], ends: tuple[float, float]
+    scene: Scene, lanes: LaneRunner, strobe: Maps, size: Float[np.ndarray, " d"], ends: tuple[float, float]
 ) -> Family:
     """Periodic orbits of a map of the scene.
 
@@ -52,7 +52,7 @@ def orbits_of(
 def plane_of(
     scene: Scene,
     lanes: LaneRunner,
-    strobe: ReturnMap,
+    strobe: Maps,
     size: Float[np.ndarray, " d"],
     names: tuple[str, str],
     low: Float[np.ndarray, " 2"],

@@ -39,6 +39,7 @@ from jaxnh.analyses.exponents.tangent_growth import (
     advance,
     average,
     begin,
+    cut_period,
     one_by_one,
     parts_of,
     quadrature,
@@ -46,7 +47,6 @@ from jaxnh.analyses.exponents.tangent_growth import (
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.smooth_window import BLOCKS
-from jaxnh.maps.iterate import iterate
 
 SOURCES = ("average", "smooth_average", "orbit", "equilibrium")
 """Meanings of the flags 0 to 3 of `exponents_from`."""
@@ -160,8 +160,7 @@ def averages(
     with lanes.stage(f"lyapunov: transient of {len(others)} lanes", len(others) * (options.transient - before)):
         left = max(settling - before, 0)
         if len(others):
-            shared = scene.strobe(), np.int32(left)
-            _put(state, others, lanes(iterate, shared, picked((state, p), others), periods=left))
+            _put(state, others, lanes.iterate(scene.strobe(), left, picked((state, p), others)))
         growth = lanes(begin, (scene.system,), (state,), static=(k,))
         if len(others):
             some, some_p = picked((growth, p), others)
@@ -310,9 +309,9 @@ def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> tuple[int, Tangent
         growth = lanes(begin, (scene.system,), (state,), static=(k,))
         # The first number of parts one at a time, through the program of a whole period, which is needed anyway.
         single = parts == _PILOT_PARTS
-        strobes = parts_of(scene, parts)
+        strobes = cut_period(scene, parts)
         loss = 0.0
-        for strobe in one_by_one(strobes, parts_of(scene, 1)) * _PILOT_PERIODS if single else (strobes,):
+        for strobe in one_by_one(strobes, cut_period(scene, 1)) * _PILOT_PERIODS if single else (strobes,):
             growth, _ = average(lanes, strobe, growth, p, 1 if single else _PILOT_PERIODS)
             loss = float(np.max(growth.loss, initial=loss, where=np.isfinite(growth.loss)))
         if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
@@ -330,12 +329,12 @@ def _refinement_needed(scene: Scene, lanes: LaneRunner, growth: TangentState, pa
     """
     if not scene.target:
         return 1
-    few, room = _pilots(scene), parts_of(scene, 1)
+    few, room = _pilots(scene), cut_period(scene, 1)
     p, refinement, enough = dict(few.p), 1, max(_TANGENT_ERROR, _TANGENT_ERRORS * scene.error_estimate)
     periods = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts)
     while refinement < _MOST_REFINED:
         pieces = (refinement * parts, 2 * refinement * parts)
-        coarse, fine = (one_by_one(parts_of(scene, n, n // parts), room) for n in pieces)
+        coarse, fine = (one_by_one(cut_period(scene, n, n // parts), room) for n in pieces)
         now, apart, whole = growth, *np.zeros((2, 1, 1))
         for i in range(len(coarse) * periods):
             i %= len(coarse)
@@ -428,7 +427,7 @@ def program(scene: Scene, k: int, parts: int = _PRICED_PARTS) -> PricedProgram:
     state, p = scene.lanes
     state = jax.tree.map(jnp.asarray, state)
     begun = jax.vmap(lambda z: begin(scene.flow, z, k))(state)
-    strobes = parts_of(scene, parts)
+    strobes = cut_period(scene, parts)
     shared = (strobes, None, np.int32(1), np.float64(0.0))
     return PricedProgram(advance, shared, (jax.tree.map(np.asarray, begun), p), (1.0, float(parts), *strobes.turns))
 
@@ -452,7 +451,7 @@ ANALYSIS = Analysis(
     periods,
     run,
     in_time=True,
-    rows=True,
+    stackable=True,
     choose=choose,
     classes=classes,
     smooth=("exponents", "exponents_error"),

@@ -22,8 +22,8 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.smooth_window import BLOCKS, windows
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import between, cut_strobe
+from jaxnh.maps.family import Family, Maps
 from jaxnh.maps.protocol import ReturnMap, Tangent
-from jaxnh.maps.rows import StackedMaps, stack
 from jaxnh.maps.section import rates
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
@@ -73,14 +73,19 @@ class Quadrature(NamedTuple):
     weights: np.ndarray
 
 
-def quadrature(scene: Scene) -> Quadrature | StackedMaps:
-    """Nodes in panels of twelve, in number with the kicks of a period, denser where the flow is faster; of every row.
+def quadrature(scene: Scene) -> Quadrature | Family[Quadrature]:
+    """Nodes and maps of the quadrature; of a family one for each value."""
+    if scene.family is not None:
+        return scene.family.derive("quadrature", lambda system: _nodes(scene.under(system)))
+    return _nodes(scene)
+
+
+def _nodes(scene: Scene) -> Quadrature:
+    """Nodes in panels of twelve, in number with the kicks of a period, denser where the flow is faster.
 
     Their states are those of another map, a step of order six from node to node, so that neither determinants nor
     errors of the map's own kicks are part of the result.
     """
-    if scene.rows is not None:
-        return stack([quadrature(scene.of_row(flow)) for flow in scene.rows.flows])
     flow, kicks = scene.flow, scene.solver.total_kicks(scene.steps)
     panels, span = -(-kicks // (_KICKS_A_NODE * len(_PANEL_NODES))), (0.0, flow.period)
     edges = np.linspace(*span, panels + 1) if flow.autonomous else step_grid(flow, panels, span)
@@ -90,10 +95,16 @@ def quadrature(scene: Scene) -> Quadrature | StackedMaps:
     return Quadrature(flow, in_precision(maps, scene.precision), t, (half[:, None] * _PANEL_WEIGHTS).ravel())
 
 
-def parts_of(scene: Scene, parts: int, refinement: int = 1) -> ReturnMap:
+def parts_of(scene: Scene, parts: int, refinement: int = 1) -> Maps:
     """The maps between orthonormalisations, so many a period, stacked, with `refinement` times the steps."""
-    if scene.rows is not None:
-        return scene.rows.maps((parts, refinement), lambda flow: parts_of(scene.of_row(flow), parts, refinement))
+    if scene.family is not None:
+        key = parts, refinement
+        return scene.family.maps(scene.system, key, lambda system: cut_period(scene.under(system), parts, refinement))
+    return cut_period(scene, parts, refinement)
+
+
+def cut_period(scene: Scene, parts: int, refinement: int = 1) -> ReturnMap:
+    """Likewise, of lanes with one system."""
     steps = refinement * scene.steps
     strobe = cut_strobe(scene.flow, scene.solver, steps, parts, compensated=scene.compensated)
     return in_precision(strobe, scene.precision)
@@ -113,12 +124,12 @@ def one_by_one(strobes: ReturnMap, roomy: ReturnMap) -> list[ReturnMap]:
 
 def average(
     lanes: LaneRunner,
-    strobes: ReturnMap,
+    strobes: Maps,
     growth: TangentState,
     p: Parameters,
     count: int,
     begun: float = 0.0,
-    quadrature: Quadrature | StackedMaps | None = None,
+    quadrature: Quadrature | Family[Quadrature] | None = None,
     tile: int | None = None,
 ) -> tuple[TangentState, Float[np.ndarray, "lanes sums"]]:
     """Lanes `count` periods on, and growth a period of each tangent, of volume, and by quadrature of volume.
@@ -134,7 +145,7 @@ def average(
 
 def turn(
     lanes: LaneRunner,
-    strobes: ReturnMap,
+    strobes: Maps,
     growth: TangentState,
     p: Parameters,
     counts: Int[np.ndarray, " lanes"],

@@ -27,9 +27,9 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     sizes,
 )
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
+from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.rows import row_by_row
 from jaxnh.maps.section import rates
 from jaxnh.orbits.newton import find_doubled
 from jaxnh.systems.chart import Chart
@@ -266,21 +266,20 @@ def _recurrences(
     return possible
 
 
-def beyond_doublings(lanes: LaneRunner, strobe: ReturnMap, p: Parameters, found: Survey) -> Survey:
+def beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, found: Survey) -> Survey:
     """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
     period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in found)
     chart = strobe.chart
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
-    for of_row, own, own_p in row_by_row(strobe, p, len(u)):
-        for n in np.unique(period[of_row][near[of_row]]):
-            some = np.flatnonzero(near[of_row] & (period[of_row] == n))
-            here = of_row[some]
-            arguments = (u[here], picked(own_p, some), *sizes(chart, size[here]))
-            orbit = lanes(find_doubled, (own, np.int32(n // 2)), arguments, tile=ORBIT_TILE)
-            settled = (orbit.residual < CONVERGED) & (apart(chart, orbit.u, u[here], size[here]) < 2 * _CLOSE)
-            part = here[settled]
-            u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
-            multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]
+    for n in np.unique(period[near]):
+        born = np.flatnonzero(near & (period == n))
+        arguments = (u[born], picked(p, born), *sizes(chart, size[born]))
+        # The bits of this program depend on the shape of a tile.
+        orbit = lanes(find_doubled, (strobe, np.int32(n // 2)), arguments, tile=ORBIT_TILE, together=False)
+        settled = (orbit.residual < CONVERGED) & (apart(chart, orbit.u, u[born], size[born]) < 2 * _CLOSE)
+        part = born[settled]
+        u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
+        multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]
     return Survey(period, u, residual, multiplier, monodromy, failed, size)
 
 

@@ -12,8 +12,8 @@ from jaxnh.analyses.base import Options
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.maps.family import Maps, padded_like
 from jaxnh.maps.iterate import Derivatives, derivatives, section_map
-from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch, moved_doubling
 from jaxnh.orbits.shooting import Period
 
@@ -77,7 +77,7 @@ def locate(
     return LocatedDoubling((first, second, third))
 
 
-def refined(scene: Scene) -> tuple[ReturnMap, ...]:
+def refined(scene: Scene) -> tuple[Maps, ...]:
     """The map with 1, 2 and 4 times the steps, all of one shape, so that they run through one program.
 
     Sums are compensated where they can be, whatever the accuracy needs: doublings deep in a cascade are as near to each
@@ -85,10 +85,10 @@ def refined(scene: Scene) -> tuple[ReturnMap, ...]:
     """
     exact = replace(scene, compensated=True)
     strobes = [exact.strobe(refinement) for refinement in REFINEMENTS]
-    return tuple(strobe.with_room_of(strobes[-1]) for strobe in strobes)
+    return tuple(padded_like(strobe, strobes[-1]) for strobe in strobes)
 
 
-def period_map(scene: Scene, lanes: LaneRunner, strobe: ReturnMap) -> Period:
+def period_map(scene: Scene, lanes: LaneRunner, strobe: Maps) -> Period:
     """P and ∂P/∂u at points and values of the first axis."""
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:

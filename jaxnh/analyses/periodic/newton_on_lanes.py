@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.scene import LaneRunner, picked
-from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.family import Maps
 from jaxnh.orbits.newton import NewtonStep, Orbit, find_orbits, look
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
@@ -30,7 +30,7 @@ _SHORT, _LONG_TILE = 8, 16
 
 def orbits(
     lanes: LaneRunner,
-    strobe: ReturnMap,
+    strobe: Maps,
     u: Float[np.ndarray, "lanes d"],
     p: Parameters,
     n: int | Int[np.ndarray, " lanes"],
@@ -73,7 +73,7 @@ def apart(
 
 def least_period(
     lanes: LaneRunner,
-    strobe: ReturnMap,
+    strobe: Maps,
     u: Float[np.ndarray, "lanes d"],
     p: Parameters,
     n: int | Int[np.ndarray, " lanes"],

@@ -70,7 +70,7 @@ ANALYSIS = Analysis(
     periods,
     run,
     newton=True,
-    rows=True,
+    stackable=True,
     numbers=numbers,
     classes=classes,
     price=price,

@@ -34,9 +34,9 @@ from jaxnh.analyses.trajectories.states import (
     statistics,
 )
 from jaxnh.maps.build import make_return_map
+from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.rows import ROW
 from jaxnh.maps.section import begin, drawn_plane
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Parameters
@@ -170,8 +170,7 @@ def random_starts(options: DiagramOptions, scene: Scene) -> tuple[State, Paramet
     draws = np.random.Generator(bits).uniform(-1.0, 1.0, shape)[place - first]
     p = {name: np.repeat(values, options.starts) for name, values in scene.p.items()}
     states = scene.flow.chart.state((draws.reshape(-1, d) * scene.flow.chart.scales(options.box)).T)
-    own = {name: values for name, values in p.items() if name != ROW}
-    states = jax.tree.map(np.asarray, jax.vmap(scene.flow.nearest)(states, own))
+    states = jax.tree.map(np.asarray, jax.vmap(scene.flow.nearest)(states, p))
     return begin(scene.system, states), p
 
 
@@ -205,7 +204,7 @@ def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:
     order = np.argsort(values, kind="stable")
     if options.start == "down":
         order = order[::-1]
-    if scene.flow_at is not None:
+    if scene.family is not None:
         return _under_each_flow(options, scene, lanes, order)
     state, strobe = _at_phase(options, scene, lanes, *scene.take(order[:1]).lanes)
     each = options.transient + options.strobes - 1
@@ -232,9 +231,12 @@ def _under_each_flow(
     options: DiagramOptions, scene: Scene, lanes: LaneRunner, order: Int[np.ndarray, " lanes"]
 ) -> State:
     """As `_in_turn`, along a parameter that all lanes share: a call for each value, in that order."""
-    met, (state, p) = [], scene.take(order[:1]).lanes
+    assert scene.family is not None
+    first, met = scene.take(order[:1]), []
+    state = first.start
     for value in scene.line.values[order].tolist():
-        here = scene.moved(value)
+        here = first.under(scene.family.at((value,)))
+        p = here.p
         begun, strobe = _at_phase(options, here, lanes, state, p)
         state = settled(lanes, strobe, options.transient, state if met else begun, p, tile=1)
         periods = options.strobes - 1
@@ -246,7 +248,7 @@ def _under_each_flow(
 
 def _at_phase(
     options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, p: Parameters
-) -> tuple[State, ReturnMap]:
+) -> tuple[State, Maps]:
     """States at t = 0 brought to the phase of the strobes, and the map of a period from there."""
     if not options.phase:
         return start, scene.strobe()
@@ -275,7 +277,7 @@ def price(options: DiagramOptions, scene: Scene) -> Price:
     """Every strobe is kept; a carried state is one lane, against the map of one lane."""
     if options.start not in _CARRIED:
         return Price(recording(scene), map_alone(scene), "every strobe is kept")
-    strobe, (values, strobes) = scene.strobe(), _PRICED
+    strobe, (values, strobes) = scene.map(), _PRICED
     one = scene.take(slice(1))
     p = {name: np.resize(found, (1, values)) for name, found in scene.p.items()}
     program = PricedProgram(

@@ -76,7 +76,7 @@ def price(options: PoincareOptions, scene: Scene) -> Price:
 
 def recording(scene: Scene, tile: int | None = None) -> PricedProgram:
     """The program that keeps every strobe, of some periods."""
-    strobe = scene.strobe()
+    strobe = scene.map()
     return PricedProgram(
         strobe_states,
         (strobe,),

@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from jaxnh.analyses.base import Entry, OptionError, Setting, variable
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.maps.iterate import iterate
-from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.family import Maps
 from jaxnh.maps.section import Section, outputs, reports
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State
@@ -21,12 +20,12 @@ TILE = 16
 
 
 def settled(
-    lanes: LaneRunner, strobe: ReturnMap, transient: int, start: State, p: Parameters, tile: int | None = None
+    lanes: LaneRunner, strobe: Maps, transient: int, start: State, p: Parameters, tile: int | None = None
 ) -> State:
     """Lanes after a transient: in calls of their own, of which a long one takes several, so that a run can stop."""
     if not transient:
         return start
-    return lanes(iterate, (strobe, np.int32(transient)), (start, p), periods=transient, tile=tile)
+    return lanes.iterate(strobe, transient, (start, p), tile=tile)
 
 
 def state_variables(

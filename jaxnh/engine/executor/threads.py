@@ -21,7 +21,7 @@ def side_by_side(
         lanes: of which the runners are, and which what they did is added up in.
         in_turn: called for every runner with the batches that come to it; where one fails, the others get no more.
     """
-    runners, left = lanes.apart(), deque(batches)
+    runners, left = lanes.split(), deque(batches)
 
     def taken() -> Iterator[Batch]:
         while True:
@@ -38,4 +38,4 @@ def side_by_side(
                 end.result()
         finally:
             left.clear()
-    lanes.add(runners)
+    lanes.accounts.add([runner.accounts for runner in runners])

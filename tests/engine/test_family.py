@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from measure import scene_of
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.scene import Rows, Scene
+from jaxnh.analyses.scene import Scene
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import compute
-from jaxnh.engine.executor.row_blocks import in_blocks
+from jaxnh.engine.executor.grouped_blocks import in_blocks
 from jaxnh.engine.plan import job_of
-from jaxnh.maps.rows import ROW, stack
+from jaxnh.maps.family import Family, stack
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.storage.pieces import slab
 from jaxnh.systems.particle import disturbed_speed
@@ -32,21 +32,20 @@ SOLVER, STEPS = SPLITTINGS["blanes_moan6"], 40
 
 @given(st.lists(st.integers(0, 4), min_size=1, max_size=200), st.sampled_from([16, 64, 256]))
 def test_blocks_hold_every_lane(rows, tile):
-    """Each block has lanes of one row, and each lane is found again."""
+    """Each block has lanes of one group, and each lane has its place."""
     number = np.arange(len(rows))
-    blocks = in_blocks((number, {ROW: np.array(rows), "b": 0.5 * number}), tile)
+    blocks = in_blocks(np.array(rows), (number, {"b": 0.5 * number}), tile)
     lane, p = blocks.lanes
     block, size = (16, 64) if tile <= 64 else (32, 256)
     assert lane.shape == (sum(-(-rows.count(row) // block) for row in set(rows)), block)
     assert blocks.a_tile * block == size
-    assert np.all(np.array(rows)[lane] == blocks.rows[:, None])
+    assert np.all(np.array(rows)[lane] == blocks.groups[:, None])
     assert np.array_equal(lane.ravel()[blocks.back], number)
-    assert list(p) == ["b"]
     assert np.array_equal(p["b"], 0.5 * lane)
 
 
-def test_rows_that_do_not_fit():
-    """Whole numbers, as of kicks, have to be the same in all rows."""
+def test_trees_that_do_not_fit():
+    """Whole numbers, as of kicks, have to be the same in all trees."""
     with pytest.raises(ValueError, match="whole number"):
         stack([(np.float64(1.0), np.int32(2)), (np.float64(1.5), np.int32(3))])
 
@@ -74,11 +73,12 @@ def test_bits_are_those_of_each_value_alone():
         for flow, first, last in zip(flows, CUTS[:-1], CUTS[1:], strict=True)
     ]
     start = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(one.start for one in alone))
-    row = np.repeat(np.arange(3, dtype=np.int32), np.diff(CUTS))
+    family = Family(("d",), lambda values: disturbed_speed(d=values[0]), tuple((d,) for d in D))
+    d = np.repeat(D, np.diff(CUTS))
     order = np.random.default_rng(0).permutation(len(b))  # lanes of a row need not be neighbours
-    together = Scene(flows[0], start, {"b": b, ROW: row}, SOLVER, STEPS, False, 0.0, rows=Rows(flows), **chosen)
+    together = Scene(flows[0], start, {"b": b, "d": d}, SOLVER, STEPS, False, 0.0, family=family, **chosen)
     together = together.take(order)
-    assert {name for name, analysis in ANALYSES.items() if analysis.rows} == set(OPTIONS)
+    assert {name for name, analysis in ANALYSES.items() if analysis.stackable} == set(OPTIONS)
     for name, said in OPTIONS.items():
         analysis = ANALYSES[name]
         options = analysis.options(**said)
@@ -147,4 +147,4 @@ def test_tiles_of_several_rows():
     assert found[0] == found[1] == found[2]
     sweep["omega"] = {"values": [1.0, 2.0, 0.5]}
     unlike = Experiment.from_dict({**content, "sweep": {k: sweep[k] for k in ("b", "omega")}, "analyses": options})
-    assert job_of(unlike, unlike.axes, plan, {}, unlike.requested(), {}, 100).rows == 1
+    assert job_of(unlike, unlike.axes, plan, {}, unlike.requested(), {}, 100).shared_values == 1

@@ -1,0 +1,85 @@
+"""Compiled programs of functions over the lanes of a tile, made once for each shape of their arguments."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from jaxnh.engine.cache import executables
+from jaxnh.engine.executor.accounts import Accounts
+
+_COMPILING = threading.Lock()  # one program at a time: JAX's cache is switched off for it
+
+
+class Programs:
+    """Compiled programs, which several executors may share if their devices are the same."""
+
+    def __init__(self) -> None:
+        self._programs: dict[Any, Any] = {}
+
+    def __len__(self) -> int:
+        """Number of compiled programs."""
+        return len(self._programs)
+
+    def texts(self) -> list[str]:
+        """All programs as text."""
+        return [program.as_text() for program in self._programs.values()]
+
+    def find(
+        self,
+        function: Callable[..., Any],
+        static: tuple[Any, ...],
+        shared: tuple[Any, ...],
+        lanes: Any,
+        devices: Sequence[Any],
+        accounts: Accounts,
+    ) -> Any:
+        """The program of function(*shared, *lane, *static) for every lane; what it takes to make it is accounted for.
+
+        Args:
+            lanes: pytrees of one tile a device, whose leaves have the lanes as first axis.
+
+        Returns:
+            A function of the leaves of (shared, lanes).
+        """
+        shapes = jax.tree.map(lambda leaf: (np.shape(leaf), np.result_type(leaf)), (shared, lanes))
+        key = (function, static, tuple(jax.tree.leaves(shapes)), jax.tree.structure((shared, lanes)), tuple(devices))
+        if key not in self._programs:
+            with _COMPILING:
+                began = time.perf_counter()
+                if key not in self._programs:  # by now, as another executor may have needed it
+                    self._programs[key] = _compiled(function, static, (shared, lanes), devices)
+                accounts.compile_seconds += time.perf_counter() - began
+        return self._programs[key]
+
+
+def _compiled(
+    function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, Any], devices: Sequence[Any]
+) -> Any:
+    """The program of such calls: an earlier run's, or a new one."""
+    structure = jax.tree.structure(arguments)
+    leaves = tuple(map(jax.tree.leaves, arguments))
+    name = executables.name_of(function, static, arguments, devices)
+    if name and (found := executables.find(name, jax.tree.structure((leaves, {})), devices)):
+        return found
+
+    def tile(*leaves: Any) -> Any:
+        shared, lanes = jax.tree.unflatten(structure, jax.tree.leaves(leaves))
+        return jax.vmap(lambda lane: function(*shared, *lane, *static))(lanes)
+
+    mesh = Mesh(np.array(devices), ("lanes",))
+    split = PartitionSpec("lanes")
+    sharded = jax.shard_map(tile, mesh=mesh, in_specs=(PartitionSpec(), split), out_specs=split, check_vma=False)
+    lowered = jax.jit(sharded).lower(*leaves)
+    if not name:
+        return lowered.compile()
+    with executables.compiling():
+        program = lowered.compile()
+    executables.keep(name, program)
+    return program

@@ -1,0 +1,117 @@
+"""Calls cut into tiles of one fixed shape over all devices.
+
+A chaotic lane's last bits can depend on the shape of the batch it runs in, because other shapes get other vector code.
+So every tile is padded to one shape, and every device gets whole tiles: the results are the same bit for bit for any
+number of lanes, tiles or devices.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from jaxnh.engine.executor.accounts import Accounts
+from jaxnh.engine.executor.programs import Programs
+from jaxnh.maps.family import Stacked
+from jaxnh.maps.protocol import ReturnMap
+
+_PLACED = 256  # arrays on the devices, at most
+
+
+class Call(NamedTuple):
+    """One function over many lanes: function(*shared, *lane, *static).
+
+    Attributes:
+        function: pure function of one lane, defined at module level (programs are kept by it).
+        shared: pytrees that all lanes see alike.
+        lanes: pytrees whose leaves are NumPy arrays with the lanes as first axis.
+        static: further hashable arguments, part of the program.
+        tile: lanes a tile.
+        periods: periods that a lane costs.
+    """
+
+    function: Callable[..., Any]
+    shared: tuple[Any, ...]
+    lanes: tuple[Any, ...]
+    static: tuple[Any, ...]
+    tile: int
+    periods: float
+
+
+class Tiles(Protocol):
+    """Something that runs calls tile by tile."""
+
+    def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
+        """Results from the lane number `first` on, a tile for each device at a time, with the number of its first lane.
+
+        `first` is where such a tile begins.
+        """
+        ...
+
+
+class DeviceTiles:
+    """Runs calls on devices."""
+
+    def __init__(self, devices: Sequence[Any], programs: Programs, accounts: Accounts) -> None:
+        self._devices, self._programs, self._accounts = devices, programs, accounts
+        self._placed: dict[int, tuple[Any, Any]] = {}  # by the address of what is on the devices
+
+    def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
+        """The tiles of a call; see `Tiles`."""
+        leaves, chunk, count = jax.tree.leaves(call.lanes), call.tile * len(self._devices), count_of(call.lanes)
+        program, placed = self.program(call), self._on_devices(call.shared)
+        turns = call.periods * chunk * turns_of(call.shared)
+        for number in range(first, count, chunk):
+            part = [_padded(leaf[number : number + chunk], chunk) for leaf in leaves]
+            began = time.perf_counter()
+            result = jax.tree.map(np.asarray, program(placed, part))
+            seconds = time.perf_counter() - began
+            self._accounts.run_seconds += seconds
+            if turns:
+                self._accounts.fastest = min(self._accounts.fastest, seconds / turns)
+            if (left := min(chunk, count - number)) < chunk:
+                result = jax.tree.map(lambda leaf, left=left: leaf[:left], result)
+            yield number, result
+
+    def program(self, call: Call) -> Any:
+        """The compiled program of a call."""
+        chunk = call.tile * len(self._devices)
+        lanes = jax.tree.map(lambda leaf: _padded(leaf[:chunk], chunk), call.lanes)
+        return self._programs.find(call.function, call.static, call.shared, lanes, self._devices, self._accounts)
+
+    def _on_devices(self, shared: tuple[Any, ...]) -> list[Any]:
+        """What all lanes see alike, its arrays on all devices: tables of a map go there once, and not in every call."""
+        leaves = jax.tree.leaves(shared)
+        for k, leaf in enumerate(leaves):
+            if isinstance(leaf, np.ndarray | float):
+                if id(leaf) not in self._placed:
+                    if len(self._placed) >= _PLACED:
+                        self._placed.clear()
+                    everywhere = NamedSharding(Mesh(np.array(self._devices), ("lanes",)), PartitionSpec())
+                    self._placed[id(leaf)] = leaf, jax.device_put(leaf, everywhere)
+                leaves[k] = self._placed[id(leaf)][1]
+        return leaves
+
+
+def count_of(lanes: Any) -> int:
+    """Number of lanes of pytrees whose leaves have the lanes as first axis."""
+    return len(jax.tree.leaves(lanes)[0])
+
+
+def turns_of(shared: tuple[Any, ...]) -> float:
+    """Turns a period of the innermost loop of the maps among these: of the one that has most."""
+    maps = [part.trees if isinstance(part, Stacked) else part for part in shared]
+    return max((math.prod(part.turns) for part in maps if isinstance(part, ReturnMap)), default=0.0)
+
+
+def _padded(leaf: np.ndarray, length: int) -> np.ndarray:
+    """The leaf with its last row repeated up to a length."""
+    if len(leaf) == length:
+        return leaf
+    return np.concatenate([leaf, np.repeat(leaf[-1:], length - len(leaf), axis=0)])

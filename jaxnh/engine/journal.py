@@ -1,0 +1,55 @@
+"""A journal around the tiles of a lane executor: what a stopped run has computed is not computed again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import jax
+
+from jaxnh.engine.cache.fingerprints import CallFingerprints
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.executor.tiles import Call, Tiles, count_of
+from jaxnh.storage.calls import CallJournal, JournalEntry
+
+
+class _JournaledTiles:
+    """Tiles whose results are kept in a journal, and those taken from there that it has."""
+
+    def __init__(self, tiles: Tiles, journal: CallJournal) -> None:
+        self._tiles, self._journal = tiles, journal
+        self._fingerprints, self._calls = CallFingerprints(), 0
+
+    def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
+        number, self._calls = self._calls, self._calls + 1
+        name = self._fingerprints.of(call.function, call.shared, call.lanes, call.static, call.tile)
+        if entries := self._journal.found(number, name):
+            structure = _result_structure(call)
+            for entry in entries:
+                yield first, jax.tree.unflatten(structure, entry.leaves)
+                first = entry.first + len(entry.leaves[0])
+        if first == count_of(call.lanes):
+            return
+        for begun, result in self._tiles.run(call, first):
+            self._journal.add(JournalEntry(number, begun, name, tuple(jax.tree.leaves(result))))
+            yield begun, result
+
+
+def _result_structure(call: Call) -> Any:
+    """The structure of what a function gives for a lane."""
+    lane = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), call.lanes)
+    return jax.tree.structure(jax.eval_shape(lambda lane: call.function(*call.shared, *lane, *call.static), lane))
+
+
+@contextmanager
+def journaled(lanes: LaneExecutor, journal: CallJournal) -> Iterator[LaneExecutor]:
+    """The executor with a journal of its calls, which has to be the same calls in every run.
+
+    Where it is left by an exception all that is known is written to the journal.
+    """
+    try:
+        yield lanes.through(lambda tiles: _JournaledTiles(tiles, journal))
+    except BaseException:
+        journal.close(remove=False)
+        raise

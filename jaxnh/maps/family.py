@@ -1,0 +1,147 @@
+"""Lanes that differ in parameters which all lanes of a program share, as d or ω: a map, a table for each value.
+
+The arithmetic of a lane, and so its bits, are those of the map at its own values. The executor alone looks at which
+values lanes have (`engine.executor`); in a lane stands the map at its values.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any, Generic, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Int
+
+from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.section import System
+
+Tree = TypeVar("Tree")
+Other = TypeVar("Other")
+Values = tuple[float, ...]
+
+GROUPS = 32
+"""Trees of a stack, whether it needs them or not: all stacks run through one program."""
+
+
+class Family(Generic[Tree]):
+    """A pytree for every value of some parameters.
+
+    Attributes:
+        names: of the parameters, whose values lanes carry under these names.
+        together: all values that lanes have, where their trees go through one program as a stack; else each value has
+            calls of its own.
+    """
+
+    def __init__(self, names: tuple[str, ...], at: Callable[[Values], Tree], together: tuple[Values, ...] = ()) -> None:
+        """`at` gives the tree at values of the parameters, in the order of the names; it is asked once for each."""
+        self.names, self.together = names, together
+        self._at = functools.cache(at)
+        self._derived: dict[Hashable, Any] = {}
+
+    def at(self, values: Values) -> Tree:
+        """The tree at some values."""
+        return self._at(values)
+
+    def groups(self, p: Mapping[str, ArrayLike]) -> tuple[list[Values], Int[np.ndarray, " lanes"]]:
+        """Values that lanes have, and for every lane the number of its own among them."""
+        columns = np.stack([np.asarray(p[name], float) for name in self.names])
+        values, group = np.unique(columns, axis=1, return_inverse=True)
+        return [tuple(column) for column in values.T.tolist()], group.ravel()
+
+    @functools.cached_property
+    def stack(self) -> Stacked:
+        """The trees at the values of `together`, in their order."""
+        return stack([self.at(values) for values in self.together])
+
+    def derive(self, key: Hashable, make: Callable[[Tree], Other]) -> Family[Other]:
+        """A family of what is made of each tree; that of a stack is made once under each key."""
+        return self._derive(Family, key, make)
+
+    def maps(self, system: System, key: Hashable, make: Callable[[Tree], ReturnMap]) -> MapFamily:
+        """Return maps made of each tree, in tables no larger than they need where they are stacked.
+
+        Args:
+            system: one of theirs.
+        """
+        kind = functools.partial(MapFamily, system)
+        return self._derive(kind, key, lambda tree: make(tree).compact() if self.together else make(tree))
+
+    def _derive(self, kind: Callable[..., Any], key: Hashable, make: Callable[[Tree], Any]) -> Any:
+        if not self.together:
+            return kind(self.names, lambda values: make(self.at(values)))
+        if key not in self._derived:
+            self._derived[key] = kind(self.names, lambda values: make(self.at(values)), self.together)
+        return self._derived[key]
+
+
+class MapFamily(Family[ReturnMap]):
+    """A return map for every value of some parameters.
+
+    Attributes:
+        system: of one of them.
+        chart: of all.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        names: tuple[str, ...],
+        at: Callable[[Values], ReturnMap],
+        together: tuple[Values, ...] = (),
+    ) -> None:
+        super().__init__(names, at, together)
+        self.system, self.chart = system, system.chart
+
+
+Maps = ReturnMap | MapFamily
+"""What analyses hand to a lane runner: one map for all lanes, or one for each value of what they share."""
+
+
+def padded_like(maps: Maps, other: Maps) -> Maps:
+    """The same maps in tables as large as those of others, which have more steps: both run through one program."""
+    if isinstance(maps, ReturnMap) and isinstance(other, ReturnMap):
+        return maps.with_room_of(other)
+    assert isinstance(maps, MapFamily)
+    assert isinstance(other, MapFamily)
+    return MapFamily(maps.system, maps.names, lambda values: maps.at(values).with_room_of(other.at(values)))
+
+
+class Stacked(eqx.Module):
+    """Pytrees of one structure.
+
+    Attributes:
+        trees: their floating-point numbers stacked, (GROUPS, …); whole numbers are the same in all.
+    """
+
+    trees: Any
+
+    def at(self, group: ArrayLike) -> Any:
+        """The pytree of a group, which may be traced."""
+        return jax.tree.map(lambda leaf: leaf[group] if _is_stacked(leaf) else leaf, self.trees)
+
+
+def stack(trees: Sequence[Any]) -> Stacked:
+    """Stack pytrees of one structure, the last of them repeated in all places that are left.
+
+    Raises:
+        ValueError: they differ in a whole number.
+    """
+
+    def one(*leaves: Any) -> np.ndarray:
+        arrays = [np.asarray(leaf) for leaf in leaves]
+        if arrays[0].dtype.kind == "f":
+            return np.stack(arrays + arrays[-1:] * (GROUPS - len(arrays)))
+        if any(not np.array_equal(arrays[0], other) for other in arrays[1:]):
+            raise ValueError("trees of one program differ in a whole number")
+        return arrays[0]
+
+    return Stacked(jax.tree.map(one, *trees))
+
+
+def _is_stacked(leaf: Any) -> bool:
+    return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
