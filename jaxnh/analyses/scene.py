@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.maps.build import make_return_map
-from jaxnh.maps.family import Family, Maps
+from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import System
 from jaxnh.maps.single_precision import in_precision
@@ -70,7 +70,7 @@ class Scene:
     error_estimate: float
     place: Int[np.ndarray, " lanes"] | None = None
     along: Axis | None = None
-    family: Family[System] | None = None
+    family: ParameterFamily[System] | None = None
     chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     precision: str = "float64"
     target: float = 0.0

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.base import LANE, variable
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
-from jaxnh.maps.family import Family
+from jaxnh.maps.family import ParameterFamily
 from jaxnh.maps.section import System
 from jaxnh.storage.pieces import Piece
 from jaxnh.systems.state import State
@@ -37,7 +37,7 @@ class SweepPoints(NamedTuple):
     start: State
     p: Mapping[str, Float[np.ndarray, " lanes"]]
     where: Mapping[str, Float[np.ndarray, " lanes"]]
-    family: Family[System] | None = None
+    family: ParameterFamily[System] | None = None
 
 
 def points(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np.ndarray, " lanes"]]) -> SweepPoints:
@@ -64,7 +64,7 @@ def points_together(
     start, p, where = jax.tree.map(joined, *((one.start, dict(one.p), dict(one.where)) for one in parts))
     names = tuple(axis.name for axis in axes if axis.kind == "shared")
     systems = {tuple(float(one.where[name][0]) for name in names): one.system for one in parts}
-    family = Family(names, systems.__getitem__, tuple(systems))
+    family = ParameterFamily(names, systems.__getitem__, tuple(systems))
     return SweepPoints(parts[0].system, start, {**p, **{name: where[name] for name in names}}, where, family)
 
 
@@ -74,7 +74,7 @@ def points_along(
     """The lanes at places along the first axis, which all lanes of a program share: a family of its values."""
     at, name = points(experiment, axes, places), axes[0].name
     others = {axis.name: float(at.where[axis.name][0]) for axis in axes[1:] if axis.kind == "shared"}
-    family = Family((name,), lambda values: experiment.dynamics({**others, name: values[0]}))
+    family = ParameterFamily((name,), lambda values: experiment.dynamics({**others, name: values[0]}))
     return at._replace(p={**at.p, name: at.where[name]}, family=family)
 
 

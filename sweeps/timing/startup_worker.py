@@ -61,9 +61,7 @@ def main() -> None:
     def spent() -> dict[str, float]:
         return {
             "compiling": clock.seconds.get("compiling", 0.0),
-            "programs": sum(
-                getattr(one, "accounts", one).compile_seconds for one in runners
-            ),
+            "programs": sum(getattr(one, "accounts", one).compile_seconds for one in runners),
             "run": sum(getattr(one, "accounts", one).run_seconds for one in runners),
         }
 

@@ -20,7 +20,7 @@ from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.grouped_blocks import in_blocks
 from jaxnh.engine.plan import job_of
-from jaxnh.maps.family import Family, stack
+from jaxnh.maps.family import ParameterFamily, stack
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.storage.pieces import slab
 from jaxnh.systems.particle import disturbed_speed
@@ -73,7 +73,7 @@ def test_bits_are_those_of_each_value_alone():
         for flow, first, last in zip(flows, CUTS[:-1], CUTS[1:], strict=True)
     ]
     start = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(one.start for one in alone))
-    family = Family(("d",), lambda values: disturbed_speed(d=values[0]), tuple((d,) for d in D))
+    family = ParameterFamily(("d",), lambda values: disturbed_speed(d=values[0]), tuple((d,) for d in D))
     d = np.repeat(D, np.diff(CUTS))
     order = np.random.default_rng(0).permutation(len(b))  # lanes of a row need not be neighbours
     together = Scene(flows[0], start, {"b": b, "d": d}, SOLVER, STEPS, False, 0.0, family=family, **chosen)

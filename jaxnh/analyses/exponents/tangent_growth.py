@@ -22,7 +22,7 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.smooth_window import BLOCKS, windows
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import between, cut_strobe
-from jaxnh.maps.family import Family, Maps
+from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.maps.section import rates
 from jaxnh.maps.single_precision import in_precision
@@ -73,7 +73,7 @@ class Quadrature(NamedTuple):
     weights: np.ndarray
 
 
-def quadrature(scene: Scene) -> Quadrature | Family[Quadrature]:
+def quadrature(scene: Scene) -> Quadrature | ParameterFamily[Quadrature]:
     """Nodes and maps of the quadrature; of a family one for each value."""
     if scene.family is not None:
         return scene.family.derive("quadrature", lambda system: _nodes(scene.under(system)))
@@ -129,7 +129,7 @@ def average(
     p: Parameters,
     count: int,
     begun: float = 0.0,
-    quadrature: Quadrature | Family[Quadrature] | None = None,
+    quadrature: Quadrature | ParameterFamily[Quadrature] | None = None,
     tile: int | None = None,
 ) -> tuple[TangentState, Float[np.ndarray, "lanes sums"]]:
     """Lanes `count` periods on, and growth a period of each tangent, of volume, and by quadrature of volume.

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Int
 
-from jaxnh.maps.family import Stacked
+from jaxnh.maps.family import TreeStack
 
 _LARGE, _SMALL = (32, 256), (16, 64)  # lanes of a block and of a tile: of programs for many lanes, and for few
 _FEW = 64  # lanes of a tile that is asked for where there are few
@@ -60,5 +60,5 @@ def in_blocks(group: Int[np.ndarray, " lanes"], lanes: tuple[Any, ...], tile: in
 def of_block(*arguments: Any) -> Any:
     """The function of a lane for all lanes of a block: of what is shared, its group, its lanes, (function, static)."""
     *shared, group, lanes, (function, static) = arguments
-    own = tuple(part.at(group) if isinstance(part, Stacked) else part for part in shared)
+    own = tuple(part.at(group) if isinstance(part, TreeStack) else part for part in shared)
     return jax.vmap(lambda lane: function(*own, *lane, *static))(lanes)

@@ -17,7 +17,7 @@ from jaxnh.engine.executor.tiles import Call, DeviceTiles, Tiles, count_of
 from jaxnh.engine.progress import NullProgress, Progress
 from jaxnh.engine.xla_options import machine
 from jaxnh.maps import iterate
-from jaxnh.maps.family import Family, Maps
+from jaxnh.maps.family import Maps, ParameterFamily
 
 TILE = 256
 """Lanes a tile: large enough to hide what a kernel call costs, small enough for a core's first cache."""
@@ -122,7 +122,7 @@ class LaneExecutor:
             The function's results as NumPy arrays with the lanes as first axis.
         """
         call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, self._tile(shared, tile), periods)
-        family = next((part for part in shared if isinstance(part, Family)), None)
+        family = next((part for part in shared if isinstance(part, ParameterFamily)), None)
         if family is None:
             return self._run(call)
         values, group = family.groups(_own(family, call.lanes))
@@ -131,7 +131,7 @@ class LaneExecutor:
         results, order = [], []
         for k, one in enumerate(values):
             where = np.flatnonzero(group == k)
-            trees = tuple(part.at(one) if isinstance(part, Family) else part for part in shared)
+            trees = tuple(part.at(one) if isinstance(part, ParameterFamily) else part for part in shared)
             lanes = jax.tree.map(lambda leaf, where=where: leaf[where], _without(family, call.lanes))
             results.append(self._run(call._replace(shared=trees, lanes=lanes)))
             order.append(where)
@@ -178,9 +178,9 @@ class LaneExecutor:
 
     def _in_blocks(self, call: Call, group: np.ndarray) -> Any:
         """Lanes of several values of a family, block by block through one program."""
-        family = next(part for part in call.shared if isinstance(part, Family))
+        family = next(part for part in call.shared if isinstance(part, ParameterFamily))
         blocks = in_blocks(group, _without(family, call.lanes), call.tile)
-        stacks = tuple(part.stack if isinstance(part, Family) else part for part in call.shared)
+        stacks = tuple(part.stack if isinstance(part, ParameterFamily) else part for part in call.shared)
         result = self._run(
             Call(
                 of_block,
@@ -195,18 +195,18 @@ class LaneExecutor:
 
     def _tile(self, shared: tuple[Any, ...], tile: int | None) -> int:
         """Lanes a tile: as many as asked for, and no more than the maps in it are good for."""
-        if any(isinstance(part, Family) and not part.together for part in shared):
+        if any(isinstance(part, ParameterFamily) and not part.together for part in shared):
             return _FEW
         most = [most for part in shared if (most := getattr(part, "most_lanes", None))]
         return min(tile or self.tile, *most) if most else tile or self.tile
 
 
-def _own(family: Family[Any], lanes: tuple[Any, ...]) -> Mapping[str, Any]:
+def _own(family: ParameterFamily[Any], lanes: tuple[Any, ...]) -> Mapping[str, Any]:
     """The mapping among what lanes have that holds the parameters of a family."""
     return next(part for part in lanes if isinstance(part, Mapping) and set(family.names) <= set(part))
 
 
-def _without(family: Family[Any], lanes: tuple[Any, ...]) -> tuple[Any, ...]:
+def _without(family: ParameterFamily[Any], lanes: tuple[Any, ...]) -> tuple[Any, ...]:
     """What lanes have, without the parameters of a family."""
     p = _own(family, lanes)
     rest = {name: values for name, values in p.items() if name not in family.names}

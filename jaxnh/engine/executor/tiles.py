@@ -18,7 +18,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxnh.engine.executor.accounts import Accounts
 from jaxnh.engine.executor.programs import Programs
-from jaxnh.maps.family import Stacked
+from jaxnh.maps.family import TreeStack
 from jaxnh.maps.protocol import ReturnMap
 
 _PLACED = 256  # arrays on the devices, at most
@@ -106,7 +106,7 @@ def count_of(lanes: Any) -> int:
 
 def turns_of(shared: tuple[Any, ...]) -> float:
     """Turns a period of the innermost loop of the maps among these: of the one that has most."""
-    maps = [part.trees if isinstance(part, Stacked) else part for part in shared]
+    maps = [part.trees if isinstance(part, TreeStack) else part for part in shared]
     return max((math.prod(part.turns) for part in maps if isinstance(part, ReturnMap)), default=0.0)
 
 
