@@ -66,14 +66,14 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     words = "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"
     error_words = "half the distance between the quartiles of K over the angles"
     variables = {
-        "k": variable(LANE, median, words, ancillary_variables="k_error"),
+        "k_median": variable(LANE, median, words, ancillary_variables="k_error"),
         "k_error": variable(LANE, 0.5 * (high - low), error_words),
     }
     attrs = {
         "angles": _ANGLES,
         "transient": options.transient,
         "panel": "curves",
-        "panel_variables": "k",
+        "panel_variables": "k_median",
         "panel_label": "0–1 test, $K$",
         "panel_levels": "0 1",
     }

@@ -29,7 +29,7 @@ class Axis:
     """One axis of a sweep.
 
     Attributes:
-        name: of the parameter, or of the coordinate of the start state; the name of the dimension in results.
+        name: of the parameter, or of the coordinate of the start state.
         values: in the order of the config, (n,).
         long_name: what it is, in words, its name included.
         kind: "lane", a parameter that lanes side by side may differ in; "start", a coordinate of the start state;
@@ -42,6 +42,11 @@ class Axis:
     long_name: str
     kind: Literal["lane", "start", "shared"] = "lane"
     units: str = "1"
+
+    @property
+    def dim(self) -> str:
+        """The dimension in results: the name, of a start coordinate with `start_` before it."""
+        return f"start_{self.name}" if self.kind == "start" else self.name
 
 
 class Rows:

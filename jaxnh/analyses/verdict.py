@@ -107,7 +107,7 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
         period["failed"].to_numpy().astype(bool),
         largest,
         error,
-        done["chaos01"]["k"].to_numpy(),
+        done["chaos01"]["k_median"].to_numpy(),
         each,
         iterates,
     )

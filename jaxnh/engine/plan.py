@@ -154,7 +154,7 @@ def job_of(
         chosen=chosen,
         order=tuple(analysis.name for analysis, _ in requested),
         independent=tuple(analysis.name for analysis, _ in split),
-        axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in axes),
+        axes=tuple((axis.dim, len(axis.values), axis.kind == "shared") for axis in axes),
         tile=min(tile, -(-count // parts)),
         wholes=tuple((analysis.name, *analysis.whole.brings) for analysis, _ in requested if analysis.whole),
         machine=machine,

@@ -211,7 +211,8 @@ class Session:
         if self._base.filler:
             self.experiment = experiment
         _, groups = self._computed(experiment)
-        fixed = [name for name, values in axes.items() if np.ndim(values) == 0] + [experiment.filler]
+        fixed = {name for name, values in axes.items() if np.ndim(values) == 0} | {experiment.filler}
+        fixed = [axis.dim for axis in experiment.axes if axis.name in fixed]
         return {name: data.squeeze([d for d in fixed if d in data.dims]) for name, data in groups.items()}
 
     def of_few(self, tile: int) -> Session:

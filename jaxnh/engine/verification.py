@@ -51,7 +51,7 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
         chosen=json.loads(attrs["chosen"]),
         order=tuple(analysis.name for analysis, _ in requested),
         independent=tuple(analysis.name for analysis, options in requested if analysis.independent(options)),
-        axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in experiment.axes),
+        axes=tuple((axis.dim, len(axis.values), axis.kind == "shared") for axis in experiment.axes),
         tile=_LANES,
         levels=int(attrs.get("levels", 1)),
     )

@@ -108,7 +108,7 @@ class RecordedDiagram(_Recording):
         self._data = _at(groups["diagram"], {}, keep=(axis,)).sortby(axis).load()
         values = self._data[axis].to_numpy()
         self.variables = {
-            str(key).removesuffix("_state"): _words(v)
+            str(key): _words(v)
             for key, v in self._data.data_vars.items()
             if v.dims[:1] == (axis,) and len(v.dims) > 1 and v.dtype.kind == "f"
         }

@@ -35,7 +35,7 @@ def lines(report: LaneReport) -> Iterator[tuple[str, str]]:
     if "lyapunov" in groups:
         yield from _spectrum(groups["lyapunov"])
     if "chaos01" in groups:
-        yield "0–1 test K", f"{float(groups['chaos01']['k']):.3f}"
+        yield "0–1 test K", f"{float(groups['chaos01']['k_median']):.3f}"
 
 
 def _flag(variable: xr.DataArray) -> str:

@@ -29,11 +29,8 @@ def shown(data: xr.Dataset) -> list[xr.DataArray]:
 
 
 def showing(data: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """The group as a panel of other variables of its own; NAME is NAME_state where an axis has that name."""
-    found = [f"{name}_state" if f"{name}_state" in data else name for name in names]
-    shown_so = data.copy()
-    shown_so.attrs = {**data.attrs, "panel_variables": " ".join(found), "panel_label": ""}
-    return shown_so
+    """The group as a panel of other variables of its own."""
+    return data.assign_attrs(panel_variables=" ".join(names), panel_label="")
 
 
 def needed(data: xr.Dataset, *names: str) -> list[xr.DataArray]:

@@ -16,8 +16,15 @@ _GREEK = frozenset([*_LOWER.split(), "omega", *_UPPER.split()])
 _INDEXED = re.compile(r"([A-Za-z]+?)_?(\d+)")
 
 
+def coordinate_of(axis: str) -> str:
+    """The coordinate whose start values an axis has: "x1" of "start_x1"; of a parameter its name."""
+    return axis.removeprefix("start_")
+
+
 def symbol_of(name: str, index: int | str = "") -> str:
-    """A name as mathematics, with a dot for a rate and with an index: "x1", "theta_dot", "drive"."""
+    """A name as mathematics, with a dot for a rate and with an index: "x1", "theta_dot", "drive", "start_x1"."""
+    if (coordinate := coordinate_of(name)) != name:
+        return f"{symbol_of(coordinate)[:-1]}(0)$"
     base = name.removesuffix("_dot")
     letters, subscript = _letters(base) or (rf"\mathrm{{{base}}}".replace("_", r"\_"), "")
     subscript = ",".join(part for part in (subscript, str(index)) if part)
@@ -32,7 +39,7 @@ def axis_label(variable: xr.DataArray, words: str = "", symbol: str = "") -> str
         words: in place of the variable's own, and of the symbol that its name makes.
         symbol: in place of that symbol; left out where the words have one, between dollars.
     """
-    name = str(variable.name).removesuffix("_state")
+    name = str(variable.name)
     own, named = _words(variable)
     if not words and not symbol and (named or is_symbol(name)):
         symbol = symbol_of(name)
@@ -67,9 +74,9 @@ def words_of(variable: xr.DataArray) -> str:
 
 def _words(variable: xr.DataArray) -> tuple[str, bool]:
     """The long name up to the equation it may end with and without the variable's own name; whether that was there."""
-    name, words = str(variable.name).removesuffix("_state"), str(variable.attrs.get("long_name", "")).split(" = ")[0]
+    words = str(variable.attrs.get("long_name", "")).split(" = ")[0]
     *before, last = words.split(" ")
-    return (" ".join(before), True) if last in (name, "") else (words, False)
+    return (" ".join(before), True) if last in (coordinate_of(str(variable.name)), "") else (words, False)
 
 
 def _letters(name: str) -> tuple[str, str] | None:

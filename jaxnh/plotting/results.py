@@ -158,7 +158,7 @@ def _chosen(data: xr.Dataset, choice: Choice) -> xr.Dataset:
     """A group as a panel of the coordinates that were chosen, where it has them."""
     wanted = _COORDINATES.get(kind_of(data), 0)
     for names in choice.coordinates:
-        if len(names) == wanted and all(name in data.data_vars or f"{name}_state" in data for name in names):
+        if len(names) == wanted and set(names) <= set(data.data_vars):
             return showing(data, names)
     return data
 
@@ -169,7 +169,7 @@ def _check_chosen(groups: _Groups, choice: Choice) -> None:
     Raises:
         ArgumentError: no group has such coordinates.
     """
-    drawn = [[str(v.name).removesuffix("_state") for v in shown(data)] for data in groups.values() if kind_of(data)]
+    drawn = [[str(v.name) for v in shown(data)] for data in groups.values() if kind_of(data)]
     for names in choice.coordinates:
         if list(names) not in drawn:
             of_states = [data for data in groups.values() if kind_of(data) in _COORDINATES]

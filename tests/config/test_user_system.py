@@ -480,7 +480,7 @@ def test_experiment_from_the_texts_alone(tmp_path):
 def test_axis_called_as_a_dimension_of_results(tmp_path):
     (tmp_path / "governor.py").write_text((ROOT / "configs" / "governor.py").read_text())
     config = "system: {file: governor.py}\nsweep: {level: {values: [0.0]}}\nanalyses: {poincare: {}}\n"
-    message = "sweep.level: results have a dimension called level; give the parameter another name to sweep it"
+    message = "sweep.level: results have a variable called level; give the parameter another name to sweep it"
     with pytest.raises(ConfigError, match=message):
         load(write(tmp_path, config=config))
 

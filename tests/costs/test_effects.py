@@ -172,7 +172,7 @@ def test_other_analyses_on_a_section(lanes, spectrum):
     """The 0–1 test parts order from chaos on crossings; nothing is attracting, so that no period is found."""
     scene, group = spectrum
     largest = group["exponents"].to_numpy()[:, 0]
-    k = chaos01.run(chaos01.Chaos01Options(transient=16, periods=600), scene, lanes)["k"].to_numpy()
+    k = chaos01.run(chaos01.Chaos01Options(transient=16, periods=600), scene, lanes)["k_median"].to_numpy()
     assert k[np.argmax(largest)] > 0.8
     assert k[np.argmin(largest)] < 0.2
     found = period.run(period.PeriodOptions(limit=2, transient=16), scene, lanes)
