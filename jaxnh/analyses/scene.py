@@ -20,7 +20,7 @@ from jaxnh.maps.section import System
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
 from jaxnh.systems.chart import Chart
-from jaxnh.systems.flow import Flow
+from jaxnh.systems.flow import UNSAID, Flow
 from jaxnh.systems.state import State
 
 
@@ -205,8 +205,14 @@ def spread(start: State, lanes: int) -> State:
     return jax.tree.map(lane, start)
 
 
+def per_time(flow: Flow) -> str:
+    """Units of a rate, for `variable`."""
+    time = flow.labels.units["t"]
+    return time if time in ("1", UNSAID) else f"1/{time}" if time.isalpha() else f"1/({time})"
+
+
 def counted_in(system: System) -> str:
-    """Units of a number of iterates of a system's map: periods, crossings, or without either units of time."""
+    """What a number of iterates of a system's map counts: periods, crossings, or without either units of time."""
     if system.flow is not system:
         return "crossings"
     if not system.flow.autonomous:

@@ -20,7 +20,7 @@ from jaxnh.config.blocks import Block, EvenGrid, Grid, InitialBlock, SectionBloc
 from jaxnh.config.messages import listed, unknown
 from jaxnh.maps.section import Section
 from jaxnh.systems.first_order import FirstOrder
-from jaxnh.systems.flow import FAULTS, Flow, Parameters
+from jaxnh.systems.flow import STATUS, Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian, Motion
 from jaxnh.systems.user_file import OF_RESULTS, UserFile
 
@@ -252,7 +252,7 @@ def admitted(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> Moti
     else:
         drift, reason = some[0].watch
         nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), some[0])
-        moved = nowhere._replace(watch=(drift, np.full_like(reason, FAULTS.index("off_constraint"))))
+        moved = nowhere._replace(watch=(drift, np.full_like(reason, STATUS.index("off_constraint"))))
     found = jax.tree.map(np.array, start)
     for leaf, part in zip(jax.tree.leaves(found), jax.tree.leaves(moved), strict=True):
         leaf[off] = part

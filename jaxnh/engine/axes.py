@@ -126,27 +126,24 @@ def on_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool)
     """A dataset of the lanes of a piece over the axes of the sweep, with their coordinates.
 
     Args:
-        line: whether the analysis has run along the whole first axis: its other variables then get the other axes, and
-            those without dimensions are attributes where there are none.
+        line: whether the analysis has run along the whole first axis: its other variables then get the other axes.
     """
     lane_dims = tuple(axis.dim for axis in axes)
     others, shared = lane_dims[1:] if line else (), tuple(axis.dim for axis in axes if axis.kind == "shared")
-    attrs, content = dict(data.attrs), {}
+    content = {}
     for name, item in data.variables.items():
         dims, values = tuple(map(str, item.dims)), item.values
         if dims[:1] == (LANE,):
             content[name] = (lane_dims + dims[1:], values.reshape(*piece.shape, *values.shape[1:]), item.attrs)
         elif line and name not in data.coords and others:
             content[name] = (others + dims, values.reshape((1,) * len(others) + values.shape), item.attrs)
-        elif line and not dims and not others:
-            attrs[str(name)] = values.item()
         elif not line and name not in dims and shared:  # as times, which the clock decides
             rows = [size for size, axis in zip(piece.shape, axes, strict=True) if axis.kind == "shared"]
             content[name] = (shared + dims, np.broadcast_to(values, (*rows, *values.shape)), item.attrs)
         else:
             content[name] = (dims, values, item.attrs)
     cuts = (slice(begin, end) for begin, end in zip(piece.begin, piece.end, strict=True))
-    return xr.Dataset(_coordinates(axes, cuts, content) | content, attrs=attrs)
+    return xr.Dataset(_coordinates(axes, cuts, content) | content, attrs=data.attrs)
 
 
 def whole_on_axes(data: xr.Dataset, axes: Sequence[Axis]) -> xr.Dataset:

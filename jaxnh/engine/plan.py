@@ -257,9 +257,9 @@ def numbers_of(analyses: Requested) -> int:
 
 def count_warnings(name: str, counts: Mapping[str, int]) -> tuple[str, ...]:
     """What is to be said of the trajectories of an analysis over the whole sweep."""
-    if not counts.get("not_finite"):
+    if not (counts.get("trajectories") and counts["failed"]):
         return ()
-    return (f"{name}: {counts['not_finite']} of {counts['trajectories']} trajectories are not finite at their end",)
+    return (f"{name}: {counts['failed']} of {counts['trajectories']} trajectories are not finite at their end",)
 
 
 class Clock(NamedTuple):

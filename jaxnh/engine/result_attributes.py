@@ -38,7 +38,7 @@ def extras_of(job: Job, receipts: Mapping[int, TileRecord]) -> dict[str, Extra]:
     """What every group of a job has besides its tiles, from the receipts of all pieces by their numbers."""
     of = {name: [receipts[piece.number] for piece in job.sources(name)] for name in job.groups}
     counts = {name: _counts(name, some) for name, some in of.items()}
-    return {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
+    return {name: Extra(warnings=count_warnings(name, found)) for name, found in counts.items()}
 
 
 def _counts(name: str, receipts: Sequence[TileRecord]) -> dict[str, int]:

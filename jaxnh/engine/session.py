@@ -301,7 +301,7 @@ class Session:
                     parts.setdefault((name, job.is_whole(done.piece)), []).append((done.piece, data))
                     for kind, number in done.counts[name].items():
                         counts[name][kind] = counts[name].get(kind, 0) + number
-        extras = {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
+        extras = {name: Extra(warnings=count_warnings(name, found)) for name, found in counts.items()}
         whole = {name: assemble(parts[name, job.is_whole(job.sources(name)[0])], job, extras[name]) for name in counts}
         return whole, {**whole, **of_lanes}
 

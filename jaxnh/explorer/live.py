@@ -82,7 +82,8 @@ class LiveDiagram:
     def passes(self, view: View) -> Iterator[Picture]:
         """Pictures of a view: a coarse one, then its columns in full, some of them at a time."""
         moved, known = self.sessions.moved(view), self.sessions.of(view)
-        dim, values, notes = self.sessions.dims[view.axis], view.values(), (*self._notes, *self.sessions.notes(view, known))
+        values, notes = view.values(), (*self._notes, *self.sessions.notes(view, known))
+        dim = self.sessions.dims[view.axis]
         every = max(1, -(-view.columns // (TILE * known.session.devices)))
         coarse = self._coarse_transient(known.session, view, len(values[::every]))
         strobes = min(_COARSE_STROBES, view.strobes)

@@ -8,7 +8,6 @@ from collections.abc import Iterable
 import numpy as np
 import xarray as xr
 
-_UNSAID = "unknown"  # units that a user has not said, as results have it
 _SYMBOLS = {"exponents": "λ"}  # of names that are not written as they are
 _LOWER = "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi"
 _UPPER = "Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega"
@@ -53,9 +52,9 @@ def is_symbol(name: str) -> bool:
 
 
 def with_units(label: str, variable: xr.DataArray) -> str:
-    """A label with the units of a variable, where it has any and they are known; a number that counts has none."""
-    units = str(variable.attrs.get("units", ""))
-    said = {"": "", _UNSAID: "", "1": "" if variable.dtype.kind in "iu" else " (dimensionless)"}
+    """A label with the units of a variable, or what it counts, where these are known."""
+    units = str(variable.attrs.get("counted_in") or variable.attrs.get("units", ""))
+    said = {"": "", "1": "" if variable.dtype.kind in "iu" else " (dimensionless)"}
     return label + said.get(units, f" ({units})")
 
 

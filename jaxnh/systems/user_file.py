@@ -58,7 +58,7 @@ _RETURNED = {
     "f": "a number a constraint",
 }
 _AS_IN = {"labels": "displacement", "units": "m"}
-_BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "failure")  # in results, beside the coordinates
+_BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "status")  # in results, beside the coordinates
 
 OF_RESULTS = (
     "lane", "strobe", "time", "start", "exponent", "level", "attractor", "period", "kind", "status", "residual",

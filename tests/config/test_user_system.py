@@ -408,9 +408,9 @@ def test_starts_off_the_constraint_fail_and_no_others(tmp_path):
     start = points(experiment, axes, np.unravel_index(np.arange(4), (2, 2))).start
     off = [False, False, True, True]  # θ = 0.5, where the blade does not point along x
     assert list(np.isnan(start.v[0])) == list(np.isnan(start.q[0])) == off
-    assert [flows.FAULTS[int(reason)] for reason in start.watch[1]] == [
-        "none",
-        "none",
+    assert [flows.STATUS[int(reason)] for reason in start.watch[1]] == [
+        "ok",
+        "ok",
         "off_constraint",
         "off_constraint",
     ]

@@ -114,7 +114,7 @@ def test_analysis_that_needs_others():
     }
     session = session_of(Experiment.from_dict({**CONTENT, "analyses": analyses}))
     found = session.run("verdict")
-    assert list(found.data_vars) == ["kind", "repeats", "unsteadiness"]
+    assert list(found.data_vars) == ["kind", "status", "recurrence_lag", "unsteadiness"]
     identical(found, session.tree()["verdict"].to_dataset())
 
 

@@ -133,8 +133,6 @@ def test_criteria_of_rows():
     assert set(whole.children) == set(CRITERIA)
     assert whole["verdict"]["kind"].dims == ("b", "d")
     assert whole["lyapunov"]["exponents"].dims == ("b", "d", "exponent")
-    counted = sum(whole["verdict"].attrs[kind] for kind in whole["verdict"]["kind"].attrs["flag_meanings"].split())
-    assert counted == 5 * 2
     for place, d in enumerate((0.1, 0.12)):
         alone = tree_of(at(said, "d", d))
         for name, group in whole.children.items():
@@ -156,10 +154,7 @@ def test_lines_along_the_first_axis():
     for place, d in enumerate((0.1, 0.102)):
         alone = tree_of(at(said, "d", d))
         same_rows(whole["diagram"].to_dataset(), alone["diagram"].to_dataset(), "d", place)
-        row = alone["doubling"].to_dataset()
-        same_rows(doubling, row, "d", place)
-        for name in ("delta_limit", "delta_limit_error", "levels_found"):
-            np.testing.assert_array_equal(doubling[name].values[place], row.attrs[name])
+        same_rows(doubling, alone["doubling"].to_dataset(), "d", place)
 
 
 @pytest.mark.parametrize("second", ["omega", pytest.param("damping", marks=pytest.mark.slow)])
