@@ -158,7 +158,9 @@ def whole_on_axes(data: xr.Dataset, axes: Sequence[Axis]) -> xr.Dataset:
     return xr.Dataset(_coordinates(axes, itertools.repeat(slice(None)), content) | content, attrs=data.attrs)
 
 
-def _coordinates(axes: Sequence[Axis], cuts: Iterable[slice], content: Mapping[Any, Entry]) -> dict[Any, Entry]:
+def _coordinates(
+    axes: Sequence[Axis], cuts: Iterable[slice], content: Mapping[Any, tuple[Any, ...]]
+) -> dict[Any, Entry]:
     """The values, each cut, of those axes that some variable is over."""
     return {
         axis.dim: variable(axis.dim, axis.values[cut], _words(axis), axis.units)

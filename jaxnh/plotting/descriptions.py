@@ -11,20 +11,9 @@ from typing import NamedTuple
 
 import xarray as xr
 
-from jaxnh.exceptions import ResultError
 
-
-class Description(NamedTuple):
-    """How a group is drawn.
-
-    Attributes:
-        panel: kind of the panel, a key of `panels.PANELS`.
-        variables: that the panel shows.
-        own: dimensions of these that are no axes of the sweep.
-        label: what is shown in words; "": those of the variable.
-        levels: numbers that it is held against, separated by blanks, or "none".
-        parameters: axes of the sweep that are variables.
-    """
+class _Description(NamedTuple):
+    """Kind of the panel, what it shows, which dimensions of that are no axes, and axes that are variables."""
 
     panel: str
     variables: Iterable[str]
@@ -40,47 +29,34 @@ def described(name: str, data: xr.Dataset, axes: str = "") -> xr.Dataset:
     Args:
         name: of the group; "": the one that has such variables.
         axes: of the sweep, separated by blanks; "": those that the group says, or that its variables are over.
-
-    Raises:
-        ResultError: it may be one of two groups, or lacks what it is known by.
     """
     data = data.assign_attrs({"axes": axes} | data.attrs) if axes else data
-    describe = _GROUPS.get(name or _name_of(data))
+    _, describe = _GROUPS.get(name or _name_of(data), ((), None))
     if describe is None or "panel" in data.attrs:
         return data
-    try:
-        panel, variables, own, label, levels, parameters = describe(data)
-        shown = tuple(variables)
-        over = (*parameters, *(dim for name in shown[:1] for dim in map(str, data[name].dims) if dim not in own))
-    except KeyError as missing:
-        raise ResultError(f"there is no variable {missing.args[0]}") from missing
+    panel, variables, own, label, levels, parameters = describe(data)
+    shown = tuple(variables)
+    dims = map(str, data[shown[0]].dims) if shown and shown[0] in data else ()
+    over = " ".join((*parameters, *(dim for dim in dims if dim not in own)))
     said = {"panel": panel if shown else "", "panel_variables": " ".join(shown), "panel_label": label}
     along = {"along": parameters[0]} if parameters else {}
-    return data.assign_attrs({"axes": " ".join(over), **data.attrs, **said, "panel_levels": levels, **along})
+    return data.assign_attrs({"axes": over, **data.attrs, **said, "panel_levels": levels, **along})
 
 
 def _name_of(data: xr.Dataset) -> str:
-    """The group that has such variables; "" where none has."""
+    """The group that has such variables; "" where none has, or nothing tells it from another."""
     there = {*map(str, data.variables), *map(str, data.dims)}
-    for name, signs in _SIGNS.items():
-        if signs <= there:
-            return name
-    if "strobe" not in data.dims:
-        return ""
-    if "start" in there | data.attrs.keys() or "t" not in data:
-        return "diagram"
-    if data.attrs or data["t"].dims == ("strobe",):
-        return "poincare"
-    raise ResultError(
-        "its strobes may be those of diagram or of poincare, and no attribute says which; "
-        "give it by its name, as xarray.DataTree.from_dict({'poincare': data})"
-    )
+    if "strobe" in there:
+        if "start" in there | data.attrs.keys() or "t" not in data:
+            return "diagram"
+        return "poincare" if data.attrs or data["t"].dims == ("strobe",) else ""
+    return next((name for name, (signs, _) in _GROUPS.items() if there.issuperset(signs)), "")
 
 
 def _over(data: xr.Dataset, *dims: str) -> list[str]:
     """Variables of numbers whose last dimensions are these, but for times."""
     items = ((str(name), item) for name, item in data.data_vars.items() if item.dtype.kind == "f")
-    return [name for name, item in items if name != "t" and tuple(map(str, item.dims))[-len(dims) :] == dims]
+    return [name for name, item in items if name != "t" and item.dims[-len(dims) :] == dims]
 
 
 def _with_errors(data: xr.Dataset, *dims: str) -> tuple[str, ...]:
@@ -88,73 +64,66 @@ def _with_errors(data: xr.Dataset, *dims: str) -> tuple[str, ...]:
     return tuple(name for name in _over(data, *dims) if f"{name}_error" in data and name != "delta")
 
 
-def _plane(data: xr.Dataset, dim: str) -> list[str]:
-    """The first two coordinates, or the only one twice."""
-    return (2 * _over(data, dim)[:1])[:2] if len(_over(data, dim)) < 2 else _over(data, dim)[:2]
+def _plane(data: xr.Dataset, panel: str, dim: str) -> _Description:
+    names = _over(data, dim)
+    return _Description(panel, names[:2] if len(names) > 1 else 2 * names, (dim,))
 
 
-def _diagram(data: xr.Dataset) -> Description:
+def _diagram(data: xr.Dataset) -> _Description:
     if "strobe" in data.dims:
-        return Description("density", _over(data, "strobe")[:1], ("start", "strobe"))
+        return _Description("density", _over(data, "strobe")[:1], ("start", "strobe"))
     first = next((str(name)[:-4] for name in data.data_vars if str(name).endswith("_max")), "")
     names = (name for name in (f"{first}_{kind}" for kind in ("max", "mean", "min")) if name in data)
-    return Description("curves", names, ("start",), f"{first} at the strobes", "none")
+    return _Description("curves", names, ("start",), f"{first} at the strobes", "none")
 
 
-def _lyapunov(data: xr.Dataset) -> Description:
+def _lyapunov(data: xr.Dataset) -> _Description:
     words = "largest Lyapunov exponent" if data.sizes.get("exponent") == 1 else "Lyapunov exponents"
-    return Description("curves", ("exponents",), ("exponent",), words)
+    return _Description("curves", ("exponents",), ("exponent",), words)
 
 
-def _doubling(data: xr.Dataset) -> Description:
+def _doubling(data: xr.Dataset) -> _Description:
     parameters = _with_errors(data, "level")
-    return Description("cascade", (*parameters, "delta"), ("level",), "ratio δ", parameters=parameters)
+    return _Description("cascade", (*parameters, "delta"), ("level",), "ratio δ", parameters=parameters)
 
 
-def _of_orbits(panel: str, parameters: tuple[str, ...], data: xr.Dataset) -> Description:
-    own = ("branch", "point", "bifurcation", "iterate")
+def _of_orbits(data: xr.Dataset, panel: str, parameters: tuple[str, ...], *own: str) -> _Description:
     names = [name for name in _over(data, "iterate") if name.endswith("_points")]
-    return Description(panel, names[:1], own, parameters=parameters)
+    return _Description(panel, names[:1], (*own, "iterate"), parameters=parameters)
 
 
-def _of_curves(panel: str, data: xr.Dataset, *dims: str) -> Description:
-    parameters = _with_errors(data, *dims)
-    return Description(panel, parameters, dims, parameters=parameters)
+def _of_curves(data: xr.Dataset, panel: str, *own: str) -> _Description:
+    parameters = _with_errors(data, *own)
+    return _Description(panel, parameters, own, parameters=parameters)
 
 
-_GROUPS: Mapping[str, Callable[[xr.Dataset], Description]] = {
-    "portrait": lambda data: Description("trajectories", _plane(data, "time"), ("time",)),
-    "poincare": lambda data: Description("points", _plane(data, "strobe"), ("strobe",)),
-    "diagram": _diagram,
-    "period": lambda data: Description("integers", ("period",), label="least period"),
-    "lyapunov": _lyapunov,
-    "chaos01": lambda data: Description("curves", ("k_median",), label="0–1 test, $K$", levels="0 1"),
-    "verdict": lambda data: Description("flags", ("kind",), label="verdict"),
-    "doubling": _doubling,
-    "windows": lambda data: Description(
-        "windows", ("period",), ("window",), parameters=tuple(_over(data, "searched")[:1])
+_GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description] | None]] = {
+    "lyapunov": (("exponents",), _lyapunov),
+    "chaos01": (("k_median",), lambda _: _Description("curves", ("k_median",), (), "0–1 test, $K$", "0 1")),
+    "verdict": (("recurrence_lag",), lambda _: _Description("flags", ("kind",), label="verdict")),
+    "doubling": (("delta", "level"), _doubling),
+    "windows": (
+        ("crisis",),
+        lambda data: _Description("windows", ("period",), ("window",), parameters=tuple(_over(data, "searched")[:1])),
     ),
-    "branches": lambda data: _of_orbits("branches", tuple(_over(data, "branch", "point")[:1]), data),
-    "bifurcations": lambda data: _of_orbits("marks", _with_errors(data, "bifurcation"), data),
-    "curves": lambda data: _of_curves("bifurcation_curves", data, "curve", "point"),
-    "codimension_two": lambda data: _of_curves("special_points", data, "codimension_two"),
-    "basins": lambda data: Description("basins", () if "start" in data.dims else ("attractor",), label="attractor"),
-    "attractors": lambda data: Description("shares", ("fraction",), ("attractor",)),
+    "branches": (
+        ("begins", "stable"),
+        lambda data: _of_orbits(data, "branches", tuple(_over(data, "branch", "point")[:1]), "branch", "point"),
+    ),
+    "bifurcations": (
+        ("criticality",),
+        lambda data: _of_orbits(data, "marks", _with_errors(data, "bifurcation"), "bifurcation"),
+    ),
+    "curves": (("begins", "codimension_two"), lambda data: _of_curves(data, "bifurcation_curves", "curve", "point")),
+    "codimension_two": (("codimension_two",), lambda data: _of_curves(data, "special_points", "codimension_two")),
+    "attractors": (("fraction",), lambda _: _Description("shares", ("fraction",), ("attractor",))),
+    "basins": (
+        ("undecided",),
+        lambda data: _Description("basins", () if "start" in data.dims else ("attractor",), label="attractor"),
+    ),
+    "period": (("period", "residual"), lambda _: _Description("integers", ("period",), label="least period")),
+    "portrait": (("time", "status"), lambda data: _plane(data, "trajectories", "time")),
+    "poincare": (("strobe",), lambda data: _plane(data, "points", "strobe")),
+    "diagram": (("status",), _diagram),
 }
-
-_SIGNS: Mapping[str, set[str]] = {
-    "lyapunov": {"exponents"},
-    "chaos01": {"k_median"},
-    "verdict": {"recurrence_lag"},
-    "doubling": {"delta", "level"},
-    "windows": {"crisis"},
-    "branches": {"begins", "stable"},
-    "bifurcations": {"criticality"},
-    "curves": {"begins", "codimension_two"},
-    "codimension_two": {"codimension_two"},
-    "attractors": {"fraction"},
-    "basins": {"undecided"},
-    "period": {"period", "residual"},
-    "portrait": {"time", "status"},
-}
-"""Variables and dimensions that tell a group from those after it."""
+"""Groups by name, with variables and dimensions that tell one from those after it."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from jaxnh.exceptions import JaxnhError, ResultError
+from jaxnh.exceptions import JaxnhError
 from jaxnh.plotting.descriptions import described
 from jaxnh.plotting.groups import kind_of
 from jaxnh.storage.provenance import steps_in_words
@@ -80,17 +80,9 @@ def html(result: xr.DataTree | xr.Dataset) -> str:
 def _groups(result: xr.DataTree | xr.Dataset) -> dict[str, xr.Dataset]:
     """Datasets by the name of their group; "" where it stands alone."""
     if isinstance(result, xr.Dataset):
-        return {"": _described("", result)}
-    found = {str(name): _described(str(name), node.to_dataset()) for name, node in result.children.items()}
-    return found or {"": _described(result.name or "", result.to_dataset())}
-
-
-def _described(name: str, data: xr.Dataset) -> xr.Dataset:
-    """A group with what its picture is of, where that is known."""
-    try:
-        return described(name, data)
-    except ResultError:
-        return data
+        return {"": described("", result)}
+    found = {str(name): described(str(name), node.to_dataset()) for name, node in result.children.items()}
+    return found or {"": described(result.name or "", result.to_dataset())}
 
 
 def _axes(groups: dict[str, xr.Dataset], names: str) -> dict[str, int]:

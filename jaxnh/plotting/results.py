@@ -199,7 +199,8 @@ def _of_groups(groups: _Groups, choice: Choice, more: Mapping[str, _Groups]) -> 
         if more and found:
             lines.append(f"{name} is of {next(iter(more))} alone")
     if silent := [name for name, data in groups.items() if not kind_of(data)]:
-        lines.append(f"there is no picture of {', '.join(silent)}")
+        hint = "; a group is given by its name, as DataTree.from_dict({'poincare': data})" if len(groups) == 1 else ""
+        lines.append(f"there is no picture of {', '.join(silent)}{hint}")
     return panels, lines
 
 
