@@ -1,8 +1,8 @@
 """What an analysis is: options and a scene (`scene`) in, a dataset out, and what it costs (`price`). No files.
 
-An analysis is one file: its options, what it needs, its numbers, its table for the terminal and its panel of figures;
-`analyses.ANALYSES` lists them. Its dataset has the lanes as dimension `LANE`, which the engine turns into the axes of
-the sweep.
+An analysis is one file: its options, what it needs, its numbers and its table for the terminal; `analyses.ANALYSES`
+lists them, and `plotting.descriptions` says how they are drawn. Its dataset has the lanes as dimension `LANE`, which
+the engine turns into the axes of the sweep.
 """
 
 from __future__ import annotations
@@ -222,8 +222,7 @@ class Analysis:
         options: the model of its options.
         periods: (options, number of lanes) to the lane-periods that a run of it is expected to integrate.
         run: (options, scene, lane runner) to its dataset; with `needs`, also a mapping of the datasets it needs.
-            Attributes of the dataset are those of the group: `panel` and what the panel reads, and `warnings`, lines
-            for the user.
+            Attributes of the dataset are those of the group, `warnings` among them, lines for the user.
         whole: what is made of all lanes in the end; what `run` gives is then kept until it is made, and no longer.
         needs: analyses that have to run before, with their defaults where the config does not ask for them.
         independent: options to whether its lanes know nothing of each other. If not, it is run along the whole first
