@@ -108,7 +108,7 @@ def _rows(group: str, data: xr.Dataset) -> list[str]:
 def _range(variable: xr.DataArray) -> str:
     """The ends of its values; of flags their words."""
     values = np.unique(variable.to_numpy())
-    if "flag_meanings" in variable.attrs:
+    if "flag_meanings" in variable.attrs and "valid_min" not in variable.attrs:
         meanings = str(variable.attrs["flag_meanings"]).split()
         words = dict(zip(np.ravel(variable.attrs["flag_values"]).tolist(), meanings, strict=True))
         return escape(", ".join(words.get(value, str(value)) for value in values[:_MOST_ROWS].tolist()))

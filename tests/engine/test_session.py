@@ -96,7 +96,7 @@ def test_new_axes(session, whole, axes, sizes):
     """Behind those of the experiment: parameters of lanes, shared ones and starts; the old lanes are among the new."""
     found = session.run("poincare", **axes)
     assert dict(found.sizes) == {**sizes, "strobe": 3}
-    assert found.attrs["axes"].split() == list(sizes)
+    assert found.attrs["axes"].split() == ["b", *("start_x1" if name == "x1" else name for name in axes)]
     name = next(iter(axes))
     place = axes[name].index({"d": 0.1, "x1": 0.1, "a": 0.5, "c": 1.0}[name])
     for key in ("x1", "x2", "y1", "y2"):
