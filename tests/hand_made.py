@@ -76,6 +76,7 @@ def doublings(values=(5.52, 5.495, 5.489, np.nan), name="b", words="coupling b a
         },
         panel="cascade",
         panel_variables=f"{name} delta",
+        along=name,
     ).assign_coords(level=level)
 
 
@@ -89,10 +90,10 @@ def periods(b, units="periods of the forcing"):
 def growth_rates(b):
     k = np.linspace(0, 1, len(b))
     variables = {
-        "k": (("b",), k, "growth rate of the walk", "1", {"ancillary_variables": "k_error"}),
-        "k_error": (("b",), 0.2 + 0 * k, "half the distance between the quartiles", "1"),
+        "k_median": (("b",), k, "growth rate of the walk", "1", {"ancillary_variables": "k_median_error"}),
+        "k_median_error": (("b",), 0.2 + 0 * k, "half the distance between the quartiles", "1"),
     }
-    look = {"panel": "curves", "panel_variables": "k", "panel_label": "0–1 test, $K$", "panel_levels": "0 1"}
+    look = {"panel": "curves", "panel_variables": "k_median", "panel_label": "0–1 test, $K$", "panel_levels": "0 1"}
     return dataset({"b": (b, "coupling b")}, variables, **look)
 
 
@@ -172,9 +173,9 @@ def cusp_curves():
         "q": (("curve", "point"), q, "stiffness q", "1"),
         "kind": (("curve",), np.array([0, 1]), "kind of bifurcation", "1", flags),
         "period": (("curve",), np.array([1, 2]), "period", "periods"),
-        "special_p": (("special",), np.zeros(1), "push p", "1"),
-        "special_q": (("special",), np.zeros(1), "stiffness q", "1"),
-        "special_kind": (("special",), np.zeros(1, int), "point of codimension two", "1", special),
+        "codimension_two_p": (("codimension_two",), np.zeros(1), "push p", "1"),
+        "codimension_two_q": (("codimension_two",), np.zeros(1), "stiffness q", "1"),
+        "codimension_two_kind": (("codimension_two",), np.zeros(1, int), "point of codimension two", "1", special),
     }
     return dataset({}, variables, panel="bifurcation_curves", panel_variables="p q", over="p q")
 
@@ -182,7 +183,11 @@ def cusp_curves():
 def cusp_point():
     """The point of codimension two of `cusp_curves`, by itself."""
     curves = cusp_curves()
-    variables = {"p": curves["special_p"], "q": curves["special_q"], "kind": curves["special_kind"]}
+    variables = {
+        "p": curves["codimension_two_p"],
+        "q": curves["codimension_two_q"],
+        "kind": curves["codimension_two_kind"],
+    }
     return xr.Dataset(variables, attrs={**curves.attrs, "panel": "special_points"})
 
 
@@ -203,6 +208,7 @@ def window_rows():
     }
     variables = {name: (("window",), np.array(values), f"{name} of a window", "1") for name, values in numbers.items()}
     variables["period"] = (("window",), np.array(numbers["period"]), "period of the window", "periods")
+    variables["b"] = (("searched",), np.array([2.0, 4.0]), "coupling b", "1")
     variables["begin_kind"] = (("window",), np.array([2, 0, 0]), "kind of the begin", "1", flags)
     variables["end_kind"] = (("window",), np.array([5, 5, 3]), "kind of the end", "1", flags)
-    return dataset({}, variables, panel="windows", panel_variables="period", panel_label="coupling b", along="b")
+    return dataset({}, variables, panel="windows", panel_variables="period", along="b")

@@ -1,8 +1,8 @@
 """What an analysis is: options and a scene (`scene`) in, a dataset out, and what it costs (`price`). No files.
 
-An analysis is one file: its options, what it needs, its numbers, its table for the terminal and its panel of figures;
-`analyses.ANALYSES` lists them. Its dataset has the lanes as dimension `LANE`, which the engine turns into the axes of
-the sweep.
+An analysis is one file: its options, what it needs, its numbers and its table for the terminal; `analyses.ANALYSES`
+lists them, and `plotting.descriptions` says how they are drawn. Its dataset has the lanes as dimension `LANE`, which
+the engine turns into the axes of the sweep.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 from jaxnh.analyses.price import Price
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene
 from jaxnh.exceptions import InputError
-from jaxnh.systems.flow import Flow
+from jaxnh.systems.flow import Flow, Output
 from jaxnh.systems.state import State
 
 LANE = "lane"
@@ -111,9 +111,33 @@ Entry = tuple[tuple[str, ...], np.ndarray, dict[str, Any]]
 
 
 def variable(dims: Sequence[str] | str, data: Any, long_name: str, units: str = "1", **attrs: Any) -> Entry:
-    """A variable of a dataset, with its words and units; "1" where it has none."""
+    """A variable of a dataset, with its words and units: "1" where it has none, `UNSAID` where nobody says which."""
     names = (dims,) if isinstance(dims, str) else tuple(dims)
-    return names, np.asarray(data), {"long_name": long_name, "units": units, **attrs}
+    return names, np.asarray(data), {"long_name": long_name, **({"units": units} if units else {}), **attrs}
+
+
+def flagged(
+    dims: Sequence[str] | str, numbers: Any, long_name: str, meanings: Sequence[str], least: int = 0, **attrs: Any
+) -> Entry:
+    """A variable whose numbers, from `least` on, stand for words."""
+    values = np.arange(least, least + len(meanings), dtype=np.int8)
+    flags = {"flag_values": values, "flag_meanings": " ".join(meanings)}
+    return variable(dims, np.asarray(numbers, np.int8), long_name, **flags, **attrs)
+
+
+def numbered(
+    dims: Sequence[str] | str, numbers: Any, long_name: str, meanings: Sequence[str], least: int = 0, **attrs: Any
+) -> Entry:
+    """A variable of whole numbers, of which the first, from `least` on, stand for words, and the others are numbers."""
+    numbers = np.asarray(numbers)
+    first = least + len(meanings)
+    flags = {"flag_values": np.arange(least, first, dtype=numbers.dtype), "flag_meanings": " ".join(meanings)}
+    return variable(dims, numbers, long_name, **flags, valid_min=numbers.dtype.type(first), **attrs)
+
+
+def named(dims: Sequence[str] | str, output: Output, **attrs: Any) -> Entry:
+    """What a system says of its states or of a trajectory, as a variable."""
+    return variable(dims, output.data, output.long_name, **output.attrs, **attrs)
 
 
 class Table(NamedTuple):
@@ -198,13 +222,11 @@ class Analysis:
         options: the model of its options.
         periods: (options, number of lanes) to the lane-periods that a run of it is expected to integrate.
         run: (options, scene, lane runner) to its dataset; with `needs`, also a mapping of the datasets it needs.
-            Attributes of the dataset are those of the group: `panel` and what the panel reads, and `warnings`, lines
-            for the user.
+            Attributes of the dataset are those of the group, `warnings` among them, lines for the user.
         whole: what is made of all lanes in the end; what `run` gives is then kept until it is made, and no longer.
         needs: analyses that have to run before, with their defaults where the config does not ask for them.
         independent: options to whether its lanes know nothing of each other. If not, it is run along the whole first
-            axis, once for each point of the others (`Scene.along`); variables without dimensions are then attributes
-            of the group, or get the other axes where there are some.
+            axis, once for each point of the others (`Scene.along`); its variables then get the other axes.
         newton: whether it rests on Newton for orbits, for which single precision is too coarse.
         extended: whether it makes use of `accuracy.precision: extended`.
         in_time: whether it looks at a flow without a clock in time, and needs no section of it.
@@ -215,7 +237,7 @@ class Analysis:
             that sample one, the largest count. `run` finds them in `Scene.chosen`.
         starts: options to where its lanes start at random in place of the scene's start states: scene to their states
             and the number of the lane of each; None where they do not.
-        count: dataset to the number of lanes of each kind: attributes of the group, that add up over parts.
+        count: dataset to the number of `trajectories`, and how many have `failed`, that a warning is made of.
         classes: dataset over the axes to whole numbers over them, which differ where the kind of motion does; without
             it all lanes are of one kind.
         smooth: variables that a level of a sweep interpolates where it leaves lanes out; others are a neighbour's.

@@ -16,6 +16,7 @@ from __future__ import annotations
 from functools import reduce
 from operator import add
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -24,11 +25,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.base import LANE, Analysis, Options, named, variable
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.section import reports
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
@@ -61,31 +63,27 @@ def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     cost = options.transient + options.periods
     with lanes.stage(f"chaos01: {scene.count} lanes", scene.count * cost):
         shared = (scene.strobe(), np.int32(options.transient), angles)
-        k = lanes(_growth, shared, scene.lanes, periods=cost, tile=_TILE, static=(options.periods,))
+        k, last = lanes(_growth, shared, scene.lanes, periods=cost, tile=_TILE, static=(options.periods,))
+    ended = reports(scene.flow, jax.tree.map(lambda leaf: leaf[:, None], last))["status"]
+    k[np.asarray(ended.data) > 0] = np.nan
     low, median, high = np.quantile(k, [0.25, 0.5, 0.75], axis=1)
     words = "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"
     error_words = "half the distance between the quartiles of K over the angles"
     variables = {
-        "k": variable(LANE, median, words, ancillary_variables="k_error"),
-        "k_error": variable(LANE, 0.5 * (high - low), error_words),
+        "k_median": variable(LANE, median, words, ancillary_variables="k_median_error"),
+        "k_median_error": variable(LANE, 0.5 * (high - low), error_words),
+        "status": named(LANE, ended),
     }
-    attrs = {
-        "angles": _ANGLES,
-        "transient": options.transient,
-        "panel": "curves",
-        "panel_variables": "k",
-        "panel_label": "0–1 test, $K$",
-        "panel_levels": "0 1",
-    }
-    return xr.Dataset(variables, attrs=attrs)
+    return xr.Dataset(variables, attrs={"angles": _ANGLES, "transient": options.transient})
 
 
 def _growth(
     strobe: ReturnMap, transient: ArrayLike, angles: Float[Array, " angles"], state: State, p: Parameters, count: int
-) -> Float[Array, " angles"]:
-    """K of one lane for every angle."""
-    signals = strobe.chart.observable(record(strobe, iterate(strobe, transient, state, p), p, count)[1])
-    return growth_rates(without_period(signals), angles, mean_square(signals))
+) -> tuple[Float[Array, " angles"], State]:
+    """K of one lane for every angle, and its last state."""
+    last, states = record(strobe, iterate(strobe, transient, state, p), p, count)
+    signals = strobe.chart.observable(states)
+    return growth_rates(without_period(signals), angles, mean_square(signals)), last
 
 
 def mean_square(signals: Signals) -> Array:

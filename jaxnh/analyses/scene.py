@@ -19,7 +19,7 @@ from jaxnh.maps.section import System
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
 from jaxnh.systems.chart import Chart
-from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.flow import UNSAID, Flow, Parameters
 from jaxnh.systems.state import State
 
 
@@ -28,7 +28,7 @@ class Axis:
     """One axis of a sweep.
 
     Attributes:
-        name: of the parameter, or of the coordinate of the start state; the name of the dimension in results.
+        name: of the parameter, or of the coordinate of the start state.
         values: in the order of the config, (n,).
         long_name: what it is, in words, its name included.
         kind: "lane", a parameter that lanes side by side may differ in; "start", a coordinate of the start state;
@@ -41,6 +41,11 @@ class Axis:
     long_name: str
     kind: Literal["lane", "start", "shared"] = "lane"
     units: str = "1"
+
+    @property
+    def dim(self) -> str:
+        """The dimension in results: the name, of a start coordinate with `start_` before it."""
+        return f"start_{self.name}" if self.kind == "start" else self.name
 
 
 @dataclass(frozen=True)
@@ -173,8 +178,14 @@ def spread(start: State, lanes: int) -> State:
     return jax.tree.map(lane, start)
 
 
+def per_time(flow: Flow) -> str:
+    """Units of a rate, for `variable`."""
+    time = flow.labels.units["t"]
+    return time if time in ("1", UNSAID) else f"1/{time}" if time.isalpha() else f"1/({time})"
+
+
 def counted_in(system: System) -> str:
-    """Units of a number of iterates of a system's map: periods, crossings, or without either units of time."""
+    """What a number of iterates of a system's map counts: periods, crossings, or without either units of time."""
     if system.flow is not system:
         return "crossings"
     if not system.flow.autonomous:

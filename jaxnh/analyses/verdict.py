@@ -50,7 +50,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.base import LANE, Analysis, Options, flagged, named, numbered, variable
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
@@ -58,7 +58,7 @@ from jaxnh.analyses.smooth_window import BLOCKS
 from jaxnh.analyses.window_averages import average_window, extents
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.flow import NOT_FINITE, Flow, Parameters, status
 from jaxnh.systems.state import State
 
 KINDS = ("periodic", "quasiperiodic", "chaotic", "undecided", "failed", "equilibrium", "limit_cycle")
@@ -96,7 +96,7 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
     """The verdict of every lane from the datasets `period`, `lyapunov` and `chaos01` of the same lanes."""
     period, lyapunov = done["period"], done["lyapunov"]
     exponents, errors = lyapunov["exponents"].to_numpy(), lyapunov["exponents_error"].to_numpy()
-    span, n, clock = lyapunov["averaged"].to_numpy(), period["period"].to_numpy(), not scene.flow.autonomous
+    span, n, clock = lyapunov["averaging_periods"].to_numpy(), period["period"].to_numpy(), not scene.flow.autonomous
     transient = max(int(done[name].attrs["transient"]) for name in ("period", "chaos01"))
     largest, error = (exponents[:, 0], errors[:, 0]) if clock else across(exponents, errors)
     each = np.full(scene.count, scene.flow.period) if clock else _returns(scene, lanes, n, transient)
@@ -104,10 +104,10 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
     kind = judge(
         n,
         period["multiplier"].to_numpy(),
-        period["failed"].to_numpy().astype(bool),
+        period["status"].to_numpy() > 0,
         largest,
         error,
-        done["chaos01"]["k"].to_numpy(),
+        done["chaos01"]["k_median"].to_numpy(),
         each,
         iterates,
     )
@@ -130,19 +130,19 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
         taken = (span if clock else np.full(scene.count, math.ceil(iterates[chaotic].max())))[chaotic] + transient
         again[chaotic] = _followed(scene.take(chaotic), lanes, options.longer * taken)
         kind[chaotic[again[chaotic] != 0]] = _UNDECIDED
-    flags = {"flag_values": np.arange(len(KINDS), dtype=np.int8), "flag_meanings": " ".join(KINDS)}
-    words = (
-        f"period after which a lane that had looked chaotic repeats itself, 0: none up to {_LONGEST}, "
-        f"-1: not followed, {_LOST}: it did not go on"
-    )
+    codes = np.max([done[name]["status"].to_numpy() for name in ANALYSIS.needs], axis=0)
+    codes = np.where(kind == _FAILED, np.where(codes > 0, codes, NOT_FINITE), 0)
+    words = f"lag, up to {_LONGEST}, after which a lane that had looked chaotic repeats itself"
     steady_words = "third difference of smooth averages, of the motion's size, where it looks quasiperiodic"
     variables = {
-        "kind": variable(LANE, kind, "kind of motion from all criteria together", **flags),
-        "repeats": variable(LANE, again, words, counted_in(scene.system)),
+        "kind": flagged(LANE, kind, "kind of motion from all criteria together", KINDS),
+        "status": named(LANE, status(codes)),
+        "recurrence_lag": numbered(
+            LANE, again, words, ("lost", "not_followed", "none"), _LOST, counted_in=counted_in(scene.system)
+        ),
         "unsteadiness": variable(LANE, unsteady, steady_words),
     }
-    attrs = {"longer": options.longer, "panel": "flags", "panel_variables": "kind", "panel_label": "verdict"}
-    return xr.Dataset(variables, attrs=attrs)
+    return xr.Dataset(variables, attrs={"longer": options.longer})
 
 
 def across(
@@ -198,7 +198,7 @@ def timeless(scene: Scene, lanes: LaneRunner, some: Int[np.ndarray, " some"]) ->
 
 
 def _followed(scene: Scene, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
-    """`repeats` of lanes, each so many periods from its start."""
+    """`recurrence_lag` of lanes, each so many periods from its start."""
     found, strobe = np.zeros(scene.count, int), scene.strobe()
     with lanes.stage(f"verdict: {scene.count} chaotic lanes, longer", float(np.sum(taken + 3 * _LONGEST))):
         for count in np.unique(taken):
@@ -286,11 +286,6 @@ def nearly_zero(
     return (np.abs(largest) <= error) & (error * each <= _SMALL_ERROR)
 
 
-def count(data: xr.Dataset) -> dict[str, int]:
-    """Number of lanes of each kind."""
-    return {name: int(np.sum(data["kind"].to_numpy() == i)) for i, name in enumerate(KINDS)}
-
-
 def judge(
     period: Int[np.ndarray, " lanes"],
     multiplier: Float[np.ndarray, " lanes"],
@@ -332,7 +327,6 @@ ANALYSIS = Analysis(
     periods,
     run,
     needs=("period", "lyapunov", "chaos01"),
-    count=count,
     classes=classes,
     price=price,
 )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TextIO
 
@@ -51,9 +51,9 @@ def show(path: Path, file: h5py.File) -> None:
     for name, group in store.groups(file).items():
         table.add_row(f"[bold]{name}")
         for key, item in store.variables(group).items():
-            if not (item.is_scale and (key in axes or _words(item).startswith("index along"))):
+            if item.ndim and not (item.is_scale and (key in axes or _words(item).startswith("index along"))):
                 found = _range(item)
-                table.add_row(f"  {key}", _sizes(item), str(item.attrs.get("units", "")), found.words, found.note)
+                table.add_row(f"  {key}", _sizes(item), _units(item.attrs), found.words, found.note)
         notes += [f"{name}: {note}" for note in _notes(group, axes)]
     console.print(table)
     for note in notes:
@@ -109,6 +109,10 @@ def _sizes(item: h5py.Dataset) -> str:
     return " × ".join(f"{dim} {size:,}" for dim, size in zip(store.dimensions(item), item.shape, strict=True))
 
 
+def _units(attrs: h5py.AttributeManager) -> str:
+    return str(attrs.get("counted_in") or attrs.get("units", ""))
+
+
 class _Range(NamedTuple):
     """Least and largest number of a variable in words, and what there is to note."""
 
@@ -130,22 +134,23 @@ def _range(item: h5py.Dataset) -> _Range:
             low, high = min(low, block[finite].min()), max(high, block[finite].max())
         for k, flag in enumerate(np.atleast_1d(item.attrs.get("flag_values", []))[: len(meanings)]):
             counts[k] += np.count_nonzero(block == flag)
-    if meanings:
-        return _Range("", ", ".join(f"{n:,} {word}" for n, word in zip(counts, meanings, strict=True) if n))
+    notes = [f"{n:,} {word}" for n, word in zip(counts, meanings, strict=True) if n]
+    if meanings and "valid_min" not in item.attrs:
+        return _Range("", ", ".join(notes))
     words = f"{low:.5g} … {high:.5g}" if low <= high else "–"
-    return _Range(words, f"{lost:,} not finite" if lost else "")
+    return _Range(words, ", ".join(notes + [f"{lost:,} not finite"] * bool(lost)))
 
 
 # ---- notes on a group
 
 
 def _notes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:
-    """Attributes of a group but those that say how it is drawn, lanes that have failed, and warnings."""
-    attrs = store.attributes(group)
-    warnings = str(attrs.pop("warnings", ""))
-    attrs = {key: value for key, value in attrs.items() if not key.startswith("panel")}
-    if attrs:
-        words = {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in attrs.items()}
+    """Attributes and numbers of a group, lanes that have failed, and warnings."""
+    said = store.attributes(group)
+    warnings = str(said.pop("warnings", ""))
+    said |= {key: store.read(item)[()] for key, item in store.variables(group).items() if not item.ndim}
+    if said:
+        words = {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in said.items()}
         yield ", ".join(f"{key} {value}" for key, value in words.items())
     yield from _failed_lanes(group, axes)
     head = f"{str(group.name).strip('/')}: "  # warnings begin with it, as do these lines where they are shown
@@ -159,23 +164,13 @@ def failed_in(path: Path, group: str) -> list[str]:
 
 
 def _failed_lanes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:
-    """Lanes that have failed, and why: by a flag that says so, or by the first variable of lanes that is not finite."""
+    """Lanes that have failed, and why, by their status."""
     items = store.variables(group)
-    of_lanes = {key: item for key, item in items.items() if axes and set(axes) <= set(store.dimensions(item))}
-    reasons: list[tuple[str, np.ndarray]] = []
-    if "failure" in of_lanes:
-        meanings = str(items["failure"].attrs["flag_meanings"]).split()
-        codes = _over_lanes(items["failure"], axes, np.asarray)
-        reasons = [(why, codes == k) for k, why in enumerate(meanings) if k]
-    elif "failed" in of_lanes:
-        reasons = [("non-finite state", _over_lanes(items["failed"], axes, np.asarray) != 0)]
-    else:
-        state = next((key for key, item in of_lanes.items() if item.dtype.kind == "f" and key not in axes), None)
-        if state:
-            lost = _over_lanes(items[state], axes, lambda values: ~np.isfinite(values))
-            reasons = [(f"non-finite state ({state})", lost != 0)]
-    for why, lanes in reasons:
-        if lanes.any():
+    if "status" not in items or not axes or not set(axes) <= set(store.dimensions(items["status"])):
+        return
+    codes = _over_lanes(items["status"], axes)
+    for k, why in enumerate(str(items["status"].attrs["flag_meanings"]).split()):
+        if k and (lanes := codes == k).any():
             places = np.argwhere(lanes)[:_NAMED]
             named = ", ".join(_place([items.get(axis) for axis in axes], place) for place in places)
             more = ", …" if np.count_nonzero(lanes) > _NAMED else ""
@@ -183,7 +178,7 @@ def _failed_lanes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:
             yield f"{np.count_nonzero(lanes):,} of {lanes.size:,} lanes failed: {why}, at {head} = {named}{more}"
 
 
-def _over_lanes(item: h5py.Dataset, axes: Sequence[str], code: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def _over_lanes(item: h5py.Dataset, axes: Sequence[str]) -> np.ndarray:
     """The largest code of each lane, 0 or more, (*axes) in their order; read block by block."""
     dims = store.dimensions(item)
     own = tuple(k for k, dim in enumerate(dims) if dim not in axes)
@@ -191,7 +186,7 @@ def _over_lanes(item: h5py.Dataset, axes: Sequence[str], code: Callable[[np.ndar
     found = np.zeros([item.shape[k] for k in kept], int)
     for where in item.iter_chunks() if item.chunks else [(slice(None),) * len(dims)]:
         place = tuple(where[k] for k in kept)
-        found[place] = np.maximum(found[place], code(store.read(item, where)).astype(int).max(axis=own, initial=0))
+        found[place] = np.maximum(found[place], store.read(item, where).max(axis=own, initial=0))
     return found.transpose([[dims[k] for k in kept].index(axis) for axis in axes])
 
 
@@ -227,7 +222,7 @@ def write_csv(path: Path, group: str, out: TextIO) -> None:
 def _in_full(variable: xr.DataArray) -> xr.DataArray:
     """Numbers of single precision as doubles, which have the digits that a reader of doubles needs; flags as words."""
     words = str(variable.attrs.get("flag_meanings", "")).split()
-    if words:
+    if words and "valid_min" not in variable.attrs:
         return _in_words(variable, dict(zip(np.atleast_1d(variable.attrs["flag_values"]).tolist(), words, strict=True)))
     return variable.astype(np.float64) if variable.dtype == np.float32 else variable
 

@@ -20,9 +20,9 @@ from jaxnh.config.blocks import Block, EvenGrid, Grid, InitialBlock, SectionBloc
 from jaxnh.config.messages import listed, unknown
 from jaxnh.maps.section import Section
 from jaxnh.systems.first_order import FirstOrder
-from jaxnh.systems.flow import FAULTS, Flow, Parameters
+from jaxnh.systems.flow import STATUS, Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian, Motion
-from jaxnh.systems.user_file import DIMENSIONS, UserFile
+from jaxnh.systems.user_file import OF_RESULTS, UserFile
 
 _LARGEST_RESIDUAL = 1e-6  # of f at the start, in units of |A q̇| + 1: what the digits of a config leave
 _MOST_CHECKED = 100_000  # lanes at which f is looked at
@@ -187,8 +187,8 @@ class UserSystem(SystemBlock, UserBlock):
             for block, given in blocks.items():
                 if name in given:
                     raise rule(f"{name} is swept; leave it out of {block}", f"{block}.{name}", f"sweep.{name}")
-            if name in DIMENSIONS:
-                message = f"results have a dimension called {name}; give the parameter another name to sweep it"
+            if name in OF_RESULTS:
+                message = f"results have a variable called {name}; give the parameter another name to sweep it"
                 raise rule(message, f"sweep.{name}")
         if "project" in initial.known:
             raise rule("initial has a key project of its own; give the coordinate another name", "system.file")
@@ -252,7 +252,7 @@ def admitted(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> Moti
     else:
         drift, reason = some[0].watch
         nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), some[0])
-        moved = nowhere._replace(watch=(drift, np.full_like(reason, FAULTS.index("off_constraint"))))
+        moved = nowhere._replace(watch=(drift, np.full_like(reason, STATUS.index("off_constraint"))))
     found = jax.tree.map(np.array, start)
     for leaf, part in zip(jax.tree.leaves(found), jax.tree.leaves(moved), strict=True):
         leaf[off] = part

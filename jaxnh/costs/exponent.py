@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import variable
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.scene import LaneRunner, Scene, counted_in
+from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, per_time
 from jaxnh.costs.stage import StagelessRunner
 
 _SEARCHED = 256  # lanes of the sweep among which the most chaotic is looked for
@@ -83,7 +83,7 @@ def _dataset(
     scene: Scene, value: float, averaged: Int[np.ndarray, " times"], found: list[_Average], reference: float
 ) -> xr.Dataset:
     """Quantiles over the lanes, (averaged, quantile)."""
-    name, unit, spread = scene.line.name, "1/time", ("averaged", "quantile")
+    name, unit, spread = scene.line.name, per_time(scene.flow), ("averaging_periods", "quantile")
     errors = np.abs(np.array([average.exponent for average in found]) - reference)
     errors, bars = (
         np.quantile(values, _QUANTILES, axis=1).T for values in (errors, [average.bar for average in found])
@@ -91,12 +91,14 @@ def _dataset(
     together = f"a value of {name} of {_LANES} together, transient and all"
     seconds, cpu_seconds = ([getattr(average, kind) for average in found] for kind in ("seconds", "cpu_seconds"))
     variables = {
-        "averaged": variable("averaged", averaged, "averaging time", counted_in(scene.in_time().system)),
+        "averaging_periods": variable(
+            "averaging_periods", averaged, "averaging time", counted_in=counted_in(scene.in_time().system)
+        ),
         "quantile": variable("quantile", np.array(_QUANTILES), "part of the lanes below"),
         "error": variable(spread, errors, "distance of the largest exponent from a longer run", unit),
         "error_bar": variable(spread, bars, "error bar that the analysis gives", unit),
-        "seconds": variable("averaged", seconds, f"time {together}", "s"),
-        "cpu_seconds": variable("averaged", cpu_seconds, f"time of all processors {together}", "s"),
+        "seconds": variable("averaging_periods", seconds, f"time {together}", "s"),
+        "cpu_seconds": variable("averaging_periods", cpu_seconds, f"time of all processors {together}", "s"),
     }
     attrs = {
         "along": name,

@@ -73,7 +73,7 @@ def exponent(data: xr.Dataset) -> Table:
             f"{columns['error_bar'][i, 1]:.1e}",
             f"{columns['cpu_seconds'][i]:.4f}",
         )
-        for i, periods in enumerate(columns["averaged"])
+        for i, periods in enumerate(columns["averaging_periods"])
     ]
     return Table(
         f"Price of λ₁ = {data.attrs['reference']:.4f} at {name} = {data.attrs[name]:.6g}",

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.base import LANE, variable
+from jaxnh.analyses.base import LANE, Entry, variable
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.experiment import Experiment
 from jaxnh.maps.family import ParameterFamily
@@ -134,54 +135,49 @@ def _even(sizes: Sequence[int], most: int | None) -> list[int]:
 def on_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool) -> xr.Dataset:
     """A dataset of the lanes of a piece over the axes of the sweep, with their coordinates.
 
-    A variable of the name of an axis that the dataset has is called NAME_state: states keep the names of coordinates,
-    which may be axes as well.
-
     Args:
-        line: whether the analysis has run along the whole first axis: its other variables then get the other axes, and
-            those without dimensions are attributes where there are none.
+        line: whether the analysis has run along the whole first axis: its other variables then get the other axes.
     """
-    names = [axis.name for axis in axes]
-    others = tuple(names[1:]) if line else ()
-    lane_dims, shared = tuple(names), tuple(axis.name for axis in axes if axis.kind == "shared")
-    attrs, content = dict(data.attrs), {}
+    lane_dims = tuple(axis.dim for axis in axes)
+    others, shared = lane_dims[1:] if line else (), tuple(axis.dim for axis in axes if axis.kind == "shared")
+    content = {}
     for name, item in data.variables.items():
         dims, values = tuple(map(str, item.dims)), item.values
         if dims[:1] == (LANE,):
             content[name] = (lane_dims + dims[1:], values.reshape(*piece.shape, *values.shape[1:]), item.attrs)
         elif line and name not in data.coords and others:
             content[name] = (others + dims, values.reshape((1,) * len(others) + values.shape), item.attrs)
-        elif line and not dims and not others:
-            attrs[str(name)] = values.item()
         elif not line and name not in dims and shared:  # as times, which the clock decides
             rows = [size for size, axis in zip(piece.shape, axes, strict=True) if axis.kind == "shared"]
             content[name] = (shared + dims, np.broadcast_to(values, (*rows, *values.shape)), item.attrs)
         else:
             content[name] = (dims, values, item.attrs)
-    met = [axis for axis in axes if any(axis.name in dims for dims, _, _ in content.values())]
-    renamed = {axis.name: f"{axis.name}_state" for axis in met if axis.name in content}
-    coordinates = {axis.name: _coordinate(axis, piece, names.index(axis.name)) for axis in met}
-    found = xr.Dataset(coordinates | {renamed.get(str(name), name): v for name, v in content.items()}, attrs=attrs)
-    for key in ("panel_variables",) if renamed else ():
-        if key in found.attrs:
-            found.attrs[key] = " ".join(renamed.get(word, word) for word in str(found.attrs[key]).split())
-    return found
+    cuts = (slice(begin, end) for begin, end in zip(piece.begin, piece.end, strict=True))
+    return xr.Dataset(_coordinates(axes, cuts, content) | content, attrs=data.attrs)
 
 
 def whole_on_axes(data: xr.Dataset, axes: Sequence[Axis]) -> xr.Dataset:
     """A dataset of all lanes of a sweep over its axes, and of what is there once for some of them."""
-    names, shape = tuple(axis.name for axis in axes), tuple(len(axis.values) for axis in axes)
+    names, shape = tuple(axis.dim for axis in axes), tuple(len(axis.values) for axis in axes)
     content = {
         name: (names + item.dims[1:], item.values.reshape(*shape, *item.shape[1:]), item.attrs)
         if item.dims[:1] == (LANE,)
         else (item.dims, item.values, item.attrs)
         for name, item in data.variables.items()
     }
-    met = [axis for axis in axes if any(axis.name in dims for dims, _, _ in content.values())]
-    return xr.Dataset(
-        {a.name: variable(a.name, a.values, a.long_name, a.units) for a in met} | content, attrs=data.attrs
-    )
+    return xr.Dataset(_coordinates(axes, itertools.repeat(slice(None)), content) | content, attrs=data.attrs)
 
 
-def _coordinate(axis: Axis, piece: Piece, number: int) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
-    return variable(axis.name, axis.values[piece.begin[number] : piece.end[number]], axis.long_name, axis.units)
+def _coordinates(
+    axes: Sequence[Axis], cuts: Iterable[slice], content: Mapping[Any, tuple[Any, ...]]
+) -> dict[Any, Entry]:
+    """The values, each cut, of those axes that some variable is over."""
+    return {
+        axis.dim: variable(axis.dim, axis.values[cut], _words(axis), axis.units)
+        for axis, cut in zip(axes, cuts, strict=False)
+        if any(axis.dim in dims for dims, _, _ in content.values())
+    }
+
+
+def _words(axis: Axis) -> str:
+    return f"start value of {axis.long_name}" if axis.kind == "start" else axis.long_name

@@ -155,7 +155,7 @@ def job_of(
         chosen=chosen,
         order=tuple(analysis.name for analysis, _ in requested),
         independent=tuple(analysis.name for analysis, _ in split),
-        axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in axes),
+        axes=tuple((axis.dim, len(axis.values), axis.kind == "shared") for axis in axes),
         tile=min(tile, -(-count // parts)),
         wholes=tuple((analysis.name, *analysis.whole.brings) for analysis, _ in requested if analysis.whole),
         machine=machine,
@@ -258,9 +258,9 @@ def numbers_of(analyses: Requested) -> int:
 
 def count_warnings(name: str, counts: Mapping[str, int]) -> tuple[str, ...]:
     """What is to be said of the trajectories of an analysis over the whole sweep."""
-    if not counts.get("not_finite"):
+    if not (counts.get("trajectories") and counts["failed"]):
         return ()
-    return (f"{name}: {counts['not_finite']} of {counts['trajectories']} trajectories are not finite at their end",)
+    return (f"{name}: {counts['failed']} of {counts['trajectories']} trajectories are not finite at their end",)
 
 
 class Clock(NamedTuple):

@@ -1,13 +1,13 @@
-"""What a result says besides the numbers of its tiles: root attributes, and what is counted over all lanes."""
+"""What a result says besides the numbers of its tiles: root attributes, and warnings of all lanes together."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping
 
 from jaxnh.config.experiment import Experiment
 from jaxnh.engine.levels.levels import axes_of
 from jaxnh.engine.plan import clock_of, count_warnings
-from jaxnh.storage.merge import Extra
 from jaxnh.storage.pieces import Job
 from jaxnh.storage.provenance import LevelOf, Method, UserFileText, root_attributes
 from jaxnh.storage.tiles import SecondsSpent, TileRecord
@@ -34,17 +34,10 @@ def attributes(experiment: Experiment, job: Job, total: SecondsSpent, command: s
     )
 
 
-def extras_of(job: Job, receipts: Mapping[int, TileRecord]) -> dict[str, Extra]:
-    """What every group of a job has besides its tiles, from the receipts of all pieces by their numbers."""
-    of = {name: [receipts[piece.number] for piece in job.sources(name)] for name in job.groups}
-    counts = {name: _counts(name, some) for name, some in of.items()}
-    return {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
-
-
-def _counts(name: str, receipts: Sequence[TileRecord]) -> dict[str, int]:
-    """What is counted in a group, over all pieces."""
-    found: dict[str, int] = {}
-    for receipt in receipts:
-        for key, value in receipt.counts.get(name, {}).items():
-            found[key] = found.get(key, 0) + value
-    return found
+def warnings_of(job: Job, receipts: Mapping[int, TileRecord]) -> dict[str, tuple[str, ...]]:
+    """What is to be said of every group of a job as a whole, from the receipts of all pieces by their numbers."""
+    counts = {name: Counter[str]() for name in job.groups}
+    for name, found in counts.items():
+        for piece in job.sources(name):
+            found.update(receipts[piece.number].counts.get(name, {}))
+    return {name: count_warnings(name, found) for name, found in counts.items()}

@@ -25,7 +25,7 @@ from jaxnh.engine.levels.levels import Level, axes_of
 from jaxnh.engine.output import other_than
 from jaxnh.engine.plan import decide, work_of_pieces
 from jaxnh.engine.progress import InterruptibleProgress, NullProgress, Progress
-from jaxnh.engine.result_attributes import attributes, extras_of
+from jaxnh.engine.result_attributes import attributes, warnings_of
 from jaxnh.engine.xla_options import configure, differing
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
 from jaxnh.storage import tiles
@@ -399,7 +399,7 @@ class _Run:
     def _merge(self, job: Job, path: Path) -> None:
         self._total = self._spent()
         attrs = attributes(self._experiment, job, self._total, self._how.command)
-        merge(path, attrs, self._folder, job, extras_of(job, self._receipts), self._check)
+        merge(path, attrs, self._folder, job, warnings_of(job, self._receipts), self._check)
 
     def _outcome(self, job: Job, *, whole: bool) -> RunSummary:
         lanes = self._lanes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -33,7 +34,7 @@ from jaxnh.engine.run import RunOptions, run_to_file
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import InputError
 from jaxnh.storage.hdf5 import open_result
-from jaxnh.storage.merge import Extra, assemble
+from jaxnh.storage.merge import assemble
 from jaxnh.storage.pieces import Job
 
 ProgressCallback = Callable[[str, float, float], None]
@@ -211,7 +212,8 @@ class Session:
         if self._base.filler:
             self.experiment = experiment
         _, groups = self._computed(experiment)
-        fixed = [name for name, values in axes.items() if np.ndim(values) == 0] + [experiment.filler]
+        fixed = {name for name, values in axes.items() if np.ndim(values) == 0} | {experiment.filler}
+        fixed = [axis.dim for axis in experiment.axes if axis.name in fixed]
         return {name: data.squeeze([d for d in fixed if d in data.dims]) for name, data in groups.items()}
 
     def of_few(self, tile: int) -> Session:
@@ -288,7 +290,7 @@ class Session:
         lanes, axes = self._lanes, axes_of(experiment.axes, job)
         parts: dict[tuple[str, bool], list[Any]] = {}
         of_lanes: dict[str, xr.Dataset] = {}
-        counts: dict[str, dict[str, int]] = {name: {} for name in job.groups}
+        counts = {name: Counter[str]() for name in job.groups}
 
         def gathered(name: str) -> xr.Dataset:
             of_lanes[name] = assemble(parts.pop((name, False)), job)
@@ -298,10 +300,9 @@ class Session:
             for done in compute(experiment, axes, requested, job, batch, lanes, gathered, level):
                 for name, data in done.groups.items():
                     parts.setdefault((name, job.is_whole(done.piece)), []).append((done.piece, data))
-                    for kind, number in done.counts[name].items():
-                        counts[name][kind] = counts[name].get(kind, 0) + number
-        extras = {name: Extra(found, count_warnings(name, found)) for name, found in counts.items()}
-        whole = {name: assemble(parts[name, job.is_whole(job.sources(name)[0])], job, extras[name]) for name in counts}
+                    counts[name].update(done.counts[name])
+        said = {name: count_warnings(name, found) for name, found in counts.items()}
+        whole = {name: assemble(parts[name, job.is_whole(job.sources(name)[0])], job, said[name]) for name in counts}
         return whole, {**whole, **of_lanes}
 
 

@@ -35,7 +35,7 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
         ConfigError: its config is no longer valid.
     """
     attrs = hdf5.read_attrs(path)
-    if "chosen" not in attrs:
+    if "auto_settings" not in attrs:
         raise ResultError("it does not say all that decided its numbers")
     configure()
     # Of a user's system the text in the result alone, never a file that a config in it may name.
@@ -48,10 +48,10 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
         steps=int(attrs["steps_per_period"]),
         compensated=attrs["summation"] == "compensated",
         error_estimate=float(attrs["error_estimate"]),
-        chosen=json.loads(attrs["chosen"]),
+        chosen=json.loads(attrs["auto_settings"]),
         order=tuple(analysis.name for analysis, _ in requested),
         independent=tuple(analysis.name for analysis, options in requested if analysis.independent(options)),
-        axes=tuple((axis.name, len(axis.values), axis.kind == "shared") for axis in experiment.axes),
+        axes=tuple((axis.dim, len(axis.values), axis.kind == "shared") for axis in experiment.axes),
         tile=_LANES,
         levels=int(attrs.get("levels", 1)),
     )

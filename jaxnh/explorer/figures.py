@@ -20,6 +20,8 @@ from bokeh.plotting import figure
 from jaxnh.explorer.raster import ROWS
 from jaxnh.explorer.source import LaneReport, Picture, measured
 from jaxnh.explorer.view import View
+from jaxnh.plotting.descriptions import described
+from jaxnh.plotting.groups import shown
 from jaxnh.plotting.style import LINE, MARK, POINT
 
 _MOST_POINTS = 1 << 14
@@ -112,10 +114,11 @@ class Portrait:
 
     def show(self, report: LaneReport) -> None:
         """Draw what a report has: points in the plane of the trajectory where there is one, those of a section too."""
-        there = [report.groups[name] for name in ("portrait", "poincare") if name in report.groups]
-        names = _names(there[0]) if there else ()
+        groups = {key: described(key, report.groups[key]) for key in ("portrait", "poincare") if key in report.groups}
+        there = list(groups.values())
+        names = [str(variable.name) for variable in shown(there[0])] if there else ()
         for name, source in (("portrait", self._path), ("poincare", self._points)):
-            data = report.groups.get(name)
+            data = groups.get(name)
             across, up = _values(data, names) if data is not None else (np.zeros(0), np.zeros(0))
             source.data = {"x": across, "y": up}
         if there:
@@ -123,11 +126,6 @@ class Portrait:
                 measured(str(there[0][name].attrs.get("long_name", name)), str(there[0][name].attrs.get("units", "")))
                 for name in names
             )
-
-
-def _names(data: xr.Dataset) -> tuple[str, str]:
-    across, up = str(data.attrs["panel_variables"]).split()
-    return across, up
 
 
 def _values(data: xr.Dataset, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import xarray as xr
@@ -17,9 +17,13 @@ Places = Int[np.ndarray, " places"]
 class Lattice:
     """All lanes of a view of a plane."""
 
-    def __init__(self, view: View) -> None:
-        """Nothing is known yet."""
-        self._grid = view.grid()
+    def __init__(self, view: View, dims: Mapping[str, str]) -> None:
+        """Nothing is known yet.
+
+        Args:
+            dims: of the axes in results, by name.
+        """
+        self._grid = {dims[name]: values for name, values in view.grid().items()}
         self._shape = (view.columns, view.rows)
         self._known: dict[str, np.ndarray] = {}
         self._part = xr.Dataset()

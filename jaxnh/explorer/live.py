@@ -83,13 +83,14 @@ class LiveDiagram:
         """Pictures of a view: a coarse one, then its columns in full, some of them at a time."""
         moved, known = self.sessions.moved(view), self.sessions.of(view)
         values, notes = view.values(), (*self._notes, *self.sessions.notes(view, known))
+        dim = self.sessions.dims[view.axis]
         every = max(1, -(-view.columns // (TILE * known.session.devices)))
         coarse = self._coarse_transient(known.session, view, len(values[::every]))
         strobes = min(_COARSE_STROBES, view.strobes)
         points, failed = np.full((len(values), view.strobes), np.nan), np.zeros(len(values), bool)
         if coarse + strobes < view.transient + view.strobes:
             rough = self._diagram(known.session, view, values[::every], moved, coarse, strobes)
-            _, found = values_of(rough, view.axis, view.variable)
+            _, found = values_of(rough, dim, view.variable)
             points[:, :strobes] = np.repeat(found, every, axis=0)[: len(values)]
             words = f"coarse: {len(found):,} values, {strobes} strobes after {coarse} periods"
             words += _failures(np.any(~np.isfinite(found), axis=1))
@@ -97,9 +98,9 @@ class LiveDiagram:
         parts = []
         for k in range(every):
             parts.append(self._diagram(known.session, view, values[k::every], moved, view.transient, view.strobes))
-            points[k::every] = values_of(parts[-1], view.axis, view.variable)[1]
+            points[k::every] = values_of(parts[-1], dim, view.variable)[1]
             failed[k::every] = np.any(~np.isfinite(points[k::every]), axis=1)
-            whole = xr.concat(parts, view.axis).sortby(view.axis) if k == every - 1 else None
+            whole = xr.concat(parts, dim).sortby(dim) if k == every - 1 else None
             share = f"{view.columns:,} values" if whole is not None else f"{k + 1} of {every} parts refined"
             words = f"{share}, {view.strobes} strobes after {view.transient} periods{_failures(failed)}"
             yield Picture(raster(values, points, view.window), whole, words, notes)

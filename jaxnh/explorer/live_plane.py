@@ -92,7 +92,7 @@ class LivePlane:
     def passes(self, view: View) -> Iterator[Picture]:
         """Pictures of a view: a coarse one, then all of its lanes, some at a time."""
         known, analyses = self.sessions.of(view), analyses_of(view.variable, self.sessions.own)
-        lattice, step = Lattice(view), self._step(view, known)
+        lattice, step = Lattice(view, self.sessions.dims), self._step(view, known)
         if view.variable != BASINS:  # which take as long for a short time
             session = known.few if self._rows else known.session
             [places] = blocks((view.columns, view.rows), step, view.columns * view.rows, first=True)
@@ -117,7 +117,8 @@ class LivePlane:
         """What is computed of a lane, and of basins that are known, the attractor that it leads to."""
         known = dict(self._basins[1]) if self._basins and self._basins[0] == view else {}
         if known:
-            known[BASINS] = known[BASINS].sel(where, method="nearest")
+            at = {self.sessions.dims[name]: value for name, value in where.items()}
+            known[BASINS] = known[BASINS].sel(at, method="nearest")
         for report in self.sessions.lane(view, where):
             yield report._replace(groups={**known, **report.groups})
 

@@ -77,7 +77,6 @@ def _cells(values: Float[np.ndarray, " values"]) -> tuple[tuple[float, float], n
 
 def values_of(data: xr.Dataset, axis: str, variable: str) -> tuple[np.ndarray, np.ndarray]:
     """Values of the axis of a diagram in rising order, and those of a variable over it, (columns, points)."""
-    name = f"{variable}_state" if f"{variable}_state" in data else variable
-    found = data[name].transpose(axis, ...)
+    found = data[variable].transpose(axis, ...)
     place = np.argsort(data[axis].to_numpy(), kind="stable")
     return data[axis].to_numpy()[place], found.to_numpy().reshape(len(place), -1)[place]

@@ -13,6 +13,7 @@ from jaxnh.exceptions import InputError, JaxnhError, ResultError
 from jaxnh.explorer.raster import plane_raster, raster, values_of
 from jaxnh.explorer.source import LaneReport, Parameter, Picture, PictureSource, measured
 from jaxnh.explorer.view import View
+from jaxnh.plotting.descriptions import described
 from jaxnh.plotting.groups import label_of, shown
 from jaxnh.plotting.labels import words_of
 from jaxnh.plotting.panels import has_pixels, pixels_of
@@ -49,7 +50,7 @@ def source_of(tree: xr.DataTree, name: str) -> PictureSource:
     """
     groups = {str(key): node.to_dataset() for key, node in tree.children.items()}
     names = str(tree.attrs.get("axes", "")).split()
-    groups = {key: data.assign_attrs(axes=" ".join(names)) for key, data in groups.items()}
+    groups = {key: described(key, data.assign_attrs(axes=" ".join(names))) for key, data in groups.items()}
     sizes = {str(axis): size for data in groups.values() for axis, size in data.sizes.items()}
     long = [axis for axis in names if sizes.get(axis, 1) > 1]
     attrs = {**tree.attrs, "title": str(tree.attrs.get("title") or name)}
@@ -108,12 +109,11 @@ class RecordedDiagram(_Recording):
         self._data = _at(groups["diagram"], {}, keep=(axis,)).sortby(axis).load()
         values = self._data[axis].to_numpy()
         self.variables = {
-            str(key).removesuffix("_state"): _words(v)
+            str(key): _words(v)
             for key, v in self._data.data_vars.items()
             if v.dims[:1] == (axis,) and len(v.dims) > 1 and v.dtype.kind == "f"
         }
-        named = str(self._data.attrs.get("panel_variables", "")).split()
-        drawn = next((key for key in named if key in self.variables), next(iter(self.variables)))
+        drawn = next(iter(self.variables))
         self.first = View(axis, float(values.min()), float(values.max()), drawn, columns=len(values))
 
     def passes(self, view: View) -> Iterator[Picture]:

@@ -35,7 +35,7 @@ def lines(report: LaneReport) -> Iterator[tuple[str, str]]:
     if "lyapunov" in groups:
         yield from _spectrum(groups["lyapunov"])
     if "chaos01" in groups:
-        yield "0–1 test K", f"{float(groups['chaos01']['k']):.3f}"
+        yield "0–1 test K", f"{float(groups['chaos01']['k_median']):.3f}"
 
 
 def _flag(variable: xr.DataArray) -> str:
@@ -47,15 +47,15 @@ def _basin(data: xr.Dataset, attractors: xr.Dataset | None) -> Iterator[tuple[st
     if number.ndim:
         return  # of random starts
     said = attractor_words(attractors) if attractors is not None and attractors["kind"].ndim == 1 else {}
-    other = {0: "undecided", -1: "failed or escaped"}
+    other = {value: words for value, (words, _) in meanings(number).items()}
     yield "attractor", said.get(int(number)) or other.get(int(number), f"{int(number)}")
     if int(number) > 0:
-        yield "known after", f"{float(data['time']):g} {data['time'].attrs.get('units', '')}"
+        yield "known after", f"{float(data['time']):g} {data['time'].attrs.get('counted_in', '')}"
 
 
 def _period(data: xr.Dataset) -> Iterator[tuple[str, str]]:
-    if int(data["failed"]):
-        yield "least period", "failed: the state is not finite"
+    if int(data["status"]):
+        yield "least period", f"failed: {_flag(data['status'])}"
         return
     n = int(data["period"])
     yield "least period", f"{n}" if n else f"none up to {data.attrs.get('limit', '?')}"

@@ -59,6 +59,7 @@ class Sessions:
     Attributes:
         content: the config, over the axes alone.
         own: analyses of the config, with options.
+        dims: of the axes in results, by name.
         ends: of the axes.
         coordinates: of the start state.
         parameters: those that can be moved.
@@ -76,6 +77,7 @@ class Sessions:
         """
         self._progress, self._user_file, self._analyses = progress, experiment.user_file, analyses
         self.coordinates = experiment.coordinates
+        self.dims = {axis.name: axis.dim for axis in axes}
         self.ends = {axis.name: (float(axis.values.min()), float(axis.values.max())) for axis in axes}
         grids = {name: batch.evenly(*ends, _CALIBRATED) for name, ends in self.ends.items()}
         others = {axis.name: float(axis.values[0]) for axis in experiment.axes if axis.name not in self.ends}

@@ -28,7 +28,7 @@ GROUPS = 32
 """Trees of a stack, whether it needs them or not: all stacks run through one program."""
 
 
-class Family(Generic[Tree]):
+class ParameterFamily(Generic[Tree]):
     """A pytree for every value of some parameters.
 
     Attributes:
@@ -54,13 +54,13 @@ class Family(Generic[Tree]):
         return [tuple(column) for column in values.T.tolist()], group.ravel()
 
     @functools.cached_property
-    def stack(self) -> Stacked:
+    def stack(self) -> TreeStack:
         """The trees at the values of `together`, in their order."""
         return stack([self.at(values) for values in self.together])
 
-    def derive(self, key: Hashable, make: Callable[[Tree], Other]) -> Family[Other]:
+    def derive(self, key: Hashable, make: Callable[[Tree], Other]) -> ParameterFamily[Other]:
         """A family of what is made of each tree; that of a stack is made once under each key."""
-        return self._derive(Family, key, make)
+        return self._derive(ParameterFamily, key, make)
 
     def maps(self, system: System, key: Hashable, make: Callable[[Tree], ReturnMap]) -> MapFamily:
         """Return maps made of each tree, in tables no larger than they need where they are stacked.
@@ -79,7 +79,7 @@ class Family(Generic[Tree]):
         return self._derived[key]
 
 
-class MapFamily(Family[ReturnMap]):
+class MapFamily(ParameterFamily[ReturnMap]):
     """A return map for every value of some parameters.
 
     Attributes:
@@ -111,7 +111,7 @@ def padded_like(maps: Maps, other: Maps) -> Maps:
     return MapFamily(maps.system, maps.names, lambda values: maps.at(values).with_room_of(other.at(values)))
 
 
-class Stacked(eqx.Module):
+class TreeStack(eqx.Module):
     """Pytrees of one structure.
 
     Attributes:
@@ -125,7 +125,7 @@ class Stacked(eqx.Module):
         return jax.tree.map(lambda leaf: leaf[group] if _is_stacked(leaf) else leaf, self.trees)
 
 
-def stack(trees: Sequence[Any]) -> Stacked:
+def stack(trees: Sequence[Any]) -> TreeStack:
     """Stack pytrees of one structure, the last of them repeated in all places that are left.
 
     Raises:
@@ -140,7 +140,7 @@ def stack(trees: Sequence[Any]) -> Stacked:
             raise ValueError("trees of one program differ in a whole number")
         return arrays[0]
 
-    return Stacked(jax.tree.map(one, *trees))
+    return TreeStack(jax.tree.map(one, *trees))
 
 
 def _is_stacked(leaf: Any) -> bool:

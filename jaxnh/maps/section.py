@@ -15,12 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnh.systems.chart import Chart
-from jaxnh.systems.flow import FAULTS, Flow, Output, Parameters
+from jaxnh.systems.flow import NO_RETURN, Flow, Output, Parameters, status
 from jaxnh.systems.state import Number, State, Vector, error_components
-
-NOT_FINITE, NO_RETURN = FAULTS.index("not_finite"), len(FAULTS)
-"""Why a lane has failed here, continuing `flow.FAULTS`."""
-
 
 LONGEST = 200.0
 """Time without a crossing after which a lane has failed, in units of the flow's own, where nothing is said."""
@@ -181,19 +177,13 @@ def outputs(flow: Flow, y: State, t: np.ndarray) -> dict[str, Output]:
 
 
 def reports(flow: Flow, y: State) -> dict[str, Output]:
-    """What there is to report of each trajectory: of crossings the section may be one more reason of its failure."""
+    """What there is to report of each trajectory: of crossings the section may be what it has failed at."""
     if not isinstance(y, Crossing):
         return flow.reports(y)
     of_flow = flow.reports(y.state)
     reason = np.asarray(y.reason)[..., -1].astype(np.int8)
-    if "failure" in of_flow:
-        inner = np.asarray(of_flow["failure"].data)
-        reason = np.where((reason == NO_RETURN) | (inner == 0), reason, inner)
-    flags = {
-        "flag_values": np.arange(NO_RETURN + 1, dtype=np.int8),
-        "flag_meanings": " ".join((*FAULTS, "no_return")),
-    }
-    return {**of_flow, "failure": Output(reason, "why the trajectory has failed", flags)}
+    inner = np.asarray(of_flow["status"].data)
+    return {**of_flow, "status": status(np.where((reason == NO_RETURN) | (inner == 0), reason, inner))}
 
 
 def drawn_plane(system: System) -> tuple[str, str]:

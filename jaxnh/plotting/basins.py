@@ -20,6 +20,7 @@ from jaxnh.exceptions import ResultError
 from jaxnh.plotting.charts import framed, image_of
 from jaxnh.plotting.frame import legend_above, new_axes, over_axis
 from jaxnh.plotting.groups import along, needed
+from jaxnh.plotting.labels import coordinate_of
 from jaxnh.plotting.meanings import FAILED, NONE, meanings
 from jaxnh.plotting.pixels import Entry, Pixels, coloured, plane_of
 from jaxnh.plotting.style import TINTS, Colour, darker
@@ -156,7 +157,7 @@ def attractor_words(group: xr.Dataset) -> dict[int, str]:
 
 def _attractors(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray], named: list[_Attractor], ax: Axes) -> None:
     """Points of attractors in a plane, large where there are few; nothing where a coordinate is not among them."""
-    if any(f"{axis.name}_points" not in group for axis in axes):
+    if any(f"{coordinate_of(str(axis.name))}_points" not in group for axis in axes):
         return
     for one, points in zip(named, _points(group, axes), strict=False):
         few = len(points) <= _FEW
@@ -166,7 +167,7 @@ def _attractors(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray], name
 
 def _points(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray]) -> Iterator[np.ndarray]:
     """Different points of every attractor, each (points, 2); an angle as often as the axis goes around."""
-    of_axes = [group[f"{axis.name}_points"] for axis in axes]
+    of_axes = [group[f"{coordinate_of(str(axis.name))}_points"] for axis in axes]
     for plane in zip(*(one.to_numpy() for one in of_axes), strict=True):
         points = np.column_stack(plane)
         points = points[np.all(np.isfinite(points), axis=1)]

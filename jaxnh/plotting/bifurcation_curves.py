@@ -31,7 +31,7 @@ def bifurcation_curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """Both parameters of all curves: a colour a kind, a dash a period; points of codimension two are dots with names.
 
     Args:
-        data: two parameters (curve, point), `kind` and `period` of each curve, and those of `special` points.
+        data: two parameters (curve, point), `kind` and `period` of each curve, and those of points `codimension_two`.
 
     Raises:
         ResultError: a variable is missing.
@@ -67,7 +67,7 @@ def draw_curves(data: xr.Dataset, ax: Axes, background: bool = False) -> None:
         if background:
             ax.plot(x, y, color="white", linewidth=2.2)
         ax.plot(x, y, color=CURVES[order.index(what) % len(CURVES)], linestyle=dash, linewidth=1.1, label=words)
-    x, y, what = needed(data, f"special_{across.name}", f"special_{up.name}", "special_kind")
+    x, y, what = needed(data, *(f"codimension_two_{name}" for name in (across.name, up.name, "kind")))
     _dots(x, y, what, ax)
     if seen:
         columns = 1 if narrow(ax) else min(3, len(seen))

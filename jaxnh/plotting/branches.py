@@ -9,10 +9,9 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
-from jaxnh.exceptions import ResultError
 from jaxnh.plotting.density import column_shares
 from jaxnh.plotting.frame import narrow, new_axes
-from jaxnh.plotting.groups import along, declared_axes, needed, shown
+from jaxnh.plotting.groups import along, needed, parameter_of, shown
 from jaxnh.plotting.labels import axis_label, is_symbol, symbol_of, words_of
 from jaxnh.plotting.meanings import meanings
 from jaxnh.plotting.style import CURVES
@@ -41,7 +40,7 @@ def branches(
         ResultError: a variable is missing.
     """
     ax = new_axes(ax)
-    parameter, [drawn] = _parameter(data), shown(data)
+    parameter, [drawn] = parameter_of(data), shown(data)
     stable, period = (variable.to_numpy() for variable in needed(data, "stable", "period"))
     edges = [_below(group, str(drawn.name).removesuffix("_points"), parameter, ax) for group in under]
     x, y = data[parameter].to_numpy(), drawn.transpose("branch", "point", "iterate").to_numpy()
@@ -75,7 +74,7 @@ def bifurcations(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ResultError: a variable is missing.
     """
     ax = new_axes(ax)
-    parameter, [drawn] = _parameter(data), shown(data)
+    parameter, [drawn] = parameter_of(data), shown(data)
     kind, criticality = needed(data, "kind", "criticality")
     x, y = data[parameter].to_numpy(), drawn.transpose("bifurcation", "iterate").to_numpy()
     for value, (words, _) in meanings(kind).items():
@@ -99,14 +98,6 @@ def bifurcations(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     if ax.get_legend_handles_labels()[0]:
         ax.legend(fontsize=7, frameon=False)
     return ax
-
-
-def _parameter(data: xr.Dataset) -> str:
-    """The axis that branches are over: the first of the sweep, or what the group says."""
-    name = str(data.attrs.get("along", "")) or next(iter(declared_axes(data)), "")
-    if name not in data:
-        raise ResultError(f"there is no variable {name or 'of a parameter'}")
-    return name
 
 
 def _below(group: xr.Dataset, name: str, parameter: str, ax: Axes) -> np.ndarray:

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import legend_above, narrow, new_axes
-from jaxnh.plotting.groups import declared_axes, fixed_axes, label_of, needed, other_axes, shown
+from jaxnh.plotting.groups import fixed_axes, label_of, needed, other_axes, parameter_of
 from jaxnh.plotting.labels import symbol_of, title_of, with_units
 from jaxnh.plotting.style import MARK, POINT
 
@@ -32,7 +32,7 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax = new_axes(ax)
     needed(data, _PERIOD, _RATIO, _RATIO_ERROR)
     found = _found(data)
-    where = found[parameter(data)]
+    where = found[parameter_of(data)]
     level = np.arange(1, len(where) + 1) if "level" not in found else found["level"].to_numpy()
     delta, error = found[_RATIO].to_numpy(), found[_RATIO_ERROR].to_numpy()
     ax.axhline(FEIGENBAUM, color=MARK, linewidth=0.8, linestyle="--", label=f"δ = {FEIGENBAUM:.6f}… (Feigenbaum)")
@@ -43,7 +43,7 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         if np.isfinite(y):
             ax.annotate(f"{y:.4f}", (x, y), (0, -11), textcoords="offset points", ha="center", fontsize="small")
     doublings = zip(found[_PERIOD].to_numpy(), where.to_numpy(), strict=True)
-    whole = with_units(f"doubling of the period, and its {symbol_of(parameter(data))}", where)
+    whole = with_units(f"doubling of the period, and its {symbol_of(parameter_of(data))}", where)
     if narrow(ax):
         ax.set_xticks(level, [_doubling(n) for n, _ in doublings])
     else:
@@ -53,7 +53,7 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ylabel=with_units(label_of(data) or "ratio δ", found[_RATIO]),
         xlim=(level.min(initial=1) - 0.5, level.max(initial=1) + 0.5),
     )
-    ax.set_title(title_of(data, fixed_axes(data, parameter(data))), loc="left")
+    ax.set_title(title_of(data, fixed_axes(data, parameter_of(data))), loc="left")
     ax.margins(y=0.35)
     legend_above(ax, ax.get_legend_handles_labels()[0], 2)
     return ax
@@ -64,7 +64,7 @@ def mark_doublings(data: xr.Dataset, ax: Axes, axis: str) -> None:
 
     Doublings along another axis are not marked.
     """
-    if parameter(data) != axis:
+    if parameter_of(data) != axis:
         return
     needed(data, _PERIOD)
     found = _found(data)
@@ -94,34 +94,20 @@ def mark_doublings(data: xr.Dataset, ax: Axes, axis: str) -> None:
         ax.legend(handles=[mark], loc="upper right", bbox_to_anchor=(1.0, -0.1))
 
 
-def parameter(data: xr.Dataset) -> str:
-    """The parameter that doublings are found along: the first axis, or else the first variable shown but the ratio.
-
-    Raises:
-        ResultError: there is none.
-    """
-    declared = declared_axes(data)
-    names = declared[:1] or [str(variable.name) for variable in shown(data) if variable.name != _RATIO]
-    if not names or names[0] not in data:
-        raise ResultError("a cascade has no variable for the points of its doublings")
-    return names[0]
-
-
 def _found(data: xr.Dataset) -> xr.Dataset:
     """The doublings that were found, variables (level,)."""
     if other_axes(data):
         raise ResultError(f"a panel is of one cascade, and there is one for every point of {other_axes(data)[0]}")
-    *single, level = data[parameter(data)].dims
+    *single, level = data[parameter_of(data)].dims
     one = data.isel(dict.fromkeys(single, 0))
-    return one.isel({level: np.flatnonzero(np.isfinite(one[parameter(data)].to_numpy()))})
+    return one.isel({level: np.flatnonzero(np.isfinite(one[parameter_of(data)].to_numpy()))})
 
 
 def _limits(found: xr.Dataset) -> str:
-    """The limit of δ, and α, each with its error, of those that there are: attributes of a group, or variables."""
-    numbers = {**found.attrs, **{str(name): found[name] for name in found.data_vars}}
+    """The limit of δ, and α, each with its error, of those that there are."""
     words = []
     for symbol, name in (("limit of δ", "delta_limit"), ("α", "alpha")):
-        value, error = (float(numbers.get(key, np.nan)) for key in (name, f"{name}_error"))
+        value, error = (float(found.get(key, np.nan)) for key in (name, f"{name}_error"))
         if np.isfinite([value, error]).all():
             digits = int(np.clip(np.ceil(-np.log10(error)), 2, 12)) if error > 0.0 else 12
             words.append(f"{symbol} = {value:.{digits}f} ± {error:.1g}")

@@ -114,7 +114,7 @@ def _numbers(variable: xr.DataArray, dims: tuple[str, ...], name: str) -> xr.Dat
 
 def _of(values: xr.DataArray, words: str) -> Colouring:
     """By a variable: flags by their words, few values by a colour each, and others on a scale."""
-    if "flag_meanings" in values.attrs:
+    if "flag_meanings" in values.attrs and "valid_min" not in values.attrs:
         return Colouring(values, words, {value: (colour, said) for value, (said, colour) in meanings(values).items()})
     distinct = np.unique(values.to_numpy()[np.isfinite(values.to_numpy())]).tolist()
     counts = values.dtype.kind != "f"

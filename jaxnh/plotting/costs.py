@@ -100,7 +100,7 @@ def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 def exponent(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """Error of the largest Lyapunov exponent, true and as the analysis has it, against the averaging time."""
     ax = _axes(ax)
-    periods = data["averaged"].to_numpy()
+    periods = data["averaging_periods"].to_numpy()
     longer, lanes = int(data.attrs["reference_periods"]), int(data.attrs["lanes"])
     shown = (
         ("error", VERMILION, "o", f"distance from the mean of {lanes} lanes over {longer:,} periods"),
@@ -121,7 +121,8 @@ def exponent(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     above = ax.secondary_xaxis("top", functions=(lambda n: n * each, lambda t: t / each))
     above.set_xlabel(f"processor time of the average at one {_parameter(data)} (s)")
     ax.set(
-        xlabel=with_units("averaging time $N$", data["averaged"]), ylabel=with_units("error of $λ_1$", data["error"])
+        xlabel=with_units("averaging time $N$", data["averaging_periods"]),
+        ylabel=with_units("error of $λ_1$", data["error"]),
     )
     title = f"{_at(data)}$λ_1$ = {float(data.attrs['reference']):.4f}; median of {lanes} lanes, band: 10–90%"
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), alignment="left", title=title)

@@ -34,7 +34,7 @@ class CurveData(NamedTuple):
 
 
 def curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
-    """Curves over one axis, with a band where the variable has its error as `ancillary_variables`.
+    """Curves over one axis, with a band where the variable NAME has its error as NAME_error.
 
     A line is drawn at each of the group's levels (`groups.levels_of`).
 
@@ -133,8 +133,7 @@ def _only(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
 def curves_of(data: xr.Dataset, variable: xr.DataArray) -> Iterator[CurveData]:
     """Curves of a variable over rising values of the axis."""
     coordinate, values = along(data, variable)
-    ancillary = str(variable.attrs.get("ancillary_variables", "")).split()
-    error = data[ancillary[0]] if ancillary and ancillary[0] in data else None
+    error = data.get(f"{variable.name}_error")
     order = np.argsort(coordinate.to_numpy(), kind="stable")
     columns = values.to_numpy()[order].reshape(len(order), -1)
     errors = None if error is None else along(data, error)[1].to_numpy()[order].reshape(len(order), -1)

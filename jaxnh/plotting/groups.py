@@ -1,4 +1,4 @@
-"""What the attributes of a group say of its drawing: the kind of panel, what it shows, and along which axes."""
+"""How a group is drawn (`descriptions`): the kind of panel, what it shows, and along which axes."""
 
 from __future__ import annotations
 
@@ -29,11 +29,8 @@ def shown(data: xr.Dataset) -> list[xr.DataArray]:
 
 
 def showing(data: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """The group as a panel of other variables of its own; NAME is NAME_state where an axis has that name."""
-    found = [f"{name}_state" if f"{name}_state" in data else name for name in names]
-    shown_so = data.copy()
-    shown_so.attrs = {**data.attrs, "panel_variables": " ".join(found), "panel_label": ""}
-    return shown_so
+    """The group as a panel of other variables of its own."""
+    return data.assign_attrs(panel_variables=" ".join(names), panel_label="")
 
 
 def needed(data: xr.Dataset, *names: str) -> list[xr.DataArray]:
@@ -68,17 +65,27 @@ def declared_axes(data: xr.Dataset) -> tuple[str, ...]:
     return tuple(str(data.attrs.get("axes", "")).split())
 
 
+def parameter_of(data: xr.Dataset) -> str:
+    """The parameter that a group is found along: what it says, or the first axis.
+
+    Raises:
+        ResultError: it is no variable of the group.
+    """
+    name = str(data.attrs.get("along", "")) or next(iter(declared_axes(data)), "")
+    needed(data, name or "of a parameter")
+    return name
+
+
 def axes_of(data: xr.Dataset) -> tuple[str, ...]:
-    """Dimensions that are axes of the sweep; where none are declared, the leading one of what is shown.
+    """Dimensions that are axes of the sweep; where nothing is declared, the leading one of what is shown.
 
     A trajectory, or points, of one lane that has been taken out of a group are over none.
     """
     first = shown(data)[0]
-    declared = declared_axes(data)
-    if not declared:
+    if "axes" not in data.attrs:
         alone = first.ndim == 1 and kind_of(data) in ("trajectories", "points")
         return () if alone else tuple(map(str, first.dims[:1]))
-    return tuple(name for name in declared if name in first.dims)
+    return tuple(name for name in declared_axes(data) if name in first.dims)
 
 
 def long_axes(data: xr.Dataset) -> tuple[str, ...]:

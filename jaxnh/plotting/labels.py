@@ -8,7 +8,6 @@ from collections.abc import Iterable
 import numpy as np
 import xarray as xr
 
-_UNSAID = "unknown"  # units that a user has not said, as results have it
 _SYMBOLS = {"exponents": "λ"}  # of names that are not written as they are
 _LOWER = "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi"
 _UPPER = "Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega"
@@ -16,8 +15,15 @@ _GREEK = frozenset([*_LOWER.split(), "omega", *_UPPER.split()])
 _INDEXED = re.compile(r"([A-Za-z]+?)_?(\d+)")
 
 
+def coordinate_of(axis: str) -> str:
+    """The coordinate whose start values an axis has: "x1" of "start_x1"; of a parameter its name."""
+    return axis.removeprefix("start_")
+
+
 def symbol_of(name: str, index: int | str = "") -> str:
-    """A name as mathematics, with a dot for a rate and with an index: "x1", "theta_dot", "drive"."""
+    """A name as mathematics, with a dot for a rate and with an index: "x1", "theta_dot", "drive", "start_x1"."""
+    if (coordinate := coordinate_of(name)) != name:
+        return f"{symbol_of(coordinate)[:-1]}(0)$"
     base = name.removesuffix("_dot")
     letters, subscript = _letters(base) or (rf"\mathrm{{{base}}}".replace("_", r"\_"), "")
     subscript = ",".join(part for part in (subscript, str(index)) if part)
@@ -32,7 +38,7 @@ def axis_label(variable: xr.DataArray, words: str = "", symbol: str = "") -> str
         words: in place of the variable's own, and of the symbol that its name makes.
         symbol: in place of that symbol; left out where the words have one, between dollars.
     """
-    name = str(variable.name).removesuffix("_state")
+    name = str(variable.name)
     own, named = _words(variable)
     if not words and not symbol and (named or is_symbol(name)):
         symbol = symbol_of(name)
@@ -46,9 +52,9 @@ def is_symbol(name: str) -> bool:
 
 
 def with_units(label: str, variable: xr.DataArray) -> str:
-    """A label with the units of a variable, where it has any and they are known; a number that counts has none."""
-    units = str(variable.attrs.get("units", ""))
-    said = {"": "", _UNSAID: "", "1": "" if variable.dtype.kind in "iu" else " (dimensionless)"}
+    """A label with the units of a variable, or what it counts, where these are known."""
+    units = str(variable.attrs.get("counted_in") or variable.attrs.get("units", ""))
+    said = {"": "", "1": "" if variable.dtype.kind in "iu" else " (dimensionless)"}
     return label + said.get(units, f" ({units})")
 
 
@@ -67,9 +73,9 @@ def words_of(variable: xr.DataArray) -> str:
 
 def _words(variable: xr.DataArray) -> tuple[str, bool]:
     """The long name up to the equation it may end with and without the variable's own name; whether that was there."""
-    name, words = str(variable.name).removesuffix("_state"), str(variable.attrs.get("long_name", "")).split(" = ")[0]
+    words = str(variable.attrs.get("long_name", "")).split(" = ")[0]
     *before, last = words.split(" ")
-    return (" ".join(before), True) if last in (name, "") else (words, False)
+    return (" ".join(before), True) if last in (coordinate_of(str(variable.name)), "") else (words, False)
 
 
 def _letters(name: str) -> tuple[str, str] | None:

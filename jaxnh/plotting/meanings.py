@@ -48,9 +48,14 @@ def meanings(variable: xr.DataArray) -> dict[int, tuple[str, str]]:
     """Words and colour of every flag.
 
     Raises:
-        ResultError: `flag_values` and `flag_meanings` are not equally many.
+        ResultError: there are no `flag_meanings`, or they and `flag_values` are not equally many.
     """
-    words = str(variable.attrs.get("flag_meanings", "")).split()
+    if "flag_meanings" not in variable.attrs:
+        raise ResultError(
+            f"{variable.name} has no flag_meanings, the words of its numbers; xarray keeps attributes where asked: "
+            "xarray.set_options(keep_attrs=True)"
+        )
+    words = str(variable.attrs["flag_meanings"]).split()
     values = np.atleast_1d(variable.attrs.get("flag_values", np.arange(len(words))))
     if len(values) != len(words):
         raise ResultError(f"{variable.name} has {len(values)} flag_values and {len(words)} flag_meanings")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import io
 import sys
+from collections.abc import Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.exceptions import JaxnhError
+from jaxnh.plotting.descriptions import described
+from jaxnh.plotting.groups import kind_of
 from jaxnh.storage.provenance import steps_in_words
 
 if TYPE_CHECKING:
@@ -56,11 +59,11 @@ def html(result: xr.DataTree | xr.Dataset) -> str:
     """A result, a group of one, or a dataset of a session as HTML; any other dataset as xarray shows it."""
     plain = result._repr_html_()
     about = dict(result.root.attrs if isinstance(result, xr.DataTree) else {}) | dict(result.attrs)
-    if not {"jaxnh_version", "panel"} & about.keys():
-        return plain
     groups = _groups(result)
+    if "jaxnh_version" not in about and not any(map(kind_of, groups.values())):
+        return plain
     name = result.name if isinstance(result, xr.DataTree) else None
-    title = str(about.get("title") or about.get("panel_label") or name or "dataset of jaxnh")
+    title = str(about.get("title") or name or "dataset of jaxnh")
     axes = " and ".join(f"{axis} ({size:,})" for axis, size in _axes(groups, str(about.get("axes", ""))).items())
     lines = [f"<b>{escape(title)}</b>{f', over {escape(axes)}' if axes else ''}"]
     if "error_estimate" in about:
@@ -71,15 +74,15 @@ def html(result: xr.DataTree | xr.Dataset) -> str:
     heads = "".join(f"<th {_CELL}>{head}</th>" for head in ("", "values", "largest error", "units"))
     table = f"<table><tr>{heads}</tr>{''.join(rows[:_MOST_ROWS])}</table>{more}" if rows else ""
     words = "<br>".join(lines)
-    return f"<div>{words}{table}{_picture(result)}<details><summary>all of it</summary>{plain}</details></div>"
+    return f"<div>{words}{table}{_picture(result, groups)}<details><summary>all of it</summary>{plain}</details></div>"
 
 
 def _groups(result: xr.DataTree | xr.Dataset) -> dict[str, xr.Dataset]:
     """Datasets by the name of their group; "" where it stands alone."""
     if isinstance(result, xr.Dataset):
-        return {"": result}
-    found = {str(name): node.to_dataset() for name, node in result.children.items()}
-    return found or {"": result.to_dataset()}
+        return {"": described("", result)}
+    found = {str(name): described(str(name), node.to_dataset()) for name, node in result.children.items()}
+    return found or {"": described(result.name or "", result.to_dataset())}
 
 
 def _axes(groups: dict[str, xr.Dataset], names: str) -> dict[str, int]:
@@ -105,7 +108,7 @@ def _rows(group: str, data: xr.Dataset) -> list[str]:
 def _range(variable: xr.DataArray) -> str:
     """The ends of its values; of flags their words."""
     values = np.unique(variable.to_numpy())
-    if "flag_meanings" in variable.attrs:
+    if "flag_meanings" in variable.attrs and "valid_min" not in variable.attrs:
         meanings = str(variable.attrs["flag_meanings"]).split()
         words = dict(zip(np.ravel(variable.attrs["flag_values"]).tolist(), meanings, strict=True))
         return escape(", ".join(words.get(value, str(value)) for value in values[:_MOST_ROWS].tolist()))
@@ -121,7 +124,7 @@ def _largest(error: xr.DataArray) -> str:
     return f"{finite.max():.1g}" if finite.size else "–"
 
 
-def _picture(result: xr.DataTree | xr.Dataset) -> str:
+def _picture(result: xr.DataTree | xr.Dataset, groups: Mapping[str, xr.Dataset]) -> str:
     """A small picture as an element of a page, of the first group alone where all make a tall one; or ""."""
     if result.nbytes > _LARGEST:
         return f"<p>{result.nbytes >> 20} MiB: jaxnh.figure draws it</p>"
@@ -131,7 +134,7 @@ def _picture(result: xr.DataTree | xr.Dataset) -> str:
     try:
         drawing, more = figure(result, size=Size(_WIDTH)), ""
         if drawing.get_figheight() > _TALLEST and isinstance(result, xr.DataTree) and result.children:
-            name, group = next(item for item in result.children.items() if item[1].attrs.get("panel"))
+            name, group = next(item for item in result.children.items() if kind_of(groups[str(item[0])]))
             drawing = figure(group, size=Size(_WIDTH))
             more = f"<br>{escape(name)} alone; jaxnh.figure draws all of it"
         picture = png(drawing)

@@ -1,7 +1,6 @@
-"""A result, in memory or in a file, as one figure: every group as its own attributes say. No solver, no JAX.
+"""A result, in memory or in a file, as one figure: every group as `descriptions` says. No solver, no JAX.
 
-A group says by `panel` what kind of panel it is, by `panel_variables` of what, and by `panel_label` in which words; see
-`jaxnh.plotting.panels`. The axes of the sweep are named by the attribute `axes` of the result.
+The axes of the sweep are named by the attribute `axes` of the result.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from matplotlib.figure import Figure
 
 from jaxnh.exceptions import ArgumentError, InputError, ResultError
 from jaxnh.plotting.colouring import colouring
+from jaxnh.plotting.descriptions import described
 from jaxnh.plotting.groups import (
     at_place,
     axes_of,
@@ -73,7 +73,7 @@ def figure(
     names: Sequence[str] = (),
     ax: Axes | None = None,
 ) -> Figure:
-    """Every group of a result that says how it is drawn, in their order; what is left out is said below.
+    """Every group of a result, in their order; what is left out is said below.
 
     Args:
         results: a result or one group of it, a dataset of one group, or the path of a result file; of several, those
@@ -158,7 +158,7 @@ def _chosen(data: xr.Dataset, choice: Choice) -> xr.Dataset:
     """A group as a panel of the coordinates that were chosen, where it has them."""
     wanted = _COORDINATES.get(kind_of(data), 0)
     for names in choice.coordinates:
-        if len(names) == wanted and all(name in data.data_vars or f"{name}_state" in data for name in names):
+        if len(names) == wanted and set(names) <= set(data.data_vars):
             return showing(data, names)
     return data
 
@@ -169,7 +169,7 @@ def _check_chosen(groups: _Groups, choice: Choice) -> None:
     Raises:
         ArgumentError: no group has such coordinates.
     """
-    drawn = [[str(v.name).removesuffix("_state") for v in shown(data)] for data in groups.values() if kind_of(data)]
+    drawn = [[str(v.name) for v in shown(data)] for data in groups.values() if kind_of(data)]
     for names in choice.coordinates:
         if list(names) not in drawn:
             of_states = [data for data in groups.values() if kind_of(data) in _COORDINATES]
@@ -199,20 +199,20 @@ def _of_groups(groups: _Groups, choice: Choice, more: Mapping[str, _Groups]) -> 
         if more and found:
             lines.append(f"{name} is of {next(iter(more))} alone")
     if silent := [name for name, data in groups.items() if not kind_of(data)]:
-        lines.append(f"not drawn, since no attribute panel says how: {', '.join(silent)}")
+        hint = "; a group is given by its name, as DataTree.from_dict({'poincare': data})" if len(groups) == 1 else ""
+        lines.append(f"there is no picture of {', '.join(silent)}{hint}")
     return panels, lines
 
 
 def _groups(result: xr.DataTree | xr.Dataset) -> _Groups:
-    """Datasets of the groups by name, each with the axes of the sweep among its attributes."""
+    """Datasets of the groups by name, each with attributes that say how it is drawn."""
     if isinstance(result, xr.Dataset):
-        return {"the dataset": result}
-    axes = {"axes": result.root.attrs["axes"]} if "axes" in result.root.attrs else {}
+        return {"the dataset": described("", result)}
+    axes = str(result.root.attrs.get("axes", ""))
     if not result.children:
-        data = result.to_dataset()
-        return {result.name or "the dataset": data.assign_attrs(axes | data.attrs)} if result.has_data else {}
-    groups = {name: node.to_dataset() for name, node in result.children.items()}
-    return {name: data.assign_attrs(axes | data.attrs) for name, data in groups.items()}
+        name = result.name or ""
+        return {name or "the dataset": described(name, result.to_dataset(), axes)} if result.has_data else {}
+    return {name: described(name, node.to_dataset(), axes) for name, node in result.children.items()}
 
 
 def _panels(name: str, data: xr.Dataset, groups: _Groups, choice: Choice) -> tuple[list[Panel], list[str]]:

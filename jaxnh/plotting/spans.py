@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from jaxnh.plotting.groups import needed
+from jaxnh.plotting.groups import needed, parameter_of
 
 PALE = "#b9cfe4"
 """Colour of a window beyond the doubling of its orbits."""
@@ -18,7 +18,7 @@ def shade(data: xr.Dataset, ax: Axes, axis: str) -> None:
     Raises:
         ResultError: a variable is missing.
     """
-    if data.attrs.get("along") == axis:
+    if parameter_of(data) == axis:
         for low, high in reaches(data)[1]:
             ax.axvspan(low, high, color=PALE, alpha=0.5, linewidth=0, zorder=0)
 

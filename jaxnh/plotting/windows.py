@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from jaxnh.plotting.branches import MARKS
 from jaxnh.plotting.frame import legend_above, new_axes
-from jaxnh.plotting.groups import label_of, needed
+from jaxnh.plotting.groups import needed, parameter_of
 from jaxnh.plotting.labels import axis_label, with_units
 from jaxnh.plotting.meanings import meanings
 from jaxnh.plotting.spans import PALE, reaches
@@ -25,7 +25,8 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """A bar a window over the parameter: dark where orbits of its period attract, pale as far as it is known to go.
 
     Args:
-        data: over windows `period`, `begin` and `end` with their kinds, `limit`, `crisis`, the `first` and `last` lane.
+        data: over windows `period`, `begin` and `end` with their kinds, `limit`, `crisis`, the `first` and `last` lane;
+            and the ends of the range of the parameter, under its name.
 
     Raises:
         ResultError: a variable is missing.
@@ -59,9 +60,6 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.set_ylim(ticks[0] * 2.0**-_MARGIN, ticks[-1] * 2.0**_MARGIN)
     once = {str(handle.get_label()): handle for handle in handles}
     legend_above(ax, list(once.values()))
-    low, high = (
-        float(data.attrs.get(name, edge)) for name, edge in zip(("lowest", "highest"), ax.get_xlim(), strict=True)
-    )
-    parameter = begin.rename(str(data.attrs.get("along", "begin"))).assign_attrs(long_name=label_of(data))
-    ax.set(xlabel=axis_label(parameter), ylabel=with_units("period of windows", period), xlim=(low, high))
+    [searched] = needed(data, parameter_of(data))
+    ax.set(xlabel=axis_label(searched), ylabel=with_units("period of windows", period), xlim=searched.to_numpy())
     return ax

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -42,27 +41,19 @@ class DamagedPieceError(DamagedError):
         self.piece, self.why = piece, why
 
 
-@dataclass(frozen=True)
-class Extra:
-    """What a group gets beside what its pieces say: attributes that count lanes of the whole sweep, and warnings."""
-
-    attrs: Mapping[str, Any] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-
-
 def merge(
     path: Path,
     attrs: Mapping[str, Any],
     folder: Path,
     job: Job,
-    extras: Mapping[str, Extra],
+    warnings: Mapping[str, Sequence[str]],
     heed: Callable[[], None] = lambda: None,
 ) -> None:
     """Write the result of a job whose pieces are all there; it is read back before it gets its name.
 
     Args:
         attrs: root attributes.
-        extras: by analysis.
+        warnings: of the whole, by analysis, beside those of its pieces.
         heed: called between pieces; may raise to end it, and then nothing is written.
 
     Raises:
@@ -81,7 +72,7 @@ def merge(
                     merged.add(piece, source)
                 except DamagedError as error:
                     raise DamagedPieceError(piece, str(error)) from None
-            merged.finish(extras.get(name, Extra()))
+            merged.finish(warnings.get(name, ()))
             sink.check()
 
 
@@ -95,12 +86,12 @@ def gathered(folder: Path, job: Job, name: str) -> xr.Dataset:
     return assemble(((piece, store.read_group(piece_path(folder, piece), name)) for piece in tiles), job)
 
 
-def assemble(parts: Iterable[tuple[Piece, xr.Dataset]], job: Job, extra: Extra = Extra()) -> xr.Dataset:
+def assemble(parts: Iterable[tuple[Piece, xr.Dataset]], job: Job, warnings: Sequence[str] = ()) -> xr.Dataset:
     """The dataset of one analysis over the whole sweep, in memory: what `merge` writes and `open_result` reads.
 
     Args:
         parts: all pieces of the analysis with their datasets, as `write_piece` takes them.
-        extra: attributes and warnings of the whole.
+        warnings: of the whole, beside those of its pieces.
 
     Raises:
         RunError: the parts do not fit together, or there are none.
@@ -117,7 +108,7 @@ def assemble(parts: Iterable[tuple[Piece, xr.Dataset]], job: Job, extra: Extra =
         raise RunError(f"results of parts of a sweep do not fit together: {error}") from None
     first = parts[0][1]
     content = {name: (first.variables[name].dims, data, first.variables[name].attrs) for name, data in arrays.items()}
-    whole = xr.Dataset(content, attrs=common.attributes(extra)).set_coords([str(name) for name in first.coords])
+    whole = xr.Dataset(content, attrs=common.attributes(warnings)).set_coords([str(name) for name in first.coords])
     return xr.decode_cf(whole, decode_times=False, mask_and_scale=False)
 
 
@@ -211,10 +202,10 @@ class _Common:
         known = own if self._attrs is None else self._attrs
         self._attrs = {key: value for key, value in known.items() if key in own and _text(own[key]) == _text(value)}
 
-    def attributes(self, extra: Extra) -> store.Attributes:
-        """Those of the whole."""
-        warnings = dict.fromkeys((*self._warnings, *extra.warnings))
-        return {**(self._attrs or {}), **extra.attrs, **({"warnings": "\n".join(warnings)} if warnings else {})}
+    def attributes(self, more: Sequence[str]) -> store.Attributes:
+        """Those of the whole, with more warnings."""
+        warnings = dict.fromkeys((*self._warnings, *more))
+        return {**(self._attrs or {}), **({"warnings": "\n".join(warnings)} if warnings else {})}
 
 
 def _text(value: Any) -> str:
@@ -360,12 +351,12 @@ class _MergedGroup:
         chunks = slab_chunks(item.shape, whole.shape, size, _COLLECTED)
         return _Slabs(store.create(self._group, name, whole.shape, dtype, chunks))
 
-    def finish(self, extra: Extra) -> None:
+    def finish(self, warnings: Sequence[str]) -> None:
         """What is known at the end: collected variables, hashes, scales, and attributes of the whole."""
         for name, target in self._targets.items():
             store.variable(self._group, name).attrs[store.DATA] = target.finish()
         store.attach(self._group, {name: whole.dims for name, whole in self._whole.items()})
-        attrs, first = self._common.attributes(extra), store.attributes(self._group)
+        attrs, first = self._common.attributes(warnings), store.attributes(self._group)
         for key in first.keys() - attrs.keys():
             del self._group.attrs[key]
         changed = {key: value for key, value in attrs.items() if key not in first or _text(value) != _text(first[key])}

@@ -113,7 +113,7 @@ def root_attributes(
     if level:
         attrs |= level._asdict()
     if chosen is not None:
-        attrs["chosen"] = json.dumps(chosen)
+        attrs["auto_settings"] = json.dumps(chosen)
     return attrs
 
 

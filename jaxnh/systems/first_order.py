@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 
 from jaxnh.systems.chart import Chart, general_directions, turned
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
-from jaxnh.systems.flow import FAULTS, Labels, Output, Parameters, pairs
+from jaxnh.systems.flow import Labels, Output, Parameters, pairs
 from jaxnh.systems.state import Number, Vector
 
 
@@ -87,13 +87,6 @@ class FirstOrder(DefinedFlow):
             name: Output(turned(x) if angle else x, words.long_names[name], {"units": words.units[name]})
             for name, x, angle in zip(self.names, y.y, self.angles, strict=True)
         }
-
-    def reports(self, y: Point) -> dict[str, Output]:
-        """Of each trajectory (..., points), by the last of its states, why it has failed."""
-        finite = np.all([np.isfinite(x[..., -1]) for x in y.y], axis=0)
-        flags = {"flag_values": np.arange(len(FAULTS), dtype=np.int8), "flag_meanings": " ".join(FAULTS)}
-        reason = np.where(finite, 0, FAULTS.index("not_finite")).astype(np.int8)
-        return {"failure": Output(reason, "why the trajectory has failed", flags)}
 
 
 def first_order(

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -24,12 +25,14 @@ Parameters = Mapping[str, ArrayLike]
 """Name to value, of the parameters that a lane has of its own; of lanes side by side each (lanes,)."""
 
 
-FAULTS = ("none", "singular", "off_constraint", "not_finite")
-"""Why a lane has failed, by number; 0 where it has not."""
+STATUS = ("ok", "singular", "off_constraint", "not_finite", "no_return", "escaped")
+"""What has become of a lane, by number."""
+
+NOT_FINITE, NO_RETURN = STATUS.index("not_finite"), STATUS.index("no_return")
 
 
-UNSAID = "unknown"
-"""Units of what has units, or none, that the user has not said."""
+UNSAID = ""
+"""Units that the user has not said: results have none then."""
 
 
 class Output(NamedTuple):
@@ -38,6 +41,12 @@ class Output(NamedTuple):
     data: Number
     long_name: str
     attrs: Mapping[str, Any] = {}
+
+
+def status(code: Number) -> Output:
+    """Numbers in `STATUS` as results have them."""
+    flags = {"flag_values": np.arange(len(STATUS), dtype=np.int8), "flag_meanings": " ".join(STATUS)}
+    return Output(np.asarray(code, np.int8), "whether the lane was followed to its end, or why not", flags)
 
 
 class Labels(NamedTuple):
@@ -166,8 +175,9 @@ class Flow(eqx.Module):
         """Coordinates of states by name; times t repeat along their last axis."""
 
     def reports(self, y: State) -> dict[str, Output]:
-        """What there is to report of each trajectory (..., points), such as why it has failed."""
-        return {}
+        """What there is to report of each trajectory, by the last of its states (..., points): its `status`."""
+        finite = np.all([np.isfinite(leaf[..., -1]) for leaf in jax.tree.leaves(y)], axis=0)
+        return {"status": status(np.where(finite, 0, NOT_FINITE))}
 
     def fault_at(self, t: ArrayLike, y: State, p: Parameters) -> str:
         """Why one state has no time derivative, in words; "" where nothing is known of that."""

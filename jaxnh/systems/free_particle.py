@@ -78,8 +78,8 @@ class FreeParticle(Lagrangian):
         }
 
     def reports(self, y: Motion) -> dict[str, Output]:
-        """Why a trajectory has failed; there is no constraint to drift from."""
-        return {"failure": super().reports(y)["failure"]}
+        """The status of a trajectory; there is no constraint to drift from."""
+        return {"status": super().reports(y)["status"]}
 
 
 @functools.cache

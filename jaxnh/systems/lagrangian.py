@@ -21,7 +21,7 @@ from jaxnh.systems.chart import Chart, general_directions, turned
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
 from jaxnh.systems.elimination import definite, eliminate, largest_of
 from jaxnh.systems.explicit import Explicit, all_velocities, explicit_velocities, free_accelerations
-from jaxnh.systems.flow import FAULTS, UNSAID, Labels, Output, Parameters, Reduction
+from jaxnh.systems.flow import UNSAID, Labels, Output, Parameters, Reduction, status
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
     Equations,
@@ -47,7 +47,7 @@ class Motion(NamedTuple):
     Attributes:
         q: k coordinates.
         v: k velocities q̇.
-        watch: largest |f| before a projection so far, and the reason of its failure, a number of `FAULTS`.
+        watch: largest |f| before a projection so far, and the reason of its failure, a number of `STATUS`.
     """
 
     q: Vector
@@ -294,10 +294,9 @@ class Lagrangian(DefinedFlow):
     def reports(self, y: Motion) -> dict[str, Output]:
         """Of each trajectory, by the last of its states (..., points): largest |f| before a projection, and its end."""
         drift, reason = (component[..., -1] for component in y.watch)
-        flags = {"flag_values": np.arange(len(FAULTS), dtype=np.int8), "flag_meanings": " ".join(FAULTS)}
         return {
             "drift": Output(drift, "largest |f| that a step left before its projection", {"units": UNSAID}),
-            "failure": Output(reason.astype(np.int8), "why the trajectory has failed", flags),
+            "status": status(reason),
         }
 
 

@@ -58,10 +58,13 @@ _RETURNED = {
     "f": "a number a constraint",
 }
 _AS_IN = {"labels": "displacement", "units": "m"}
-_BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "failure")  # in results, beside the coordinates
+_BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "status")  # in results, beside the coordinates
 
-DIMENSIONS = ("lane", "strobe", "time", "start", "exponent", "level")
-"""Dimensions of results, which no axis of a sweep can be called."""
+OF_RESULTS = (
+    "lane", "strobe", "time", "start", "exponent", "level", "attractor", "period", "kind", "status", "residual",
+    "multiplier", "transverse", "drift", "computed",
+)  # fmt: skip
+"""Variables and dimensions of results, which no axis of a sweep can be called."""
 
 
 class UserFile:

@@ -242,7 +242,7 @@ def _tables() -> list[Claim]:
         *claims,
         Claim(
             "results/README.md",
-            "All errors of b are below [2e-11].",
+            "All errors of b are below [1e-11].",
             "make table1 table2",
             "results/table1.h5",
             "doubling/b_error, and that of table2.h5",
@@ -250,7 +250,7 @@ def _tables() -> list[Claim]:
         ),
         Claim(
             _ACCURACY,
-            "in all of both tables; all below [2e-11]",
+            "in all of both tables; all below [1e-11]",
             "make table1 table2",
             "results/table1.h5",
             "doubling/b_error, and that of table2.h5",

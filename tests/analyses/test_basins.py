@@ -12,12 +12,13 @@ from scipy.integrate import solve_ivp
 
 import jaxnh
 from jaxnh.analyses.basins.classification import NONE, classify, stays_near
-from jaxnh.analyses.basins.settling import REASONS, SETTLED, settle
+from jaxnh.analyses.basins.settling import SETTLED, settle
 from jaxnh.analyses.basins.tables import wilson
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.solvers import SPLITTINGS
+from jaxnh.systems.flow import STATUS
 from jaxnh.systems.particle import constant_speed
 
 FLOW = """
@@ -105,7 +106,9 @@ def dop853(rhs, starts, times):
 
 
 def grid(tree, *names):
-    return np.stack([a.ravel() for a in np.meshgrid(*(tree["basins"][n].values for n in names), indexing="ij")])
+    return np.stack(
+        [a.ravel() for a in np.meshgrid(*(tree["basins"][f"start_{n}"].values for n in names), indexing="ij")]
+    )
 
 
 @pytest.mark.slow
@@ -269,8 +272,8 @@ def test_escape(tmp_path):
     tree = session_of(experiment(tmp_path, ("x",), "x**3 - x,", sweep, rest=said, **STEPS)).tree()
     assert tree["basins"]["attractor"].values.tolist() == [-1, 1, 1, 1, -1]
     assert [tree["attractors"][name].attrs["units"] for name in ("x", "x_points", "fraction")] == ["m", "m", "1"]
-    reasons = [REASONS[k] for k in tree["basins"]["failure"].values]
-    assert reasons == ["not_finite", "none", "none", "none", "not_finite"]
+    reasons = [STATUS[k] for k in tree["basins"]["status"].values]
+    assert reasons == ["not_finite", "ok", "ok", "ok", "not_finite"]
     assert tree["attractors"]["exponent"].values.tolist() == pytest.approx([-1.0])
     assert tree["attractors"]["fraction"].values.tolist() == [3 / 5]
 
@@ -282,7 +285,7 @@ def test_escape_in_proportion_to_time(tmp_path):
     rates = "-x, 1.0 + 0.0 * y"
     tree = session_of(experiment(tmp_path, ("x", "y"), rates, sweep, {"longest": 512}, **STEPS)).tree()
     assert tree["basins"]["attractor"].values.tolist() == [-1, -1, -1]
-    assert {REASONS[k] for k in tree["basins"]["failure"].values} == {"escaped"}
+    assert {STATUS[k] for k in tree["basins"]["status"].values} == {"escaped"}
 
 
 def test_what_does_not_stay_is_none(lanes):
@@ -332,7 +335,7 @@ def test_planes_of_starts_at_each_value(tmp_path):
     assert whole["attractors"]["fraction"].dims == ("drive", "attractor")
     for place, drive in enumerate(drives):
         alone = session_of(oscillator(tmp_path, {"drive": {"values": [drive]}, **plane}, {})).tree()
-        for name in ("time", "failure"):
+        for name in ("time", "status"):
             assert np.array_equal(whole["basins"][name].values[place], alone["basins"][name].values[0])
         number, by_itself = (tree["basins"]["attractor"].values for tree in (whole, alone))
         ours, theirs = number[place].ravel(), by_itself[0].ravel()

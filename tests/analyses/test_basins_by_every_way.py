@@ -8,9 +8,9 @@ from conftest import lanes_with_kept_programs, run_by_two_workers, run_here, sam
 from test_basins import experiment, line, oscillator
 
 import jaxnh
-from jaxnh.analyses.basins.settling import REASONS
 from jaxnh.config.experiment import Experiment
 from jaxnh.exceptions import ConfigError
+from jaxnh.systems.flow import STATUS
 
 UNCALIBRATED = True
 
@@ -131,8 +131,8 @@ def test_random_starts_off_the_constraint():
     off = np.abs(basins["x2"].values) > 1.0
     assert 0 < off.sum() < 6
     assert np.array_equal(basins["attractor"].values == -1, off)
-    assert {REASONS[k] for k in basins["failure"].values[off]} == {"off_constraint"}
-    assert {REASONS[k] for k in basins["failure"].values[~off]} == {"none"}
+    assert {STATUS[k] for k in basins["status"].values[off]} == {"off_constraint"}
+    assert {STATUS[k] for k in basins["status"].values[~off]} == {"ok"}
 
 
 def test_an_axis_that_the_constraint_decides():

@@ -47,9 +47,9 @@ def test_cusp_over_two_parameters(tmp_path):
     assert np.abs(4 * q**3 - 27 * p**2).max() < 1e-9
     assert q[[0, -1]] == pytest.approx([1.0, 1.0])
     assert p[0] == pytest.approx(-p[-1])
-    assert [POINTS[kind] for kind in data["special_kind"].values] == ["cusp"]
-    assert abs(float(data["special_p"][0])) < 1e-9
-    assert abs(float(data["special_q"][0])) < 1e-9
+    assert [POINTS[kind] for kind in data["codimension_two_kind"].values] == ["cusp"]
+    assert abs(float(data["codimension_two_p"][0])) < 1e-9
+    assert abs(float(data["codimension_two_q"][0])) < 1e-9
     jaxnh.figure(tree)
 
 

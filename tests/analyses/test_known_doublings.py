@@ -85,8 +85,8 @@ def test_limits_of_the_governors_cascade():
     settings = ["analyses={doubling: {levels: 10}}", "sweep.drive.start=0.83"]
     found = session_of(jaxnh.load(ROOT / "configs/governor.yaml", settings)).run("doubling")
     for name, exact, near in (("delta_limit", DELTA, 1e-6), ("alpha", ALPHA, 1e-4)):
-        assert abs(found.attrs[name] - exact) < min(near, found.attrs[f"{name}_error"])
-        assert found.attrs[f"{name}_error"] < 1e-5
+        assert abs(found[name] - exact) < min(near, found[f"{name}_error"])
+        assert found[f"{name}_error"] < 1e-5
 
 
 def duffing(x, v, drive, t):

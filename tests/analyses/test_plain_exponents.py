@@ -32,8 +32,8 @@ def test_a_linear_oscillator_s_exponents_are_minus_half_its_damping():
     options = {"transient": 16, "periods": BLOCKS, "exponents": 1}
     plain, usual = (session.run("lyapunov", {**options, "plain": plain}) for plain in (True, None))
     expected = -0.5 * plain["damping"].to_numpy()
-    assert np.all(plain["exponents_from"] == SOURCES.index("average"))
-    assert np.all(usual["exponents_from"] == SOURCES.index("orbit"))
+    assert np.all(plain["exponents_method"] == SOURCES.index("average"))
+    assert np.all(usual["exponents_method"] == SOURCES.index("orbit"))
     window = BLOCKS * 2 * np.pi
     assert np.all(np.abs(plain["exponents"][:, 0].to_numpy() - expected) <= np.log(2.0) / window)
     assert np.all(np.abs(usual["exponents"][:, 0].to_numpy() - expected) < 1e-6)

@@ -77,9 +77,9 @@ def test_nothing_is_differentiated(monkeypatch):
 
 
 def test_trajectories_that_leave_the_numbers_are_counted():
-    for data, lost in ((np.array([[0.0, 1.0], [0.0, np.nan], [np.inf, np.nan]]), 2), (np.zeros((3, 2)), 0)):
-        found = xr.Dataset(dict.fromkeys(("x1", "x2", "y1", "y2"), ((LANE, "strobe"), data)))
-        assert poincare.count(found) == {"trajectories": 3, "not_finite": lost}
+    for codes, lost in (([0, 3, 1], 2), ([0, 0, 0], 0)):
+        found = xr.Dataset({"status": (LANE, codes)})
+        assert poincare.count(found) == {"trajectories": 3, "failed": lost}
 
 
 def test_expected_work_is_the_work_done():

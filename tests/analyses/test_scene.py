@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 
+import contract
 import numpy as np
 import pytest
 from measure import scene_of
@@ -96,7 +97,7 @@ def test_scene_along_its_first_axis():
 
 @pytest.mark.parametrize("name", ANALYSES)
 def test_a_dataset_says_what_it_is(lanes, name):
-    """Words and units everywhere; a panel of variables that are there; errors that are there."""
+    """Words and units everywhere, errors of what is there, and a status of lanes."""
     scene = dataclasses.replace(scene_of(constant_speed(), START, B[:3], *STEPS), chosen={"lyapunov": {"parts": 4}})
 
     def run(analysis, brief):
@@ -118,24 +119,8 @@ def test_a_dataset_says_what_it_is(lanes, name):
         groups = analysis.whole.run(analysis.options(**analysis.brief), whole, lanes, data)
         assert set(groups) == {name, *analysis.whole.brings}
         data = groups[name]
-    for group, variable in ((one, v) for one in groups.values() for v in one.variables.values()):
-        assert variable.attrs["long_name"]
-        assert variable.attrs["units"]
-        assert set(str(variable.attrs.get("ancillary_variables", "")).split()) <= set(group.variables)
-    assert data.attrs["panel"] in (
-        "trajectories",
-        "points",
-        "density",
-        "cascade",
-        "curves",
-        "integers",
-        "flags",
-        "basins",
-        "branches",
-        "bifurcation_curves",
-        "windows",
-    )
-    assert set(data.attrs["panel_variables"].split()) <= set(data.variables)
+    for key, group in groups.items():
+        contract.check(key, group)
     assert (LANE in left.dims) == analysis.independent(analysis.options())
 
 
@@ -150,7 +135,7 @@ def test_words_without_a_clock(lanes):
     ):
         scene = dataclasses.replace(scene_of(flow, START, [0.5], *STEPS), chosen={"lyapunov": {"parts": 4}})
         data = lyapunov.run(options, scene, lanes)
-        assert data["averaged"].attrs["units"] == unit
+        assert data["averaging_periods"].attrs["counted_in"] == unit
         assert data["kaplan_yorke"].attrs["long_name"] == f"Kaplan–Yorke dimension of the {of}"
 
 

@@ -84,11 +84,11 @@ def test_basins_are_those_of_all_steps(tmp_path, random):
         content |= {"sweep": {"b": {"values": [B]}}, "system": system, "analyses": {"basins": basins}}
         content |= {"initial": {"x1": 0.0, "x2": 0.1, "y1": 0.0}}
     tree = session_of(Experiment.from_dict(content)).tree()
-    chosen, steps = json.loads(tree.attrs["chosen"])["basins"]["steps"], int(tree.attrs["steps_per_period"])
+    chosen, steps = json.loads(tree.attrs["auto_settings"])["basins"]["steps"], int(tree.attrs["steps_per_period"])
     assert chosen < steps / 2
     content["accuracy"] = {"solver": tree.attrs["solver"], "steps": steps}
     plain = session_of(Experiment.from_dict(content)).tree()
-    assert json.loads(plain.attrs["chosen"])["basins"] == {"steps": steps}
+    assert json.loads(plain.attrs["auto_settings"])["basins"] == {"steps": steps}
     one, other = (t["basins"]["attractor"].to_numpy() for t in (tree, plain))
     assert np.mean(one == other) > 0.999
     assert tree["attractors"]["period"].equals(plain["attractors"]["period"])

@@ -16,7 +16,7 @@ def test_lanes_that_have_failed_are_named_with_their_reason(tmp_path, capsys):
     flags = {"flag_values": np.arange(2, dtype=np.int8), "flag_meanings": "none off_constraint"}
     variables = {
         "x": (("mu", "strobe"), x, "coordinate x", "m"),
-        "failure": (("mu",), np.array([0, 1, 0, 1], np.int8), "why the trajectory has failed", "1", flags),
+        "status": (("mu",), np.array([0, 1, 0, 1], np.int8), "why the trajectory has failed", "1", flags),
     }
     warning = "diagram: 2 of 4 trajectories are not finite at their end"
     data = dataset({"mu": (np.array([0.5, 1.0, 1.5, 2.0]), "parameter mu")}, variables, warnings=warning)

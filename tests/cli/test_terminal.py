@@ -22,15 +22,17 @@ PUBLISHED = {"b": np.array([5.2501, 5.1249, 5.0625]), "delta": np.array([np.nan,
 
 
 def dataset(limit=4.6692, error=0.0312):
-    """A cascade as a file of one axis has it: the limit of δ is an attribute."""
+    """A cascade as a file of one axis has it, of which the limit of δ is known."""
     columns = {
         "period": np.array([1, 2, 4]),
         "b": B,
         "b_error": np.array([2.5e-12, 1e-9, np.nan]),
         "delta": np.array([np.nan, 4.66920161, np.nan]),
     }
+    numbers = {"delta_limit": limit, "delta_limit_error": error}
+    numbers |= dict.fromkeys(("alpha", "alpha_error", "limit", "limit_error"), np.nan)
     variables = {name: ("level", column) for name, column in columns.items()}
-    return xr.Dataset(variables, attrs={"along": "b", "delta_limit": limit, "delta_limit_error": error})
+    return xr.Dataset({**variables, **{name: ((), number) for name, number in numbers.items()}}, attrs={"along": "b"})
 
 
 def table(*arguments):

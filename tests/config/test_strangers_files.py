@@ -116,10 +116,10 @@ def test_lanes_that_escape(tmp_path):
     )
     config += "accuracy: {target: 1.0e-9}\nanalyses: {diagram: {transient: 64, strobes: 2}}"
     found = session_of(Experiment.from_text(config)).run("diagram")
-    reasons = found["failure"].attrs["flag_meanings"].split()
-    why = [reasons[k] for k in found["failure"].to_numpy()]
-    assert set(why) == {"none", "not_finite"}
-    assert why[0] == "none"
+    reasons = found["status"].attrs["flag_meanings"].split()
+    why = [reasons[k] for k in found["status"].to_numpy()]
+    assert set(why) == {"ok", "not_finite"}
+    assert why[0] == "ok"
     exact = solve_ivp(
         lambda t, y: [y[1], -y[0] + y[0] ** 2 - 0.1 * y[1] + 0.05 * np.cos(0.85 * t)],
         (0.0, 65 * 2 * np.pi / 0.85), [0.0, 0.0], "DOP853", rtol=1e-12, atol=1e-13,

@@ -408,9 +408,9 @@ def test_starts_off_the_constraint_fail_and_no_others(tmp_path):
     start = points(experiment, axes, np.unravel_index(np.arange(4), (2, 2))).start
     off = [False, False, True, True]  # θ = 0.5, where the blade does not point along x
     assert list(np.isnan(start.v[0])) == list(np.isnan(start.q[0])) == off
-    assert [flows.FAULTS[int(reason)] for reason in start.watch[1]] == [
-        "none",
-        "none",
+    assert [flows.STATUS[int(reason)] for reason in start.watch[1]] == [
+        "ok",
+        "ok",
         "off_constraint",
         "off_constraint",
     ]
@@ -480,7 +480,7 @@ def test_experiment_from_the_texts_alone(tmp_path):
 def test_axis_called_as_a_dimension_of_results(tmp_path):
     (tmp_path / "governor.py").write_text((ROOT / "configs" / "governor.py").read_text())
     config = "system: {file: governor.py}\nsweep: {level: {values: [0.0]}}\nanalyses: {poincare: {}}\n"
-    message = "sweep.level: results have a dimension called level; give the parameter another name to sweep it"
+    message = "sweep.level: results have a variable called level; give the parameter another name to sweep it"
     with pytest.raises(ConfigError, match=message):
         load(write(tmp_path, config=config))
 

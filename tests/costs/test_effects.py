@@ -110,7 +110,7 @@ def test_exponents_pair_about_zero(spectrum):
     """
     scene, group = spectrum
     exponents = group["exponents"].to_numpy()
-    time = group["averaged"].to_numpy() * scene.flow.period
+    time = group["averaging_periods"].to_numpy() * scene.flow.period
     np.testing.assert_array_equal(exponents[:, 1], 0.0)
     np.testing.assert_array_equal(group["exponents_error"].to_numpy()[:, 1], 0.0)
     assert np.all(np.abs(exponents.sum(axis=1)) < 10 / time)
@@ -172,12 +172,12 @@ def test_other_analyses_on_a_section(lanes, spectrum):
     """The 0–1 test parts order from chaos on crossings; nothing is attracting, so that no period is found."""
     scene, group = spectrum
     largest = group["exponents"].to_numpy()[:, 0]
-    k = chaos01.run(chaos01.Chaos01Options(transient=16, periods=600), scene, lanes)["k"].to_numpy()
+    k = chaos01.run(chaos01.Chaos01Options(transient=16, periods=600), scene, lanes)["k_median"].to_numpy()
     assert k[np.argmax(largest)] > 0.8
     assert k[np.argmin(largest)] < 0.2
     found = period.run(period.PeriodOptions(limit=2, transient=16), scene, lanes)
     np.testing.assert_array_equal(found["period"].to_numpy(), 0)
-    assert found["period"].attrs["units"] == "crossings"
+    assert found["period"].attrs["counted_in"] == "crossings"
 
 
 @pytest.mark.slow
@@ -190,7 +190,7 @@ def test_diagram_from_random_starts(lanes, spectrum):
     assert np.all(np.diff(group["t"].to_numpy(), axis=-1) > 0)
     assert np.abs(group["y1"].to_numpy()).max() < 1e-14
     assert group.attrs["section"] == "y1 = 0, up"
-    assert poincare.ANALYSIS.count(group) == {"trajectories": 9, "not_finite": 0}
+    assert poincare.ANALYSIS.count(group) == {"trajectories": 9, "failed": 0}
 
 
 # ---- configs
@@ -210,7 +210,7 @@ def test_run_of_a_scene_without_a_clock(result, config):
     maps = tree["poincare"].to_dataset()
     assert maps["t"].dims == ("b", "strobe")
     assert np.all(np.diff(maps["t"].to_numpy(), axis=1) > 0)
-    assert maps["failure"].to_numpy().tolist() == [0, 0]
+    assert maps["status"].to_numpy().tolist() == [0, 0]
     speed = maps["x2"].to_numpy() ** 2 + maps["y2"].to_numpy() ** 2
     np.testing.assert_allclose(speed, 1.0, atol=1e-14)
     assert np.all(maps["y2"] > 0)

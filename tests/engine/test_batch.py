@@ -459,7 +459,7 @@ def test_damaged_tiles_are_computed_again(job, whole):
         file.attrs["config_sha256"] = "0" * 64
     shutil.copy(tiles[4], tiles[3])
     with h5py.File(tiles[4], "r+") as file:
-        file["chaos01/k"][5] = np.nextafter(file["chaos01/k"][5], 9)
+        file["chaos01/k_median"][5] = np.nextafter(file["chaos01/k_median"][5], 9)
     plan = (job.tiles / "job.json").read_text()
     (job.tiles / "job.json").write_text(plan.replace('"steps": 40', '"steps": 41'))
     _, err = finish(job, whole)

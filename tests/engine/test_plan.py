@@ -76,13 +76,15 @@ def test_pieces_are_rows_of_the_whole(runners, name):
 
 def test_pieces_computed_together_are_those_computed_alone(runners):
     """Neighbouring tiles as one call, cut afterwards; what is counted is counted in each."""
-    experiment, job = decided(f"{HEAD}  verdict: {OPTIONS['verdict']}\n", runners[2], 20)
+    experiment, job = decided(
+        f"{HEAD}  poincare: {{transient: 4, strobes: 2}}\n  verdict: {OPTIONS['verdict']}\n", runners[2], 20
+    )
     neighbours = job.pieces()[1:4]
     together = compute(experiment, job, neighbours, runners[2])
     for piece, one in zip(neighbours, together, strict=True):
         [alone] = compute(experiment, job, [piece], runners[2])
         assert one.counts == alone.counts
-        assert sum(one.counts["verdict"].values()) == 20
+        assert one.counts["poincare"] == {"trajectories": 20, "failed": 0}
         for key, group in alone.groups.items():
             for name, item in group.variables.items():
                 np.testing.assert_array_equal(one.groups[key].variables[name].values, item.values)

@@ -87,7 +87,7 @@ def test_fixed_value_is_no_dimension(session, whole):
     ("axes", "sizes"),
     [
         pytest.param({"d": [0.05, 0.1]}, {"b": 5, "d": 2}, marks=pytest.mark.slow),
-        ({"x1": [0.1, 0.3]}, {"b": 5, "x1": 2}),
+        ({"x1": [0.1, 0.3]}, {"b": 5, "start_x1": 2}),
         pytest.param({"a": [0.5, 0.6]}, {"b": 5, "a": 2}, marks=pytest.mark.slow),
         pytest.param({"c": [0.9, 1.0], "x1": 0.1}, {"b": 5, "c": 2}, marks=pytest.mark.slow),
     ],
@@ -96,12 +96,12 @@ def test_new_axes(session, whole, axes, sizes):
     """Behind those of the experiment: parameters of lanes, shared ones and starts; the old lanes are among the new."""
     found = session.run("poincare", **axes)
     assert dict(found.sizes) == {**sizes, "strobe": 3}
-    assert found.attrs["axes"].split() == ["b", *axes]
+    assert found.attrs["axes"].split() == ["b", *("start_x1" if name == "x1" else name for name in axes)]
     name = next(iter(axes))
     place = axes[name].index({"d": 0.1, "x1": 0.1, "a": 0.5, "c": 1.0}[name])
     for key in ("x1", "x2", "y1", "y2"):
-        ours = found[f"{key}_state" if key in axes else key]
-        np.testing.assert_array_equal(ours.isel({name: place}).values, whole[key].values)
+        ours = found[key].isel({[*sizes][1]: place})
+        np.testing.assert_array_equal(ours.values, whole[key].values)
 
 
 def test_analysis_that_needs_others():
@@ -114,7 +114,7 @@ def test_analysis_that_needs_others():
     }
     session = session_of(Experiment.from_dict({**CONTENT, "analyses": analyses}))
     found = session.run("verdict")
-    assert list(found.data_vars) == ["kind", "repeats", "unsteadiness"]
+    assert list(found.data_vars) == ["kind", "status", "recurrence_lag", "unsteadiness"]
     identical(found, session.tree()["verdict"].to_dataset())
 
 
@@ -172,9 +172,9 @@ def test_sections():
     session = session_of(Experiment.from_dict(UNFORCED))
     alone = session.run("diagram")
     found = session.run("diagram", x2=[0.1, 0.3])
-    assert dict(found.sizes) == {"b": 3, "x2": 2, "strobe": 2}
+    assert dict(found.sizes) == {"b": 3, "start_x2": 2, "strobe": 2}
     assert found.attrs["section"] == alone.attrs["section"]
-    np.testing.assert_array_equal(found["x1"].isel(x2=0), alone["x1"])
+    np.testing.assert_array_equal(found["x1"].isel(start_x2=0), alone["x1"])
 
 
 @pytest.mark.slow
@@ -187,8 +187,8 @@ def test_own_systems(tmp_path):
     session = session_of(Experiment.from_dict(own))
     alone = session.run("poincare", {"transient": 4, "strobes": 2})
     found = session.run("poincare", {"transient": 4, "strobes": 2}, damping=[0.2, 0.3], x=[0.5])
-    assert found["x_state"].dims == ("drive", "damping", "x", "strobe")
-    np.testing.assert_array_equal(found["x_state"].isel(damping=0, x=0), alone["x"])
+    assert found["x"].dims == ("drive", "damping", "start_x", "strobe")
+    np.testing.assert_array_equal(found["x"].isel(damping=0, start_x=0), alone["x"])
 
 
 REFUSED = {

@@ -14,13 +14,16 @@ from jaxnh.explorer.figures import Portrait
 
 
 def group(dim, numbers, plane):
-    data = {name: (dim, numbers + k, {"long_name": f"coordinate {name}", "units": "m"}) for k, name in enumerate("xyz")}
-    return xr.Dataset(data, attrs={"panel_variables": plane})
+    places = {name: "xyz".index(name) for name in dict.fromkeys((*plane, *"xyz"))}
+    words = {"long_name": "coordinate", "units": "m"}
+    return xr.Dataset(
+        {name: (dim, numbers + k, {**words, "long_name": f"coordinate {name}"}) for name, k in places.items()}
+    )
 
 
 def test_points_of_a_section_are_in_the_plane_of_the_trajectory():
     """A section y = 0 has its own plane, x and z, which is drawn where there is no trajectory yet."""
-    points, path = group("strobe", np.arange(3.0), "x z"), group("time", np.arange(9.0), "x y")
+    points, path = group("strobe", np.arange(3.0), "xz"), group("time", np.arange(9.0), "xy")
     portrait = Portrait()
     line, dots = (glyph.data_source for glyph in portrait.figure.renderers)
     portrait.show(LaneReport({"c": 5.7}, {"poincare": points}, whole=False))

@@ -108,7 +108,7 @@ def test_every_lane_is_wanted_once():
 
 def test_a_lane_stands_for_its_neighbours_until_these_are_known():
     view = View("b", 0.0, 7.0, "period", (0.0, 5.0), "a", columns=8, rows=6)
-    lattice, number = Lattice(view), lambda b, a: 10 * b + a
+    lattice, number = Lattice(view, {"b": "b", "a": "a"}), lambda b, a: 10 * b + a
     for step in (4, 1):
         for places in blocks((8, 6), step, 1000, first=True):
             at = {name: values[place] for (name, values), place in zip(view.grid().items(), places, strict=True)}

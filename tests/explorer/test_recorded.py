@@ -42,9 +42,9 @@ def file(tmp_path):
     exponents = number(B[:, None], D[None, :])[..., None] + np.array([0.0, -100.0])
     period = np.where(D[None, :] == 2.0, 0, np.arange(6)[:, None] + 1)
     lyapunov = group("exponents", exponents, "curves").assign(exponents_error=(("b", "d", "exponent"), exponents * 0.0))
-    failed = group("failed", period * 0, "")["failed"]
+    status = group("status", period * 0, "")["status"]
     multiplier = group("multiplier", period * 0.1, "")["multiplier"]
-    periods = group("period", period, "integers").assign(failed=failed, multiplier=multiplier)
+    periods = group("period", period, "integers").assign(status=status, multiplier=multiplier)
     doubling = xr.Dataset({"b": (("d", "level"), np.ones((3, 2)))}, attrs={"panel": "cascade", "panel_variables": "b"})
     path = tmp_path / "plane.h5"
     attrs = {"jaxnh_version": "0", "solver": "s", "steps_per_period": 1, "error_estimate": 1e-6, "title": "A plane"}

@@ -326,8 +326,8 @@ def test_poisoned_lane(battery, lanes, tmp_path):
             0,
             "numbers that differ:",
         )
-        assert groups["period"]["failed"].to_numpy()[place] == 1
-        assert np.sum(groups["period"]["failed"].to_numpy()) == 1
+        assert groups["period"]["status"].to_numpy()[place] == 3
+        assert np.count_nonzero(groups["period"]["status"]) == 1
         assert verdict.KINDS[groups["verdict"]["kind"].to_numpy()[place]] == "failed"
         assert math.isnan(groups["diagram"]["x1"].to_numpy()[place, -1])
     # A finite b that no steps can follow is no poison: it is refused by its value before anything runs.

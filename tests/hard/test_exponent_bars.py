@@ -59,7 +59,7 @@ def exponents(scene, lanes, periods, k, transient=256):
     """Exponents, their errors and where they come from."""
     options = lyapunov.LyapunovOptions(transient=transient, periods=periods, exponents=k)
     group = lyapunov.run(options, scene, lanes)
-    return tuple(group[name].to_numpy() for name in ("exponents", "exponents_error", "exponents_from"))
+    return tuple(group[name].to_numpy() for name in ("exponents", "exponents_error", "exponents_method"))
 
 
 def references(scene, lanes, periods, k):

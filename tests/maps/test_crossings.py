@@ -180,7 +180,7 @@ def test_lanes_that_do_not_return(lanes):
     start = Crossing(state, np.zeros(3), np.zeros(3))
     found = lanes(iterate, (strobe, np.int32(1)), (start, {"b": np.zeros(3)}))
     reported = reports(flow, jax.tree.map(lambda leaf: leaf[:, None], found))
-    reasons, _, flags = reported["failure"]
+    reasons, _, flags = reported["status"]
     words = str(flags["flag_meanings"]).split()
-    assert [words[i] for i in reasons] == ["none", "no_return", "not_finite"]
+    assert [words[i] for i in reasons] == ["ok", "no_return", "not_finite"]
     assert np.isfinite(found.t).tolist() == [True, False, False]

@@ -59,7 +59,7 @@ def test_other_coordinates():
     assert np.array_equal(points.get_ydata(), made["poincare"]["y1"][0])
     assert drawing.axes[2].get_ylabel() == "velocity $y_2$ (dimensionless)"
     assert np.array_equal(np.unique(drawing.axes[2].lines[0].get_ydata()), np.unique(made["diagram"]["y2"]))
-    made["diagram"]["failure"] = ("b", np.zeros(len(made["diagram"]["b"]), np.int8))
+    made["diagram"]["status"] = ("b", np.zeros(len(made["diagram"]["b"]), np.int8))
     with pytest.raises(ArgumentError, match=r"no diagram of z can be drawn; there are x1, x2, y1, y2$"):
         figure(made, coordinates=[("z",)])
     with pytest.raises(ArgumentError, match=r"no portrait or map of x1, x2 can be drawn; there is none in period$"):
@@ -110,7 +110,8 @@ def test_diagrams_by_their_starts_and_by_their_kind():
 
 def test_units_that_nobody_has_said_are_not_shown():
     data = states(UP, 8)
-    data["x1"].attrs["units"], data["b"].attrs["units"] = "m", "unknown"
+    data["x1"].attrs["units"] = "m"
+    del data["b"].attrs["units"]
     ax = figure(tree({"diagram": data})).axes[0]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("coupling $b$", "position $x_1$ (m)")
 

@@ -26,10 +26,10 @@ def price_of_a_doubling():
 def price_of_an_exponent():
     quantiles = np.array([[1, 2, 3], [0.4, 0.5, 0.6]]) * 1e-2
     variables = {
-        "averaged": (("averaged",), np.array([16, 256]), "averaging time", "crossings"),
-        "error": (("averaged", "quantile"), quantiles, "error", "1/s"),
-        "error_bar": (("averaged", "quantile"), 2 * quantiles, "error bar", "1/s"),
-        "cpu_seconds": (("averaged",), np.array([0.1, 1.2]), "time", "s"),
+        "averaging_periods": (("averaging_periods",), np.array([16, 256]), "averaging time", "crossings"),
+        "error": (("averaging_periods", "quantile"), quantiles, "error", "1/s"),
+        "error_bar": (("averaging_periods", "quantile"), 2 * quantiles, "error bar", "1/s"),
+        "cpu_seconds": (("averaging_periods",), np.array([0.1, 1.2]), "time", "s"),
     }
     return dataset({}, variables, reference=0.1, reference_periods=2560, lanes=64, gain=5.3)
 

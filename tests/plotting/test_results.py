@@ -228,17 +228,14 @@ def test_a_second_axis_of_one_point():
 
 def test_groups_that_do_not_say_how_are_named():
     plain = states(FEW, 5)
-    old, later = plain.copy(), plain.assign_attrs(panel="hologram")
-    del old.attrs["panel"]
+    old, later = plain.rename(strobe="sample").drop_attrs(deep=False), plain.assign_attrs(panel="hologram")
     drawing = figure(tree({"old": old, "older": old, "later": later, "values": plain}))
     assert len(drawing.axes) == 1
     assert below(drawing)[1:] == [
         "later is not drawn: its panel, hologram, is of no kind known here",
-        "not drawn, since no attribute panel says how: old, older",
+        "there is no picture of old, older",
     ]
-    with pytest.raises(
-        ResultError, match=r"^the result has nothing that can be drawn; not drawn, since no attribute panel"
-    ):
+    with pytest.raises(ResultError, match=r"^the result has nothing that can be drawn; there is no picture of old"):
         figure(tree({"old": old}))
     with pytest.raises(ResultError, match="nothing that can be drawn"):
         figure(old)

@@ -18,7 +18,7 @@ from test_tiles import SPENT
 from jaxnh.exceptions import DamagedError, ResultError, RunError
 from jaxnh.storage import hdf5 as store
 from jaxnh.storage import merge, tiles
-from jaxnh.storage.merge import Extra, assemble
+from jaxnh.storage.merge import assemble
 from jaxnh.storage.pieces import Piece, slab
 
 ATTRS = {"title": "t", "jaxnh_version": "0"}
@@ -88,8 +88,7 @@ def test_merged_file_is_the_file_written_at_once(tmp_path, tile, width):
     for piece, data in parts:
         tiles.write_piece(tmp_path, plan, piece, {"diagram": data}, {}, SPENT)
     merged, plain = tmp_path / "merged.h5", tmp_path / "plain.h5"
-    extra = Extra({"not_finite": 1}, ("one is lost",))
-    merge.merge(merged, ATTRS, tmp_path, plan, {"diagram": extra})
+    merge.merge(merged, ATTRS, tmp_path, plan, {"diagram": ["one is lost"]})
     store.write(plain, ATTRS, {"diagram": written(0, 10_000, width)})
     store.verify(merged)
     ours, expected = store.read_group(merged, "diagram"), store.read_group(plain, "diagram")
@@ -100,12 +99,12 @@ def test_merged_file_is_the_file_written_at_once(tmp_path, tile, width):
         for name in expected.variables:
             assert store.attributes(one["diagram"][name]) == store.attributes(other["diagram"][name])
             assert store.dimensions(one["diagram"][name]) == store.dimensions(other["diagram"][name])
-        assert dict(one["diagram"].attrs) == {"start": "fixed", "not_finite": 1, "warnings": "one is lost"}
+        assert dict(one["diagram"].attrs) == {"start": "fixed", "warnings": "one is lost"}
         assert one["diagram/x1"].fletcher32
         assert one["diagram/x1"].shuffle
         assert one["diagram/x1"].compression == "gzip"
-    xr.testing.assert_equal(assemble(parts, plan, extra), ours)
-    assert assemble(parts, plan, extra).attrs == ours.attrs
+    xr.testing.assert_equal(assemble(parts, plan, ["one is lost"]), ours)
+    assert assemble(parts, plan, ["one is lost"]).attrs == ours.attrs
 
 
 def diagram(first, end, size=300, strobes=40):
@@ -125,7 +124,7 @@ def diagram(first, end, size=300, strobes=40):
         "residual": variable((), np.array(0.125), "a number"),
     }
     b = variable("b", (2 + np.arange(size) / 128)[first:end], "coupling b")
-    data = xr.Dataset(content, {"b": b}, {"start": "fixed", "phase": 0.25, "angles": 100})
+    data = xr.Dataset(content, {"b": b}, {"start": "fixed", "phase": 0.25, "angles": 100, "not_finite": 1})
     return data.set_coords("t")
 
 
@@ -158,12 +157,12 @@ def test_one_axis_is_kept_as_it_was(tmp_path):
         "strobe_period": np.float64(6.25),
     }
     path = tmp_path / "merged.h5"
-    merge.merge(path, attrs, tmp_path, plan, {"diagram": Extra({"not_finite": 1}, ("one is lost",))})
+    merge.merge(path, attrs, tmp_path, plan, {"diagram": ["one is lost"]})
     expected = structure(Path(__file__).parent / "one_axis.h5")
     assert structure(path) == expected
     assert {key: value for key, value, _ in expected[0]}[store.SEAL] == store.read_attrs(path)[store.SEAL]
     whole = {
-        "diagram": diagram(0, 300).assign_attrs(not_finite=1, warnings="one is lost"),
+        "diagram": diagram(0, 300).assign_attrs(warnings="one is lost"),
         "doubling": doubling(),
     }
     store.write(path, {**attrs, "axes": "b"}, whole)
@@ -255,7 +254,7 @@ def test_merged_is_assembled_is_written_at_once(tmp_path, monkeypatch, axes, til
         tiles.write_piece(tmp_path, plan, piece, data, {}, SPENT)
     merged, plain = tmp_path / "merged.h5", tmp_path / "plain.h5"
     attrs = {**ATTRS, "axes": " ".join(plan.names)}
-    merge.merge(merged, attrs, tmp_path, plan, {"diagram": Extra({"lost": 2}, ("two are lost",))})
+    merge.merge(merged, attrs, tmp_path, plan, {"diagram": ["two are lost"]})
     store.verify(merged)
     store.write(plain, attrs, groups)
     with store.open_result(merged) as tree:
@@ -267,7 +266,7 @@ def test_merged_is_assembled_is_written_at_once(tmp_path, monkeypatch, axes, til
             assert_same(assembled, expected)
             for key in assembled.variables:
                 assert assembled[key].attrs.items() <= found[key].attrs.items()
-        assert tree["diagram"].attrs == {"start": "fixed", "lost": 2, "warnings": "two are lost"}
+        assert tree["diagram"].attrs == {"start": "fixed", "warnings": "two are lost"}
         lines = tree["doubling"].attrs["warnings"].split("\n")
         assert lines.count("incomplete") == 1
         assert len(lines) == 1 + np.prod(plan.shape[1:], dtype=int)
@@ -331,7 +330,7 @@ def test_damaged_piece_is_named_while_merging(tmp_path):
     with pytest.raises(DamagedError):
         tiles.check(tmp_path, plan, bad)
     with pytest.raises(merge.DamagedPieceError) as caught:
-        merge.merge(tmp_path / "merged.h5", {}, tmp_path, plan, {"diagram": Extra({}, ())})
+        merge.merge(tmp_path / "merged.h5", {}, tmp_path, plan, {"diagram": []})
     assert caught.value.piece == bad
     assert not (tmp_path / "merged.h5").exists()
 

@@ -75,8 +75,8 @@ def test_what_is_there_only_for_some():
         "def system(): ...",
         "d" * 64,
     ]
-    assert "chosen" not in attributes(chosen=None)
-    assert json.loads(attributes(chosen={"lyapunov": {"parts": 4}})["chosen"]) == {"lyapunov": {"parts": 4}}
+    assert "auto_settings" not in attributes(chosen=None)
+    assert json.loads(attributes(chosen={"lyapunov": {"parts": 4}})["auto_settings"]) == {"lyapunov": {"parts": 4}}
     assert attributes(command="")["history"].endswith("+00:00 a call from Python")
 
 

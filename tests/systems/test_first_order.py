@@ -147,7 +147,7 @@ def test_circle_on_a_plane(lanes):
 def test_states_that_are_not_finite_are_reported():
     flow = first_order(lorenz, LORENZ)
     states = Point(tuple(np.array([[1.0, 2.0], [1.0, np.nan]]) for _ in range(3)))
-    report = flow.reports(states)["failure"]
+    report = flow.reports(states)["status"]
     assert report.data.tolist() == [0, 3]
     assert report.attrs["flag_meanings"].split()[3] == "not_finite"
 

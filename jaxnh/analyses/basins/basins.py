@@ -27,7 +27,7 @@ from jaxnh.analyses.basins.steps_after_transient import settled_steps
 from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.random_starts import Side, check_box, started
-from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
+from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, per_time, picked
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.smooth_window import BLOCKS
 from jaxnh.analyses.window_averages import average_window, maps, window_averages
@@ -185,7 +185,7 @@ def whole(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
         basins = basins.merge(boundary_variables(number, sweep.axes))
     return {
         "basins": basins,
-        "attractors": attractors_group(table, axes, hits, unit),
+        "attractors": attractors_group(table, axes, hits, unit, per_time(flow)),
     }
 
 
@@ -272,16 +272,6 @@ def _coordinates(scene: Scene, lanes: LaneRunner, judged: Attractors) -> dict[st
     return found | {f"{name}_points": output for name, output in outputs(scene.flow, every, start).items()}
 
 
-def count(data: xr.Dataset) -> dict[str, int]:
-    """Number of lanes on attractors, undecided, and failed."""
-    number = data["attractor"].to_numpy()
-    return {
-        "on_attractors": int(np.sum(number > 0)),
-        "undecided": int(np.sum(number == 0)),
-        "failed": int(np.sum(number < 0)),
-    }
-
-
 def price(options: BasinsOptions, scene: Scene) -> Price:
     """A period of a look, with its means, against the map alone."""
     scene = scene.in_time()
@@ -307,7 +297,6 @@ ANALYSIS = Analysis(
     numbers=numbers,
     choose=choose,
     starts=starts,
-    count=count,
     classes=classes,
     check=check,
     price=price,

@@ -18,7 +18,7 @@ from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.window_averages import WindowAverages, average_window, units
 from jaxnh.maps.section import reports
-from jaxnh.systems.flow import FAULTS, Flow
+from jaxnh.systems.flow import NOT_FINITE, STATUS, Flow
 from jaxnh.systems.state import State, error_components
 
 SETTLED_TO = 1e-4
@@ -31,9 +31,6 @@ _GROWN = 1.5  # from one look to one twice as long, of what goes to infinity in 
 OPEN, SETTLED, RESTLESS, FAILED, CONSERVATIVE = range(5)
 """What is known of a lane; that it is conservative is for `clustering` to say."""
 
-REASONS = (*FAULTS, "escaped")
-"""Why a lane has failed: as of trajectories, or it goes to infinity."""
-
 
 class Lot(NamedTuple):
     """Lanes, and what has been seen of them.
@@ -41,7 +38,7 @@ class Lot(NamedTuple):
     Attributes:
         known: `OPEN`, `SETTLED`, `RESTLESS`, `FAILED` or `CONSERVATIVE`, (lanes,).
         time: periods since the start, (lanes,).
-        reason: number in `REASONS`, (lanes,).
+        status: number in `STATUS`, (lanes,).
         gap: between means over both halves of the last look, the largest in sizes of the motion, (lanes,).
         means: smooth ones over the last look, (lanes, F).
         unit: how well these are known where a lane has settled, (lanes, F).
@@ -52,7 +49,7 @@ class Lot(NamedTuple):
 
     known: Int8[np.ndarray, " lanes"]
     time: Int[np.ndarray, " lanes"]
-    reason: Int8[np.ndarray, " lanes"]
+    status: Int8[np.ndarray, " lanes"]
     gap: Float[np.ndarray, " lanes"]
     means: Float[np.ndarray, "lanes F"]
     unit: Float[np.ndarray, "lanes F"]
@@ -77,7 +74,7 @@ def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps:
         *np.full((3, count, d), np.nan),
     )
     absent = ~_finite(start)
-    lot.known[absent], lot.reason[absent] = FAILED, FAULTS.index("off_constraint")
+    lot.known[absent], lot.status[absent] = FAILED, STATUS.index("off_constraint")
     some = np.flatnonzero(~absent)
     here = scene.take(some)
     begun = average_window(here, lanes, here.start, transient // 2) if len(some) else None
@@ -154,7 +151,7 @@ def _escape(
     beyond = np.maximum(seen.low, -seen.high) > 0.99 * before
     grows = beyond & (seen.largest > _GROWN * before) & ~turns
     gone = np.any(grows, axis=1) & np.isin(lot.known[some], (OPEN, RESTLESS))
-    lot.known[some[gone]], lot.reason[some[gone]] = FAILED, REASONS.index("escaped")
+    lot.known[some[gone]], lot.status[some[gone]] = FAILED, STATUS.index("escaped")
 
 
 def _fail(lot: Lot, some: Int[np.ndarray, " some"], flow: Flow, state: State) -> None:
@@ -163,10 +160,9 @@ def _fail(lot: Lot, some: Int[np.ndarray, " some"], flow: Flow, state: State) ->
     if not np.any(gone):
         return
     ended = jax.tree.map(lambda leaf: leaf[gone][:, None], state)
-    said = reports(flow, ended).get("failure")
-    reason = np.zeros(int(gone.sum()), np.int8) if said is None else np.asarray(said.data, np.int8)
+    status = np.asarray(reports(flow, ended)["status"].data)
     lot.known[some[gone]] = FAILED
-    lot.reason[some[gone]] = np.where(reason > 0, reason, FAULTS.index("not_finite"))
+    lot.status[some[gone]] = np.where(status > 0, status, NOT_FINITE)
 
 
 def _finite(state: State) -> np.ndarray:

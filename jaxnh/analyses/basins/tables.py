@@ -10,13 +10,13 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
-from jaxnh.analyses.base import LANE, Entry, variable
+from jaxnh.analyses.base import LANE, Entry, flagged, named, numbered, variable
 from jaxnh.analyses.basins.classification import NONE, POINTS, Attractors
 from jaxnh.analyses.basins.continuation import CHANGES, Change
-from jaxnh.analyses.basins.settling import CONSERVATIVE, REASONS, Lot
+from jaxnh.analyses.basins.settling import CONSERVATIVE, Lot
 from jaxnh.analyses.scene import Axis
 from jaxnh.analyses.verdict import KINDS
-from jaxnh.systems.flow import Flow, Output
+from jaxnh.systems.flow import Flow, Output, status
 
 _QUANTILE = 1.959963984540054  # of a normal distribution, 95 % two-sided
 _MOST_NUMBERS = 1 << 24  # of all points of attractors over the parameters
@@ -73,17 +73,14 @@ def basins_group(
 ) -> xr.Dataset:
     """What every start state leads to, of lanes of this shape: (lanes,), or (lanes, starts)."""
     dims = (LANE, "start")[: len(shape)]
-    flags = {"flag_values": np.arange(len(REASONS), dtype=np.int8), "flag_meanings": " ".join(REASONS)}
     undecided = np.where(number != 0, 0, np.where(lot.known == CONSERVATIVE, 2, 1)).astype(np.int8)
-    reasons = {"flag_values": np.arange(len(_UNDECIDED), dtype=np.int8), "flag_meanings": " ".join(_UNDECIDED)}
-    words = (
-        "attractor that the start state leads to, by its number in `attractors`; 0: undecided, -1: failed or escaped"
-    )
+    words = "attractor that the start state leads to, by its number in `attractors`"
+    special = ("failed_or_escaped", "undecided")
     variables = {
-        "attractor": variable(dims, number.reshape(shape), words, comment=_COMPUTED),
-        "time": variable(dims, lot.time.astype(np.int32).reshape(shape), "time until it was known", unit),
-        "failure": variable(dims, lot.reason.reshape(shape), "why the lane has failed", **flags),
-        "undecided": variable(dims, undecided.reshape(shape), "why it is undecided where the lane leads", **reasons),
+        "attractor": numbered(dims, number.reshape(shape), words, special, -1, comment=_COMPUTED),
+        "time": variable(dims, lot.time.astype(np.int32).reshape(shape), "time until it was known", counted_in=unit),
+        "status": named(dims, status(lot.status.reshape(shape))),
+        "undecided": flagged(dims, undecided.reshape(shape), "why it is undecided where the lane leads", _UNDECIDED),
         "judged": variable((), np.int64(judged), "number of motions that were judged to be an attractor or none"),
         **{
             name: variable(
@@ -95,14 +92,11 @@ def basins_group(
             for name, values in drawn.items()
         },
     }
-    attrs = {"panel": "basins", "panel_variables": "attractor", "panel_label": "attractor"}
-    if len(shape) > 1:  # no picture of its own: shares are
-        attrs = {}
-    return xr.Dataset(variables, attrs=attrs)
+    return xr.Dataset(variables)
 
 
 def attractors_group(
-    known: SweepAttractors, axes: Sequence[Axis], hits: tuple[np.ndarray, np.ndarray], unit: str
+    known: SweepAttractors, axes: Sequence[Axis], hits: tuple[np.ndarray, np.ndarray], unit: str, rate: str
 ) -> xr.Dataset:
     """All attractors over the axes that are parameters, with their numbers and changes; `hits` as `shares` has them."""
     names, sizes = tuple(axis.name for axis in axes), tuple(len(axis.values) for axis in axes)
@@ -122,8 +116,6 @@ def attractors_group(
         if judged is None
         else (judged.kind, judged.period, judged.exponent, judged.multiplier)
     )
-    kinds = ("absent", *KINDS)
-    flags = {"flag_values": np.arange(-1, len(KINDS), dtype=np.int8), "flag_meanings": " ".join(kinds)}
     found, count = hits
     low, high = wilson(found, count[:, None])
     fraction = {"fraction": found / count[:, None], "fraction_low": low, "fraction_high": high}
@@ -137,9 +129,9 @@ def attractors_group(
     of_multiplier = "largest modulus of the Floquet multipliers of a periodic orbit"
     variables = {
         "attractor": variable("attractor", np.arange(1, most + 1), of_number),
-        "kind": variable(dims, table(kind, NONE), "kind of motion", **flags),
-        "period": variable(dims, table(period, 0), "least period of a periodic orbit, 0 of others", unit),
-        "exponent": variable(dims, table(exponent, np.nan), of_exponent, "1/time"),
+        "kind": flagged(dims, table(kind, NONE), "kind of motion", ("absent", *KINDS), -1),
+        "period": numbered(dims, table(period, 0), "least period of a periodic orbit", ("none",), counted_in=unit),
+        "exponent": variable(dims, table(exponent, np.nan), of_exponent, rate),
         "multiplier": variable(dims, table(multiplier, np.nan), of_multiplier),
         **{name: variable(dims, v.reshape(*sizes, most), words[name]) for name, v in fraction.items()},
     }
@@ -152,7 +144,7 @@ def attractors_group(
         variables[name] = variable((*dims, "point") if every else dims, table(values, np.nan), said, **output.attrs)
     if math.prod(sizes) > 1:
         variables |= _changes(known.changes, axes, sizes)
-    return xr.Dataset(variables, attrs={"panel": "shares", "panel_variables": "fraction"})
+    return xr.Dataset(variables)
 
 
 def _changes(changes: Sequence[Change], axes: Sequence[Axis], sizes: tuple[int, ...]) -> dict[str, Entry]:
@@ -160,9 +152,8 @@ def _changes(changes: Sequence[Change], axes: Sequence[Axis], sizes: tuple[int, 
     kind = np.array([change.kind for change in changes], np.int8)
     number = np.array([change.attractor for change in changes], np.int32)
     ends = np.array([(change.before, change.after) for change in changes], int).reshape(-1, 2)
-    flags = {"flag_values": np.arange(len(CHANGES), dtype=np.int8), "flag_meanings": " ".join(CHANGES)}
     found = {
-        "change_kind": variable("change", kind, "what happens to an attractor between two values", **flags),
+        "change_kind": flagged("change", kind, "what happens to an attractor between two values", CHANGES),
         "change_attractor": variable("change", number, "number of the attractor that it happens to"),
     }
     for axis, place in zip(axes, np.unravel_index(ends, sizes), strict=True):

@@ -28,7 +28,7 @@ from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.maps.section import System
 
 _LIMITS = ("delta_limit", "alpha", "limit")  # each with its error
-_NUMBERS = (*_LIMITS, *(f"{name}_error" for name in _LIMITS), "levels_found")  # a cascade; attributes of the only one
+_NUMBERS = (*_LIMITS, *(f"{name}_error" for name in _LIMITS), "levels_found")
 _BETWEEN = np.array([1.0, math.pi]) / (1.0 + math.pi)  # shares of two values: no ratio of whole numbers
 _OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
 _MOST_SHOWN = 16  # cascades in a table of many
@@ -116,7 +116,7 @@ def _dataset(system: System, axis: Axis, levels: int, found: Cascade) -> xr.Data
     unit = counted_in(system)
     variables = {
         "level": variable("level", index, "number of the period doubling"),
-        "period": variable("level", found.period * 2 ** (index - 1), period_words, unit),
+        "period": variable("level", found.period * 2 ** (index - 1), period_words, counted_in=unit),
         name: variable(
             "level", value, f"{axis.long_name} at the doubling", axis.units, ancillary_variables=f"{name}_error"
         ),
@@ -142,9 +142,6 @@ def _dataset(system: System, axis: Axis, levels: int, found: Cascade) -> xr.Data
     }
     attrs = {
         "along": name,
-        "panel": "cascade",
-        "panel_variables": f"{name} delta",
-        "panel_label": "ratio δ",
         **({"warnings": warnings} if (warnings := _warnings(axis, levels, found)) else {}),
     }
     return xr.Dataset(variables, attrs=attrs)
@@ -156,8 +153,8 @@ def _extended(
     """The dataset with what double-double precision knows of its doublings: their other digits, δ, and limits."""
     name, levels = str(data.attrs["along"]), data.sizes["level"]
     count = min(len(found.coarse), len(found.fine))
-    value, rest, delta, error = (np.full(levels, np.nan) for _ in range(4))
-    value[:count], rest[:count] = np.reshape([point.value for point in found.fine[:count]], (count, 2)).T
+    value, low, delta, error = (np.full(levels, np.nan) for _ in range(4))
+    value[:count], low[:count] = np.reshape([point.value for point in found.fine[:count]], (count, 2)).T
     if count > 2:
         (coarse, _), (fine, rounding) = deltas(found.coarse[:count]), deltas(found.fine[:count])
         delta[1 : count - 1], error[1 : count - 1] = fine, np.abs(np.subtract(fine, coarse)) + rounding
@@ -166,7 +163,7 @@ def _extended(
         new |= dict(zip((limit, f"{limit}_error"), numbers, strict=True)) if np.isfinite(numbers).all() else {}
     data = data.assign({key: (data[key].dims, numbers, data[key].attrs) for key, numbers in new.items()})
     words = f"what is to be added to {name} for its digits beyond float64, of the map as it is computed"
-    return data.assign({f"{name}_rest": variable("level", rest, words, str(data[name].attrs["units"]))})
+    return data.assign({f"{name}_low": variable("level", low, words, str(data[name].attrs.get("units", "")))})
 
 
 def _warnings(axis: Axis, levels: int, found: Cascade) -> str:
@@ -217,11 +214,10 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     Of many cascades, one for each point of the other axes, only what each has come to.
 
     Args:
-        data: result of this analysis; numbers of a cascade are variables, or attributes where there is one cascade.
+        data: result of this analysis.
         published: published values of the parameter by its name and `delta`, a value a level, NaN where there is none.
         source: where they are from.
     """
-    data = data.assign({name: ((), data.attrs[name]) for name in _NUMBERS if name in data.attrs})
     others = tuple(str(dim) for dim in data["delta"].dims if dim != "level")
     return _cascades(data, others) if others else _levels(data, published, source)
 
@@ -267,8 +263,8 @@ def _cascades(data: xr.Dataset, others: tuple[str, ...]) -> Table:
 def _limit_words(data: xr.Dataset) -> str:
     """δ, α and the end of the cascade with their errors, of those that there are."""
     symbols = ("δ", "α", str(data.attrs["along"]))
-    there = [pair for pair in zip(symbols, _LIMITS, strict=True) if pair[1] in data]  # files of before have δ alone
-    limits = [(symbol, float(data[name]), float(data[f"{name}_error"])) for symbol, name in there]
+    pairs = zip(symbols, _LIMITS, strict=True)
+    limits = [(symbol, float(data[name]), float(data[f"{name}_error"])) for symbol, name in pairs]
     return ", ".join(f"{symbol} → {_known(*limit)}" for symbol, *limit in limits if np.isfinite(limit).all())
 
 

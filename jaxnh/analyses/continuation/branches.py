@@ -154,11 +154,6 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     return datasets(lanes, grown, options.limit)
 
 
-def count(data: xr.Dataset) -> dict[str, int]:
-    """Number of branches."""
-    return {"branches": data.sizes["branch"]}
-
-
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
     """A row a period: how many branches there are, how many of them are stable somewhere, and their range."""
     name, period = str(data.attrs["along"]), data["period"].to_numpy()
@@ -180,7 +175,6 @@ ANALYSIS = Analysis(
     whole=SweepReduction(("bifurcations",), whole),
     newton=True,
     numbers=numbers,
-    count=count,
     check=check,
     table=table,
     other_tables={"bifurcations": bifurcations_table},

@@ -25,6 +25,7 @@ from jaxnh.analyses.base import (
     SweepLanes,
     SweepReduction,
     Table,
+    flagged,
     variable,
 )
 from jaxnh.analyses.continuation.families import orbits_of, plane_of
@@ -40,8 +41,8 @@ from jaxnh.orbits.curves import ENDS, Curve, ParameterPlane, both_ways, unknowns
 from jaxnh.orbits.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
 
 _OWN_NAMES = (
-    "curve", "point", "special", "multiplier", "part", "kind", "period", "multipliers", "begins", "ends",
-    "special_kind", "special_curve",
+    "curve", "point", "codimension_two", "multiplier", "part", "kind", "period", "multipliers", "begins", "ends",
+    "codimension_two_kind", "codimension_two_curve",
 )  # fmt: skip
 _NEAR = 1e-3  # lengths: a chord between two points is nearer to its curve than this
 _WORK = 3.0  # of a run, in those of settling: a guess
@@ -101,7 +102,7 @@ def check(options: CurvesOptions, setting: Setting) -> None:
         if len(np.unique(axis.values)) < 2:
             raise OptionError(f"curves are followed over a range of {axis.name}, and the sweep has one value of it")
     own = {*_OWN_NAMES, *(f"{name}_error" for name in names)}
-    own |= {f"special_{name}{rest}" for name in names for rest in ("", "_error")}
+    own |= {f"codimension_two_{name}{rest}" for name in names for rest in ("", "_error")}
     for name in {*names, *setting.flow.coordinates} & own:
         raise OptionError(f"{name} is what curves calls a number of its own; rename it")
 
@@ -204,7 +205,7 @@ def _dataset(
     special: Sequence[_Point],
     limit: int,
 ) -> xr.Dataset:
-    """Variables over (curve, point), filled up with NaN, and over (special,)."""
+    """Variables over (curve, point), filled up with NaN, and over (codimension_two,)."""
     shape = (len(curves), max((len(curve.values) for curve in curves), default=0))
 
     def table(values: Sequence[np.ndarray], *more: int) -> np.ndarray:
@@ -221,49 +222,56 @@ def _dataset(
         words = f"error of {axis.name}: a point of the exact curve is as near in both parameters"
         columns[f"{axis.name}_error"] = variable(dims, table([error[:, k] for error in errors]), words, axis.units)
         words = f"{axis.long_name} at the point of codimension two"
-        columns |= _at_special(f"special_{axis.name}", axis, k, special, words)
+        columns |= _at_special(f"codimension_two_{axis.name}", axis, k, special, words)
     found = {
         **columns,
-        "kind": _flagged("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
+        "kind": flagged("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
         "period": variable(
             "curve",
             np.array([curve.period for curve in curves], np.int32),
             "period of the orbit",
-            counted_in(scene.system),
+            counted_in=counted_in(scene.system),
         ),
         "multipliers": variable(
             (*dims, "multiplier", "part"), table(multipliers, d, 2), "Floquet multipliers, real and imaginary part"
         ),
-        "begins": _flagged("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
-        "ends": _flagged("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
-        "special_kind": _flagged("special", [one.point.kind for one in special], "point of codimension two", POINTS),
-        "special_curve": variable("special", np.array([one.curve for one in special], np.int32), "number of the curve"),
+        "begins": flagged("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
+        "ends": flagged("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
+        **_kind_and_curve("codimension_two_", special),
     }
     names = " ".join(axis.name for axis in axes)
-    attrs = {"limit": limit, "over": names, "panel": "bifurcation_curves", "panel_variables": names}
+    attrs = {"limit": limit, "over": names}
     if not curves:
         attrs["warnings"] = f"curves: no bifurcation was found to follow over {names.replace(' ', ' and ')}"
     return xr.Dataset(found, attrs=attrs)
 
 
 def _special(scene: Scene, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[_Point]) -> xr.Dataset:
-    """Variables over (special,): the points of codimension two, each with its curve and its multipliers."""
+    """Variables over (codimension_two,): the points of codimension two, each with its curve and its multipliers."""
     multipliers = np.full((len(special), scene.chart.dimension, 2), np.nan)
     for k, (_, point, _) in enumerate(special):
         multipliers[k] = np.stack([np.real(point.multipliers), np.imag(point.multipliers)], axis=-1)
     period = np.array([curves[one.curve].period for one in special], np.int32)
     found = {
-        "kind": _flagged("special", [one.point.kind for one in special], "point of codimension two", POINTS),
-        "curve": variable("special", np.array([one.curve for one in special], np.int32), "number of the curve"),
-        "period": variable("special", period, "period of the orbit", counted_in(scene.system)),
+        **_kind_and_curve("", special),
+        "period": variable("codimension_two", period, "period of the orbit", counted_in=counted_in(scene.system)),
         "multipliers": variable(
-            ("special", "multiplier", "part"), multipliers, "Floquet multipliers, real and imaginary part"
+            ("codimension_two", "multiplier", "part"), multipliers, "Floquet multipliers, real and imaginary part"
         ),
     }
     for k, axis in enumerate(axes):
         found |= _at_special(axis.name, axis, k, special, axis.long_name)
     names = " ".join(axis.name for axis in axes)
-    return xr.Dataset(found, attrs={"over": names, "panel": "special_points", "panel_variables": names})
+    return xr.Dataset(found, attrs={"over": names})
+
+
+def _kind_and_curve(before: str, special: Sequence[_Point]) -> dict[str, Entry]:
+    """What points of codimension two are, and the number of the curve that each is on."""
+    dim, curves = "codimension_two", np.array([one.curve for one in special], np.int32)
+    return {
+        f"{before}kind": flagged(dim, [one.point.kind for one in special], "point of codimension two", POINTS),
+        f"{before}curve": variable(dim, curves, "number of the curve"),
+    }
 
 
 def _at_special(name: str, axis: Axis, k: int, special: Sequence[_Point], words: str) -> dict[str, Entry]:
@@ -271,35 +279,25 @@ def _at_special(name: str, axis: Axis, k: int, special: Sequence[_Point], words:
     values = np.array([one.point.values[k] for one in special], float)
     errors = np.array([one.error[k] for one in special], float)
     return {
-        name: variable("special", values, words, axis.units, ancillary_variables=f"{name}_error"),
+        name: variable("codimension_two", values, words, axis.units, ancillary_variables=f"{name}_error"),
         f"{name}_error": variable(
-            "special", errors, f"error of {name}; NaN where finer maps do not have the point", axis.units
+            "codimension_two", errors, f"error of {name}; NaN where finer maps do not have the point", axis.units
         ),
     }
-
-
-def _flagged(dim: str, values: Sequence[int], words: str, meanings: Sequence[str]) -> Entry:
-    flags = {"flag_values": np.arange(len(meanings), dtype=np.int8), "flag_meanings": " ".join(meanings)}
-    return variable(dim, np.array(values, np.int8), words, **flags)
-
-
-def count(data: xr.Dataset) -> dict[str, int]:
-    """Number of curves, and of points of codimension two."""
-    return {"curves": data.sizes["curve"], "special": data.sizes["special"]}
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
     """A row a point of codimension two."""
     first, second = str(data.attrs["over"]).split()
     rows = []
-    for k in range(data.sizes["special"]):
-        curve = int(data["special_curve"][k])
+    for k in range(data.sizes["codimension_two"]):
+        curve = int(data["codimension_two_curve"][k])
         kind, period = KINDS[int(data["kind"][curve])], int(data["period"][curve])
         at = (
-            f"{float(data[f'special_{name}'][k]):.9g} ± {float(data[f'special_{name}_error'][k]):.1g}"
+            f"{float(data[f'codimension_two_{name}'][k]):.9g} ± {float(data[f'codimension_two_{name}_error'][k]):.1g}"
             for name in (first, second)
         )
-        rows.append((POINTS[int(data["special_kind"][k])], f"{kind} {period}", *at))
+        rows.append((POINTS[int(data["codimension_two_kind"][k])], f"{kind} {period}", *at))
     return Table("Points of codimension two", ("point", "on the curve of", first, second), tuple(rows), left=(0, 1))
 
 
@@ -311,7 +309,6 @@ ANALYSIS = Analysis(
     whole=SweepReduction(("codimension_two",), whole),
     newton=True,
     numbers=numbers,
-    count=count,
     check=check,
     table=table,
     price=price_of_orbits,

@@ -16,7 +16,7 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.section import rates
-from jaxnh.orbits.arclength import ParameterFamily
+from jaxnh.orbits.arclength import Family
 from jaxnh.orbits.curves import ParameterPlane
 from jaxnh.systems.flow import Flow, Parameters
 
@@ -28,7 +28,7 @@ _FEW = 4
 
 def orbits_of(
     scene: Scene, lanes: LaneRunner, strobe: Maps, size: Float[np.ndarray, " d"], ends: tuple[float, float]
-) -> ParameterFamily:
+) -> Family:
     """Periodic orbits of a map of the scene.
 
     Args:
@@ -46,7 +46,7 @@ def orbits_of(
         tile = few if len(u) <= 2 * few else _TILE
         return lanes(derivatives, shared, (u, scene.at(values).p), tile=tile, static=(name,))
 
-    return ParameterFamily(period, scene.chart.wrap, size, *ends)
+    return Family(period, scene.chart.wrap, size, *ends)
 
 
 def plane_of(
@@ -71,9 +71,7 @@ def plane_of(
     return ParameterPlane(period, scene.chart.wrap, size, low, high)
 
 
-def equilibria_of(
-    scene: Scene, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]
-) -> ParameterFamily:
+def equilibria_of(scene: Scene, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]) -> Family:
     """Equilibria of the field of a scene's flow, which has no clock; sizes as of the flow's own coordinates."""
     name, scene = scene.line.name, replace(scene.in_time(), along=scene.line)
 
@@ -82,7 +80,7 @@ def equilibria_of(
             return _nothing(u)
         return lanes(field, (scene.flow,), (u, scene.at(values).p), tile=_TILE, static=(name,))
 
-    return ParameterFamily(period, scene.chart.wrap, size, *ends, field=True)
+    return Family(period, scene.chart.wrap, size, *ends, field=True)
 
 
 def field(flow: Flow, u: Float[Array, " d"], p: Parameters, name: str) -> Derivatives:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, Table, variable
+from jaxnh.analyses.base import Entry, Table, flagged, numbered, variable
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.analyses.section_points import states_at
@@ -67,18 +67,18 @@ def datasets(lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int) -
     found = [(of, point) for of, tree in enumerate(trees) for point in tree.bifurcations]
     found.sort(key=lambda pair: (pair[1].value, pair[1].kind, len(pair[1].points)))
     branches = _branches(lanes, grown, [(of, trees[of].branches[k]) for of, k in order])
-    drawn = f"{drawn_plane(scene.system)[0]}_points"
     attrs = {
         "limit": limit,
         "along": axis.name,
-        "lost": sum(tree.lost for tree in trees),
-        "panel": "branches",
-        "panel_variables": drawn,
         **({"warnings": words} if (words := _warnings(axis, trees)) else {}),
     }
+    lost = sum(tree.lost for tree in trees)
+    branches["not_located"] = variable((), np.int64(lost), "number of bifurcations that could not be located")
     points = _bifurcations(lanes, grown, found, [rank[of, point.branch] for of, point in found])
-    marks = {"along": axis.name, "panel": "marks", "panel_variables": drawn}
-    return {"branches": xr.Dataset(branches, attrs=attrs), "bifurcations": xr.Dataset(points, attrs=marks)}
+    return {
+        "branches": xr.Dataset(branches, attrs=attrs),
+        "bifurcations": xr.Dataset(points, attrs={"along": axis.name}),
+    }
 
 
 def _period(part: FollowedBranches, points: int) -> int:
@@ -107,21 +107,20 @@ def _branches(
             whole[(k, slice(len(one)), *map(slice, one.shape[1:]))] = one
         return whole
 
-    dims, flags = ("branch", "point"), _flags(ENDS)
+    dims = ("branch", "point")
     periods = [_period(grown[of], branch.period) for of, branch in branches]
     values = table([_parts(branch.multipliers) for branch in every], np.nan, _dimension(grown), 2)
     attracts = [stable(grown[of].family, branch.multipliers) for of, branch in branches]
-    words = "1 where the orbit attracts, -1 beyond the end"
     residual = "largest component of P(u) − u, in sizes of the motion"
     return {
         axis.name: variable(dims, table([branch.value for branch in every]), axis.long_name, axis.units),
-        "period": variable("branch", np.array(periods, np.int32), _of_periods(grown), counted_in(system)),
+        "period": _period_variable(("branch",), periods, counted_in(system)),
         **_coordinates(lanes, grown, [(of, branch.points) for of, branch in branches], table, dims),
         "multipliers": variable((*dims, "multiplier", "part"), values, _of_multipliers(grown)),
-        "stable": variable(dims, table(attracts, -1).astype(np.int8), words),
+        "stable": flagged(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", "no", "yes"), -1),
         "residual": variable(dims, table([branch.residual for branch in every]), residual),
-        "begins": variable("branch", _column([b.ends[0] for b in every]), "why the branch begins there", **flags),
-        "ends": variable("branch", _column([b.ends[1] for b in every]), "why the branch ends there", **flags),
+        "begins": flagged("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),
+        "ends": flagged("branch", [b.ends[1] for b in every], "why the branch ends there", ENDS),
     }
 
 
@@ -146,13 +145,12 @@ def _bifurcations(
 
     periods = [_period(grown[of], len(point.points)) for of, point in found]
     multipliers = column([_parts(point.multipliers) for point in every], np.nan, _dimension(grown), 2)
-    signs = {"flag_values": np.arange(-1, 2, dtype=np.int8), "flag_meanings": " ".join(CRITICALITIES)}
     error_words = f"largest error of {name}, from step refinement, interpolation and rounding"
     coefficient = (
         "cubic coefficient of the normal form in sizes of the motion; of a fold the curvature of the parameter"
     )
     return {
-        "kind": variable(dim, _column([point.kind for point in every]), "kind of bifurcation", **_flags(KINDS)),
+        "kind": flagged(dim, [point.kind for point in every], "kind of bifurcation", KINDS),
         name: variable(
             dim,
             np.array([point.value for point in every], float),
@@ -161,10 +159,14 @@ def _bifurcations(
             ancillary_variables=f"{name}_error",
         ),
         f"{name}_error": variable(dim, np.array([point.error for point in every], float), error_words, axis.units),
-        "period": variable(dim, np.array(periods, np.int32), _of_periods(grown), counted_in(system)),
+        "period": _period_variable(dim, periods, counted_in(system)),
         "branch": variable(dim, np.array(branch, np.int32), "number of the branch"),
-        "criticality": variable(
-            dim, _column([point.criticality for point in every]), "whether what is born is stable where it is", **signs
+        "criticality": flagged(
+            dim,
+            [point.criticality for point in every],
+            "whether what is born is stable where it is",
+            CRITICALITIES,
+            -1,
         ),
         "coefficient": variable(dim, np.array([point.coefficient for point in every], float), coefficient),
         **_coordinates(lanes, grown, [(of, point.points[None]) for of, point in found], rows, dim),
@@ -192,8 +194,9 @@ def _dimension(grown: Sequence[FollowedBranches]) -> int:
     return max(part.scene.chart.dimension for part in grown)
 
 
-def _of_periods(grown: Sequence[FollowedBranches]) -> str:
-    return "period of the orbit, 0 of an equilibrium" if len(grown) > 1 else "period of the orbit"
+def _period_variable(dim: tuple[str, ...], periods: Sequence[int], counted: str) -> Entry:
+    words = "period of the orbit"
+    return numbered(dim, np.array(periods, np.int32), words, ("equilibrium",), counted_in=counted)
 
 
 def _of_multipliers(grown: Sequence[FollowedBranches]) -> str:
@@ -237,7 +240,7 @@ def _outputs(
     named = outputs(scene.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
     cuts = np.cumsum([len(one) for one in flat])[:-1]
     found = dict[str, tuple[Output, list[np.ndarray]]]()
-    for name in scene.flow.coordinates:
+    for name in (drawn_plane(scene.system)[0], *scene.flow.coordinates):
         if name in named:
             parts = np.split(np.asarray(named[name].data)[:, 0], cuts) if flat else []
             rows = [part.reshape(one.shape[:2]) for part, one in zip(parts, points, strict=True)]
@@ -247,11 +250,3 @@ def _outputs(
 
 def _parts(values: np.ndarray) -> np.ndarray:
     return np.stack([np.real(values), np.imag(values)], axis=-1)
-
-
-def _column(values: Sequence[int]) -> np.ndarray:
-    return np.array(values, np.int8)
-
-
-def _flags(words: Sequence[str]) -> dict[str, Any]:
-    return {"flag_values": np.arange(len(words), dtype=np.int8), "flag_meanings": " ".join(words)}

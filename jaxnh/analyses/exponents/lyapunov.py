@@ -3,7 +3,7 @@
 Where a lane has settled on a stable periodic orbit, exponents are those of the orbit's multipliers, and where it has
 come to rest without a clock, those of the equilibrium's eigenvalues. Elsewhere they are averages of the growth of
 tangents: smooth ones where the motion is regular and they converge faster, else plain ones with the scatter of block
-means. `exponents_from` says which. Most lanes on an orbit are known early, and leave out the rest of their transient;
+means. `exponents_method` says which. Most lanes on an orbit are known early, and leave out the rest of their transient;
 all that are end after a sixteenth of their averages.
 
 Without a clock the flow carries its own direction along, whose exponent is zero unless the motion comes to rest: the
@@ -23,7 +23,7 @@ import xarray as xr
 from jaxtyping import Float, Int, Int8
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, variable
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, flagged, named, variable
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.errors import (
     held_against_sum,
@@ -45,11 +45,13 @@ from jaxnh.analyses.exponents.tangent_growth import (
     quadrature,
 )
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
+from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, per_time, picked
 from jaxnh.analyses.smooth_window import BLOCKS
+from jaxnh.maps.section import reports
+from jaxnh.systems.flow import NOT_FINITE, status
 
 SOURCES = ("average", "smooth_average", "orbit", "equilibrium")
-"""Meanings of the flags 0 to 3 of `exponents_from`."""
+"""Meanings of the flags 0 to 3 of `exponents_method`."""
 
 _LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left
 _LARGEST_SEEN = 24.0  # beyond that a loss drowns in rounding
@@ -374,28 +376,28 @@ def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectru
         for values in (found, spread):
             values[:, 0] = np.where(lost, np.nan, np.where(rests, values[:, 0], 0.0))
         attrs["along_flow"] = "the exponent along the flow is known to be zero"
-    attrs |= {
-        "panel": "curves",
-        "panel_variables": "exponents",
-        "panel_label": "largest Lyapunov exponent" if wanted == 1 else "Lyapunov exponents",
-    }
     order = np.argsort(-found, axis=1)[:, :wanted]
     exponents, errors = np.take_along_axis(found, order, axis=1), np.take_along_axis(spread, order, axis=1)
-    each, unit = (LANE, "exponent"), "1/time"
+    each, unit = (LANE, "exponent"), per_time(scene.flow)
     words = "Lyapunov exponents, natural logarithm"
-    flags = {"flag_values": np.arange(len(SOURCES), dtype=np.int8), "flag_meanings": " ".join(SOURCES)}
+    ended = reports(scene.flow, jax.tree.map(lambda leaf: leaf[:, None], averages.growth.state))["status"]
+    lost = ~np.all(np.isfinite(exponents), axis=1) & (spectrum.source != SOURCES.index("equilibrium"))
+    code = np.where(lost & (np.asarray(ended.data) == 0), NOT_FINITE, ended.data)
     variables = {
         "exponent": variable("exponent", np.arange(1, wanted + 1), "number of the exponent, largest first"),
-        "exponents": variable(each, exponents, words, unit, ancillary_variables="exponents_error exponents_from"),
+        "exponents": variable(each, exponents, words, unit, ancillary_variables="exponents_error exponents_method"),
         "exponents_error": variable(each, errors, "error of the exponents at 95 %", unit, comment=_COMMENT),
-        "exponents_from": variable(LANE, spectrum.source, "what the exponents of a lane are", **flags),
+        "exponents_method": flagged(LANE, spectrum.source, "what the exponents of a lane are", SOURCES),
+        "status": named(LANE, status(code)),
     }
     divergence = ""
     if symbols:
         divergence = f" −{symbols}"
         words = f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
         variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, unit)
-    variables["averaged"] = variable(LANE, averaged, "length of the average", counted_in(scene.system))
+    variables["averaging_periods"] = variable(
+        LANE, averaged, "length of the average", counted_in=counted_in(scene.system)
+    )
     if residual is not None:
         what = "sum of the plain averages, at rest of the exponents"
         words = f"{what}, minus the mean divergence{divergence}, integrated by itself"

@@ -7,11 +7,12 @@ import xarray as xr
 from jaxtyping import Int
 from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.base import LANE, Analysis, Options, named, numbered, variable
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey_from_start
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in
+from jaxnh.systems.flow import NOT_FINITE, status
 
 
 class PeriodOptions(Options):
@@ -35,23 +36,17 @@ def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     """Least period of every lane with its residual and largest multiplier."""
     found = survey_from_start(scene, lanes, options.limit, "period", options.transient)
     found = beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
-    unit = counted_in(scene.system)
     variables = {
-        "period": variable(LANE, found.period, "least period, 0: none up to the limit", unit),
+        "period": numbered(
+            LANE, found.period, "least period up to the limit", ("none",), counted_in=counted_in(scene.system)
+        ),
         "residual": variable(
             LANE, found.residual, "largest component of Pⁿ(u) − u of the orbit, in sizes of the motion"
         ),
         "multiplier": variable(LANE, found.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
-        "failed": variable(LANE, found.failed.astype(np.int8), "1 where the state is not finite"),
+        "status": named(LANE, status(np.where(found.failed, NOT_FINITE, 0))),
     }
-    attrs = {
-        "limit": options.limit,
-        "transient": options.transient,
-        "panel": "integers",
-        "panel_variables": "period",
-        "panel_label": "least period",
-    }
-    return xr.Dataset(variables, attrs=attrs)
+    return xr.Dataset(variables, attrs={"limit": options.limit, "transient": options.transient})
 
 
 def price(options: PeriodOptions, scene: Scene) -> Price:
@@ -61,7 +56,7 @@ def price(options: PeriodOptions, scene: Scene) -> Price:
 
 def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
     """Kind of motion: the period, 0 where there is none, -1 where the state is not finite."""
-    return np.where(data["failed"].to_numpy() > 0, -1, data["period"].to_numpy())
+    return np.where(data["status"].to_numpy() > 0, -1, data["period"].to_numpy())
 
 
 ANALYSIS = Analysis(

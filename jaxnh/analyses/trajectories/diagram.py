@@ -37,7 +37,7 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.section import begin, drawn_plane
+from jaxnh.maps.section import begin
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
@@ -145,16 +145,9 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
         "start": options.start,
         "phase": options.phase,
         **section_attrs(scene),
-        "panel": "density",
-        "panel_variables": drawn_plane(scene.system)[0],
     }
-    variables, first = state_variables(scene.flow, states, t, dims), drawn_plane(scene.system)[0]
-    if options.statistics:
-        variables = statistics(variables, "strobe")
-        shown = " ".join(name for name in (f"{first}_{kind}" for kind in ("max", "mean", "min")) if name in variables)
-        attrs |= {"panel": "curves", "panel_variables": shown, "panel_label": f"{first} at the strobes"}
-        attrs |= {"panel_levels": "none"}
-    return xr.Dataset(variables, attrs=attrs)
+    variables = state_variables(scene.system, states, t, dims)
+    return xr.Dataset(statistics(variables, "strobe") if options.statistics else variables, attrs=attrs)
 
 
 def random_starts(options: DiagramOptions, scene: Scene) -> tuple[State, Parameters]:

@@ -17,7 +17,6 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.trajectories.states import TILE, check_transient, count, section_attrs, settled, state_variables
 from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.section import drawn_plane
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
@@ -58,9 +57,8 @@ def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     if scene.flow is scene.system:  # else every crossing has its own time
         time = scene.flow.period * (options.transient + np.arange(options.strobes))
         variables["t"] = variable("strobe", time, "time since the start", scene.flow.labels.units["t"])
-    variables |= state_variables(scene.flow, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
-    panel = {"panel": "points", "panel_variables": " ".join(drawn_plane(scene.system))}
-    return xr.Dataset(variables, attrs={**section_attrs(scene), **panel})
+    variables |= state_variables(scene.system, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
+    return xr.Dataset(variables, attrs=section_attrs(scene))
 
 
 def strobe_states(strobe: ReturnMap, state: State, p: Parameters, count: int) -> State:

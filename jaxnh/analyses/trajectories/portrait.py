@@ -14,7 +14,6 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.trajectories.states import TILE, count, settled, state_variables
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.section import drawn_plane
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
@@ -59,10 +58,9 @@ def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
     time = scene.flow.period * (options.transient + elapsed)
     variables = {
         "t": variable("time", time, "time since the start", scene.flow.labels.units["t"]),
-        **state_variables(scene.flow, states, in_period, (LANE, "time"), {"coordinates": "t"}),
+        **state_variables(scene.system, states, in_period, (LANE, "time"), {"coordinates": "t"}),
     }
-    plane = " ".join(drawn_plane(scene.system))
-    return xr.Dataset(variables, attrs={"panel": "trajectories", "panel_variables": plane})
+    return xr.Dataset(variables)
 
 
 def trajectory(parts: ReturnMap, state: State, p: Parameters, count: int) -> State:

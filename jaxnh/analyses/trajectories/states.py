@@ -1,4 +1,4 @@
-"""What the analyses that keep states have in common: transients, variables of states, sections in words, counts."""
+"""What the analyses that keep states have in common: transients, variables of states, sections in words, failures."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, OptionError, Setting, variable
+from jaxnh.analyses.base import Entry, OptionError, Setting, named
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.family import Maps
-from jaxnh.maps.section import Section, outputs, reports
-from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.maps.section import Section, System, drawn_plane, outputs, reports
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
 TILE = 16
@@ -29,29 +29,25 @@ def settled(
 
 
 def state_variables(
-    flow: Flow,
+    system: System,
     states: State,
     t: Float[np.ndarray, " times"],
     dims: tuple[str, ...],
     attrs: Mapping[str, str] | None = None,
 ) -> dict[str, Entry]:
-    """Coordinates and velocities of states, and what the system has to report of each trajectory.
+    """Coordinates and velocities of states, those first that it is drawn over, and the status of each trajectory.
 
     Args:
+        system: the flow or its section.
         states: components of the shape that the dimensions have.
         t: times of the states within a period, repeated along the last dimension.
         dims: names of the dimensions.
         attrs: attributes of each variable but the time.
     """
-    named = {
-        name: variable(dims, found.data, found.long_name, **found.attrs, **(attrs if attrs and name != "t" else {}))
-        for name, found in outputs(flow, states, t).items()
-    }
-    reported = {
-        name: variable(dims[:-1], found.data, found.long_name, **found.attrs)
-        for name, found in reports(flow, states).items()
-    }
-    return named | reported
+    found = outputs(system.flow, states, t)
+    found = {**{name: found[name] for name in drawn_plane(system)}, **found}
+    of = {name: named(dims, output, **(attrs if attrs and name != "t" else {})) for name, output in found.items()}
+    return of | {name: named(dims[:-1], output) for name, output in reports(system.flow, states).items()}
 
 
 _STATISTICS = (
@@ -89,12 +85,8 @@ def section_attrs(scene: Scene) -> dict[str, str]:
 
 
 def count(data: xr.Dataset) -> dict[str, int]:
-    """Number of trajectories, and of those that are not finite at their end."""
-    paths = [v.to_numpy() for v in data.variables.values() if len(v.dims) > 1 and v.dims[-1] in ("strobe", "time")]
-    ends = [path[..., -1] for path in paths]
-    ends = ends or [v.to_numpy() for name, v in data.data_vars.items() if str(name).endswith(f"_{_OF_ANGLES[0]}")]
-    finite = np.all([np.isfinite(end) for end in ends], axis=0)
-    return {"trajectories": finite.size, "not_finite": int(np.count_nonzero(~finite))}
+    """Number of trajectories, and of those that have failed."""
+    return {"trajectories": data["status"].size, "failed": int(np.count_nonzero(data["status"]))}
 
 
 def check_transient(transient: int, setting: Setting) -> None:

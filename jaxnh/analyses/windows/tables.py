@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, Table, variable
+from jaxnh.analyses.base import Entry, Table, flagged, variable
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.location import LocatedDoubling
 from jaxnh.analyses.scene import Axis, Scene, counted_in
 from jaxnh.analyses.windows.search import DOUBLED, ENDS, End, Window, all_lanes
+
+OWN_NAMES = (
+    "window", "level", "searched", "spacing", "period", "orbits", "lanes", "first", "last", "begin", "end", "limit",
+    "crisis", "doubling", "multiplier", "part",
+)  # fmt: skip
+"""Names of variables and dimensions that the parameter may not have."""
 
 _NO_LIMIT = "NaN of fewer than four doublings"
 _NO_CRISIS = (
@@ -57,7 +63,11 @@ def dataset(
     first, last = (np.array([line.value[some[end]] for some in lanes], float) for end in (0, -1))
     period = np.array([group[0].period for group in found], np.int32)
     variables = {
-        "period": variable("window", period, "period of the orbits that the window begins with", unit),
+        axis.name: variable("searched", line.value[[0, -1]], axis.long_name, axis.units),
+        "spacing": variable(
+            (), float(np.diff(line.value).max()), f"largest distance of lanes in {axis.name}", axis.units
+        ),
+        "period": variable("window", period, "period of the orbits that the window begins with", counted_in=unit),
         "orbits": variable("window", np.array([len(group) for group in found], np.int32), "number of such orbits"),
         "lanes": variable("window", np.array(count, np.int32), "number of lanes that have settled in the window"),
         "first": variable("window", first, f"{axis.long_name} of the first of these lanes", axis.units),
@@ -81,12 +91,6 @@ def dataset(
     attrs = {
         "along": axis.name,
         "largest_period": limit,
-        "lowest": float(line.value[0]),
-        "highest": float(line.value[-1]),
-        "spacing": float(np.diff(line.value).max()),
-        "panel": "windows",
-        "panel_variables": "period",
-        "panel_label": axis.long_name,
         **({"warnings": "\n".join(warnings)} if warnings else {}),
     }
     return xr.Dataset(variables, attrs=attrs)
@@ -94,15 +98,12 @@ def dataset(
 
 def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], scene: Scene) -> dict[str, Entry]:
     """The place, its error, its kind and the multipliers there of one end of all windows."""
-    flags: dict[str, Any] = {"flag_values": np.arange(len(ENDS), dtype=np.int8), "flag_meanings": " ".join(ENDS)}
     multipliers = np.full((len(ends), scene.chart.dimension, 2), np.nan)
     for k, end in enumerate(ends):
         multipliers[k] = np.stack([np.real(end.multipliers), np.imag(end.multipliers)], axis=-1)
     return {
         **_place_variables(name, f"where orbits of the period {words}", axis, ends),
-        f"{name}_kind": variable(
-            "window", np.array([end.kind for end in ends], np.int8), f"what is where they {words}", **flags
-        ),
+        f"{name}_kind": flagged("window", [end.kind for end in ends], f"what is where they {words}", ENDS),
         f"{name}_multipliers": variable(
             ("window", "multiplier", "part"),
             multipliers,
@@ -141,11 +142,6 @@ def _searched(limit: int, name: str, values: Float[np.ndarray, " lanes"]) -> str
     return f"windows of periods up to {limit} wider than {lane} in {where}"
 
 
-def count(data: xr.Dataset) -> dict[str, int]:
-    """Number of windows."""
-    return {"windows": data.sizes["window"]}
-
-
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
     """A row a window: its period, where it begins, where its orbits double, and where the doublings accumulate."""
     rows = []
@@ -155,7 +151,7 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
         orbits, last = int(one["orbits"]), (_known(one, name) for name in ("limit", "crisis"))
         rows.append((f"{int(one['period'])}{f' ×{orbits}' if orbits > 1 else ''}", *ends, *last))
     heads = ("period", "from", "", "to", "", "limit", "crisis")
-    lane = f"one lane of {data.attrs['spacing']:.3g}"
+    lane = f"one lane of {float(data['spacing']):.3g}"
     words = f"windows of periods up to {data.attrs['largest_period']} wider than {lane}"
     words += "; (2): ± 2 in the last digit; ×2: twins"
     return Table(f"Windows over {data.attrs['along']}", heads, tuple(rows), words, left=(2, 4), ruled=False)

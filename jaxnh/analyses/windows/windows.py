@@ -28,7 +28,7 @@ from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, r
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
-from jaxnh.analyses.windows.tables import NOWHERE, LocatedValue, count, dataset, table
+from jaxnh.analyses.windows.tables import NOWHERE, OWN_NAMES, LocatedValue, dataset, table
 from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
 from jaxnh.orbits.branches import StepControl, both_ways
 
@@ -72,6 +72,8 @@ def check(options: WindowsOptions, setting: Setting) -> None:
         raise OptionError(f"windows are looked for along one axis; leave out {names}")
     if len(np.unique(first.values)) < 2:
         raise OptionError(f"windows are looked for over a range of {first.name}, and the sweep has one value of it")
+    if first.name in OWN_NAMES:
+        raise OptionError(f"{first.name} is what windows calls a number of its own; rename it")
 
 
 def independent(options: WindowsOptions) -> bool:
@@ -194,7 +196,6 @@ ANALYSIS = Analysis(
     run,
     independent=independent,
     newton=True,
-    count=count,
     check=check,
     table=table,
     price=price_of_orbits,

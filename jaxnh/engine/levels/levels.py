@@ -134,7 +134,7 @@ def filled(level: Level, name: str, piece: Piece, axes: Sequence[Axis], found: x
     """
     mask = level.wanted_in(piece)
     if level.coarser:
-        around = _from_coarser(level.coarser[name], piece, [axis.name for axis in axes], ANALYSES[name].smooth)
+        around = _from_coarser(level.coarser[name], piece, [axis.dim for axis in axes], ANALYSES[name].smooth)
         found = around if found is None else _placed(found, mask, around)
     assert found is not None
     words = "whether this place was computed; else it is filled from a neighbour on a coarser level"
@@ -165,7 +165,7 @@ def _placed(found: xr.Dataset, mask: Bool[np.ndarray, " lanes"], around: xr.Data
 def _from_coarser(data: xr.Dataset, piece: Piece, names: Sequence[str], smooth: Sequence[str]) -> xr.Dataset:
     """What the level before says of the lanes of a piece: where it has a lane its own, else its lower neighbours'.
 
-    What only some axes have is left out; states have the names that analyses give them (`axes.on_axes`).
+    What only some axes have is left out.
     """
     first = [begin // 2 for begin in piece.begin]
     part = {name: slice(low, end // 2 + 1) for name, low, end in zip(names, first, piece.end, strict=True)}
@@ -183,15 +183,10 @@ def _from_coarser(data: xr.Dataset, piece: Piece, names: Sequence[str], smooth: 
             if name in smooth:
                 values = _between(block, values, lower, places)
             values = values.reshape(piece.lanes, *values.shape[len(names) :])
-            own = str(name).removesuffix("_state")
-            content[own if own in names else str(name)] = ((LANE, *dims[len(names) :]), values, attrs)
+            content[str(name)] = ((LANE, *dims[len(names) :]), values, attrs)
         else:
             content[str(name)] = (dims, item.values, attrs)
     attrs = {key: value for key, value in data.attrs.items() if key not in ("warnings", "axes")}
-    if "panel_variables" in attrs:
-        shown = (word.removesuffix("_state") for word in str(attrs["panel_variables"]).split())
-        given = str(attrs["panel_variables"]).split()
-        attrs["panel_variables"] = " ".join(o if o in names else w for o, w in zip(shown, given, strict=True))
     return xr.Dataset(content, attrs=attrs)
 
 

@@ -1,0 +1,129 @@
+"""How each group of a result is drawn, by its name and its variables; attributes, which arithmetic drops, have no say.
+
+A dataset of another origin may say it itself: by the attribute `panel` the kind of panel, by `panel_variables` of what,
+by `panel_label` in which words and by `panel_levels` where lines are, and by `axes` over what.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
+import xarray as xr
+
+
+class _Description(NamedTuple):
+    """Kind of the panel, what it shows, which dimensions of that are no axes, and axes that are variables."""
+
+    panel: str
+    variables: Iterable[str]
+    own: tuple[str, ...] = ()
+    label: str = ""
+    levels: str = "0"
+    parameters: tuple[str, ...] = ()
+
+
+def described(name: str, data: xr.Dataset, axes: str = "") -> xr.Dataset:
+    """A group with attributes that say how it is drawn; as it is where it has these, or is none of a result.
+
+    Args:
+        name: of the group; "": the one that has such variables.
+        axes: of the sweep, separated by blanks; "": those that the group says, or that its variables are over.
+    """
+    data = data.assign_attrs({"axes": axes} | data.attrs) if axes else data
+    _, describe = _GROUPS.get(name or _name_of(data), ((), None))
+    if describe is None or "panel" in data.attrs:
+        return data
+    panel, variables, own, label, levels, parameters = describe(data)
+    shown = tuple(variables)
+    dims = map(str, data[shown[0]].dims) if shown and shown[0] in data else ()
+    over = " ".join((*parameters, *(dim for dim in dims if dim not in own)))
+    said = {"panel": panel if shown else "", "panel_variables": " ".join(shown), "panel_label": label}
+    along = {"along": parameters[0]} if parameters else {}
+    return data.assign_attrs({"axes": over, **data.attrs, **said, "panel_levels": levels, **along})
+
+
+def _name_of(data: xr.Dataset) -> str:
+    """The group that has such variables; "" where none has, or nothing tells it from another."""
+    there = {*map(str, data.variables), *map(str, data.dims)}
+    if "strobe" in there:
+        if "start" in there | data.attrs.keys() or "t" not in data:
+            return "diagram"
+        return "poincare" if data.attrs or data["t"].dims == ("strobe",) else ""
+    return next((name for name, (signs, _) in _GROUPS.items() if there.issuperset(signs)), "")
+
+
+def _over(data: xr.Dataset, *dims: str) -> list[str]:
+    """Variables of numbers whose last dimensions are these, but for times."""
+    items = ((str(name), item) for name, item in data.data_vars.items() if item.dtype.kind == "f")
+    return [name for name, item in items if name != "t" and item.dims[-len(dims) :] == dims]
+
+
+def _with_errors(data: xr.Dataset, *dims: str) -> tuple[str, ...]:
+    """Parameters: of variables over these dimensions those that have an error, but for δ."""
+    return tuple(name for name in _over(data, *dims) if f"{name}_error" in data and name != "delta")
+
+
+def _plane(data: xr.Dataset, panel: str, dim: str) -> _Description:
+    names = _over(data, dim)
+    return _Description(panel, names[:2] if len(names) > 1 else 2 * names, (dim,))
+
+
+def _diagram(data: xr.Dataset) -> _Description:
+    if "strobe" in data.dims:
+        return _Description("density", _over(data, "strobe")[:1], ("start", "strobe"))
+    first = next((str(name)[:-4] for name in data.data_vars if str(name).endswith("_max")), "")
+    names = (name for name in (f"{first}_{kind}" for kind in ("max", "mean", "min")) if name in data)
+    return _Description("curves", names, ("start",), f"{first} at the strobes", "none")
+
+
+def _lyapunov(data: xr.Dataset) -> _Description:
+    words = "largest Lyapunov exponent" if data.sizes.get("exponent") == 1 else "Lyapunov exponents"
+    return _Description("curves", ("exponents",), ("exponent",), words)
+
+
+def _doubling(data: xr.Dataset) -> _Description:
+    parameters = _with_errors(data, "level")
+    return _Description("cascade", (*parameters, "delta"), ("level",), "ratio δ", parameters=parameters)
+
+
+def _of_orbits(data: xr.Dataset, panel: str, parameters: tuple[str, ...], *own: str) -> _Description:
+    names = [name for name in _over(data, "iterate") if name.endswith("_points")]
+    return _Description(panel, names[:1], (*own, "iterate"), parameters=parameters)
+
+
+def _of_curves(data: xr.Dataset, panel: str, *own: str) -> _Description:
+    parameters = _with_errors(data, *own)
+    return _Description(panel, parameters, own, parameters=parameters)
+
+
+_GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description] | None]] = {
+    "lyapunov": (("exponents",), _lyapunov),
+    "chaos01": (("k_median",), lambda _: _Description("curves", ("k_median",), (), "0–1 test, $K$", "0 1")),
+    "verdict": (("recurrence_lag",), lambda _: _Description("flags", ("kind",), label="verdict")),
+    "doubling": (("delta", "level"), _doubling),
+    "windows": (
+        ("crisis",),
+        lambda data: _Description("windows", ("period",), ("window",), parameters=tuple(_over(data, "searched")[:1])),
+    ),
+    "branches": (
+        ("begins", "stable"),
+        lambda data: _of_orbits(data, "branches", tuple(_over(data, "branch", "point")[:1]), "branch", "point"),
+    ),
+    "bifurcations": (
+        ("criticality",),
+        lambda data: _of_orbits(data, "marks", _with_errors(data, "bifurcation"), "bifurcation"),
+    ),
+    "curves": (("begins", "codimension_two"), lambda data: _of_curves(data, "bifurcation_curves", "curve", "point")),
+    "codimension_two": (("codimension_two",), lambda data: _of_curves(data, "special_points", "codimension_two")),
+    "attractors": (("fraction",), lambda _: _Description("shares", ("fraction",), ("attractor",))),
+    "basins": (
+        ("undecided",),
+        lambda data: _Description("basins", () if "start" in data.dims else ("attractor",), label="attractor"),
+    ),
+    "period": (("period", "residual"), lambda _: _Description("integers", ("period",), label="least period")),
+    "portrait": (("time", "status"), lambda data: _plane(data, "trajectories", "time")),
+    "poincare": (("strobe",), lambda data: _plane(data, "points", "strobe")),
+    "diagram": (("status",), _diagram),
+}
+"""Groups by name, with variables and dimensions that tell one from those after it."""
