@@ -19,7 +19,7 @@ from conftest import ROOT, lanes_with_kept_programs, run_here, same_tree, sessio
 
 import jaxnh
 from jaxnh import exceptions
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 
 PACKAGE = ROOT / "jaxnh"
 TITLE = "In memory and on disk"

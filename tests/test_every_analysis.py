@@ -25,7 +25,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError
 from jaxnh.maps import general_flow
 

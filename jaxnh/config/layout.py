@@ -7,9 +7,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from jaxnh.analyses import ANALYSES
 from jaxnh.config.blocks import Accuracy, Analyses, EvenGrid, Levels, PublishedValues, ValueGrid
 from jaxnh.config.messages import Layout
+from jaxnh.config.options import OPTIONS
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_tree import KeyPath
@@ -19,8 +19,8 @@ _SHARED: Mapping[KeyPath, type[BaseModel]] = {
     ("accuracy",): Accuracy,
     ("analyses",): Analyses,
     ("levels",): Levels,
-    **{("analyses", name): analysis.options for name, analysis in ANALYSES.items()},
-    **{("compare", name): PublishedValues for name in ANALYSES},
+    **{("analyses", name): options for name, options in OPTIONS.items()},
+    **{("compare", name): PublishedValues for name in OPTIONS},
 }
 _SYSTEMS: Mapping[str, type[BaseModel]] = {
     "constant_speed": ConstantSpeed,

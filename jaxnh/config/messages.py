@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxnh.config.yaml_source import ConfigSource
 from jaxnh.config.yaml_tree import KeyPath
@@ -88,6 +88,13 @@ def first_fault(error: ValidationError, source: ConfigSource, layout: Layout) ->
     if finding.kind == "unknown" and key != finding.keys[0]:  # an override chose a variant without a key of the file
         message += f"; {'.'.join(map(str, key[:-1]))}={{...}} replaces all of them"
     return source.error(key, message)
+
+
+def fault_of_rule(rule: PydanticCustomError, source: ConfigSource) -> ConfigError:
+    """Return the error of a rule that was broken after the validation; its keys are from the top of the file."""
+    context = rule.context or {}
+    keys = [tuple(key.split(".")) for key in context["keys"]] or [()]
+    return source.error(source.blame(keys), context["message"])
 
 
 def shown(value: Any) -> str:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, variable
 from jaxnh.analyses.scene import Axis
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.maps.rows import ROW
 from jaxnh.maps.section import System
 from jaxnh.storage.pieces import Piece

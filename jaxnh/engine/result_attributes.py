@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import axes_of
 from jaxnh.engine.plan import clock_of, count_warnings
 from jaxnh.storage.merge import Extra

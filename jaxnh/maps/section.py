@@ -14,16 +14,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnh.config.blocks import LONGEST_RETURN
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import FAULTS, Flow, Output, Parameters
 from jaxnh.systems.state import Number, State, Vector, error_components
 
 NOT_FINITE, NO_RETURN = FAULTS.index("not_finite"), len(FAULTS)
 """Why a lane has failed here, continuing `flow.FAULTS`."""
-
-
-LONGEST = 200.0
-"""Time without a crossing after which a lane has failed, in units of the flow's own, where nothing is said."""
 
 
 class Crossing(NamedTuple):
@@ -65,7 +62,7 @@ class Section(eqx.Module):
     value: float = eqx.field(static=True)
     direction: str = eqx.field(static=True)
     normal: tuple[float, ...] | None = eqx.field(static=True, default=None)
-    longest: float = eqx.field(static=True, default=LONGEST)
+    longest: float = eqx.field(static=True, default=LONGEST_RETURN)
     title: str = eqx.field(static=True, default="")
 
     def across(self, y: State) -> Number:

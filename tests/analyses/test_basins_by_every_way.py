@@ -9,7 +9,7 @@ from test_basins import experiment, line, oscillator
 
 import jaxnh
 from jaxnh.analyses.basins.settling import REASONS
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 
 UNCALIBRATED = True

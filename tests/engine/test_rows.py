@@ -14,11 +14,11 @@ from measure import scene_of
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.scene import Rows, Scene
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.row_blocks import in_blocks
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.plan import job_of
 from jaxnh.maps.rows import ROW, stack
 from jaxnh.solvers import SPLITTINGS

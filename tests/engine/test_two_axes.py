@@ -10,7 +10,7 @@ from conftest import run_by_two_workers, run_here, same_attrs, same_tree, sessio
 from measure import some_slow
 
 import jaxnh
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.plan import clock_of
 from jaxnh.engine.session import Session
 
