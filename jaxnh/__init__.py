@@ -76,29 +76,12 @@ _HOMES = {
 }
 
 
-_OPTIONS = (
-    "Basins",
-    "Branches",
-    "Chaos01",
-    "Curves",
-    "Diagram",
-    "Doubling",
-    "Lyapunov",
-    "Period",
-    "Poincare",
-    "Portrait",
-    "Verdict",
-    "Windows",
-)
-"""Options of the analyses, each by the name of its analysis."""
-
-
 def __getattr__(name: str) -> object:
-    if name in _OPTIONS:
+    if name in _HOMES:
+        return getattr(import_module(f"jaxnh.{_HOMES[name]}"), name)
+    if name in __all__:  # options of an analysis, by its name
         return import_module("jaxnh.config.options").OPTIONS[name.lower()]
-    if name not in _HOMES:
-        raise AttributeError(f"module jaxnh has no attribute {name}")
-    return getattr(import_module(f"jaxnh.{_HOMES[name]}"), name)
+    raise AttributeError(f"module jaxnh has no attribute {name}")
 
 
 def __dir__() -> list[str]:

@@ -1,8 +1,6 @@
 """`python -m jaxnh.cost`, which is `jaxnh.cli.commands.cost`."""
 
-import sys
-
 from jaxnh.cli.commands.cost import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -1,8 +1,6 @@
 """`python -m jaxnh.inspect`, which is `jaxnh.cli.commands.inspect`."""
 
-import sys
-
 from jaxnh.cli.commands.inspect import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

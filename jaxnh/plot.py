@@ -1,8 +1,6 @@
 """`python -m jaxnh.plot`, which is `jaxnh.cli.commands.plot`."""
 
-import sys
-
 from jaxnh.cli.commands.plot import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

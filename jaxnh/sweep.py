@@ -1,8 +1,6 @@
 """`python -m jaxnh.sweep`, which is `jaxnh.cli.commands.sweep`."""
 
-import sys
-
 from jaxnh.cli.commands.sweep import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -42,6 +42,14 @@ def overrides(ctx: typer.Context, incomplete: str) -> list[str]:
         del schema["else"], schema["properties"]["system"]
     found = dict.fromkeys([*_keys(schema, schema, ""), *(_users_keys(names, schema) if names else ())])
     return [text for text in found if text.startswith(incomplete)]
+
+
+ConfigFile = Annotated[Path | None, typer.Argument(help="YAML file of the experiment", show_default=False)]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[KEY=VALUE]...", help="Values to use in place of the file's", autocompletion=overrides),
+]
+"""Arguments of commands that take a config."""
 
 
 def _names(config: Path | str | None) -> Names | None:

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import (
     AfterValidator,
-    BaseModel,
     ConfigDict,
     Discriminator,
     Field,
@@ -28,7 +27,7 @@ from pydantic import (
 
 from jaxnh.config.messages import close_match, shown
 from jaxnh.config.options import OPTIONS
-from jaxnh.config.options.base import Options, rule
+from jaxnh.config.options.base import Block, Options, rule
 from jaxnh.config.solver_names import NYSTROM, SOLVERS, SPLITTINGS
 
 MOST_LANES = 10_000_000
@@ -36,12 +35,6 @@ MOST_LANES = 10_000_000
 
 LONGEST_RETURN = 200.0
 """Time without a crossing after which a lane has failed, in units of the flow's own, where nothing is said."""
-
-
-class Block(BaseModel):
-    """A mapping in a config: frozen, strict about types, and a key that is not known is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class OrderedBlock(Block):

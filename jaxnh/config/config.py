@@ -14,12 +14,12 @@ from typing import Any, TypeVar
 
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
-from jaxnh.config.blocks import Accuracy, Analyses, Block, Levels, PublishedValues, SystemBlock
+from jaxnh.config.blocks import Accuracy, Analyses, Levels, PublishedValues, SystemBlock
 from jaxnh.config.fitting import check_accuracy
-from jaxnh.config.layout import layout, user_layout
+from jaxnh.config.layout import layout
 from jaxnh.config.messages import Layout, close_match, first_fault
 from jaxnh.config.options import OPTIONS
-from jaxnh.config.options.base import rule
+from jaxnh.config.options.base import Block, rule
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_source import ConfigSource, read
@@ -229,7 +229,7 @@ def config_of(
             raise source.error(("system", "file"), f"there is no file {path}")
         user_text = read_text(path)
     names = names or names_in(user_text, path)
-    where = user_layout(UserConfig, axes if isinstance(axes, dict) else ())
+    where = layout(UserConfig, axes if isinstance(axes, dict) else ())
     config = _validated(UserConfig, source, where, names)
     config._names, config._path, config._user_text = names, path, user_text
     return config

@@ -11,9 +11,9 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
-from jaxnh.config.blocks import Block, EvenGrid, Grid, InitialBlock, SectionBlock, SweepBlock, SystemBlock, ValueGrid
+from jaxnh.config.blocks import EvenGrid, Grid, InitialBlock, SectionBlock, SweepBlock, SystemBlock, ValueGrid
 from jaxnh.config.messages import unknown
-from jaxnh.config.options.base import rule
+from jaxnh.config.options.base import Block, rule
 from jaxnh.systems.user_text import DIMENSIONS, Names
 
 
@@ -29,20 +29,18 @@ class UserBlock(Block):
         """Check that each key is known, if it is known which are."""
         assert isinstance(info.context, Names)
         self._names = info.context
-        names = self._further_keys()
-        for name in (self.model_extra or {}) if names is not None else ():
+        for name in self.model_extra or {}:
             if name not in self.known:
                 raise rule(unknown(name, (*type(self).model_fields, *self.known)), name)
         return self
 
-    def _further_keys(self) -> tuple[str, ...] | None:
-        """Return the keys that the user's file names; None where its text alone does not give them."""
-        raise NotImplementedError
-
     @property
     def known(self) -> tuple[str, ...]:
-        """Keys that the user's file names; empty where its text alone does not give them."""
-        return self._further_keys() or ()
+        """Names of the further keys; those that the block has, where the text of the user's file does not give them."""
+        raise NotImplementedError
+
+    def _or_own(self, names: tuple[str, ...] | None) -> tuple[str, ...]:
+        return tuple(self.model_extra or ()) if names is None else names
 
 
 class UserInitial(InitialBlock, UserBlock):
@@ -56,9 +54,10 @@ class UserInitial(InitialBlock, UserBlock):
         default=False, description="Move starts that are off the constraints to the nearest velocities on them"
     )
 
-    def _further_keys(self) -> tuple[str, ...] | None:
+    @property
+    def known(self) -> tuple[str, ...]:
         """Coordinates, of mechanics each with its velocity."""
-        return self._names.states
+        return self._or_own(self._names.states)
 
     def coordinates(self) -> Mapping[str, float]:
         """Coordinates and velocities by name."""
@@ -78,15 +77,11 @@ class UserSweep(SweepBlock, UserBlock):
         """Name to grid, in the order of the config."""
         return self.__pydantic_extra__
 
-    def _further_keys(self) -> tuple[str, ...] | None:
-        """Parameters, then coordinates, of mechanics each with its velocity."""
-        parameters, _, states = self._names
-        return None if parameters is None or states is None else (*parameters, *states)
-
     @property
     def known(self) -> tuple[str, ...]:
-        """Parameters and states; empty where the text of the user's file alone does not give them."""
-        return self._further_keys() or ()
+        """Parameters, then coordinates, of mechanics each with its velocity."""
+        parameters, _, states = self._names
+        return self._or_own(None if parameters is None or states is None else (*parameters, *states))
 
 
 class UserSection(SectionBlock):
@@ -122,9 +117,10 @@ class UserSystem(SystemBlock, UserBlock):
 
     file: str = Field(description="Python file with a function system, beside the config")
 
-    def _further_keys(self) -> tuple[str, ...] | None:
+    @property
+    def known(self) -> tuple[str, ...]:
         """Parameters."""
-        return self._names.parameters
+        return self._or_own(self._names.parameters)
 
     @property
     def parameters(self) -> Mapping[str, float]:

@@ -114,6 +114,12 @@ class Experiment(Config):
         """
         return cls.from_config(config_of(from_text(text), user_text=user_text))
 
+    @classmethod
+    def from_content(cls, content: Mapping[str, Any], user_file: UserFile | None) -> Experiment:
+        """The experiment of a dict, of a user's file that has been tried out."""
+        names, text = (user_file.names, user_file.text) if user_file else (None, None)
+        return cls.from_config(config_of(from_dict(content), user_text=text, names=names), user_file)
+
     def variant(
         self, analyses: Mapping[str, Options | Mapping[str, Any] | None], axes: Mapping[str, ArrayLike]
     ) -> Experiment:
@@ -140,7 +146,7 @@ class Experiment(Config):
             name: asked.get(name) or {} if options is None else _plain_options(options)
             for name, options in analyses.items()
         }
-        made = self._remade(content)
+        made = self.from_content(content, self.user_file)
         made._filler = filler
         return made
 
@@ -151,15 +157,9 @@ class Experiment(Config):
             ConfigError: one line, `experiment: section.KEY: what is wrong`.
         """
         content = {**self._data(), "section": {key: value for key, value in section.items() if value is not None}}
-        made = self._remade(content)
+        made = self.from_content(content, self.user_file)
         made._filler = self._filler
         return made
-
-    def _remade(self, content: Mapping[str, Any]) -> Experiment:
-        """An experiment of the same user's file, if there is one, with another content."""
-        file = self.user_file
-        names, text = (file.names, file.text) if file else (None, None)
-        return self.from_config(config_of(from_dict(content), user_text=text, names=names), file)
 
     @property
     def filler(self) -> str:

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxnh.config.config import config_of
-from jaxnh.config.yaml_source import from_dict
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError
 from jaxnh.systems.definition import DefinedFlow
@@ -71,8 +69,7 @@ def experiment_of(
             "a config file is read by jaxnh.load"
         )
     content["sweep"] = {lane[0]: {"values": [lane[1]]}}
-    names, text = (user_file.names, user_file.text) if user_file else (None, None)
-    experiment = Experiment.from_config(config_of(from_dict(content), user_text=text, names=names), user_file)
+    experiment = Experiment.from_content(content, user_file)
     experiment._filler = lane[0]
     return experiment
 

@@ -7,12 +7,13 @@ Imports as `sweep`.
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from jaxnh.cli import completion
+from jaxnh.cli.completion import ConfigFile, Overrides
 from jaxnh.cli.exit_codes import run_app
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -20,13 +21,8 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @app.command(help="Show what accuracy costs in time on the very scene of a config, before it is run.")
 def cost(
-    config: Annotated[Path | None, typer.Argument(help="YAML file of the experiment", show_default=False)] = None,
-    overrides: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[KEY=VALUE]...", help="Values to use in place of the file's", autocompletion=completion.overrides
-        ),
-    ] = None,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
     output: Annotated[
         Path | None, typer.Option(help="Result file; by default results/NAME_cost.h5, with figures beside it")
     ] = None,
@@ -47,6 +43,5 @@ def cost(
     price(experiment_of(content), output, repeats, began, effects=of_effects)
 
 
-def main() -> int:
-    """Run the command; returns its exit code."""
-    return run_app(app)
+main = partial(run_app, app)
+"""Run the command; returns its exit code."""

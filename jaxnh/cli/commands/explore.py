@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -66,6 +67,5 @@ def explore(
     run(server, worker)
 
 
-def main() -> int:
-    """Run the command; returns its exit code."""
-    return run_app(app)
+main = partial(run_app, app)
+"""Run the command; returns its exit code."""

@@ -6,6 +6,7 @@ Imports as `sweep`.
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -67,6 +68,5 @@ def inspect(
         run_again(file, trust=trust)
 
 
-def main() -> int:
-    """Run the command; returns its exit code."""
-    return run_app(app)
+main = partial(run_app, app)
+"""Run the command; returns its exit code."""

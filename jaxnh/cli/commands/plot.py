@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -75,6 +76,5 @@ def plot(
     print(f"wrote {path}")
 
 
-def main() -> int:
-    """Run the command; returns its exit code."""
-    return run_app(app)
+main = partial(run_app, app)
+"""Run the command; returns its exit code."""

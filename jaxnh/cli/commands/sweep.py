@@ -6,12 +6,13 @@ As every command it reads its arguments first, and imports what it needs in its 
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from jaxnh.cli import completion
+from jaxnh.cli.completion import ConfigFile, Overrides
 from jaxnh.cli.exit_codes import run_app
 from jaxnh.exceptions import ArgumentError
 
@@ -22,13 +23,8 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @app.command(help="Run the analyses of a config and keep their results in one HDF5 file.")
 def sweep(
-    config: Annotated[Path | None, typer.Argument(help="YAML file of the experiment", show_default=False)] = None,
-    overrides: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[KEY=VALUE]...", help="Values to use in place of the file's", autocompletion=completion.overrides
-        ),
-    ] = None,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
     output: Annotated[Path | None, typer.Option(help="Result file; by default results/NAME.h5")] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Replace a result that exists")] = False,
     dask: Annotated[
@@ -76,6 +72,5 @@ def _part(text: str | None) -> tuple[int, int] | None:
     return int(match[1]), int(match[2])
 
 
-def main() -> int:
-    """Run the command; returns its exit code."""
-    return run_app(app)
+main = partial(run_app, app)
+"""Run the command; returns its exit code."""

@@ -16,6 +16,12 @@ Side = Annotated[tuple[float, float], Field(strict=False)]
 """The lowest and the highest value of a coordinate."""
 
 
+class Block(BaseModel):
+    """A mapping in a config: frozen, strict about types, and a key that is not known is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
 class _OptionsType(type(BaseModel)):
     """Options that are made by hand say what is wrong with them in one line, as those of a config do."""
 
@@ -37,7 +43,7 @@ class _OptionsType(type(BaseModel)):
 
 
 class Options(BaseModel, metaclass=_OptionsType):
-    """Base of the options of an analysis: frozen, and a key that is not known is an error.
+    """Base of the options of an analysis.
 
     Attributes:
         needs: analyses that run before it, with their defaults where the config does not ask for them.
@@ -46,7 +52,7 @@ class Options(BaseModel, metaclass=_OptionsType):
         extended: whether it makes use of `accuracy.precision: extended`.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = Block.model_config
 
     needs: ClassVar[tuple[str, ...]] = ()
     in_time: ClassVar[bool] = False
