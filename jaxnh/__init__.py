@@ -33,19 +33,19 @@ from jaxnh.exceptions import (
 )
 
 if TYPE_CHECKING:
-    from jaxnh.analyses.basins.basins import BasinsOptions as Basins
-    from jaxnh.analyses.cascade.doubling import DoublingOptions as Doubling
-    from jaxnh.analyses.chaos01 import Chaos01Options as Chaos01
-    from jaxnh.analyses.continuation.branches import BranchesOptions as Branches
-    from jaxnh.analyses.continuation.curves import CurvesOptions as Curves
-    from jaxnh.analyses.exponents.lyapunov import LyapunovOptions as Lyapunov
-    from jaxnh.analyses.periodic.period import PeriodOptions as Period
-    from jaxnh.analyses.trajectories.diagram import DiagramOptions as Diagram
-    from jaxnh.analyses.trajectories.poincare import PoincareOptions as Poincare
-    from jaxnh.analyses.trajectories.portrait import PortraitOptions as Portrait
-    from jaxnh.analyses.verdict import VerdictOptions as Verdict
-    from jaxnh.analyses.windows.windows import WindowsOptions as Windows
-    from jaxnh.config.experiment import Experiment, load
+    from jaxnh.config.options import BasinsOptions as Basins
+    from jaxnh.config.options import BranchesOptions as Branches
+    from jaxnh.config.options import Chaos01Options as Chaos01
+    from jaxnh.config.options import CurvesOptions as Curves
+    from jaxnh.config.options import DiagramOptions as Diagram
+    from jaxnh.config.options import DoublingOptions as Doubling
+    from jaxnh.config.options import LyapunovOptions as Lyapunov
+    from jaxnh.config.options import PeriodOptions as Period
+    from jaxnh.config.options import PoincareOptions as Poincare
+    from jaxnh.config.options import PortraitOptions as Portrait
+    from jaxnh.config.options import VerdictOptions as Verdict
+    from jaxnh.config.options import WindowsOptions as Windows
+    from jaxnh.engine.experiment import Experiment, load
     from jaxnh.engine.session import Session, run
     from jaxnh.explorer.bokeh_figure import bokeh_figure
     from jaxnh.plotting.meanings import labels
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0.dev0"
 
 _HOMES = {
-    "Experiment": "config.experiment",
+    "Experiment": "engine.experiment",
     "FreeParticle": "systems.free_particle",
     "IsokineticParticle": "systems.particle",
     "Lagrangian": "systems.lagrangian",
@@ -70,35 +70,18 @@ _HOMES = {
     "free_particle": "systems.free_particle",
     "labels": "plotting.meanings",
     "lagrangian": "systems.lagrangian",
-    "load": "config.experiment",
+    "load": "engine.experiment",
     "open_result": "storage.hdf5",
     "run": "engine.session",
 }
 
 
-_OPTIONS = (
-    "Basins",
-    "Branches",
-    "Chaos01",
-    "Curves",
-    "Diagram",
-    "Doubling",
-    "Lyapunov",
-    "Period",
-    "Poincare",
-    "Portrait",
-    "Verdict",
-    "Windows",
-)
-"""Options of the analyses, each by the name of its analysis."""
-
-
 def __getattr__(name: str) -> object:
-    if name in _OPTIONS:
-        return import_module("jaxnh.analyses").ANALYSES[name.lower()].options
-    if name not in _HOMES:
-        raise AttributeError(f"module jaxnh has no attribute {name}")
-    return getattr(import_module(f"jaxnh.{_HOMES[name]}"), name)
+    if name in _HOMES:
+        return getattr(import_module(f"jaxnh.{_HOMES[name]}"), name)
+    if name in __all__:  # options of an analysis, by its name
+        return import_module("jaxnh.config.options").OPTIONS[name.lower()]
+    raise AttributeError(f"module jaxnh has no attribute {name}")
 
 
 def __dir__() -> list[str]:

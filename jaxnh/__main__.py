@@ -1,6 +1,6 @@
 """The program `jaxnh COMMAND ...`, also `python -m jaxnh`: its first argument names the command that gets the rest.
 
-Imports as `jaxnh.sweep`.
+Imports as `cli.commands.sweep`.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import sys
 from importlib import import_module
 
 from jaxnh import __version__
+from jaxnh.cli.completion import complete
 
 COMMANDS = {
     "sweep": "run the analyses of a config and keep their results in one HDF5 file",
@@ -18,7 +19,7 @@ COMMANDS = {
     "explore": "zoom into a bifurcation diagram in the browser, computed as one looks",
     "inspect": "show what a result file is, how it was made, and what is in it",
 }
-"""The commands, each a module of the package, and what they do."""
+"""The commands, each a module of `cli.commands`, and what they do."""
 
 _COMPLETION = ("--install-completion", "--show-completion")  # of the shell that this runs in
 
@@ -27,12 +28,10 @@ def main() -> int:
     """Run the command that is named; returns its exit code."""
     name = sys.argv[1] if len(sys.argv) > 1 else "--help"
     if "_JAXNH_COMPLETE" in os.environ or name in _COMPLETION:
-        from jaxnh.cli.completion import complete
-
         return complete(list(COMMANDS))
     if name in COMMANDS:
         sys.argv = [f"jaxnh {name}", *sys.argv[2:]]
-        return import_module(f"jaxnh.{name}").main()
+        return import_module(f"jaxnh.cli.commands.{name}").main()
     if name == "--version":
         print(f"jaxnh {__version__}")
     elif name == "--help":

@@ -1,55 +1,6 @@
-"""The command `python -m jaxnh.cost CONFIG [KEY=VALUE ...] [--effects] [--output FILE] [--repeats R]`: prices.
+"""`python -m jaxnh.cost`, which is `jaxnh.cli.commands.cost`."""
 
-Of accuracy in time; with --effects of every effect and analysis of the scene, in operations, time and bytes. Imports as
-`jaxnh.sweep`.
-"""
-
-from __future__ import annotations
-
-import sys
-import time
-from pathlib import Path
-from typing import Annotated
-
-import typer
-
-from jaxnh.cli import completion
-from jaxnh.cli.exit_codes import run_app
-
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-
-
-@app.command(help="Show what accuracy costs in time on the very scene of a config, before it is run.")
-def cost(
-    config: Annotated[Path | None, typer.Argument(help="YAML file of the experiment", show_default=False)] = None,
-    overrides: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[KEY=VALUE]...", help="Values to use in place of the file's", autocompletion=completion.overrides
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option(help="Result file; by default results/NAME_cost.h5, with figures beside it")
-    ] = None,
-    repeats: Annotated[int, typer.Option(min=1, help="Times that each setting is timed")] = 5,
-    of_effects: Annotated[
-        bool, typer.Option("--effects", help="Instead, what each effect and analysis costs; results/NAME_effects.h5")
-    ] = False,
-) -> None:
-    """Body of the command; the words above are what --help shows."""
-    began = time.perf_counter()
-    from jaxnh.cli.arguments import check_text, experiment_of
-
-    check_text(config, overrides)
-    from jaxnh.cli.pricing import price
-
-    price(experiment_of(config, overrides), output, repeats, began, effects=of_effects)
-
-
-def main() -> int:
-    """Run the command; returns its exit code."""
-    return run_app(app)
-
+from jaxnh.cli.commands.cost import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -46,11 +46,11 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 from jaxnh.analyses.scene import Axis  # noqa: E402
-from jaxnh.config.experiment import Experiment  # noqa: E402
 from jaxnh.engine import plan, session  # noqa: E402
 from jaxnh.engine.accuracy.calibration import Calibration  # noqa: E402
 from jaxnh.engine.executor.lanes import TILE, LaneExecutor  # noqa: E402
 from jaxnh.engine.executor.programs import Programs  # noqa: E402
+from jaxnh.engine.experiment import Experiment  # noqa: E402
 from jaxnh.engine.progress import Progress  # noqa: E402
 from jaxnh.engine.session import Session  # noqa: E402
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 
 _FILE = """\
 import jax.numpy as jnp

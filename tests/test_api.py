@@ -19,7 +19,7 @@ from conftest import ROOT, lanes_with_kept_programs, run_here, same_tree, sessio
 
 import jaxnh
 from jaxnh import exceptions
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 
 PACKAGE = ROOT / "jaxnh"
 TITLE = "In memory and on disk"
@@ -283,6 +283,7 @@ def modules():
 # What is raised and is not for users, and why.
 OTHERS = {
     "AttributeError": {"__init__.py": "what a module must raise for a name that it has not"},
+    "BlockingIOError": {"storage/tiles.py": "caught at once: another process has the lock"},
     "ConstructorError": {"config/yaml_tree.py": "caught by the reader of YAML, which says it in a line"},
     "Fault": {"config/yaml_tree.py": "caught at once, and given its line", "config/yaml_source.py": "likewise"},
     "FileNotFoundError": {"storage/tiles.py": "a tile that is not there: caught by those who look for it"},
@@ -294,19 +295,24 @@ OTHERS = {
     },
     "PydanticCustomError": dict.fromkeys(
         (
-            "analyses/basins/basins.py",
-            "analyses/continuation/branches.py",
-            "analyses/trajectories/diagram.py",
             "config/blocks.py",
-            "config/experiment.py",
+            "config/config.py",
             "config/fitting.py",
+            "config/options/basins.py",
+            "config/options/orbits.py",
+            "config/options/trajectories.py",
             "config/particle.py",
             "config/user_system.py",
+            "engine/fitting.py",
+            "engine/start_states.py",
         ),
         "of a validator: caught by the config or the session, which say it in a line",
     ),
     "RuntimeError": {"engine/dask_workers.py": "in a worker: becomes a RunError in the process of the run"},
     "self.error": {"storage/atomic.py": "the OSError of a write, which the writer of files says in a sentence"},
+    "SystemExit": dict.fromkeys(
+        ("sweep.py", "plot.py", "cost.py", "inspect.py", "explore.py"), "the exit code of a command"
+    ),
     "TypeError": {
         "maps/build.py": "a solver that does not go with a flow: an error of the caller's program",
         "storage/hdf5.py": "within one that is read: among UNREADABLE, caught by all readers",
@@ -316,7 +322,7 @@ OTHERS = {
         "analyses/scene.py": "a scene without a line: an error of the caller's program",
         "maps/general_flow.py": "lanes with a parameter that the flow does not know of: likewise",
         "maps/rows.py": "maps that do not go into one program: likewise",
-        "systems/particle.py": "no common period: an argument of a constructor; caught by the config",
+        "systems/paper.py": "no common period: an argument of a constructor; caught by the config",
     },
 }
 

@@ -58,7 +58,7 @@ def test_commands_exist(page):
     for line in re.findall(r"^!?(?:\.venv/bin/)?jaxnh ([a-z][^\n]*)$", text, re.MULTILINE):
         name, *words = shlex.split(line.partition("|")[0], comments=True)
         assert name in COMMANDS, line
-        command = typer.main.get_command(import_module(f"jaxnh.{name}").app)
+        command = typer.main.get_command(import_module(f"jaxnh.cli.commands.{name}").app)
         known = {"--help", *(option for parameter in command.params for option in parameter.opts)}
         assert {word for word in words if word.startswith("--")} <= known, line
 

@@ -27,7 +27,7 @@ from scipy.optimize import brentq
 
 import jaxnh
 from jaxnh.analyses import ANALYSES
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.maps import general_flow
 

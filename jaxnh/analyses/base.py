@@ -1,24 +1,23 @@
 """What an analysis is: options and a scene (`scene`) in, a dataset out, and what it costs (`price`). No files.
 
-An analysis is one file: its options, what it needs, its numbers and its table for the terminal; `analyses.ANALYSES`
-lists them, and `plotting.descriptions` says how they are drawn. Its dataset has the lanes as dimension `LANE`, which
-the engine turns into the axes of the sweep.
+An analysis is one file: its numbers and its table for the terminal; `analyses.ANALYSES` lists them, `config.options`
+has what each can be asked for, and `plotting.descriptions` says how they are drawn. Its dataset has the lanes as
+dimension `LANE`, which the engine turns into the axes of the sweep.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Int
-from pydantic import BaseModel, ConfigDict, ValidationError
-from pydantic_core import PydanticCustomError
 
 from jaxnh.analyses.price import Price
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene
+from jaxnh.config.options.base import Options
 from jaxnh.exceptions import InputError
 from jaxnh.systems.flow import Flow, Output
 from jaxnh.systems.state import State
@@ -28,42 +27,6 @@ LANE = "lane"
 
 
 # ---- what an analysis is asked for
-
-
-class _Spoken(type(BaseModel)):
-    """Options that are made by hand say what is wrong with them in one line, as those of a config do."""
-
-    if not TYPE_CHECKING:  # which would know no arguments of options any more
-
-        def __call__(cls, *arguments, **options):
-            name, known = cls.__name__.removesuffix("Options"), list(cls.model_fields)
-            if arguments:
-                raise InputError(f"options are given by name, as {name}({known[0] if known else ''}=...)")
-            try:
-                return super().__call__(**options)
-            except ValidationError as error:
-                first = error.errors(include_url=False)[0]
-            key = ".".join(map(str, first["loc"]))
-            if first["type"] == "extra_forbidden":
-                raise InputError(f"{name} has no option {key}; it has {', '.join(known) or 'none'}")
-            message = first["msg"].replace("Input should be", "must be")
-            raise InputError(f"{name}{key and f'({key}=...)'}: {message}")
-
-
-class Options(BaseModel, metaclass=_Spoken):
-    """Base of the options of an analysis: frozen, and a key that is not known is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-
-def rule(message: str, *keys: str) -> PydanticCustomError:
-    """The error a validator raises for values that do not go together; the config gives it its line.
-
-    Args:
-        message: what is wrong, and what would be right.
-        keys: dotted paths, from where the validator stands, of the values concerned, the most likely culprit first.
-    """
-    return PydanticCustomError("rule", "{message}", {"message": message, "keys": keys})
 
 
 class OptionError(InputError):
@@ -224,12 +187,8 @@ class Analysis:
         run: (options, scene, lane runner) to its dataset; with `needs`, also a mapping of the datasets it needs.
             Attributes of the dataset are those of the group, `warnings` among them, lines for the user.
         whole: what is made of all lanes in the end; what `run` gives is then kept until it is made, and no longer.
-        needs: analyses that have to run before, with their defaults where the config does not ask for them.
         independent: options to whether its lanes know nothing of each other. If not, it is run along the whole first
             axis, once for each point of the others (`Scene.along`); its variables then get the other axes.
-        newton: whether it rests on Newton for orbits, for which single precision is too coarse.
-        extended: whether it makes use of `accuracy.precision: extended`.
-        in_time: whether it looks at a flow without a clock in time, and needs no section of it.
         stackable: whether lanes at several values of what lanes share may go through one program: it sees the system
             through its maps alone, and no bit of theirs depends on the shape of a tile.
         numbers: options to about how many numbers a lane leaves.
@@ -253,11 +212,7 @@ class Analysis:
     periods: Callable[[Any, int], float]
     run: Callable[..., xr.Dataset]
     whole: SweepReduction | None = None
-    needs: tuple[str, ...] = ()
     independent: Callable[[Any], bool] = _always
-    newton: bool = False
-    extended: bool = False
-    in_time: bool = False
     stackable: bool = False
     numbers: Callable[[Any], int] = _few
     choose: Callable[[Any, Scene, LaneRunner], Mapping[str, int]] | None = None
@@ -272,3 +227,8 @@ class Analysis:
     )
     price: Callable[[Any, Scene], Price] | None = None
     brief: Mapping[str, int] = field(default_factory=dict[str, int])
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Analyses that run before it."""
+        return self.options.needs

@@ -23,11 +23,11 @@ import xarray as xr
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, Options, named, variable
+from jaxnh.analyses.base import LANE, Analysis, named, variable
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.config.options.chaos import Chaos01Options
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import reports
@@ -42,13 +42,6 @@ _NO_MOTION = 1e-9  # a mean square displacement below this, relative to the sign
 
 Signals = tuple[Float[Array, " points"], ...]
 """Observables of one motion over strobe points."""
-
-
-class Chaos01Options(Options):
-    """Options of `chaos01`."""
-
-    transient: int = Field(default=512, ge=0, description="Periods before the strobe points are used")
-    periods: int = Field(default=1024, ge=100, description="Strobe points used")
 
 
 def periods(options: Chaos01Options, lanes: int) -> float:

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated
 
 import jax
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field
 
 from jaxnh.analyses.base import OptionError, Setting
 from jaxnh.analyses.scene import Scene
 from jaxnh.maps.section import begin
 from jaxnh.systems.flow import Flow
-
-Side = Annotated[tuple[float, float], Field(strict=False)]
-"""The lowest and the highest value of a coordinate."""
 
 Box = Mapping[str, tuple[float, float]]
 """Coordinates of the start by name, each with its lowest and its highest value."""

@@ -1,4 +1,4 @@
-"""Smooth averages over a run of a lane, and the blocks that it is cut into for errors."""
+"""Smooth averages over a run of a lane."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-
-BLOCKS = 16
-"""Equal parts of an average, each a mean of its own."""
 
 
 def window(at: Any) -> Any:

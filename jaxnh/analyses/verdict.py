@@ -48,14 +48,14 @@ import xarray as xr
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
-from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, Options, flagged, named, numbered, variable
+from jaxnh.analyses.base import LANE, Analysis, flagged, named, numbered, variable
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
-from jaxnh.analyses.smooth_window import BLOCKS
 from jaxnh.analyses.window_averages import average_window, extents
+from jaxnh.config.options.base import BLOCKS
+from jaxnh.config.options.chaos import VerdictOptions
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import NOT_FINITE, Flow, Parameters, status
@@ -74,17 +74,6 @@ _RETURNS = 64  # over which the mean time of one is taken
 _LOST = -2
 _STEADY = 1e-5  # of the size of what averages are taken of
 _SHARE, _USUAL = 0.2, 1536  # of lanes that look chaotic, and how long their criteria took: for the expected work
-
-
-class VerdictOptions(Options):
-    """Options of `verdict`, beside those of the analyses that it needs."""
-
-    longer: int = Field(
-        default=10,
-        ge=0,
-        description="Lanes that look chaotic or quasiperiodic are followed for so many times as long; 0: chaotic ones"
-        " are not, others once",
-    )
 
 
 def periods(options: VerdictOptions, lanes: int) -> float:
@@ -326,7 +315,6 @@ ANALYSIS = Analysis(
     VerdictOptions,
     periods,
     run,
-    needs=("period", "lyapunov", "chaos01"),
     classes=classes,
     price=price,
 )

@@ -19,7 +19,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.scene import LaneRunner, Scene
-from jaxnh.analyses.smooth_window import BLOCKS, windows
+from jaxnh.analyses.smooth_window import windows
+from jaxnh.config.options.base import BLOCKS
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap

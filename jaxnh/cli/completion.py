@@ -6,12 +6,12 @@ import json
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
-from jaxnh.config.user_names import Names, names_in, users_file
-from jaxnh.exceptions import InputError
+from jaxnh.exceptions import InputError, UserFileError
+from jaxnh.systems.user_text import Names, names_in, read_text
 
 _SCHEMA = Path(__file__).parents[1] / "config" / "schema.json"
 _USERS_OWN = ("UserInitial", "UserSweep", "UserSystem")  # their keys are the names of a user's file
@@ -25,7 +25,7 @@ def complete(commands: list[str]) -> int:
     """
     program = typer.Typer(pretty_exceptions_enable=False)
     for name in commands:
-        [command] = import_module(f"jaxnh.{name}").app.registered_commands
+        [command] = import_module(f"jaxnh.cli.commands.{name}").app.registered_commands
         program.command(name)(command.callback)
     program(prog_name="jaxnh")
     return 0
@@ -44,15 +44,29 @@ def overrides(ctx: typer.Context, incomplete: str) -> list[str]:
     return [text for text in found if text.startswith(incomplete)]
 
 
+ConfigFile = Annotated[Path | None, typer.Argument(help="YAML file of the experiment", show_default=False)]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[KEY=VALUE]...", help="Values to use in place of the file's", autocompletion=overrides),
+]
+"""Arguments of commands that take a config."""
+
+
 def _names(config: Path | str | None) -> Names | None:
     """Names of the user's file of a config; None where it has none, or is not there yet."""
-    from jaxnh.config.yaml_source import read
+    from jaxnh.config.yaml_source import read  # ruamel.yaml, which no command needs that only reads its arguments
 
     try:
-        file = config and users_file(Path(config), read(Path(config), []).data)
+        system = read(Path(config), []).data.get("system") if config else None
+        file = system.get("file") if isinstance(system, dict) else None
+        if not config or not isinstance(file, str):
+            return None
+        path = Path(config).parent / file
+        return names_in(read_text(path), path) if path.is_file() else Names()
+    except UserFileError:
+        return Names()
     except InputError:
         return None
-    return names_in(file) if file else None
 
 
 def _users_keys(names: Names, schema: dict[str, Any]) -> Iterator[str]:

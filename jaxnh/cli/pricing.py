@@ -17,13 +17,13 @@ from rich.console import Console
 from jaxnh.analyses.scene import Scene
 from jaxnh.cli.arguments import called
 from jaxnh.cli.terminal import progress, show
-from jaxnh.config.experiment import Experiment
 from jaxnh.costs import STUDIES, solvers, tables
 from jaxnh.costs import effects as costs_of_effects
 from jaxnh.engine.accuracy.calibration import Calibration, Plan
 from jaxnh.engine.axes import points
 from jaxnh.engine.compute import scene_of, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.output import check_output
 from jaxnh.engine.plan import calibrate, job_of, plan_of, work_of
 from jaxnh.engine.result_attributes import attributes

@@ -10,8 +10,8 @@ from rich.console import Console
 from jaxnh.analyses import GROUPS
 from jaxnh.cli.inspection import failed_in
 from jaxnh.cli.terminal import show
-from jaxnh.config.experiment import Experiment
 from jaxnh.config.messages import listed
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.run import RunSummary
 from jaxnh.storage.hdf5 import read_attrs, read_group
 from jaxnh.storage.provenance import steps_in_words

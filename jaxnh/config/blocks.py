@@ -1,17 +1,19 @@
-"""Blocks of a config that are the same for all systems, and what those of a system, its start and its sweep have."""
+"""Blocks of a config that are the same for all systems, and what those of a system, its start and its sweep have.
+
+Nothing here imports JAX: blocks hold names and numbers, of which `engine.experiment` makes flows.
+"""
 
 from __future__ import annotations
 
 import abc
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 from pydantic import (
     AfterValidator,
-    BaseModel,
     ConfigDict,
     Discriminator,
     Field,
@@ -23,23 +25,16 @@ from pydantic import (
     model_validator,
 )
 
-from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.base import Analysis, Options, rule
 from jaxnh.config.messages import close_match, shown
-from jaxnh.maps.section import LONGEST, Section
-from jaxnh.solvers import NYSTROM, SOLVERS, SPLITTINGS
-from jaxnh.systems.flow import Flow
+from jaxnh.config.options import OPTIONS
+from jaxnh.config.options.base import Block, Options, rule
+from jaxnh.config.solver_names import NYSTROM, SOLVERS, SPLITTINGS
 
 MOST_LANES = 10_000_000
 """Lanes of a sweep, the product of its axes, that are run unasked: a dozen variables of them fill a gigabyte."""
 
-_SOLVERS = tuple(SOLVERS)
-
-
-class Block(BaseModel):
-    """A mapping in a config: frozen, strict about types, and a key that is not known is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+LONGEST_RETURN = 200.0
+"""Time without a crossing after which a lane has failed, in units of the flow's own, where nothing is said."""
 
 
 class OrderedBlock(Block):
@@ -136,9 +131,10 @@ class SweepBlock(Block, abc.ABC):
         """Names that there are."""
 
     def check(self) -> None:
-        """See that there is an axis."""
+        """Check that there is an axis."""
         if not self.grids:
-            raise rule(f"name an axis and its values, one at least of {', '.join(self.known)}", "sweep")
+            choice = f", one at least of {', '.join(self.known)}" if self.known else ""
+            raise rule(f"name an axis and its values{choice}", "sweep")
 
     @property
     def lanes(self) -> int:
@@ -183,21 +179,20 @@ class InitialBlock(Block, abc.ABC):
 class SystemBlock(Block, abc.ABC):
     """What moves."""
 
-    @abc.abstractmethod
-    def check(self, initial: Any, sweep: SweepBlock) -> None:
-        """See that parameters, start state and sweep go together."""
+    prescribed: ClassVar[bool] = False
+    """Whether it is a particle at a prescribed speed."""
 
     @abc.abstractmethod
-    def flow(self, parameters: Mapping[str, float]) -> Flow:
-        """The system in continuous time, with these parameters in place of its own."""
+    def check(self, initial: Any, sweep: SweepBlock) -> None:
+        """Check that parameters, start state and sweep go together."""
+
+    def has_clock(self, sweep: SweepBlock) -> bool | None:
+        """Whether a forcing or a disturbance keeps time; None where the config alone does not say."""
+        return None
 
     @abc.abstractmethod
     def start(self, initial: Any) -> Mapping[str, float]:
         """Coordinates of the start state that the flow asks for."""
-
-    def is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
-        """Whether all lanes of a program must have the same of these values of a parameter."""
-        return flow.is_shared(name)
 
 
 class SectionBlock(Block, abc.ABC):
@@ -207,17 +202,14 @@ class SectionBlock(Block, abc.ABC):
     longest_return: float | None = Field(
         default=None,
         gt=0,
-        description=f"Time without a crossing after which a lane has failed, in units of time; by default {LONGEST:g}",
+        description="Time without a crossing after which a lane has failed, in units of time; by default "
+        f"{LONGEST_RETURN:g}",
     )
 
     @property
     def longest(self) -> float:
         """Time without a crossing after which a lane has failed."""
-        return self.longest_return or LONGEST
-
-    @abc.abstractmethod
-    def of(self, flow: Flow) -> Section:
-        """A flow on this section."""
+        return self.longest_return or LONGEST_RETURN
 
 
 # ---- accuracy, analyses, published values
@@ -235,7 +227,7 @@ class Accuracy(Block):
     solver: str | None = Field(
         default=None,
         description="Solver to use instead of the one chosen for the target; needs steps",
-        json_schema_extra={"enum": [*_SOLVERS, None]},
+        json_schema_extra={"enum": [*SOLVERS, None]},
     )
     steps: int | None = Field(
         default=None, ge=1, le=1_000_000, description="Steps a period instead of those chosen for the target"
@@ -255,8 +247,8 @@ class Accuracy(Block):
     @field_validator("solver")
     @classmethod
     def _known(cls, solver: str | None) -> str | None:
-        if solver is not None and solver not in _SOLVERS:
-            raise rule(f"must be one of {', '.join(_SOLVERS)}, not {shown(solver)}{close_match(solver, _SOLVERS)}")
+        if solver is not None and solver not in SOLVERS:
+            raise rule(f"must be one of {', '.join(SOLVERS)}, not {shown(solver)}{close_match(solver, SOLVERS)}")
         return solver
 
     @model_validator(mode="after")
@@ -279,17 +271,15 @@ class AnalysesBase(OrderedBlock):
     def _defaults(cls, content: Any) -> Any:
         """A name with nothing behind it means all defaults."""
         if content in (None, {}):
-            raise rule(f"at least one analysis is needed; known are {', '.join(ANALYSES)}")
+            raise rule(f"at least one analysis is needed; known are {', '.join(OPTIONS)}")
         if not isinstance(content, dict):
             return content
         return {name: {} if options is None else options for name, options in content.items()}
 
-    def requested(self) -> list[tuple[Analysis, Options]]:
-        """Each analysis with its options, in the order of the config; those that one needs come before it."""
-        order: list[str] = []
-        for name in self._order:
-            order += [need for need in (*ANALYSES[name].needs, name) if need not in order]
-        return [(ANALYSES[name], getattr(self, name) or ANALYSES[name].options()) for name in order]
+    def options(self) -> dict[str, Options]:
+        """Options of each analysis by name, in the order of the config; those that one needs come before it."""
+        order = dict.fromkeys(word for name in self._order for word in (*OPTIONS[name].needs, name))
+        return {name: getattr(self, name) or OPTIONS[name]() for name in order}
 
 
 if TYPE_CHECKING:
@@ -301,10 +291,10 @@ else:
         __doc__=AnalysesBase.__doc__,
         **{
             name: (
-                analysis.options | None,
+                options | None,
                 Field(default=None, description=f"Options of {name}; nothing or {{}} for all defaults"),
             )
-            for name, analysis in ANALYSES.items()
+            for name, options in OPTIONS.items()
         },
     )
 

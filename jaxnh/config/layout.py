@@ -2,48 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from jaxnh.analyses import ANALYSES
-from jaxnh.config.blocks import Accuracy, Analyses, EvenGrid, Levels, PublishedValues, ValueGrid
+from jaxnh.config.blocks import EvenGrid, PublishedValues, ValueGrid
 from jaxnh.config.messages import Layout
-from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, Sweep
-from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
+from jaxnh.config.options import OPTIONS
 from jaxnh.config.yaml_tree import KeyPath
-
-_GRIDS: Mapping[str, type[BaseModel]] = {"start, stop, count": EvenGrid, "values": ValueGrid}
-_SHARED: Mapping[KeyPath, type[BaseModel]] = {
-    ("accuracy",): Accuracy,
-    ("analyses",): Analyses,
-    ("levels",): Levels,
-    **{("analyses", name): analysis.options for name, analysis in ANALYSES.items()},
-    **{("compare", name): PublishedValues for name in ANALYSES},
-}
-_SYSTEMS: Mapping[str, type[BaseModel]] = {
-    "constant_speed": ConstantSpeed,
-    "disturbed_speed": DisturbedSpeed,
-    "free": Free,
-}
 
 
 def layout(whole: type[BaseModel], axes: Iterable[str]) -> Layout:
-    """Of a config of the particle, whose sweep may have these axes."""
-    blocks = {**_SHARED, (): whole, ("initial",): Initial, ("sweep",): Sweep, ("section",): PoincareSection}
-    grids = _grids(axes)
-    selectors = {("system",): "constraint", **dict.fromkeys(grids, "values")}
-    return Layout(blocks, {("system",): _SYSTEMS, **grids}, selectors)
+    """Blocks of a config whose sweep may have these axes."""
+    blocks: dict[KeyPath, type[BaseModel]] = {(): whole}
+    blocks |= {("analyses", name): options for name, options in OPTIONS.items()}
+    blocks |= {("compare", name): PublishedValues for name in OPTIONS}
+    grids = {"start, stop, count": EvenGrid, "values": ValueGrid}
+    variants: dict[KeyPath, Any] = {("sweep", name): grids for name in axes}
+    selectors = dict.fromkeys(variants, "values")
+    for name, field in whole.model_fields.items():
+        models = _blocks(field.annotation)
+        if isinstance(field.discriminator, str):
+            tag = field.discriminator
+            variants[name,] = {get_args(model.model_fields[tag].annotation)[0]: model for model in models}
+            selectors[name,] = tag
+        elif models:
+            blocks[name,] = models[0]
+    return Layout(blocks, variants, selectors)
 
 
-def user_layout(whole: type[BaseModel], axes: Iterable[str]) -> Layout:
-    """Of a config of a user's system, whose sweep has these axes."""
-    blocks = {**_SHARED, (): whole, ("system",): UserSystem, ("initial",): UserInitial, ("sweep",): UserSweep}
-    blocks[("section",)] = UserSection
-    grids = _grids(axes)
-    return Layout(blocks, grids, dict.fromkeys(grids, "values"))
-
-
-def _grids(axes: Iterable[str]) -> dict[KeyPath, Any]:
-    return {("sweep", name): _GRIDS for name in axes}
+def _blocks(annotation: Any) -> list[type[BaseModel]]:
+    kinds = (annotation, *get_args(annotation))
+    return [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]

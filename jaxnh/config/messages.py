@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxnh.config.yaml_source import ConfigSource
 from jaxnh.config.yaml_tree import KeyPath
@@ -90,6 +90,13 @@ def first_fault(error: ValidationError, source: ConfigSource, layout: Layout) ->
     return source.error(key, message)
 
 
+def fault_of_rule(rule: PydanticCustomError, source: ConfigSource) -> ConfigError:
+    """Return the error of a rule that was broken after the validation; its keys are from the top of the file."""
+    context = rule.context or {}
+    keys = [tuple(key.split(".")) for key in context["keys"]] or [()]
+    return source.error(source.blame(keys), context["message"])
+
+
 def shown(value: Any) -> str:
     """A value from a config, short, as it would be written there."""
     match value:
@@ -125,22 +132,6 @@ def unknown(key: str, known: Collection[str], others: Collection[str] = ()) -> s
 
 def _keys(known: Collection[str]) -> str:
     return f"known keys are {', '.join(known)}" if len(known) > 1 else f"the only known key is {''.join(known)}"
-
-
-def not_a(kind: str, value: Any) -> str:
-    """What is wrong with a value of another type; the kind of the fault is pydantic's."""
-    return f"must be {_KINDS[kind]}, not {shown(value)}"
-
-
-def not_within(kind: str, bound: float, value: Any) -> str:
-    """What is wrong with a number beyond a bound; the kind of the fault is pydantic's."""
-    return f"must be {_BOUNDS[kind][0]} {bound:.12g}, not {shown(value)}"
-
-
-def not_one_of(words: Sequence[str], value: Any) -> str:
-    """What is wrong with a value that is none of some words."""
-    *others, last = map(repr, words)
-    return f"must be {', '.join(others)}{' or ' if others else ''}{last}, not {shown(value)}"
 
 
 def close_match(word: object, known: Iterable[str]) -> str:
@@ -182,9 +173,10 @@ def _finding(detail: ErrorDetails, layout: Layout) -> _Finding:
             message = f"must be {{start: ..., stop: ..., count: ...}} or {{values: [...]}}, not {shown(value)}"
             return _Finding((path,), message, "value")
         case kind if kind in _KINDS:
-            return _Finding((path,), not_a(kind, value), "value")
+            return _Finding((path,), f"must be {_KINDS[kind]}, not {shown(value)}", "value")
         case kind if kind in _BOUNDS:
-            return _Finding((path,), not_within(kind, context[_BOUNDS[kind][1]], value), "value")
+            words, bound = _BOUNDS[kind]
+            return _Finding((path,), f"must be {words} {context[bound]:.12g}, not {shown(value)}", "value")
     return _Finding((path,), detail["msg"], "value")
 
 

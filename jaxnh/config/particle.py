@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import ConfigDict, Field, field_validator
 
-from jaxnh.analyses.base import rule
 from jaxnh.config.blocks import (
     EvenGrid,
     Grid,
@@ -22,11 +21,8 @@ from jaxnh.config.blocks import (
     ValueGrid,
 )
 from jaxnh.config.messages import close_match, listed, shown
-from jaxnh.exceptions import InputError
-from jaxnh.maps.section import Section
-from jaxnh.systems.flow import Flow
-from jaxnh.systems.free_particle import free_particle
-from jaxnh.systems.particle import EFFECTS, constant_speed, disturbed_speed, strobe_period
+from jaxnh.config.options.base import rule
+from jaxnh.systems.paper import EFFECTS, strobe_period
 
 _START_Y2 = math.sqrt(0.99)  # of the paper's start, at its speed of one
 _COORDINATES = ("x1", "x2", "y1", "y2")
@@ -86,11 +82,6 @@ class PoincareSection(SectionBlock):
     coordinate: Literal["x1", "y1"] = Field(default="x1", description="Position that decides")
     value: float = Field(default=0.0, description="Its value on the section")
 
-    def of(self, flow: Flow) -> Section:
-        """A flow on this section."""
-        number = ("x1", "y1").index(self.coordinate)
-        return Section(flow, self.coordinate, number, self.value, self.direction, longest=self.longest)
-
 
 # ---- system
 
@@ -129,19 +120,12 @@ class Particle(SystemBlock):
 
     @property
     def effects_left_out(self) -> frozenset[str]:
-        """Those named, of `systems.EFFECTS`."""
+        """Those named, of `systems.paper.EFFECTS`."""
         return frozenset(self.without or ())
 
-    def _with(self, parameters: Mapping[str, float]) -> dict[str, Any]:
-        """Its parameters with these in place of its own.
-
-        Raises:
-            InputError: it has no such parameter.
-        """
-        for name in parameters:
-            if name not in self.axes:
-                raise InputError(f"{name} does not go with {self.constraint}")
-        return {**dict(self), **parameters}
+    def has_clock(self, sweep: SweepBlock) -> bool:
+        """Whether there is a forcing or a disturbance."""
+        return "forcing" not in self.effects_left_out
 
     def start(self, initial: Initial) -> Mapping[str, float]:
         """Coordinates of the start state; what the constraint decides is left out."""
@@ -213,10 +197,7 @@ class PrescribedSpeed(Particle):
     c: float = Field(default=1.0, gt=0, description="Squared speed, or its mean")
 
     axes: ClassVar[tuple[str, ...]] = ("b", "a", "c", "omega", "x1", "x2", "y1")
-
-    @property
-    def _without(self) -> frozenset[str]:
-        return self.effects_left_out - {"damping"}
+    prescribed: ClassVar[bool] = True
 
     def check(self, initial: Initial, sweep: SweepBlock) -> None:
         """See that parameters, start state and sweep go together, and the speed at t = 0 is enough for x2."""
@@ -236,11 +217,6 @@ class ConstantSpeed(PrescribedSpeed):
     """x2² + y2² = c, equation (12) of the paper."""
 
     constraint: Literal["constant_speed"] = Field(description="The squared speed is held at c")  # pyright: ignore[reportIncompatibleVariableOverride]
-
-    def flow(self, parameters: Mapping[str, float]) -> Flow:
-        """The system in continuous time, with these parameters in place of its own."""
-        p = self._with(parameters)
-        return constant_speed(p["a"], p["c"], p["omega"], p["b"], without=self._without)
 
 
 class DisturbedSpeed(PrescribedSpeed):
@@ -269,12 +245,9 @@ class DisturbedSpeed(PrescribedSpeed):
                 raise rule(str(error), *values.keys("omega", "d"), "system.constraint") from None
         super()._check_values(values)
 
-    def flow(self, parameters: Mapping[str, float]) -> Flow:
-        """The system in continuous time, with these parameters in place of its own."""
-        p = self._with(parameters)
-        if self.d == 0 and "d" not in parameters:  # no part of any program
-            return constant_speed(p["a"], p["c"], p["omega"], p["b"], without=self._without)
-        return disturbed_speed(p["a"], p["c"], p["d"], p["omega"], p["b"], without=self._without)
+    def has_clock(self, sweep: SweepBlock) -> bool:
+        """Whether there is a forcing or a disturbance."""
+        return super().has_clock(sweep) or self.d != 0 or "d" in sweep.grids
 
 
 class Free(Particle):
@@ -287,8 +260,3 @@ class Free(Particle):
     def start(self, initial: Initial) -> Mapping[str, float]:
         """Coordinates of the start state."""
         return {**super().start(initial), "y2": _START_Y2 if initial.y2 is None else initial.y2}
-
-    def flow(self, parameters: Mapping[str, float]) -> Flow:
-        """The system in continuous time, with these parameters in place of its own."""
-        p = self._with(parameters)
-        return free_particle(p["a"], p["b"], p["omega"], self.effects_left_out)

@@ -11,12 +11,12 @@ from typing import Any
 
 from pydantic.json_schema import GenerateJsonSchema
 
-from jaxnh.config.experiment import Experiment, UserExperiment
+from jaxnh.config.config import Config, UserConfig
 
 
 def schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a config, with a description for every key: for editors."""
-    built_in, users = Experiment.model_json_schema(), UserExperiment.model_json_schema()
+    built_in, users = Config.model_json_schema(), UserConfig.model_json_schema()
     properties = {**built_in["properties"]}
     system = properties["system"]
     properties["system"] = {**system, "oneOf": [*system["oneOf"], {"$ref": users["properties"]["system"]["$ref"]}]}

@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from jaxnh.analyses.base import LANE, Analysis, Entry, Options, variable
+from jaxnh.analyses.base import LANE, Analysis, Entry, variable
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.config.options.base import Options
 from jaxnh.costs.operations import count
 from jaxnh.costs.stage import StagelessRunner
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -28,7 +29,8 @@ from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver, dopri8
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.free_particle import FreeParticle, definition, free_particle
 from jaxnh.systems.lagrangian import Motion, lagrangian
-from jaxnh.systems.particle import EFFECTS, IsokineticParticle
+from jaxnh.systems.paper import EFFECTS
+from jaxnh.systems.particle import IsokineticParticle
 
 _STAND_IN = "blanes_moan6"  # for a processed solver, which a flow without a clock has no use for
 _GENERAL_STEPS = 64

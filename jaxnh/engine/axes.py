@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, variable
 from jaxnh.analyses.scene import Axis
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.maps.family import ParameterFamily
 from jaxnh.maps.section import System
 from jaxnh.storage.pieces import Piece

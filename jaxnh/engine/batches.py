@@ -7,10 +7,11 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 
-from jaxnh.analyses.base import Analysis, Options
+from jaxnh.analyses.base import Analysis
 from jaxnh.analyses.scene import Axis
-from jaxnh.config.experiment import Experiment
+from jaxnh.config.options.base import Options
 from jaxnh.engine.executor.lanes import TILE
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level
 from jaxnh.maps.build import scheme_of
 from jaxnh.maps.family import GROUPS

@@ -12,11 +12,11 @@ import xarray as xr
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, SweepLanes
 from jaxnh.analyses.scene import Axis, Scene
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.axes import SweepPoints, on_axes, places_of, points, points_along, points_together, whole_on_axes
 from jaxnh.engine.batches import Requested, lanes_of, stackable
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level, filled, with_computed
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece

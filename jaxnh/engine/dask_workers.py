@@ -17,10 +17,10 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine import xla_options
 from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.journal import journaled
 from jaxnh.engine.levels import files
 from jaxnh.engine.levels.levels import Level, axes_of

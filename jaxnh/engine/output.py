@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError
 from jaxnh.storage import hdf5
 from jaxnh.storage.atomic import check_writable, target_of

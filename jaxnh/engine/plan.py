@@ -14,7 +14,6 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Starts
 from jaxnh.analyses.scene import Axis, Scene, picked
 from jaxnh.config.blocks import MOST_LANES
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
 from jaxnh.engine.axes import SweepPoints, points, sampled
 from jaxnh.engine.batches import Requested, lanes_of, shared_values_a_tile
@@ -23,6 +22,7 @@ from jaxnh.engine.cache.calibrations import Decision
 from jaxnh.engine.compute import scene_of
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.tiles import turns_of
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map, scheme_of

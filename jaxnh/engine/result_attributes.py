@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import axes_of
 from jaxnh.engine.plan import clock_of, count_warnings
 from jaxnh.storage.pieces import Job

@@ -13,12 +13,12 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple
 
-from jaxnh.config.experiment import Experiment
-from jaxnh.engine import dask_workers, early_imports
+from jaxnh.engine import dask_workers
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import ComputedPiece, compute, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.threads import side_by_side
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.journal import journaled
 from jaxnh.engine.levels import files
 from jaxnh.engine.levels.levels import Level, axes_of
@@ -238,7 +238,6 @@ class _Run:
     def _make_lanes(self) -> LaneExecutor:
         if self._lanes is None:
             configure()
-            early_imports.start()
             self._lanes = LaneExecutor(self._progress)
         return self._lanes
 

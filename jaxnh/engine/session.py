@@ -15,16 +15,17 @@ import xarray as xr
 from jax.typing import ArrayLike
 
 from jaxnh.analyses import ANALYSES, GROUPS
-from jaxnh.analyses.base import Analysis, Options
+from jaxnh.analyses.base import Analysis
 from jaxnh.analyses.scene import Axis
 from jaxnh.config.blocks import MOST_LANES
-from jaxnh.config.experiment import Experiment
-from jaxnh.config.from_python import System, experiment_of
-from jaxnh.engine import dask_workers, early_imports
+from jaxnh.config.options.base import Options
+from jaxnh.engine import dask_workers
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import Requested, batches
 from jaxnh.engine.compute import compute, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import Experiment
+from jaxnh.engine.from_python import System, experiment_of
 from jaxnh.engine.levels.levels import Level, axes_of, level_of
 from jaxnh.engine.output import check_output, file_of, is_there
 from jaxnh.engine.plan import calibrate, choose, count_warnings, draws, job_of, plan_of
@@ -78,7 +79,6 @@ class Session:
             JaxStartedWarning: JAX had started without the options of the package.
         """
         configure()
-        early_imports.start()
         if not isinstance(experiment, Experiment):
             experiment = experiment_of(experiment, start, target, parameters)
         elif start is not None or target is not None or parameters is not None:
@@ -154,7 +154,7 @@ class Session:
             "value": value,
             "direction": direction,
             "normal": normal,
-            "longest": longest,
+            "longest_return": longest,
         }
         seen = copy.copy(self)
         seen._plans = []

@@ -10,9 +10,9 @@ import h5py
 import numpy as np
 import xarray as xr
 
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import COMPUTED, axes_of
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ResultError, RunError

@@ -6,8 +6,8 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
-from jaxnh.config.experiment import Experiment
 from jaxnh.config.yaml_source import from_dict, from_text
+from jaxnh.engine.experiment import Experiment
 from jaxnh.explorer.view import View
 from jaxnh.systems.user_file import UserFile
 

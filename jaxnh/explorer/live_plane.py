@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import xarray as xr
 
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.executor.lanes import TILE
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.progress import Progress
 from jaxnh.engine.session import Session
 from jaxnh.exceptions import InputError

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.analyses.scene import Axis
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.progress import Progress
 from jaxnh.engine.session import Session
 from jaxnh.exceptions import InputError

@@ -14,12 +14,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnh.config.blocks import LONGEST_RETURN
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import NO_RETURN, Flow, Output, Parameters, status
 from jaxnh.systems.state import Number, State, Vector, error_components
-
-LONGEST = 200.0
-"""Time without a crossing after which a lane has failed, in units of the flow's own, where nothing is said."""
 
 
 class Crossing(NamedTuple):
@@ -61,7 +59,7 @@ class Section(eqx.Module):
     value: float = eqx.field(static=True)
     direction: str = eqx.field(static=True)
     normal: tuple[float, ...] | None = eqx.field(static=True, default=None)
-    longest: float = eqx.field(static=True, default=LONGEST)
+    longest: float = eqx.field(static=True, default=LONGEST_RETURN)
     title: str = eqx.field(static=True, default="")
 
     def across(self, y: State) -> Number:

@@ -11,7 +11,6 @@ it is code: arrays are in NumPy's own format.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import io
 import json
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from filelock import lock_descriptor
 
 from jaxnh.storage.pieces import Job, Piece
 
@@ -109,14 +109,12 @@ class CallJournal:
         """
         if self._handle is None and not self._closed:
             self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
-            try:
-                fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                os.close(self._handle)
-                self._handle, self._closed = None, True
-            else:
+            if lock_descriptor(self._handle, blocking=False):
                 os.ftruncate(self._handle, self._sound)
                 os.lseek(self._handle, 0, os.SEEK_END)
+            else:
+                os.close(self._handle)
+                self._handle, self._closed = None, True
         return self._handle
 
     def close(self, *, remove: bool) -> None:

@@ -10,10 +10,10 @@ Neither xarray nor h5netcdf knows locks between processes, nor of a file whether
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import h5py
 import numpy as np
+from filelock import lock_descriptor
 
 from jaxnh.exceptions import BusyError, DamagedError, ResultError
 from jaxnh.storage import hdf5 as store
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _JOB, _LOCK = "job.json", "lock"
+_PATIENCE = 1.0  # seconds; another part has the lock of the whole for as long as it takes to take its own
 
 
 class SecondsSpent(NamedTuple):
@@ -73,10 +75,13 @@ def hold(folder: Path, part: tuple[int, int] | None = None) -> Iterator[None]:
     result = folder.name.removesuffix(".tiles")
     with contextlib.ExitStack() as held:
         try:
-            held.enter_context(_locked(folder, _LOCK, shared=part is not None))
-            if part:
-                held.enter_context(_locked(folder, f"part-{part[0]}-of-{part[1]}.lock", shared=False))
+            if part:  # which others may join: the lock of the whole is held while that of the part is taken
+                with _locked(folder, _LOCK, patience=_PATIENCE):
+                    held.enter_context(_locked(folder, f"part-{part[0]}-of-{part[1]}.lock"))
             else:
+                held.enter_context(_locked(folder, _LOCK))
+                for lock in folder.glob("part-*.lock"):
+                    held.enter_context(_locked(folder, lock.name))
                 for left in (*folder.glob(".*.part"), *folder.parent.glob(f".{result}.*.part")):
                     left.unlink(missing_ok=True)  # of a process that was killed while it wrote
         except BlockingIOError:
@@ -94,8 +99,16 @@ def hold(folder: Path, part: tuple[int, int] | None = None) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _locked(folder: Path, name: str, *, shared: bool) -> Iterator[None]:
-    """A lock on a file that is still the one of this name once the lock is had."""
+def _locked(folder: Path, name: str, *, patience: float = 0.0) -> Iterator[None]:
+    """A lock on a file that is still the one of this name once the lock is had.
+
+    Args:
+        patience: seconds for which another may still have it.
+
+    Raises:
+        BlockingIOError: another has it.
+    """
+    until = time.monotonic() + patience
     while True:
         folder.mkdir(exist_ok=True)
         try:
@@ -103,7 +116,10 @@ def _locked(folder: Path, name: str, *, shared: bool) -> Iterator[None]:
         except FileNotFoundError:
             continue  # another has just removed the folder
         try:
-            fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+            while not lock_descriptor(handle, blocking=False):
+                if time.monotonic() >= until:
+                    raise BlockingIOError
+                time.sleep(0.01)
             if _is_at(handle, folder / name):
                 yield
                 return

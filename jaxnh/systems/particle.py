@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from fractions import Fraction
 
 import equinox as eqx
 import jax
@@ -22,13 +21,11 @@ from jaxtyping import Array, Float
 
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Flow, Labels, Output, Parameters
+from jaxnh.systems.paper import strobe_period
 from jaxnh.systems.state import Number, Vector
 
 State = tuple[Vector, Vector]
 """(q, n): position (x1, y1) and unit vector of the velocity (n1, n2)."""
-
-EFFECTS = ("forcing", "coupling", "cubic_stiffness", "damping")
-"""What can be left out of a system; the disturbance is left out by d = 0, the constraint by another system."""
 
 _LONG_NAMES = {
     "a": "stiffness a",
@@ -45,7 +42,6 @@ LABELS = Labels(_LONG_NAMES, dict.fromkeys((*_LONG_NAMES, "t"), "1"), (("x1", "x
 """What the paper's parameters and coordinates are called."""
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(12)
-_LARGEST_DENOMINATOR = 64
 
 
 class ParticleChart(Chart):
@@ -95,7 +91,7 @@ class IsokineticParticle(Flow):
         d: amplitude of the disturbance of the squared speed.
         omega: angular frequency of the forcing g(t) = 1 + sin ωt, ω > 0.
         b: coupling; None where it is left out or every lane has its own.
-        without: effects that are left out, of `EFFECTS` and "disturbance", which gives (12).
+        without: effects that are left out, of `paper.EFFECTS` and "disturbance", which gives (12).
     """
 
     a: ArrayLike
@@ -325,28 +321,10 @@ def _root(c: Number) -> Number:
     return math.sqrt(c) if isinstance(c, float | int) else jnp.sqrt(c)
 
 
-def strobe_period(omega: float, *, disturbed: bool) -> float:
-    """2π/ω, or with the disturbance sin t the least T that is a multiple of both 2π/ω and 2π.
-
-    Raises:
-        ValueError: ω is not a ratio of whole numbers with a denominator up to 64, so that sin ωt and sin t have no
-            common period to strobe at.
-    """
-    if not disturbed:
-        return 2 * math.pi / omega
-    ratio = Fraction(omega).limit_denominator(_LARGEST_DENOMINATOR)
-    if ratio <= 0 or abs(float(ratio) - omega) > 1e-12 * omega:
-        raise ValueError(
-            f"sin({omega:g} t) and the disturbance sin t have no common period to strobe at; "
-            f"omega must be a ratio p/q of whole numbers with q up to {_LARGEST_DENOMINATOR}"
-        )
-    return 2 * math.pi * ratio.denominator
-
-
 def constant_speed(
     a: float = 0.5, c: float = 1.0, omega: float = 1.0, b: float | None = None, without: Collection[str] = ()
 ) -> IsokineticParticle:
-    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1); `without` names effects of `EFFECTS`."""
+    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1); `without` names effects of `paper.EFFECTS`."""
     return IsokineticParticle(a, c, 0.0, omega, b, frozenset(without) - {"damping"} | {"disturbance"})
 
 

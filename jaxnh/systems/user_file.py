@@ -40,6 +40,7 @@ from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explained
+from jaxnh.systems.user_text import BESIDE_STATES, Names, can_be_states, read_text, with_velocities
 
 _ALWAYS = ("coordinates", "period", "time_unit", "angles", "labels", "units")
 _FIRST_ORDER = ("rhs", *_ALWAYS)
@@ -58,13 +59,6 @@ _RETURNED = {
     "f": "a number a constraint",
 }
 _AS_IN = {"labels": "displacement", "units": "m"}
-_BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "status")  # in results, beside the coordinates
-
-OF_RESULTS = (
-    "lane", "strobe", "time", "start", "exponent", "level", "attractor", "period", "kind", "status", "residual",
-    "multiplier", "transverse", "drift", "computed",
-)  # fmt: skip
-"""Variables and dimensions of results, which no axis of a sweep can be called."""
 
 
 class UserFile:
@@ -89,10 +83,7 @@ class UserFile:
             UserFileError: anything that keeps it from being a system.
         """
         self.path, self._equations = path, list[str | None]()
-        try:
-            self.text = path.read_text(encoding="utf-8") if text is None else text
-        except (OSError, UnicodeDecodeError) as error:
-            raise UserFileError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        self.text = read_text(path) if text is None else text
         self._define = self._function()
         self.parameters = self._defaults()
         self._periodic: set[tuple[float, ...]] = set()  # parameters at which the equations were seen to have the period
@@ -109,7 +100,12 @@ class UserFile:
     @property
     def states(self) -> tuple[str, ...]:
         """Names of the coordinates of a state: of mechanics each coordinate, and its velocity NAME_dot."""
-        return self.coordinates if not self.mechanical else _with_velocities(self.coordinates)
+        return self.coordinates if not self.mechanical else with_velocities(self.coordinates)
+
+    @property
+    def names(self) -> Names:
+        """Names of its parameters, coordinates and states."""
+        return Names(tuple(self.parameters), self.coordinates, self.states)
 
     @property
     def sha256(self) -> str:
@@ -242,9 +238,9 @@ class UserFile:
         names = definition["coordinates"]
         if not names or not all(isinstance(n, str) and n.isidentifier() for n in names):
             raise self._fault(line, 'coordinates must be names, as in coordinates=("x", "y")')
-        every = list(names) if "rhs" in definition else list(_with_velocities(names))
-        if len(set(every)) < len(every) or set(every) & set(_BESIDE_STATES):
-            raise self._fault(line, f"coordinates must differ, and not be one of {', '.join(_BESIDE_STATES)}")
+        every = list(names) if "rhs" in definition else list(with_velocities(names))
+        if not can_be_states(every):
+            raise self._fault(line, f"coordinates must differ, and not be one of {', '.join(BESIDE_STATES)}")
         for name in every:
             if name in inspect.signature(self._define).parameters:
                 raise self._fault(line, f"{name} names a parameter and a coordinate or velocity; rename one of them")
@@ -334,11 +330,6 @@ class UserFile:
 
     def _fault(self, line: int, message: str) -> UserFileError:
         return UserFileError(f"{self.path}:{line}: {message}")
-
-
-def _with_velocities(names: Sequence[str]) -> tuple[str, ...]:
-    """Each coordinate, and its velocity."""
-    return tuple(word for name in names for word in (name, f"{name}_dot"))
 
 
 def _with_lists_of_names(definition: Mapping[str, Any]) -> dict[str, Any]:

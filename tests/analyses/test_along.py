@@ -8,7 +8,7 @@ import taylor
 from conftest import session_of
 from measure import apart
 
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 
 NAMES = ("x1", "x2", "y1", "y2")
 

@@ -15,7 +15,7 @@ from jaxnh.analyses.basins.classification import NONE, classify, stays_near
 from jaxnh.analyses.basins.settling import SETTLED, settle
 from jaxnh.analyses.basins.tables import wilson
 from jaxnh.analyses.verdict import KINDS
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.flow import STATUS

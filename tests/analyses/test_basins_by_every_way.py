@@ -8,7 +8,7 @@ from conftest import lanes_with_kept_programs, run_by_two_workers, run_here, sam
 from test_basins import experiment, line, oscillator
 
 import jaxnh
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.systems.flow import STATUS
 

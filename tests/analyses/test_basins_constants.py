@@ -8,7 +8,7 @@ from conftest import ROOT, session_of
 
 import jaxnh
 from jaxnh.analyses.basins import classification, settling
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 
 
 def line(start, stop, count):

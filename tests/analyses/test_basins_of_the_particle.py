@@ -8,7 +8,7 @@ import taylor
 from conftest import session_of
 
 from jaxnh.analyses.basins.tables import wilson
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 
 SIDE = 45  # 2,025 starts
 TRANSIENT, LAST, LIMIT = 400, 24, 12

@@ -15,9 +15,9 @@ import jaxnh
 from jaxnh.analyses.base import LANE
 from jaxnh.analyses.trajectories import diagram, portrait
 from jaxnh.analyses.trajectories.diagram import DiagramOptions, random_starts, run
-from jaxnh.config.experiment import load
 from jaxnh.config.yaml_source import ConfigError
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import load
 from jaxnh.exceptions import InputError
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS

@@ -16,7 +16,7 @@ from measure import some_slow
 
 from jaxnh.analyses.cascade.doubling import _deltas
 from jaxnh.analyses.cascade.limits import doublings_limit
-from jaxnh.config.experiment import load
+from jaxnh.engine.experiment import load
 
 FEIGENBAUM = 4.669201609102990  # Briggs, Math. Comp. 57 (1991) 435
 TABLES = {"table1": taylor.Parameters(), "table2": taylor.Parameters(d=0.1)}

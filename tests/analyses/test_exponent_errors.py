@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses.exponents.errors import held_against_sum, nearly_neutral, of_blocks, of_windows, unseen_bursts
-from jaxnh.analyses.smooth_window import BLOCKS, windows
+from jaxnh.analyses.smooth_window import windows
+from jaxnh.config.options.base import BLOCKS
 
 PERIODS, LANES = 1024, 2000
 

@@ -10,7 +10,7 @@ from conftest import ROOT, session_of
 from heyoka_newton import bifurcation, iterated, section_map, strobe_map
 
 import jaxnh
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 
 DELTA, ALPHA = 4.669201609102990, 2.502907875095892  # Briggs, Math. Comp. 57 (1991) 435
 

@@ -15,7 +15,7 @@ import taylor
 from conftest import ROOT, lanes_with_kept_programs, session_of
 from heyoka_newton import bifurcation, iterated, newton, section_map
 
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.maps import general_flow
 
 UNCALIBRATED = True

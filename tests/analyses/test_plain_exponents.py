@@ -7,7 +7,7 @@ import pytest
 
 import jaxnh
 from jaxnh.analyses.exponents.lyapunov import SOURCES
-from jaxnh.analyses.smooth_window import BLOCKS
+from jaxnh.config.options.base import BLOCKS
 
 UNCALIBRATED = True
 OSCILLATOR = """

@@ -17,7 +17,7 @@ from jaxnh.analyses.basins.basins import BasinsOptions, choose
 from jaxnh.analyses.basins.steps_after_transient import settled_steps
 from jaxnh.analyses.scene import Scene
 from jaxnh.analyses.window_averages import average_window
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed
 

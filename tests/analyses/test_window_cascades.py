@@ -8,7 +8,7 @@ import pytest
 from conftest import session_of
 from heyoka_newton import bifurcation, strobe_map
 
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 
 
 def pendulum(x, v, drive, t):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import session_of
 
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 
 _LANES, _STROBES = 8, 12_000
 _CELLS = 48  # to a side of what all points of a path are in

@@ -12,7 +12,7 @@ from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import ENDS, all_lanes, runs_of, search
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.arclength import Family

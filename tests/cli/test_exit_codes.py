@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxnh import cost, inspect, plot, sweep
 from jaxnh.cli import inspection
+from jaxnh.cli.commands import cost, inspect, plot, sweep
 from jaxnh.exceptions import DamagedError
 from jaxnh.plotting import results
 from jaxnh.storage import hdf5 as store
@@ -57,8 +57,7 @@ def test_a_fault_of_the_program_is_no_damage(made, tmp_path, command, monkeypatc
     """A sound file and a program that fails: code 1 and one line, and the traceback where it is asked for."""
     monkeypatch.setattr(inspection, "_facts", broken)
     monkeypatch.setattr(results, "laid_out", broken)
-    monkeypatch.setattr("jaxnh.cli.arguments.check_text", lambda *_: None)  # there is no such file
-    monkeypatch.setattr("jaxnh.cli.arguments.experiment_of", broken)
+    monkeypatch.setattr("jaxnh.cli.arguments.read_config", broken)
     if debug:
         monkeypatch.setenv("JAXNH_DEBUG", "1")
     code, _, err = command(name, made if name in ("plot", "inspect") else tmp_path / "job.yaml")

@@ -29,7 +29,7 @@ COMMANDS = ("sweep", "plot", "cost", "explore", "inspect")
 
 def loaded_by(name, *arguments):
     """Exit code of a command in a process of its own, and the first names of the modules loaded at its end."""
-    code = f"import sys; sys.argv = {[name, *map(str, arguments)]!r}; from jaxnh import {name}; code = {name}.main(); "
+    code = f"import sys; sys.argv = {[name, *map(str, arguments)]!r}; from jaxnh.cli.commands import {name}; code = {name}.main(); "
     code += "print(code, *{module.split('.')[0] for module in sys.modules}, file=sys.stderr)"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)

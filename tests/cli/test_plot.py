@@ -16,7 +16,7 @@ from matplotlib.image import imread
 
 from jaxnh import plot
 from jaxnh.analyses import GROUPS
-from jaxnh.config.experiment import load
+from jaxnh.engine.experiment import load
 from jaxnh.plotting import results as figures
 from jaxnh.plotting.descriptions import described
 from jaxnh.plotting.groups import kind_of

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.config.experiment import Experiment, load
 from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
+from jaxnh.engine.experiment import Experiment, load
 from jaxnh.exceptions import ConfigError
 
 EXAMPLE = """\

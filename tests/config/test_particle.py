@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from unforced import write_config
 
-from jaxnh.config.experiment import load
+from jaxnh.engine.experiment import load
 from jaxnh.exceptions import ConfigError, InputError
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.systems.particle import constant_speed, disturbed_speed

@@ -8,7 +8,7 @@ import pytest
 from conftest import session_of
 from scipy.integrate import solve_ivp
 
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import JaxnhError
 from jaxnh.systems.user_file import UserFile
 

@@ -21,11 +21,11 @@ import jaxnh
 from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import Axis, Scene
-from jaxnh.config.experiment import load
 from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
 from jaxnh.engine.axes import points
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import load
 from jaxnh.exceptions import ConfigError, UserFileError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.general_flow import GeneralStrobe

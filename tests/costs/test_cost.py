@@ -12,10 +12,10 @@ import xarray as xr
 from conftest import ROOT, run_here
 from measure import scene_of
 
-from jaxnh.config.experiment import load
 from jaxnh.costs import exponent
 from jaxnh.costs import solvers as costs_of_solvers
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import load
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS
 from jaxnh.systems.particle import constant_speed
 

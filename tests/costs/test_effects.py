@@ -20,8 +20,8 @@ from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.trajectories import diagram, poincare
 from jaxnh.cli import pricing
-from jaxnh.config.experiment import load
 from jaxnh.costs.operations import count
+from jaxnh.engine.experiment import load
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, Section

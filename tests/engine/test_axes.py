@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from jaxnh.analyses.base import LANE, variable
 from jaxnh.analyses.scene import Axis
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES
 from jaxnh.engine.axes import on_axes, places_of, points, sampled
+from jaxnh.engine.experiment import Experiment
 from jaxnh.storage.pieces import Job, Piece
 
 KINDS = ("lane", "start", "shared")

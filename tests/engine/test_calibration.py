@@ -14,7 +14,7 @@ from measure import SYSTEMS, UNIT, apart, calibrated, twin
 
 import jaxnh
 from jaxnh.analyses.scene import spread
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate, section_map

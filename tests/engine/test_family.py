@@ -14,11 +14,11 @@ from measure import scene_of
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.scene import Scene
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.grouped_blocks import in_blocks
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.plan import job_of
 from jaxnh.maps.family import ParameterFamily, stack
 from jaxnh.solvers import SPLITTINGS

@@ -181,7 +181,7 @@ def test_call_stopped_between_tiles(tmp_path):
 DIGEST = """
 import sys
 import numpy as np
-from jaxnh.config.experiment import load
+from jaxnh.engine.experiment import load
 from jaxnh.engine.axes import points
 from jaxnh.engine.cache.fingerprints import CallFingerprints
 from jaxnh.engine.executor.grouped_blocks import of_block

@@ -6,10 +6,10 @@ import jax
 import pytest
 from conftest import lanes_with_kept_programs
 
-from jaxnh.config.experiment import Experiment, load
 from jaxnh.engine import plan
 from jaxnh.engine.cache import calibrations, executables
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import Experiment, load
 from jaxnh.exceptions import AccuracyError, ConfigError
 
 # A target of a few steps, and an analysis that chooses (`lyapunov` its parts).

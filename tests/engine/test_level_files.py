@@ -11,7 +11,7 @@ from test_batch import content
 from test_levels import PERIOD, WIDE, said
 
 import jaxnh
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.output import is_there
 from jaxnh.engine.plan import decide
 from jaxnh.engine.progress import NullProgress

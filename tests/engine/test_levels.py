@@ -8,7 +8,7 @@ from conftest import session_of
 from measure import some_slow
 
 from jaxnh.analyses import ANALYSES as KINDS
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import near_changes
 from jaxnh.exceptions import ConfigError
 from sweeps.timing.adaptive_charts import refined

@@ -9,10 +9,10 @@ from conftest import lanes_with_kept_programs
 from measure import some_slow
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine import compute as pieces
 from jaxnh.engine import plan as work
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import Experiment
 from jaxnh.storage.pieces import Piece
 
 UNCALIBRATED = True

@@ -11,7 +11,7 @@ from test_two_axes import OSCILLATOR, content
 
 import jaxnh
 from jaxnh.analyses.trajectories.poincare import PoincareOptions
-from jaxnh.config.experiment import Experiment
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.session import Session
 
 CONTENT = {

@@ -8,10 +8,10 @@ import pytest
 from conftest import run_here
 
 import jaxnh
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine import plan as work
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.solvers import SOLVERS
 

@@ -10,9 +10,9 @@ from conftest import run_by_two_workers, run_here, same_attrs, same_tree, sessio
 from measure import some_slow
 
 import jaxnh
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.programs import Programs
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.plan import clock_of
 from jaxnh.engine.session import Session
 

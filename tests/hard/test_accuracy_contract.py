@@ -13,8 +13,8 @@ import pytest
 import taylor
 from jax import lax
 
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.plan import calibrate
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map

@@ -22,8 +22,8 @@ from jaxnh.analyses.base import LANE
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import attractor_survey, period
 from jaxnh.analyses.trajectories import diagram
-from jaxnh.config.experiment import load
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import load
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, record

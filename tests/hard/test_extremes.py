@@ -16,7 +16,7 @@ from scenes import PAPER_B, hold, hold_to_rounding, roundings, show, show_sum_ru
 
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.scene import spread
-from jaxnh.config.experiment import load
+from jaxnh.engine.experiment import load
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate

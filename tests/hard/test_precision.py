@@ -13,7 +13,7 @@ import taylor
 from measure import apart, calibrated, twin
 from scenes import start_at
 
-from jaxnh.config.experiment import load
+from jaxnh.engine.experiment import load
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map

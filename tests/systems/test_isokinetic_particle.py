@@ -17,7 +17,8 @@ from paper_equations import constrained_field
 from scipy.integrate import quad
 from scipy.special import ellipeinc
 
-from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed, strobe_period
+from jaxnh.systems.paper import strobe_period
+from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
 
 MOMENTS = 200
 RNG = np.random.default_rng(11)

@@ -15,9 +15,8 @@ import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Int
-from pydantic import Field, model_validator
 
-from jaxnh.analyses.base import LANE, Analysis, Options, Setting, Starts, SweepLanes, SweepReduction, rule, variable
+from jaxnh.analyses.base import LANE, Analysis, Setting, Starts, SweepLanes, SweepReduction, variable
 from jaxnh.analyses.basins.boundary import boundary_variables, check_plane
 from jaxnh.analyses.basins.classification import POINTS, Attractors, recorded, scene_from
 from jaxnh.analyses.basins.clustering import find, joined
@@ -26,55 +25,18 @@ from jaxnh.analyses.basins.settling import FAILED, Lot, settle
 from jaxnh.analyses.basins.steps_after_transient import settled_steps
 from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.random_starts import Side, check_box, started
+from jaxnh.analyses.random_starts import check_box, started
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, per_time, picked
 from jaxnh.analyses.section_points import states_at
-from jaxnh.analyses.smooth_window import BLOCKS
 from jaxnh.analyses.window_averages import average_window, maps, window_averages
+from jaxnh.config.options.base import BLOCKS
+from jaxnh.config.options.basins import BasinsOptions
 from jaxnh.maps.section import outputs
 from jaxnh.systems.flow import Output
 
 _SAMPLED = 1024  # lanes by which steps are chosen
 _MANY = 16 * _SAMPLED  # lanes of a sweep that are worth it
 _USUAL = 2.0  # looks as long as the transient that most lanes take, the transient among them
-
-
-class BasinsOptions(Options):
-    """Options of `basins`."""
-
-    transient: int = Field(
-        default=64,
-        ge=2 * BLOCKS,
-        multiple_of=2 * BLOCKS,
-        description="Periods, or units of time, before the first look, which is as long; the next take twice as long",
-    )
-    longest: int = Field(
-        default=8192, ge=4 * BLOCKS, description="Periods after which a lane that has not settled is undecided"
-    )
-    limit: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
-    starts: int = Field(default=0, ge=0, description="Random start states at each value of the parameters; needs a box")
-    seed: int = Field(default=0, ge=0, description="Seed of the random start states")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random start states, each with its lowest and highest value"
-    )
-
-    boundary: bool = Field(
-        default=False,
-        description="Whether entropies and the uncertainty exponent of planes of start states are measured",
-    )
-
-    @model_validator(mode="after")
-    def _check(self) -> BasinsOptions:
-        if bool(self.starts) != bool(self.box):
-            raise rule(*(("needs starts, their number", "box") if self.box else ("needs a box to draw from", "starts")))
-        for name, (low, high) in self.box.items():
-            if not low < high:
-                raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
-        if "seed" in self.model_fields_set and not self.starts:
-            raise rule("goes with starts, and there are none", "seed")
-        if self.longest < 2 * self.transient:
-            raise rule(f"must be at least twice the transient, {2 * self.transient}", "longest", "transient")
-        return self
 
 
 def periods(options: BasinsOptions, lanes: int) -> float:
@@ -292,8 +254,6 @@ ANALYSIS = Analysis(
     periods,
     run,
     whole=SweepReduction(("attractors",), whole),
-    newton=True,
-    in_time=True,
     numbers=numbers,
     choose=choose,
     starts=starts,

@@ -29,13 +29,13 @@ from jaxnh.analyses.basins.point_sets import lie_within, point_set, spacing
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, SETTLED_TO, Lot
 from jaxnh.analyses.basins.volume import keeps_volume
 from jaxnh.analyses.equilibria.search import find_equilibria
-from jaxnh.analyses.exponents.lyapunov import LyapunovOptions
 from jaxnh.analyses.exponents.lyapunov import run as exponents_of
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
 from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
 from jaxnh.analyses.window_averages import WindowAverages, average_window, maps, points_a_unit, units
+from jaxnh.config.options.chaos import LyapunovOptions
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
 from jaxnh.systems.chart import Chart

@@ -8,9 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from pydantic import Field
 
-from jaxnh.analyses.base import Analysis, OptionError, Options, Setting, Table, variable
+from jaxnh.analyses.base import Analysis, OptionError, Setting, Table, variable
 from jaxnh.analyses.cascade.extended_precision import (
     FLOAT64_LEVELS,
     ExtendedDoublings,
@@ -25,6 +24,7 @@ from jaxnh.analyses.cascade.follow import TRANSIENT, Cascade, follow, survey_lim
 from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
 from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
+from jaxnh.config.options.orbits import DoublingOptions
 from jaxnh.maps.section import System
 
 _LIMITS = ("delta_limit", "alpha", "limit")  # each with its error
@@ -35,15 +35,6 @@ _MOST_SHOWN = 16  # cascades in a table of many
 _ROUNDING = 1e-14  # of points of an orbit, in sizes of the motion
 _DIGITS = 4  # of a limit in words, at least
 _LEVELS = 12  # of float64, of which the distances of doublings are then 1e-9 of the first
-
-
-class DoublingOptions(Options):
-    """Options of `doubling`."""
-
-    levels: int = Field(default=6, ge=1, le=16, description="Number of period doublings to find: 12 at most in float64")
-    search: bool = Field(
-        default=True, description="Where the sweep has fewer, look as far as it is wide beyond either end of it as well"
-    )
 
 
 def periods(options: DoublingOptions, lanes: int) -> float:
@@ -284,8 +275,6 @@ ANALYSIS = Analysis(
     periods,
     run,
     independent=independent,
-    newton=True,
-    extended=True,
     check=check,
     table=table,
     price=price_of_orbits,

@@ -13,18 +13,15 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from pydantic import Field, model_validator
 
 from jaxnh.analyses.base import (
     LANE,
     Analysis,
     OptionError,
-    Options,
     Setting,
     SweepLanes,
     SweepReduction,
     Table,
-    rule,
     variable,
 )
 from jaxnh.analyses.continuation.equilibria import equilibria
@@ -34,46 +31,12 @@ from jaxnh.analyses.continuation.seeds import random_wave, settled_waves
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined
-from jaxnh.analyses.random_starts import Side, check_box
+from jaxnh.analyses.random_starts import check_box
 from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.config.options.orbits import BranchesOptions
 from jaxnh.orbits.branches import StepControl
 
 _WORK = 3.0  # of a run, in those of settling: a guess
-
-
-class BranchesOptions(Options):
-    """Options of `branches`."""
-
-    limit: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
-    transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
-    step: float = Field(
-        default=0.02, gt=0, le=0.25, description="Largest step along a branch, in widths of the sweep and in sizes"
-    )
-    longest: int = Field(default=2000, ge=2, description="Points of a branch to either side of its first, at most")
-    starts: int = Field(
-        default=0, ge=0, description="Random starts of Newton for orbits at each of the values searched; needs a box"
-    )
-    equilibria: int = Field(
-        default=0, ge=0, description="The same for equilibria of a flow without a clock, which are followed as well"
-    )
-    values: int = Field(default=5, ge=1, description="Number of values searched, evenly over the lanes of the sweep")
-    seed: int = Field(default=0, ge=0, description="Seed of the random starts")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
-    )
-
-    @model_validator(mode="after")
-    def _check(self) -> BranchesOptions:
-        asked = "starts" if self.starts else "equilibria"
-        if bool(self.starts or self.equilibria) != bool(self.box):
-            raise rule(*(("needs starts, their number", "box") if self.box else ("needs a box to draw from", asked)))
-        for name, (low, high) in self.box.items():
-            if not low < high:
-                raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
-        for name in ("seed", "values"):
-            if name in self.model_fields_set and not self.box:
-                raise rule("goes with starts, and there are none", name)
-        return self
 
 
 def periods(options: BranchesOptions, lanes: int) -> float:
@@ -173,7 +136,6 @@ ANALYSIS = Analysis(
     periods,
     run,
     whole=SweepReduction(("bifurcations",), whole),
-    newton=True,
     numbers=numbers,
     check=check,
     table=table,

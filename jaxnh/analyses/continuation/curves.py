@@ -13,14 +13,12 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from pydantic import Field
 
 from jaxnh.analyses.base import (
     LANE,
     Analysis,
     Entry,
     OptionError,
-    Options,
     Setting,
     SweepLanes,
     SweepReduction,
@@ -34,6 +32,7 @@ from jaxnh.analyses.continuation.seeds import settled_waves
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined
 from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
+from jaxnh.config.options.orbits import CurvesOptions
 from jaxnh.orbits.branches import StepControl
 from jaxnh.orbits.codimension_two import POINTS, Special, special_points
 from jaxnh.orbits.curve_errors import errors_of_points, errors_of_special, finer
@@ -46,22 +45,6 @@ _OWN_NAMES = (
 )  # fmt: skip
 _NEAR = 1e-3  # lengths: a chord between two points is nearer to its curve than this
 _WORK = 3.0  # of a run, in those of settling: a guess
-
-
-class CurvesOptions(Options):
-    """Options of `curves`."""
-
-    limit: int = Field(
-        default=2, ge=1, le=64, description="Largest period of the orbits whose bifurcations are followed"
-    )
-    transient: int = Field(default=512, ge=1, description="Periods before lanes are looked at")
-    values: int = Field(
-        default=3, ge=1, description="Number of values of the second axis at which bifurcations are looked for"
-    )
-    step: float = Field(
-        default=0.02, gt=0, le=0.25, description="Largest step along a curve, in widths of the axes and in sizes"
-    )
-    longest: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
 
 
 class _Seed(NamedTuple):
@@ -307,7 +290,6 @@ ANALYSIS = Analysis(
     periods,
     run,
     whole=SweepReduction(("codimension_two",), whole),
-    newton=True,
     numbers=numbers,
     check=check,
     table=table,

@@ -21,9 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int, Int8
-from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, flagged, named, variable
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, flagged, named, variable
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.errors import (
     held_against_sum,
@@ -46,7 +45,8 @@ from jaxnh.analyses.exponents.tangent_growth import (
 )
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, per_time, picked
-from jaxnh.analyses.smooth_window import BLOCKS
+from jaxnh.config.options.base import BLOCKS
+from jaxnh.config.options.chaos import LyapunovOptions
 from jaxnh.maps.section import reports
 from jaxnh.systems.flow import NOT_FINITE, status
 
@@ -72,18 +72,6 @@ _COMMENT = (
     "twice what twice the steps change in its multipliers; of an equilibrium: "
     "twice what a last step of Newton changes in its eigenvalues, and what rounding may"
 )
-
-
-class LyapunovOptions(Options):
-    """Options of `lyapunov`."""
-
-    transient: int = Field(default=256, ge=0, description="Periods before the average begins")
-    periods: int = Field(default=1024, ge=BLOCKS, description="Periods averaged over, at most")
-    error: float = Field(default=0.0, ge=0.0, description="Stop a lane whose error bars, 1/time, are below this")
-    exponents: int = Field(default=3, ge=1, description="How many of the largest exponents are wanted")
-    plain: bool | None = Field(
-        default=None, description="Whether plain averages are enough, of lanes on orbits too: quick and less exact"
-    )
 
 
 class Averages(NamedTuple):
@@ -452,7 +440,6 @@ ANALYSIS = Analysis(
     LyapunovOptions,
     periods,
     run,
-    in_time=True,
     stackable=True,
     choose=choose,
     classes=classes,

@@ -5,21 +5,14 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 from jaxtyping import Int
-from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, Options, named, numbered, variable
+from jaxnh.analyses.base import LANE, Analysis, named, numbered, variable
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey_from_start
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.analyses.scene import LaneRunner, Scene, counted_in
+from jaxnh.config.options.orbits import PeriodOptions
 from jaxnh.systems.flow import NOT_FINITE, status
-
-
-class PeriodOptions(Options):
-    """Options of `period`."""
-
-    limit: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
-    transient: int = Field(default=512, ge=0, description="Periods before the last look at the strobe points")
 
 
 def periods(options: PeriodOptions, lanes: int) -> float:
@@ -64,7 +57,6 @@ ANALYSIS = Analysis(
     PeriodOptions,
     periods,
     run,
-    newton=True,
     stackable=True,
     numbers=numbers,
     classes=classes,

@@ -9,7 +9,6 @@ as long as side by side on one core, and no other core can help.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import jax
 import numpy as np
@@ -17,9 +16,8 @@ import xarray as xr
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Int
-from pydantic import Field, model_validator
 
-from jaxnh.analyses.base import LANE, Analysis, OptionError, Options, Setting, Starts, rule
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, Starts
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
@@ -33,6 +31,7 @@ from jaxnh.analyses.trajectories.states import (
     state_variables,
     statistics,
 )
+from jaxnh.config.options.trajectories import DiagramOptions
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import iterate
@@ -45,47 +44,6 @@ from jaxnh.systems.state import State
 _CARRIED_AT_ONCE = 32  # values that a call carries a state along at most: the steps of the progress shown
 _CARRIED_PERIODS = 1 << 15  # of such a call: some seconds, that a run that is killed may lose
 _PRICED = 4, 17  # values and strobes of the program of a carried state that is priced
-_FOR_RANDOM = ("starts", "seed", "box")
-_CARRIED = ("up", "down")
-
-
-class DiagramOptions(Options):
-    """Options of `diagram`."""
-
-    transient: int = Field(default=512, ge=0, description="Periods before the first strobe; 0: it is the start state")
-    strobes: int = Field(default=128, ge=1, description="Number of strobes kept, one period apart")
-    start: Literal["fixed", "up", "down", "random"] = Field(
-        default="fixed",
-        description="Start state: the same in every lane, carried along rising or falling values of the first axis, or "
-        "random ones in every lane",
-    )
-    orbits: int | None = Field(
-        default=None,
-        ge=1,
-        le=64,
-        description="Strobes of lanes that settle on a periodic orbit up to this period are those of the orbit itself, "
-        "found by Newton; nothing: of none",
-    )
-    statistics: bool | None = Field(
-        default=None,
-        description="Of the strobes of each trajectory keep the largest, smallest, mean and standard deviation alone",
-    )
-    phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
-    starts: int = Field(default=16, ge=1, description="Number of random start states a lane")
-    seed: int = Field(default=0, ge=0, description="Seed of the random start states")
-    box: float = Field(
-        default=4.0, gt=0, description="Random starts have x1 and y1 in [-box, box] and any direction, evenly"
-    )
-
-    @model_validator(mode="after")
-    def _check(self) -> DiagramOptions:
-        for name in _FOR_RANDOM:
-            if self.start != "random" and name in self.model_fields_set:
-                raise rule(f"{name} goes with start: random, and start is {self.start}", name, "start")
-        if self.orbits and (self.start in _CARRIED or self.phase):
-            other = "start" if self.start in _CARRIED else "phase"
-            raise rule("orbits are found for starts side by side and strobes at phase 0", "orbits", other)
-        return self
 
 
 def periods(options: DiagramOptions, lanes: int) -> float:
@@ -96,7 +54,7 @@ def periods(options: DiagramOptions, lanes: int) -> float:
 
 def independent(options: DiagramOptions) -> bool:
     """Whether lanes know nothing of each other: a carried state knows where it comes from."""
-    return options.start not in _CARRIED
+    return not options.carried
 
 
 def numbers(options: DiagramOptions) -> int:
@@ -110,7 +68,7 @@ def check(options: DiagramOptions, setting: Setting) -> None:
     if setting.autonomous and options.phase:
         raise OptionError("there is no period to have a phase in; leave it out", "phase")
     first = setting.axes[0]
-    if options.start in _CARRIED and first.kind == "start":
+    if options.carried and first.kind == "start":
         message = f"there is nothing to carry along {first.name}, a coordinate of the start state"
         raise OptionError(message + setting.advice, "start")
     for axis in setting.axes if options.start == "random" else ():
@@ -127,9 +85,7 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     With `start: up` or `down` the last state at a value of the first axis is the start state at the next.
     """
     dims = (LANE, "strobe")
-    where = (
-        f"at {scene.count:,} values of {scene.line.name}" if options.start in _CARRIED else f"of {scene.count:,} lanes"
-    )
+    where = f"at {scene.count:,} values of {scene.line.name}" if options.carried else f"of {scene.count:,} lanes"
     label = f"diagram: {options.strobes} strobes {where}, start {options.start}"
     with lanes.stage(label, periods(options, scene.count)):
         if options.start == "random":
@@ -268,7 +224,7 @@ def carried(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters
 
 def price(options: DiagramOptions, scene: Scene) -> Price:
     """Every strobe is kept; a carried state is one lane, against the map of one lane."""
-    if options.start not in _CARRIED:
+    if not options.carried:
         return Price(recording(scene), map_alone(scene), "every strobe is kept")
     strobe, (values, strobes) = scene.map(), _PRICED
     one = scene.take(slice(1))

@@ -9,25 +9,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, Options, Setting, variable
+from jaxnh.analyses.base import LANE, Analysis, Setting, variable
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.trajectories.states import TILE, check_transient, count, section_attrs, settled, state_variables
+from jaxnh.config.options.trajectories import PoincareOptions
 from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
 _PRICED_STROBES = 65
-
-
-class PoincareOptions(Options):
-    """Options of `poincare`."""
-
-    transient: int = Field(default=512, ge=0, description="Periods before the first strobe; 0: it is the start state")
-    strobes: int = Field(default=1024, ge=1, description="Number of strobes kept, one period apart")
 
 
 def periods(options: PoincareOptions, lanes: int) -> float:

@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import xarray as xr
 from jax import lax
-from pydantic import Field
 
-from jaxnh.analyses.base import LANE, Analysis, Options, variable
+from jaxnh.analyses.base import LANE, Analysis, variable
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.trajectories.states import TILE, count, settled, state_variables
+from jaxnh.config.options.trajectories import PortraitOptions
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision
@@ -19,14 +19,6 @@ from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
 _PRICED_PERIODS = 2
-
-
-class PortraitOptions(Options):
-    """Options of `portrait`."""
-
-    transient: int = Field(default=512, ge=0, description="Periods before the first sample; 0: it is the start state")
-    periods: int = Field(default=16, ge=1, description="Length of the trajectory, in periods")
-    samples: int = Field(default=256, ge=1, le=65536, description="Samples a period, evenly spaced in time")
 
 
 def periods(options: PortraitOptions, lanes: int) -> float:
@@ -99,7 +91,6 @@ ANALYSIS = Analysis(
     PortraitOptions,
     periods,
     run,
-    in_time=True,
     numbers=numbers,
     count=count,
     price=price,

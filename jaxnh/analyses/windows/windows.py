@@ -12,9 +12,8 @@ from contextlib import AbstractContextManager
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
-from pydantic import Field
 
-from jaxnh.analyses.base import Analysis, OptionError, Options, Setting
+from jaxnh.analyses.base import Analysis, OptionError, Setting
 from jaxnh.analyses.cascade.follow import along_line
 from jaxnh.analyses.cascade.limits import doublings_limit
 from jaxnh.analyses.cascade.plateaus import PeriodScan
@@ -29,6 +28,7 @@ from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
 from jaxnh.analyses.windows.tables import NOWHERE, OWN_NAMES, LocatedValue, dataset, table
+from jaxnh.config.options.orbits import WindowsOptions
 from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
 from jaxnh.orbits.branches import StepControl, both_ways
 
@@ -39,21 +39,6 @@ _AWAY = 32  # turns of a path until it is all over the bands, from there
 _AT_ONCE = 256  # strobes of a call
 _STEPS = StepControl(0.04)  # of the branch of that orbit
 _WORK = 3.0  # of a run, in those of settling: a guess
-
-
-class WindowsOptions(Options):
-    """Options of `windows`."""
-
-    limit: int = Field(default=12, ge=1, le=64, description="Largest period of the orbits that windows begin with")
-    transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
-    levels: int = Field(
-        default=4, ge=0, le=8, description="Doublings of a window to locate; four or more say where they accumulate"
-    )
-    crisis: int = Field(
-        default=4096,
-        ge=0,
-        description="Periods of a path, at most, that looks for the crisis beyond where doublings accumulate; 0: none",
-    )
 
 
 def periods(options: WindowsOptions, lanes: int) -> float:
@@ -195,7 +180,6 @@ ANALYSIS = Analysis(
     periods,
     run,
     independent=independent,
-    newton=True,
     check=check,
     table=table,
     price=price_of_orbits,

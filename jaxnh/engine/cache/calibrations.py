@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from jaxnh.config.experiment import Experiment
 from jaxnh.engine.cache import executables, store
+from jaxnh.engine.experiment import Experiment
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnh.config.experiment import Experiment, validated
-from jaxnh.config.yaml_source import from_dict
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError
 from jaxnh.systems.definition import DefinedFlow
 from jaxnh.systems.flow import Parameters
@@ -70,7 +69,7 @@ def experiment_of(
             "a config file is read by jaxnh.load"
         )
     content["sweep"] = {lane[0]: {"values": [lane[1]]}}
-    experiment = validated(from_dict(content), Path(), user_file=user_file)
+    experiment = Experiment.from_content(content, user_file)
     experiment._filler = lane[0]
     return experiment
 

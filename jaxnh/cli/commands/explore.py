@@ -1,0 +1,71 @@
+"""The command `python -m jaxnh.explore CONFIG|RESULT`: a page of diagrams and planes. Imports as `sweep`."""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jaxnh.cli.exit_codes import run_app
+from jaxnh.exceptions import InputError
+
+_NEEDED = ("panel", "bokeh")
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command(
+    help="Zoom into a diagram or a plane of two axes in the browser, computed as one looks, or read from a result file."
+)
+def explore(
+    config: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="CONFIG|RESULT", help="YAML file of the experiment, or a result file", show_default=False
+        ),
+    ] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Values to use in place of the config's")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 takes a free one")] = 5006,
+    address: Annotated[
+        str, typer.Option(help="Where to listen; other than the loopback, the page needs a token")
+    ] = "127.0.0.1",
+    columns: Annotated[
+        int, typer.Option(min=64, max=4096, help="Values of the axis in a diagram; a fifth of it in a plane")
+    ] = 1000,
+) -> None:
+    """Body of the command; the words above are what --help shows."""
+    if config is None:
+        raise InputError("command line: CONFIG: name a YAML file or a result file")
+    if any(find_spec(name) is None for name in _NEEDED):
+        raise InputError("command line: explore needs Panel and Bokeh: pip install 'jaxnh[explore]'")
+    if config.suffix == ".h5" and overrides:
+        raise InputError("command line: KEY=VALUE: a result file is as it is; leave it out")
+    from jaxnh.cli.arguments import read_config
+
+    content = None if config.suffix == ".h5" else read_config(config, overrides)
+    # From here on pages of Panel, and of a config JAX: seconds of imports.
+    from jaxnh.explorer.serve import make_server, run
+    from jaxnh.explorer.worker import Watch, Worker
+
+    worker = Worker()
+    if content is None:
+        from jaxnh.explorer.recording import recorded
+
+        source = recorded(config)
+    else:
+        from jaxnh.cli.experiments import experiment_of
+        from jaxnh.explorer.live import live
+
+        source = live(experiment_of(content), Watch(worker), columns)
+    server, page = make_server(source, worker.start(), address, port)
+    print(f"explore: {page} shows {config}; Control-C stops it", flush=True)
+    run(server, worker)
+
+
+main = partial(run_app, app)
+"""Run the command; returns its exit code."""

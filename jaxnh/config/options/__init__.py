@@ -1,0 +1,26 @@
+"""Options of the analyses, by the key of each in YAML: modules that import no JAX, so that a config is read at once."""
+
+from jaxnh.config.options.base import Options
+from jaxnh.config.options.basins import BasinsOptions
+from jaxnh.config.options.chaos import Chaos01Options, LyapunovOptions, VerdictOptions
+from jaxnh.config.options.orbits import BranchesOptions, CurvesOptions, DoublingOptions, PeriodOptions, WindowsOptions
+from jaxnh.config.options.trajectories import DiagramOptions, PoincareOptions, PortraitOptions
+
+OPTIONS: dict[str, type[Options]] = {
+    options.__name__.removesuffix("Options").lower(): options
+    for options in (
+        DoublingOptions,
+        LyapunovOptions,
+        PeriodOptions,
+        PortraitOptions,
+        PoincareOptions,
+        DiagramOptions,
+        Chaos01Options,
+        VerdictOptions,
+        BasinsOptions,
+        BranchesOptions,
+        CurvesOptions,
+        WindowsOptions,
+    )
+}
+"""Options of every analysis, in the order in which messages list them."""

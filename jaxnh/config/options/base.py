@@ -1,0 +1,70 @@
+"""Base of the options of analyses, and how a rule of several keys is told. Nothing here imports JAX."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import PydanticCustomError
+
+from jaxnh.exceptions import InputError
+
+BLOCKS = 16
+"""Equal parts of an average, each a mean of its own."""
+
+Side = Annotated[tuple[float, float], Field(strict=False)]
+"""The lowest and the highest value of a coordinate."""
+
+
+class Block(BaseModel):
+    """A mapping in a config: frozen, strict about types, and a key that is not known is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _OptionsType(type(BaseModel)):
+    """Options that are made by hand say what is wrong with them in one line, as those of a config do."""
+
+    if not TYPE_CHECKING:  # which would know no arguments of options any more
+
+        def __call__(cls, *arguments, **options):
+            name, known = cls.__name__.removesuffix("Options"), list(cls.model_fields)
+            if arguments:
+                raise InputError(f"options are given by name, as {name}({known[0] if known else ''}=...)")
+            try:
+                return super().__call__(**options)
+            except ValidationError as error:
+                first = error.errors(include_url=False)[0]
+            key = ".".join(map(str, first["loc"]))
+            if first["type"] == "extra_forbidden":
+                raise InputError(f"{name} has no option {key}; it has {', '.join(known) or 'none'}")
+            message = first["msg"].replace("Input should be", "must be")
+            raise InputError(f"{name}{key and f'({key}=...)'}: {message}")
+
+
+class Options(BaseModel, metaclass=_OptionsType):
+    """Base of the options of an analysis.
+
+    Attributes:
+        needs: analyses that run before it, with their defaults where the config does not ask for them.
+        in_time: whether it follows a flow without a clock in time, and needs no section of it.
+        newton: whether it rests on Newton for orbits, for which single precision is too coarse.
+        extended: whether it makes use of `accuracy.precision: extended`.
+    """
+
+    model_config = Block.model_config
+
+    needs: ClassVar[tuple[str, ...]] = ()
+    in_time: ClassVar[bool] = False
+    newton: ClassVar[bool] = False
+    extended: ClassVar[bool] = False
+
+
+def rule(message: str, *keys: str) -> PydanticCustomError:
+    """The error a validator raises for values that do not go together; the config gives it its line.
+
+    Args:
+        message: what is wrong, and what would be right.
+        keys: dotted paths, from where the validator stands, of the values concerned, the most likely culprit first.
+    """
+    return PydanticCustomError("rule", "{message}", {"message": message, "keys": keys})

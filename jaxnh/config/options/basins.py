@@ -1,0 +1,50 @@
+"""Options of `basins`."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from pydantic import Field, model_validator
+
+from jaxnh.config.options.base import BLOCKS, Options, Side, rule
+
+
+class BasinsOptions(Options):
+    """Options of `basins`."""
+
+    in_time: ClassVar[bool] = True
+    newton: ClassVar[bool] = True
+
+    transient: int = Field(
+        default=64,
+        ge=2 * BLOCKS,
+        multiple_of=2 * BLOCKS,
+        description="Periods, or units of time, before the first look, which is as long; the next take twice as long",
+    )
+    longest: int = Field(
+        default=8192, ge=4 * BLOCKS, description="Periods after which a lane that has not settled is undecided"
+    )
+    limit: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
+    starts: int = Field(default=0, ge=0, description="Random start states at each value of the parameters; needs a box")
+    seed: int = Field(default=0, ge=0, description="Seed of the random start states")
+    box: dict[str, Side] = Field(
+        default_factory=dict, description="Coordinates of random start states, each with its lowest and highest value"
+    )
+
+    boundary: bool = Field(
+        default=False,
+        description="Whether entropies and the uncertainty exponent of planes of start states are measured",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> BasinsOptions:
+        if bool(self.starts) != bool(self.box):
+            raise rule(*(("needs starts, their number", "box") if self.box else ("needs a box to draw from", "starts")))
+        for name, (low, high) in self.box.items():
+            if not low < high:
+                raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
+        if "seed" in self.model_fields_set and not self.starts:
+            raise rule("goes with starts, and there are none", "seed")
+        if self.longest < 2 * self.transient:
+            raise rule(f"must be at least twice the transient, {2 * self.transient}", "longest", "transient")
+        return self

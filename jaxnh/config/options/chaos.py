@@ -1,0 +1,43 @@
+"""Options of the analyses that tell chaos from order: exponents, the 0-1 test, verdicts."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from pydantic import Field
+
+from jaxnh.config.options.base import BLOCKS, Options
+
+
+class LyapunovOptions(Options):
+    """Options of `lyapunov`."""
+
+    in_time: ClassVar[bool] = True
+
+    transient: int = Field(default=256, ge=0, description="Periods before the average begins")
+    periods: int = Field(default=1024, ge=BLOCKS, description="Periods averaged over, at most")
+    error: float = Field(default=0.0, ge=0.0, description="Stop a lane whose error bars, 1/time, are below this")
+    exponents: int = Field(default=3, ge=1, description="How many of the largest exponents are wanted")
+    plain: bool | None = Field(
+        default=None, description="Whether plain averages are enough, of lanes on orbits too: quick and less exact"
+    )
+
+
+class Chaos01Options(Options):
+    """Options of `chaos01`."""
+
+    transient: int = Field(default=512, ge=0, description="Periods before the strobe points are used")
+    periods: int = Field(default=1024, ge=100, description="Strobe points used")
+
+
+class VerdictOptions(Options):
+    """Options of `verdict`, beside those of the analyses that it needs."""
+
+    needs: ClassVar[tuple[str, ...]] = ("period", "lyapunov", "chaos01")
+
+    longer: int = Field(
+        default=10,
+        ge=0,
+        description="Lanes that look chaotic or quasiperiodic are followed for so many times as long; 0: chaotic ones"
+        " are not, others once",
+    )

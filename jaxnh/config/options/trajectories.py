@@ -1,0 +1,72 @@
+"""Options of the analyses that keep states: portraits, Poincaré maps, diagrams."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from jaxnh.config.options.base import Options, rule
+
+_FOR_RANDOM = ("starts", "seed", "box")
+
+
+class PortraitOptions(Options):
+    """Options of `portrait`."""
+
+    in_time: ClassVar[bool] = True
+
+    transient: int = Field(default=512, ge=0, description="Periods before the first sample; 0: it is the start state")
+    periods: int = Field(default=16, ge=1, description="Length of the trajectory, in periods")
+    samples: int = Field(default=256, ge=1, le=65536, description="Samples a period, evenly spaced in time")
+
+
+class PoincareOptions(Options):
+    """Options of `poincare`."""
+
+    transient: int = Field(default=512, ge=0, description="Periods before the first strobe; 0: it is the start state")
+    strobes: int = Field(default=1024, ge=1, description="Number of strobes kept, one period apart")
+
+
+class DiagramOptions(Options):
+    """Options of `diagram`."""
+
+    transient: int = Field(default=512, ge=0, description="Periods before the first strobe; 0: it is the start state")
+    strobes: int = Field(default=128, ge=1, description="Number of strobes kept, one period apart")
+    start: Literal["fixed", "up", "down", "random"] = Field(
+        default="fixed",
+        description="Start state: the same in every lane, carried along rising or falling values of the first axis, or "
+        "random ones in every lane",
+    )
+    orbits: int | None = Field(
+        default=None,
+        ge=1,
+        le=64,
+        description="Strobes of lanes that settle on a periodic orbit up to this period are those of the orbit itself, "
+        "found by Newton; nothing: of none",
+    )
+    statistics: bool | None = Field(
+        default=None,
+        description="Of the strobes of each trajectory keep the largest, smallest, mean and standard deviation alone",
+    )
+    phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
+    starts: int = Field(default=16, ge=1, description="Number of random start states a lane")
+    seed: int = Field(default=0, ge=0, description="Seed of the random start states")
+    box: float = Field(
+        default=4.0, gt=0, description="Random starts have x1 and y1 in [-box, box] and any direction, evenly"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> DiagramOptions:
+        for name in _FOR_RANDOM:
+            if self.start != "random" and name in self.model_fields_set:
+                raise rule(f"{name} goes with start: random, and start is {self.start}", name, "start")
+        if self.orbits and (self.carried or self.phase):
+            other = "start" if self.carried else "phase"
+            raise rule("orbits are found for starts side by side and strobes at phase 0", "orbits", other)
+        return self
+
+    @property
+    def carried(self) -> bool:
+        """Whether the state at one value of the first axis is the start state at the next."""
+        return self.start in ("up", "down")

@@ -1,0 +1,380 @@
+"""The experiment: a config as it is run, with its flow, its start states and its axes.
+
+What a config says, and what is wrong with it as far as JAX is not needed to tell, is in `config`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from pydantic import PrivateAttr
+from pydantic_core import PydanticCustomError
+
+from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.base import Analysis, Setting
+from jaxnh.analyses.scene import Axis
+from jaxnh.config.config import Config, UserConfig, config_of, load_config
+from jaxnh.config.messages import fault_of_rule
+from jaxnh.config.options.base import Options
+from jaxnh.config.particle import PoincareSection
+from jaxnh.config.user_system import UserSection
+from jaxnh.config.yaml_source import from_dict, from_text
+from jaxnh.engine.fitting import check_analysis, check_levels
+from jaxnh.engine.flows import particle_flow, section_of
+from jaxnh.engine.start_states import admitted, check_constraints, evenly
+from jaxnh.maps.section import System, begin
+from jaxnh.systems.first_order import FirstOrder
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.lagrangian import Lagrangian
+from jaxnh.systems.state import State
+from jaxnh.systems.user_file import UserFile
+
+_MOST_CLOCKS = 1000  # values of a parameter at which the period is looked at
+
+
+class Experiment(Config):
+    """A validated config; made by `load`, `Experiment.from_dict` or `Experiment.from_text`."""
+
+    _filler: str = PrivateAttr(default="")
+
+    # ---- how it is made
+
+    @classmethod
+    def from_config(cls, config: Config, user_file: UserFile | None = None) -> Experiment:
+        """The experiment of a config, which is tried out: its flow is made, and held against analyses and levels.
+
+        Args:
+            config: what is run.
+            user_file: the user's file that it names, where it has been tried out before.
+
+        Raises:
+            ConfigError: as of `load`.
+        """
+        if isinstance(config, UserConfig):
+            user_file = user_file or UserFile(config._path, config._user_text)
+            if user_file.names != config._names:  # its text alone says less, or other than it does
+                config = config_of(config._source, user_text=config._user_text, names=user_file.names)
+        kind = UserExperiment if user_file else Experiment
+        made = kind.model_construct(config.model_fields_set, **dict(config))
+        for name in config.__private_attributes__:
+            setattr(made, name, getattr(config, name))
+        if isinstance(made, UserExperiment) and user_file:
+            made._file = user_file
+        try:
+            made._try_out()
+        except PydanticCustomError as broken:
+            raise fault_of_rule(broken, config._source) from None
+        return made
+
+    def _try_out(self) -> None:
+        """Check what only the flow tells.
+
+        Raises:
+            ValueError: something does not go together; the rule names the key.
+        """
+        axes, requested = self.axes, self.requested()
+        setting = Setting(
+            self.flow(), self.autonomous, axes, self.precision, lambda value: self.flow({axes[0].name: value})
+        )
+        for analysis, options in requested:
+            check_analysis(analysis, options, setting)
+        if self.levels:
+            check_levels(self.levels, {name: grid.size for name, grid in self.sweep.grids.items()}, requested)
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any], overrides: Sequence[str] = ()) -> Experiment:
+        """The experiment of a dict that says what a YAML file would say; a user's file is named from where one is.
+
+        Args:
+            content: mappings, lists, text, numbers and booleans; NumPy's arrays and numbers as well.
+            overrides: KEY=VALUE, as of `load`.
+
+        Raises:
+            ConfigError: one line, `experiment: KEY: what is wrong`.
+        """
+        return cls.from_config(config_of(from_dict(content, overrides)))
+
+    @classmethod
+    def from_text(cls, text: str, user_text: str | None = None) -> Experiment:
+        """The experiment of the text of a YAML file.
+
+        Args:
+            text: such as `Experiment.text` of another one.
+            user_text: what the user's file says that the config names, in place of reading it.
+
+        Raises:
+            ConfigError: one line, `experiment:LINE: KEY: what is wrong`.
+        """
+        return cls.from_config(config_of(from_text(text), user_text=user_text))
+
+    @classmethod
+    def from_content(cls, content: Mapping[str, Any], user_file: UserFile | None) -> Experiment:
+        """The experiment of a dict, of a user's file that has been tried out."""
+        names, text = (user_file.names, user_file.text) if user_file else (None, None)
+        return cls.from_config(config_of(from_dict(content), user_text=text, names=names), user_file)
+
+    def variant(
+        self, analyses: Mapping[str, Options | Mapping[str, Any] | None], axes: Mapping[str, ArrayLike]
+    ) -> Experiment:
+        """The same experiment with other analyses, on other lanes and without levels.
+
+        Args:
+            analyses: name to options; None for those that it has here, or else all defaults.
+            axes: values of parameters or of coordinates of the start by name, in place of what the experiment says of
+                them; its other axes stay.
+
+        Raises:
+            ConfigError: one line, `experiment: KEY: what is wrong`.
+        """
+        content = self._data("compare", "levels")
+        for block in ("system", "initial"):
+            given = content.get(block) or {}
+            content[block] = {key: value for key, value in given.items() if key not in axes}
+        grids = {name: _grid(values) for name, values in axes.items()}
+        filler = self._filler if not grids else ""
+        own = {name: grid for name, grid in content["sweep"].items() if filler or name != self._filler}
+        content["sweep"] = {**own, **grids}
+        asked = content["analyses"]
+        content["analyses"] = {
+            name: asked.get(name) or {} if options is None else _plain_options(options)
+            for name, options in analyses.items()
+        }
+        made = self.from_content(content, self.user_file)
+        made._filler = filler
+        return made
+
+    def on(self, section: Mapping[str, Any]) -> Experiment:
+        """The same experiment, looked at on a section: keys and values of that block of a config.
+
+        Raises:
+            ConfigError: one line, `experiment: section.KEY: what is wrong`.
+        """
+        content = {**self._data(), "section": {key: value for key, value in section.items() if value is not None}}
+        made = self.from_content(content, self.user_file)
+        made._filler = self._filler
+        return made
+
+    @property
+    def filler(self) -> str:
+        """The axis of one value that stands in while none is named; "" where there is none."""
+        return self._filler
+
+    def _data(self, *without: str) -> dict[str, Any]:
+        """The content as it was given, without some blocks."""
+        return {key: value for key, value in self._source.data.items() if key not in without}
+
+    # ---- what is run
+
+    def _default_section(self) -> PoincareSection | UserSection:
+        """The section of a scene without a clock where the config does not say."""
+        return PoincareSection()
+
+    def _flow(self, parameters: Mapping[str, float]) -> Flow:
+        """The system in continuous time, with these parameters in place of its own."""
+        return particle_flow(self.system, parameters)
+
+    def flow(self, shared: Mapping[str, float] | None = None) -> Flow:
+        """What moves, in continuous time.
+
+        Args:
+            shared: values of shared axes; the first value of each where it is not named.
+        """
+        coordinates = self.initial.coordinates()
+        swept = {name: grid.first for name, grid in self.sweep.grids.items() if name not in coordinates}
+        return self._flow({**swept, **(shared or {})})
+
+    def dynamics(self, shared: Mapping[str, float] | None = None) -> System:
+        """What return maps are of: the flow, or its section where it has no clock and that is asked for.
+
+        Args:
+            shared: as of `flow`.
+        """
+        flow = self.flow(shared)
+        if not self.sectioned:
+            return flow
+        return section_of(self.section or self._default_section(), self._positions, flow)
+
+    @property
+    def _positions(self) -> tuple[str, ...]:
+        """Coordinates that a section may be of, in the order of the flow's positions."""
+        return "x1", "y1"
+
+    def start(
+        self,
+        coordinates: Mapping[str, Float[np.ndarray, " count"]],
+        count: int,
+        shared: Mapping[str, float] | None = None,
+        own: Mapping[str, Float[np.ndarray, " count"]] | None = None,
+    ) -> State:
+        """Start states of lanes, components (count,); of a flow on a section, on their way there.
+
+        Args:
+            coordinates: coordinates of the start by name, in place of those that `initial` says.
+            count: number of lanes.
+            shared: values of shared axes, as of `flow`.
+            own: parameters that lanes have of their own.
+        """
+        flow = self.flow(shared)
+        given = {**self.system.start(self.initial), **coordinates}
+        state = flow.start({name: np.full(count, value, dtype=np.float64) for name, value in given.items()})
+        return begin(self.dynamics(shared), self._admitted(flow, state, own or {}))
+
+    def _admitted(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
+        """Start states, those that the constraints do not admit failed or moved: here their coordinates see to it."""
+        return start
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Coordinates of the start state that lanes may have of their own."""
+        return tuple(self.system.start(self.initial))
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The axes of the sweep, in the order of the config; their product, in C order, is what is run.
+
+        Made anew at every call.
+        """
+        flow, coordinates, axes = self.flow(), self.initial.coordinates(), []
+        for name, grid in self.sweep.grids.items():
+            values = grid.grid()
+            kind = "lane"
+            if name in coordinates:
+                kind = "start"
+            elif self._is_shared(name, values, flow):
+                kind = "shared"
+            axes.append(Axis(name, values, flow.labels.long_names[name], kind, flow.labels.units[name]))
+        return tuple(axes)
+
+    def _is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
+        """Whether all lanes of a program must have the same of these values of a parameter."""
+        return flow.is_shared(name)
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether the scene has no clock: neither forcing nor disturbance."""
+        return self.flow().autonomous
+
+    @property
+    def sectioned(self) -> bool:
+        """Whether the scene has no clock, and a section is given or an analysis needs one."""
+        needed = self.section is not None or not all(options.in_time for options in self.analyses.options().values())
+        return needed and self.autonomous
+
+    def requested(self) -> list[tuple[Analysis, Options]]:
+        """The analyses asked for, each with its options, in the order of the config; before each those it needs."""
+        return [(ANALYSES[name], options) for name, options in self.analyses.options().items()]
+
+    @property
+    def user_file(self) -> UserFile | None:
+        """The user's file that the system is from, if it is."""
+        return None
+
+    @property
+    def sha256(self) -> str:
+        """Hash, in hex, of what decides the numbers.
+
+        It is taken of the validated content in canonical JSON, so that formatting, comments, the order of keys and
+        defaults written out do not change it; the order of the axes, where there are some, does. Nor do `title` and
+        `compare`, which change no number.
+        """
+        content = self._content()
+        if len(names := tuple(self.sweep.grids)) > 1:
+            content["sweep"] = [[name, content["sweep"][name]] for name in names]
+        if self.sectioned:
+            content["section"] = (self.section or self._default_section()).model_dump(mode="json", exclude_none=True)
+        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
+    def _content(self) -> dict[str, Any]:
+        """What decides the numbers, defaults written out."""
+        return self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
+
+
+class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompatibleVariableOverride]
+    """An experiment of a user's system."""
+
+    _file: UserFile = PrivateAttr()
+
+    def _try_out(self) -> None:
+        check_constraints(self.flow(), self.initial, self.sweep)
+        self.check_clock(not self.autonomous)
+        super()._try_out()
+
+    def _flow(self, parameters: Mapping[str, float]) -> Lagrangian | FirstOrder:
+        return self._file.flow({**self._own_parameters(), **parameters}, tuple(parameters))
+
+    @property
+    def _positions(self) -> tuple[str, ...]:
+        return self._file.coordinates
+
+    def _is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
+        """Whether the strobe period depends on a parameter: anywhere near its value, or between these."""
+        picked = values[evenly(len(values), _MOST_CLOCKS)]
+        return (
+            flow.is_shared(name)
+            or len({self._file.period({**dict(flow.parameters), name: float(value)}) for value in picked}) > 1
+        )
+
+    def _admitted(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
+        return admitted(flow, start, own, project=self.initial.project)
+
+    def _default_section(self) -> UserSection:
+        return UserSection.model_validate({"coordinate": self._file.coordinates[0]}, context=self._file.names)
+
+    @property
+    def user_file(self) -> UserFile:
+        """The user's file that the system is from."""
+        return self._file
+
+    def _own_parameters(self) -> dict[str, float]:
+        """All parameters, with the file's defaults where the config says nothing."""
+        return {**self._file.parameters, **self.system.parameters}
+
+    def _content(self) -> dict[str, Any]:
+        system = {**self._own_parameters(), "file": self._file.sha256}
+        initial = {**self.initial.coordinates(), **({"project": True} if self.initial.project else {})}
+        return {**super()._content(), "system": system, "initial": initial}
+
+    def _parameters(self) -> dict[str, Any]:
+        return {"file": self.system.file, **self._own_parameters(), **self.initial.coordinates()}
+
+
+def _grid(values: ArrayLike) -> dict[str, Any]:
+    """Values of an axis as a config has them; what is no such thing is left as it is, for the config to refuse."""
+    try:
+        given = np.atleast_1d(np.asarray(values, float))
+    except (TypeError, ValueError):
+        return {"values": values}
+    if given.ndim == 1 and len(given) > 2 and np.isfinite(given).all() and given[0] != given[-1]:
+        grid = {"start": float(given[0]), "stop": float(given[-1]), "count": len(given)}
+        if np.array_equal(given, np.linspace(*grid.values())):
+            return grid
+    return {"values": given.tolist()}
+
+
+def _plain_options(options: Options | Mapping[str, Any]) -> dict[str, Any]:
+    return options.model_dump(exclude_unset=True) if isinstance(options, Options) else dict(options)
+
+
+def load(path: str | Path, overrides: Sequence[str] = (), user_text: str | None = None) -> Experiment:
+    """Read, override and validate a config.
+
+    Args:
+        path: the YAML file.
+        overrides: KEY=VALUE, KEY a dotted path into the YAML (a number for an item of a list), VALUE as in YAML;
+            analyses.NAME=null drops an analysis, analyses.NAME={} asks for one; null leaves out what the file says of
+            a parameter, a start or an axis.
+        user_text: what the user's file says that the config names, in place of reading it.
+
+    Raises:
+        ConfigError: one line, `FILE:LINE: KEY: what is wrong`, or `command line: KEY: ...` for an override; of a
+            user's system, also `ITS FILE:LINE: what is wrong`.
+    """
+    return Experiment.from_config(load_config(path, overrides, user_text))

@@ -1,0 +1,52 @@
+"""What goes with what, of a flow that is made: an analysis with scene and sweep, levels with both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.base import Analysis, OptionError, Setting
+from jaxnh.config.blocks import Levels
+from jaxnh.config.messages import listed
+from jaxnh.config.options.base import Options, rule
+
+
+def check_analysis(analysis: Analysis, options: Options, setting: Setting) -> None:
+    """Check that an analysis can do with the scene, and its options with scene and sweep.
+
+    Raises:
+        ValueError: it cannot; the rule names the key.
+    """
+    name = analysis.name
+    try:
+        analysis.check(options, setting)
+    except OptionError as error:
+        key = f"analyses.{name}.{error.key}".rstrip(".")
+        axes = () if error.key in options.model_fields_set else (f"sweep.{axis.name}" for axis in setting.axes)
+        raise rule(str(error), key, f"analyses.{name}", *axes) from None
+
+
+def check_levels(levels: Levels, sizes: Mapping[str, int], requested: Sequence[tuple[Analysis, Options]]) -> None:
+    """Check that the coarsest level has two values of every axis, and that lanes can be left out.
+
+    Args:
+        levels: what the config says.
+        sizes: number of values of each axis.
+        requested: the analyses asked for.
+
+    Raises:
+        ValueError: they do not; the rule names the key.
+    """
+    for name, size in sizes.items():
+        if 1 < size <= levels.coarsest:
+            most = (size - 1).bit_length()
+            few = f"{size} values of {name} are too few for {levels.count} levels"
+            advice = f"{most} at most, or {levels.coarsest + 1} values" if most > 1 else "leave levels out"
+            raise rule(f"{few}: {advice}", "levels.count", f"sweep.{name}")
+    for analysis, options in requested:
+        if not analysis.independent(options):
+            along = f"{analysis.name} runs along all values of {next(iter(sizes))}"
+            raise rule(f"{along}, and levels leave some out: run it without them", f"analyses.{analysis.name}")
+    if levels.refine == "boundary" and not any(analysis.classes for analysis, _ in requested):
+        known = listed([analysis.name for analysis in ANALYSES.values() if analysis.classes])
+        raise rule(f"a boundary is seen in {known}; ask for one of them as well", "levels.refine")
