@@ -45,7 +45,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
-from jaxnh.analyses.scene import Axis  # noqa: E402
+from jaxnh.analyses.batch import Axis  # noqa: E402
 from jaxnh.engine import plan, session  # noqa: E402
 from jaxnh.engine.accuracy.calibration import Calibration  # noqa: E402
 from jaxnh.engine.executor.lanes import TILE, LaneExecutor  # noqa: E402

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import taylor
 
-from jaxnh.analyses.scene import Axis, Scene, spread
+from jaxnh.analyses.batch import Axis, LaneBatch, spread
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_return_map
@@ -50,7 +50,7 @@ def scene_of(system, start, values, solver, steps, compensated=False, error=0.0,
     """A scene of lanes along one axis, all from the same start state of floats."""
     values = np.asarray(values, float)
     axis = Axis(name, values, system.flow.labels.long_names[name])
-    return Scene(
+    return LaneBatch(
         system, spread(start, len(values)), {name: values}, solver, steps, compensated, error, along=axis, **others
     )
 

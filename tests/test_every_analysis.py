@@ -388,7 +388,7 @@ KINDS = {
     "a right-hand side in time": Kind(
         SPACE,
         {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
-        | {"verdict": WITHOUT_SECTION.format("period"), "curves": WITHOUT_SECTION.format("curves")}
+        | {"verdict": WITHOUT_SECTION.format("period")}
         | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor},
         known_flows.MOEBIUS_IN_SPACE,
     ),

@@ -1,4 +1,4 @@
-"""What an analysis is: options and a scene (`scene`) in, a dataset out, and what it costs (`price`). No files.
+"""What an analysis is: options and a batch (`batch`) in, a dataset out, and what it costs (`price`). No files.
 
 An analysis is one file: its numbers and its table for the terminal; `analyses.ANALYSES` lists them, `config.options`
 has what each can be asked for, and `plotting.descriptions` says how they are drawn. Its dataset has the lanes as
@@ -15,8 +15,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
 from jaxnh.analyses.price import Price
-from jaxnh.analyses.scene import Axis, LaneRunner, Scene
 from jaxnh.config.options.base import Options
 from jaxnh.exceptions import InputError
 from jaxnh.systems.flow import Flow, Output
@@ -30,7 +30,7 @@ LANE = "lane"
 
 
 class OptionError(InputError):
-    """Options that a scene or sweep has no place for.
+    """Options that a batch or sweep has no place for.
 
     Attributes:
         key: the option, "" for the analysis as such.
@@ -136,7 +136,7 @@ class SweepLanes(NamedTuple):
     """
 
     axes: tuple[Axis, ...]
-    rows: tuple[tuple[Int[np.ndarray, " some"], Scene], ...]
+    rows: tuple[tuple[Int[np.ndarray, " some"], LaneBatch], ...]
 
 
 class SweepReduction(NamedTuple):
@@ -152,8 +152,8 @@ class SweepReduction(NamedTuple):
     run: Callable[[Any, SweepLanes, LaneRunner, xr.Dataset], Mapping[str, xr.Dataset]]
 
 
-Starts = Callable[[Scene], tuple[State, Int[np.ndarray, " starts"]]]
-"""Scene to random start states of its lanes, and the number of the lane of each."""
+Starts = Callable[[LaneBatch], tuple[State, Int[np.ndarray, " starts"]]]
+"""Batch to random start states of its lanes, and the number of the lane of each."""
 
 
 def _always(options: Any) -> bool:
@@ -184,17 +184,17 @@ class Analysis:
         name: the key in YAML and the group in the result file.
         options: the model of its options.
         periods: (options, number of lanes) to the lane-periods that a run of it is expected to integrate.
-        run: (options, scene, lane runner) to its dataset; with `needs`, also a mapping of the datasets it needs.
+        run: (options, batch, lane runner) to its dataset; with `needs`, also a mapping of the datasets it needs.
             Attributes of the dataset are those of the group, `warnings` among them, lines for the user.
         whole: what is made of all lanes in the end; what `run` gives is then kept until it is made, and no longer.
         independent: options to whether its lanes know nothing of each other. If not, it is run along the whole first
-            axis, once for each point of the others (`Scene.along`); its variables then get the other axes.
+            axis, once for each point of the others (`LaneBatch.along`); its variables then get the other axes.
         stackable: whether lanes at several values of what lanes share may go through one program: it sees the system
             through its maps alone, and no bit of theirs depends on the shape of a tile.
         numbers: options to about how many numbers a lane leaves.
-        choose: (options, scene, lane runner) to whole numbers that hold for all lanes of a sweep; of several scenes
-            that sample one, the largest count. `run` finds them in `Scene.chosen`.
-        starts: options to where its lanes start at random in place of the scene's start states: scene to their states
+        choose: (options, batch, lane runner) to whole numbers that hold for all lanes of a sweep; of several batches
+            that sample one, the largest count. `run` finds them in `LaneBatch.chosen`.
+        starts: options to where its lanes start at random in place of the batch's start states: batch to their states
             and the number of the lane of each; None where they do not.
         count: dataset to the number of `trajectories`, and how many have `failed`, that a warning is made of.
         classes: dataset over the axes to whole numbers over them, which differ where the kind of motion does; without
@@ -203,7 +203,7 @@ class Analysis:
         check: (options, setting) raises `OptionError` where they do not go together.
         table: (dataset, published values by name, their source) to a table for the terminal.
         other_tables: name of a group of `whole` to its table for the terminal, of the group's dataset.
-        price: (options, scene) to what a period of it costs; without, it is not measured.
+        price: (options, batch) to what a period of it costs; without, it is not measured.
         brief: options that make a run short and leave as many numbers a lane.
     """
 
@@ -215,7 +215,7 @@ class Analysis:
     independent: Callable[[Any], bool] = _always
     stackable: bool = False
     numbers: Callable[[Any], int] = _few
-    choose: Callable[[Any, Scene, LaneRunner], Mapping[str, int]] | None = None
+    choose: Callable[[Any, LaneBatch, LaneRunner], Mapping[str, int]] | None = None
     starts: Callable[[Any], Starts | None] = _no_starts
     count: Callable[[xr.Dataset], Mapping[str, int]] = _nothing
     classes: Callable[[xr.Dataset], Int[np.ndarray, ...]] | None = None
@@ -225,7 +225,7 @@ class Analysis:
     other_tables: Mapping[str, Callable[[xr.Dataset], Table]] = field(
         default_factory=dict[str, Callable[[xr.Dataset], Table]]
     )
-    price: Callable[[Any, Scene], Price] | None = None
+    price: Callable[[Any, LaneBatch], Price] | None = None
     brief: Mapping[str, int] = field(default_factory=dict[str, int])
 
     @property

@@ -25,8 +25,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxnh.analyses.base import LANE, Analysis, named, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.config.options.chaos import Chaos01Options
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
@@ -49,15 +49,15 @@ def periods(options: Chaos01Options, lanes: int) -> float:
     return float(lanes * (options.transient + options.periods))
 
 
-def run(options: Chaos01Options, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """K of every lane, the median over angles, and half the distance between their quartiles."""
     # Fixed angles, spread evenly over (π/5, 4π/5) by the golden ratio: no resonance is shared by many of them.
     angles = np.pi / 5 + 3 * np.pi / 5 * ((np.arange(_ANGLES) * (np.sqrt(5.0) - 1) / 2) % 1.0)
     cost = options.transient + options.periods
-    with lanes.stage(f"chaos01: {scene.count} lanes", scene.count * cost):
-        shared = (scene.strobe(), np.int32(options.transient), angles)
-        k, last = lanes(_growth, shared, scene.lanes, periods=cost, tile=_TILE, static=(options.periods,))
-    ended = reports(scene.flow, jax.tree.map(lambda leaf: leaf[:, None], last))["status"]
+    with lanes.stage(f"chaos01: {batch.count} lanes", batch.count * cost):
+        shared = (batch.strobe(), np.int32(options.transient), angles)
+        k, last = lanes(_growth, shared, batch.lanes, periods=cost, tile=_TILE, static=(options.periods,))
+    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], last))["status"]
     k[np.asarray(ended.data) > 0] = np.nan
     low, median, high = np.quantile(k, [0.25, 0.5, 0.75], axis=1)
     words = "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"
@@ -137,15 +137,15 @@ def growth_rates(signals: Signals, angles: Float[Array, " angles"], scale: Array
     return lax.map(one, angles)
 
 
-def price(options: Chaos01Options, scene: Scene) -> Price:
+def price(options: Chaos01Options, batch: LaneBatch) -> Price:
     """The whole program, with the walks of all angles at the end, shared out over its periods."""
-    strobe = scene.map()
+    strobe = batch.map()
     angles = np.linspace(np.pi / 5, 4 * np.pi / 5, _ANGLES)  # others than in a run, of the same price
     shared = (strobe, np.asarray(options.transient, np.int32), angles)
     turns, total = (float(options.transient), *strobe.turns), options.transient + options.periods
-    program = PricedProgram(_growth, shared, scene.lanes, turns, (options.periods,), total, _TILE, whole=True)
+    program = PricedProgram(_growth, shared, batch.lanes, turns, (options.periods,), total, _TILE, whole=True)
     note = f"walks of {_ANGLES} angles over {options.periods:,} strobes at the end, shared out over {total:,} periods"
-    return Price(program, map_alone(scene, strobe, tile=_TILE), note)
+    return Price(program, map_alone(batch, strobe, tile=_TILE), note)
 
 
 ANALYSIS = Analysis("chaos01", Chaos01Options, periods, run, price=price, brief={"transient": 1})

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnh.analyses.scene import Scene
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import ReturnMap
 
@@ -41,16 +41,16 @@ class Price(NamedTuple):
     note: str
 
 
-def map_alone(scene: Scene, strobe: ReturnMap | None = None, tile: int | None = None) -> PricedProgram:
-    """One period of the scene's own map, or of another one of the same lanes, and nothing else."""
-    strobe = scene.map() if strobe is None else strobe
-    return PricedProgram(iterate, (strobe, np.int32(1)), scene.lanes, (1.0, *strobe.turns), tile=tile)
+def map_alone(batch: LaneBatch, strobe: ReturnMap | None = None, tile: int | None = None) -> PricedProgram:
+    """One period of the batch's own map, or of another one of the same lanes, and nothing else."""
+    strobe = batch.map() if strobe is None else strobe
+    return PricedProgram(iterate, (strobe, np.int32(1)), batch.lanes, (1.0, *strobe.turns), tile=tile)
 
 
-def newton_price(scene: Scene, tile: int) -> Price:
+def newton_price(batch: LaneBatch, tile: int) -> Price:
     """A period of Newton on orbits: the map with a tangent for every coordinate, against the map alone."""
-    strobe = scene.map()
-    lanes = scene.chart.host_points(scene.start), dict(scene.p)
+    strobe = batch.map()
+    lanes = batch.chart.host_points(batch.start), dict(batch.p)
     program = PricedProgram(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=tile)
-    note = f"{scene.chart.dimension} tangents in every period of Newton, the map alone before it"
-    return Price(program, map_alone(scene, tile=tile), note)
+    note = f"{batch.chart.dimension} tangents in every period of Newton, the map alone before it"
+    return Price(program, map_alone(batch, tile=tile), note)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.base import OptionError, Setting
-from jaxnh.analyses.scene import Scene
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.maps.section import begin
 from jaxnh.systems.flow import Flow
 
@@ -41,24 +41,26 @@ def _decides(flow: Flow, name: str) -> bool:
     return not np.array_equal(one, other)
 
 
-def started(scene: Scene, starts: int, seed: int, box: Box) -> tuple[Scene, dict[str, Float[np.ndarray, " lanes"]]]:
-    """The lanes of a scene with so many starts each, one after the other, and what was drawn, by coordinate.
+def started(
+    batch: LaneBatch, starts: int, seed: int, box: Box
+) -> tuple[LaneBatch, dict[str, Float[np.ndarray, " lanes"]]]:
+    """The lanes of a batch with so many starts each, one after the other, and what was drawn, by coordinate.
 
     A lane has its starts by its place along the first axis, whatever lanes it is computed with. All values of the other
     axes have the same starts, so that shares that differ along these differ by no chance of the draw.
     """
-    places, width = scene.places, starts * len(box)
+    places, width = batch.places, starts * len(box)
     first = int(places.min())
     bits = np.random.PCG64(seed)
     bits.advance(first * width)  # a draw of 64 bits a number
     count = int(places.max()) - first + 1
     draws = np.random.Generator(bits).random((count, starts, len(box)))[places - first].reshape(-1, len(box))
     drawn = {name: low + (high - low) * draws[:, k] for k, (name, (low, high)) in enumerate(box.items())}
-    here = scene.flow.outputs(jax.tree.map(_as_path, scene.in_time().start), np.zeros(1))
+    here = batch.flow.outputs(jax.tree.map(_as_path, batch.in_time().start), np.zeros(1))
     others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in here.items()}
-    p = {name: np.repeat(values, starts) for name, values in scene.p.items()}
-    state = begin(scene.system, scene.flow.start(others | drawn))
-    return replace(scene, start=state, p=p, place=np.repeat(places, starts), along=None), drawn
+    p = {name: np.repeat(values, starts) for name, values in batch.p.items()}
+    state = begin(batch.system, batch.flow.start(others | drawn))
+    return replace(batch, start=state, p=p, place=np.repeat(places, starts), along=None), drawn
 
 
 def _as_path(leaf: np.ndarray) -> np.ndarray:

@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State
 
 
-def points_at(scene: Scene, lanes: LaneRunner, state: State) -> Float[np.ndarray, "lanes d"]:
+def points_at(batch: LaneBatch, lanes: LaneRunner, state: State) -> Float[np.ndarray, "lanes d"]:
     """Section coordinates of states."""
-    return np.array(lanes(_point_of, (scene.system,), (state,)))
+    return np.array(lanes(_point_of, (batch.system,), (state,)))
 
 
-def states_at(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> State:
+def states_at(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> State:
     """States with section coordinates."""
-    return lanes(_state_at, (scene.system,), (u,))
+    return lanes(_state_at, (batch.system,), (u,))
 
 
 def _point_of(system: Flow, state: State) -> Float[Array, " d"]:

@@ -50,9 +50,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from jaxnh.analyses.base import LANE, Analysis, flagged, named, numbered, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in, picked
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.price import Price, map_alone
-from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, picked
 from jaxnh.analyses.window_averages import average_window, extents
 from jaxnh.config.options.base import BLOCKS
 from jaxnh.config.options.chaos import VerdictOptions
@@ -81,15 +81,15 @@ def periods(options: VerdictOptions, lanes: int) -> float:
     return _SHARE * lanes * (options.longer * _USUAL + 3 * _LONGEST)
 
 
-def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[str, xr.Dataset]) -> xr.Dataset:
+def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapping[str, xr.Dataset]) -> xr.Dataset:
     """The verdict of every lane from the datasets `period`, `lyapunov` and `chaos01` of the same lanes."""
     period, lyapunov = done["period"], done["lyapunov"]
     exponents, errors = lyapunov["exponents"].to_numpy(), lyapunov["exponents_error"].to_numpy()
-    span, n, clock = lyapunov["averaging_periods"].to_numpy(), period["period"].to_numpy(), not scene.flow.autonomous
+    span, n, clock = lyapunov["averaging_periods"].to_numpy(), period["period"].to_numpy(), not batch.flow.autonomous
     transient = max(int(done[name].attrs["transient"]) for name in ("period", "chaos01"))
     largest, error = (exponents[:, 0], errors[:, 0]) if clock else across(exponents, errors)
-    each = np.full(scene.count, scene.flow.period) if clock else _returns(scene, lanes, n, transient)
-    iterates = span * (scene.flow.period / each)
+    each = np.full(batch.count, batch.flow.period) if clock else _returns(batch, lanes, n, transient)
+    iterates = span * (batch.flow.period / each)
     kind = judge(
         n,
         period["multiplier"].to_numpy(),
@@ -101,23 +101,23 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
         iterates,
     )
     if clock:
-        some = timeless(scene, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
-        cycle = contracts(exponents[some], errors[some], scene.flow.period, span[some])
+        some = timeless(batch, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
+        cycle = contracts(exponents[some], errors[some], batch.flow.period, span[some])
         kind[some] = np.where(cycle, _LIMIT_CYCLE, _UNDECIDED)
     else:
         some = np.flatnonzero(np.isin(kind, (_PERIODIC, _UNDECIDED, _FAILED)))
-        kind[some] = _without_clock(scene.take(some), lanes, kind[some], int(span.max()))
-    unsteady = np.full(scene.count, np.nan)
+        kind[some] = _without_clock(batch.take(some), lanes, kind[some], int(span.max()))
+    unsteady = np.full(batch.count, np.nan)
     tori = np.flatnonzero(kind == _QUASIPERIODIC)
     if len(tori):
         taken = math.ceil(span[tori].max()) + transient
-        unsteady[tori] = unsteadiness(scene.take(tori).in_time(), lanes, taken, max(options.longer, 1) * taken)
+        unsteady[tori] = unsteadiness(batch.take(tori).in_time(), lanes, taken, max(options.longer, 1) * taken)
         kind[tori[~(unsteady[tori] <= _STEADY)]] = _UNDECIDED
-    again = np.full(scene.count, -1)
+    again = np.full(batch.count, -1)
     chaotic = np.flatnonzero(kind == _CHAOTIC)
     if options.longer and len(chaotic):
-        taken = (span if clock else np.full(scene.count, math.ceil(iterates[chaotic].max())))[chaotic] + transient
-        again[chaotic] = _followed(scene.take(chaotic), lanes, options.longer * taken)
+        taken = (span if clock else np.full(batch.count, math.ceil(iterates[chaotic].max())))[chaotic] + transient
+        again[chaotic] = _followed(batch.take(chaotic), lanes, options.longer * taken)
         kind[chaotic[again[chaotic] != 0]] = _UNDECIDED
     codes = np.max([done[name]["status"].to_numpy() for name in ANALYSIS.needs], axis=0)
     codes = np.where(kind == _FAILED, np.where(codes > 0, codes, NOT_FINITE), 0)
@@ -127,7 +127,7 @@ def run(options: VerdictOptions, scene: Scene, lanes: LaneRunner, done: Mapping[
         "kind": flagged(LANE, kind, "kind of motion from all criteria together", KINDS),
         "status": named(LANE, status(codes)),
         "recurrence_lag": numbered(
-            LANE, again, words, ("lost", "not_followed", "none"), _LOST, counted_in=counted_in(scene.system)
+            LANE, again, words, ("lost", "not_followed", "none"), _LOST, counted_in=counted_in(batch.system)
         ),
         "unsteadiness": variable(LANE, unsteady, steady_words),
     }
@@ -150,12 +150,12 @@ def across(
 
 
 def _returns(
-    scene: Scene, lanes: LaneRunner, n: Int[np.ndarray, " lanes"], transient: int
+    batch: LaneBatch, lanes: LaneRunner, n: Int[np.ndarray, " lanes"], transient: int
 ) -> Float[np.ndarray, " lanes"]:
     """Mean time of a return to the section, of a periodic lane over whole turns of its orbit."""
     count = np.where(n > 0, n * -(-_RETURNS // np.maximum(n, 1)), _RETURNS)
-    with lanes.stage(f"verdict: returns of {scene.count} lanes", float(np.sum(transient + count))):
-        shared, each = (scene.strobe(), np.int32(transient)), (*scene.lanes, count.astype(np.int32))
+    with lanes.stage(f"verdict: returns of {batch.count} lanes", float(np.sum(transient + count))):
+        shared, each = (batch.strobe(), np.int32(transient)), (*batch.lanes, count.astype(np.int32))
         return lanes(_returned, shared, each, periods=transient + _RETURNS) / count
 
 
@@ -166,53 +166,53 @@ def _returned(strobe: ReturnMap, transient: ArrayLike, state: State, p: Paramete
 
 
 def _without_clock(
-    scene: Scene, lanes: LaneRunner, kind: Int8[np.ndarray, " lanes"], units: int
+    batch: LaneBatch, lanes: LaneRunner, kind: Int8[np.ndarray, " lanes"], units: int
 ) -> Int8[np.ndarray, " lanes"]:
     """Kinds of lanes of a flow without a clock that are not seen to be chaotic or quasiperiodic."""
     if not len(kind):
         return kind
-    with lanes.stage(f"verdict: {scene.count} lanes, whether they rest", scene.count * units):
-        still, fading, *_ = detect_equilibrium(scene, lanes, units)
+    with lanes.stage(f"verdict: {batch.count} lanes, whether they rest", batch.count * units):
+        still, fading, *_ = detect_equilibrium(batch, lanes, units)
     cycle = np.where(fading, _UNDECIDED, _LIMIT_CYCLE)
     return np.where(still, _EQUILIBRIUM, np.where(kind == _PERIODIC, cycle, kind)).astype(np.int8)
 
 
-def timeless(scene: Scene, lanes: LaneRunner, some: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
+def timeless(batch: LaneBatch, lanes: LaneRunner, some: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
     """Those of some lanes whose right-hand side is the same at all times."""
     if not len(some):
         return some
-    times = scene.flow.period * (np.arange(_LOOKS) + 0.3) / _LOOKS
-    shared = (scene.strobe(), scene.flow, times)
-    return some[lanes(knows_no_time, shared, picked(scene.lanes, some), periods=_LOOKS)]
+    times = batch.flow.period * (np.arange(_LOOKS) + 0.3) / _LOOKS
+    shared = (batch.strobe(), batch.flow, times)
+    return some[lanes(knows_no_time, shared, picked(batch.lanes, some), periods=_LOOKS)]
 
 
-def _followed(scene: Scene, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
+def _followed(batch: LaneBatch, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
     """`recurrence_lag` of lanes, each so many periods from its start."""
-    found, strobe = np.zeros(scene.count, int), scene.strobe()
-    with lanes.stage(f"verdict: {scene.count} chaotic lanes, longer", float(np.sum(taken + 3 * _LONGEST))):
+    found, strobe = np.zeros(batch.count, int), batch.strobe()
+    with lanes.stage(f"verdict: {batch.count} chaotic lanes, longer", float(np.sum(taken + 3 * _LONGEST))):
         for count in np.unique(taken):
             some = np.flatnonzero(taken == count)
             shared, cost = (strobe, np.int32(count)), int(count) + 3 * _LONGEST
-            found[some] = lanes(repeats, shared, picked(scene.lanes, some), periods=cost, static=(_LONGEST,))
+            found[some] = lanes(repeats, shared, picked(batch.lanes, some), periods=cost, static=(_LONGEST,))
     return found
 
 
-def unsteadiness(scene: Scene, lanes: LaneRunner, begun: int, count: int) -> Float[np.ndarray, " lanes"]:
+def unsteadiness(batch: LaneBatch, lanes: LaneRunner, begun: int, count: int) -> Float[np.ndarray, " lanes"]:
     """Largest third difference of smooth averages over four runs of `count`/4 periods each, of the motion's size.
 
     The first begins so many periods from the start. Averages are those of `window_averages`. Not a number where a lane
     is lost.
     """
     each = BLOCKS * max(count // (2 * BLOCKS), 1)
-    with lanes.stage(f"verdict: {scene.count} lanes that look quasiperiodic, longer", scene.count * (begun + 2 * each)):
-        state = lanes.iterate(scene.strobe(), begun, scene.lanes)
-        first = average_window(scene, lanes, state, each)
-        second = average_window(scene, lanes, first.state, each)
+    with lanes.stage(f"verdict: {batch.count} lanes that look quasiperiodic, longer", batch.count * (begun + 2 * each)):
+        state = lanes.iterate(batch.strobe(), begun, batch.lanes)
+        first = average_window(batch, lanes, state, each)
+        second = average_window(batch, lanes, first.state, each)
     low, high = np.minimum(first.low, second.low), np.maximum(first.high, second.high)
     runs = np.concatenate([first.halves, second.halves], axis=1)
     change = np.abs(runs[:, 0] - 3.0 * runs[:, 1] + 3.0 * runs[:, 2] - runs[:, 3])
     with np.errstate(invalid="ignore"):
-        return np.max(change / extents(np.array(scene.flow.chart.angles), low, high), axis=1)
+        return np.max(change / extents(np.array(batch.flow.chart.angles), low, high), axis=1)
 
 
 def repeats(strobe: ReturnMap, count: ArrayLike, state: State, p: Parameters, longest: int) -> Array:
@@ -300,9 +300,9 @@ def judge(
     return np.select(conditions, [_FAILED, _PERIODIC, _CHAOTIC, _QUASIPERIODIC], _UNDECIDED).astype(np.int8)
 
 
-def price(options: VerdictOptions, scene: Scene) -> Price:
+def price(options: VerdictOptions, batch: LaneBatch) -> Price:
     """The map alone, for lanes that look chaotic: which, is not known before."""
-    return Price(None, map_alone(scene), "not measured: the map alone, for lanes that look chaotic")
+    return Price(None, map_alone(batch), "not measured: the map alone, for lanes that look chaotic")
 
 
 def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:

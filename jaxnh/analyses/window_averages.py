@@ -18,7 +18,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.smooth_window import windows
 from jaxnh.config.options.base import BLOCKS
 from jaxnh.maps.batching import as_batched
@@ -103,25 +103,25 @@ def extents(
     return np.stack(found, axis=-1)
 
 
-def points_a_unit(scene: Scene) -> int:
+def points_a_unit(batch: LaneBatch) -> int:
     """Points of a unit of time that means are taken over where there is no clock."""
-    return min(_MOST_PARTS, scene.steps)
+    return min(_MOST_PARTS, batch.steps)
 
 
-def maps(scene: Scene) -> tuple[ReturnMap, int]:
+def maps(batch: LaneBatch) -> tuple[ReturnMap, int]:
     """The map of a period, and 0, or without a clock those of the parts of a unit of time, stacked, and how many."""
-    if not scene.flow.autonomous:
-        return scene.map(), 0
-    parts = points_a_unit(scene)
-    strobes = make_parts(scene.flow, scene.solver, scene.steps, parts, compensated=scene.compensated)
-    return in_precision(strobes, scene.precision), parts
+    if not batch.flow.autonomous:
+        return batch.map(), 0
+    parts = points_a_unit(batch)
+    strobes = make_parts(batch.flow, batch.solver, batch.steps, parts, compensated=batch.compensated)
+    return in_precision(strobes, batch.precision), parts
 
 
-def average_window(scene: Scene, lanes: LaneRunner, state: State, count: int) -> WindowAverages:
-    """Lanes of a scene from a state over `count` periods, a multiple of `BLOCKS`."""
-    strobe, parts = maps(scene)
+def average_window(batch: LaneBatch, lanes: LaneRunner, state: State, count: int) -> WindowAverages:
+    """Lanes of a batch from a state over `count` periods, a multiple of `BLOCKS`."""
+    strobe, parts = maps(batch)
     shared, static = (strobe, np.int32(count // BLOCKS)), (parts,)
-    return lanes(window_averages, shared, (state, dict(scene.p)), periods=count, static=static)
+    return lanes(window_averages, shared, (state, dict(batch.p)), periods=count, static=static)
 
 
 def window_averages(strobe: ReturnMap, each: ArrayLike, state: State, p: Parameters, parts: int) -> WindowAverages:

@@ -14,14 +14,14 @@ import numpy as np
 import xarray as xr
 from rich.console import Console
 
-from jaxnh.analyses.scene import Scene
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.cli.arguments import called
 from jaxnh.cli.terminal import progress, show
 from jaxnh.costs import STUDIES, solvers, tables
 from jaxnh.costs import effects as costs_of_effects
 from jaxnh.engine.accuracy.calibration import Calibration, Plan
 from jaxnh.engine.axes import points
-from jaxnh.engine.compute import scene_of, spent
+from jaxnh.engine.compute import batch_of, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.output import check_output
@@ -40,7 +40,7 @@ class PricedExperiment(NamedTuple):
     """What is priced: an experiment, its lanes along the first axis that they do not share, and a runner."""
 
     experiment: Experiment
-    scene: Scene
+    batch: LaneBatch
     plan: Plan
     calibration: Calibration
     lanes: LaneExecutor
@@ -92,7 +92,7 @@ def price_accuracy(experiment: Experiment, path: Path, repeats: int, began: floa
     groups: dict[str, xr.Dataset] = {}
     with _part("solvers", times):
         target, work = experiment.accuracy.target, _work(bench)
-        groups["solvers"] = solvers.price(bench.scene, bench.calibration, target, work, bench.lanes, repeats)
+        groups["solvers"] = solvers.price(bench.batch, bench.calibration, target, work, bench.lanes, repeats)
     console.print(show(tables.solvers(groups["solvers"])))
     studies = _studies(bench, times)
     groups |= {f"{name}_cost": data for name, data in studies.items()}
@@ -114,7 +114,7 @@ def price_effects(experiment: Experiment, path: Path, repeats: int, began: float
     if not console.is_terminal:
         console = Console(width=_LOG_WIDTH)
     bench = _bench(experiment, began)
-    data = costs_of_effects.price(bench.scene, experiment.requested(), bench.lanes, repeats)
+    data = costs_of_effects.price(bench.batch, experiment.requested(), bench.lanes, repeats)
     _write(bench, path, {"effects": data})
     console.print(show(tables.effects(data)))
     print(f"{time.perf_counter() - began:.1f} s; of these, compile {bench.lanes.accounts.compile_seconds:.1f} s")
@@ -136,8 +136,8 @@ def _bench(experiment: Experiment, began: float) -> PricedExperiment:
     count = len(along.values) if along else 1
     places = [np.arange(count) if axis is along else np.zeros(count, int) for axis in axes]
     along = along if along and along.kind == "lane" else None
-    scene = scene_of(points(experiment, axes, places), plan, experiment.precision, along=along)
-    return PricedExperiment(experiment, scene, plan, calibration, lanes, began)
+    batch = batch_of(points(experiment, axes, places), plan, experiment.precision, along=along)
+    return PricedExperiment(experiment, batch, plan, calibration, lanes, began)
 
 
 def _work(bench: PricedExperiment) -> float:
@@ -155,10 +155,10 @@ def _studies(bench: PricedExperiment, times: dict[str, float]) -> dict[str, xr.D
         if study is None:
             continue
         data, absent = None, "no axis is a parameter that lanes have of their own"
-        if bench.scene.along is not None:
+        if bench.batch.along is not None:
             absent = study.absent
             with _part(analysis.name, times):
-                data = study.price(bench.scene, bench.lanes)
+                data = study.price(bench.batch, bench.lanes)
         if data is None:
             print(f"warning: {analysis.name}: {absent}; its cost is left out", file=sys.stderr)
         else:

@@ -1,4 +1,4 @@
-"""What accuracy costs on a scene, a file a quantity: the map of one period, a doubling point, an exponent. No files."""
+"""What accuracy costs on a batch, a file a quantity: the map of one period, a doubling point, an exponent. No files."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -6,7 +6,7 @@ from typing import NamedTuple
 import xarray as xr
 
 from jaxnh.analyses.base import Table
-from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.costs import doubling, exponent, tables
 
 
@@ -14,12 +14,12 @@ class Study(NamedTuple):
     """What the accuracy of an analysis costs.
 
     Attributes:
-        price: (scene along the first axis, lane runner) to its dataset; None where the sweep has nothing to measure.
+        price: (batch along the first axis, lane runner) to its dataset; None where the sweep has nothing to measure.
         table: of it.
         absent: why there may be none.
     """
 
-    price: Callable[[Scene, LaneRunner], xr.Dataset | None]
+    price: Callable[[LaneBatch, LaneRunner], xr.Dataset | None]
     table: Callable[[xr.Dataset], Table]
     absent: str
 

@@ -19,10 +19,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.base import Entry, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.cascade import follow
 from jaxnh.analyses.periodic.location import period_map, refined, walk
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, orbits
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.costs.stage import StagelessRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
@@ -73,37 +73,39 @@ class _Watch:
         return time.perf_counter() - self._wall, time.process_time() - self._cpu
 
 
-def price(scene: Scene, lanes: LaneRunner) -> xr.Dataset | None:
+def price(batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset | None:
     """Every estimate with its error and times; None where the sweep has no doubling."""
     with lanes.stage("cost: the first doubling of the sweep", 0):
-        place = _first_doubling(scene, StagelessRunner(lanes))
+        place = _first_doubling(batch, StagelessRunner(lanes))
     if place is None:
         return None
     with lanes.stage(f"cost: doubling of period {place.n} by three methods", 0):
-        by_detection(scene, lanes, place, (1,))  # compile, and read the clock the second time
-        by_multiplier(scene, lanes, place)
-        by_interpolation(scene, lanes, place)
-        rounds, reference = by_interpolation(scene, lanes, place)
-        estimates = [*by_detection(scene, lanes, place, _TRANSIENTS), *by_multiplier(scene, lanes, place), *rounds]
-    return _dataset(scene, estimates, reference, place)
+        by_detection(batch, lanes, place, (1,))  # compile, and read the clock the second time
+        by_multiplier(batch, lanes, place)
+        by_interpolation(batch, lanes, place)
+        rounds, reference = by_interpolation(batch, lanes, place)
+        estimates = [*by_detection(batch, lanes, place, _TRANSIENTS), *by_multiplier(batch, lanes, place), *rounds]
+    return _dataset(batch, estimates, reference, place)
 
 
-def _first_doubling(scene: Scene, lanes: LaneRunner) -> DoublingBracket | None:
+def _first_doubling(batch: LaneBatch, lanes: LaneRunner) -> DoublingBracket | None:
     """The first doubling that the analysis finds, in a bracket of several times the distance to the next one."""
-    found = follow.follow(scene, lanes, 2)
+    found = follow.follow(batch, lanes, 2)
     if not found.points:
         return None
     n, first = found.period, found.points[0].value
-    low, high = scene.line.values.min(), scene.line.values.max()
+    low, high = batch.line.values.min(), batch.line.values.max()
     if len(found.points) == 1:  # then half of what the sweep has on either side, in the direction in which it doubles
         reach = min(first - low, high - first) / 2
         tried = [DoublingBracket(n, (first - ahead, first + ahead)) for ahead in (reach, -reach)]
-        return next((c for c in tried if _narrowed(scene, lanes, n, _settled(scene, lanes, c), c.bracket)), None)
+        return next((c for c in tried if _narrowed(batch, lanes, n, _settled(batch, lanes, c), c.bracket)), None)
     ends = np.clip(first + np.array([-_BEHIND, _AHEAD]) * (found.points[1].value - first), low, high)
     return DoublingBracket(n, (float(ends[0]), float(ends[1])))
 
 
-def by_detection(scene: Scene, lanes: LaneRunner, place: DoublingBracket, transients: Sequence[int]) -> list[Estimate]:
+def by_detection(
+    batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket, transients: Sequence[int]
+) -> list[Estimate]:
     """Multisection on whether strobe points recur after n periods, an estimate a transient.
 
     Nothing is given for a transient too short for any lane to have settled.
@@ -113,10 +115,10 @@ def by_detection(scene: Scene, lanes: LaneRunner, place: DoublingBracket, transi
         watch, (near, far) = _Watch(), place.bracket
         while abs(far - near) > _DETECTED:
             values = np.linspace(near, far, _CANDIDATES)
-            row = scene.at(values)
+            row = batch.at(values)
             gap = lanes(
                 _recurrence,
-                (scene.strobe(), np.int32(transient)),
+                (batch.strobe(), np.int32(transient)),
                 (row.chart.host_points(row.start), row.p),
                 periods=transient + 2 * place.n,
                 tile=_TILE,
@@ -131,13 +133,13 @@ def by_detection(scene: Scene, lanes: LaneRunner, place: DoublingBracket, transi
     return estimates
 
 
-def by_multiplier(scene: Scene, lanes: LaneRunner, place: DoublingBracket) -> list[Estimate]:
+def by_multiplier(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -> list[Estimate]:
     """Multisection on whether the orbit's smallest real multiplier is below −1, an estimate a round."""
     watch = _Watch()
     estimates = []
-    u, bracket = _settled(scene, lanes, place), place.bracket
+    u, bracket = _settled(batch, lanes, place), place.bracket
     for round_ in range(_ROUNDS):
-        found = _narrowed(scene, lanes, place.n, u, bracket)
+        found = _narrowed(batch, lanes, place.n, u, bracket)
         if found is None:
             break
         width = abs(bracket[1] - bracket[0])
@@ -149,8 +151,8 @@ def by_multiplier(scene: Scene, lanes: LaneRunner, place: DoublingBracket) -> li
     return estimates
 
 
-def by_interpolation(scene: Scene, lanes: LaneRunner, place: DoublingBracket) -> tuple[list[Estimate], float]:
-    """By rounds of nodes, with the scene's steps and then twice as many; an estimate a round.
+def by_interpolation(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -> tuple[list[Estimate], float]:
+    """By rounds of nodes, with the batch's steps and then twice as many; an estimate a round.
 
     Returns:
         The estimates, and the value with the finest steps, whose time is not counted.
@@ -159,7 +161,7 @@ def by_interpolation(scene: Scene, lanes: LaneRunner, place: DoublingBracket) ->
     roots: dict[float, Estimate] = {}  # by value, each as it was when the orbit there was closed
 
     def watched(strobe: Maps) -> Period:
-        period = period_map(scene, lanes, strobe)
+        period = period_map(batch, lanes, strobe)
 
         def look(u: np.ndarray, values: np.ndarray) -> Derivatives:
             found, value = period(u, values), float(values[0])
@@ -170,30 +172,30 @@ def by_interpolation(scene: Scene, lanes: LaneRunner, place: DoublingBracket) ->
 
         return look
 
-    coarse, fine, finest = refined(scene)
-    points = walk(scene, lanes, _settled(scene, lanes, place)[None], place.bracket[0], place.n)
-    wrap = scene.chart.wrap
-    branch = follow_branch(period_map(scene, lanes, coarse), points, *place.bracket, wrap)
+    coarse, fine, finest = refined(batch)
+    points = walk(batch, lanes, _settled(batch, lanes, place)[None], place.bracket[0], place.n)
+    wrap = batch.chart.wrap
+    branch = follow_branch(period_map(batch, lanes, coarse), points, *place.bracket, wrap)
     point = branch and doubling_point(watched(coarse), branch, wrap)
-    for period in (watched(fine), period_map(scene, lanes, finest)):
+    for period in (watched(fine), period_map(batch, lanes, finest)):
         point = point and moved_doubling(period, point, wrap)
     return (list(roots.values()), point.value) if point else ([], math.nan)
 
 
-def _settled(scene: Scene, lanes: LaneRunner, place: DoublingBracket) -> Float[np.ndarray, " d"]:
+def _settled(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -> Float[np.ndarray, " d"]:
     """A point near the orbit at the stable end of the bracket."""
-    row = scene.at(np.array(place.bracket[:1]))
-    strobe, start = scene.strobe(0.5), (row.chart.host_points(row.start), row.p)
+    row = batch.at(np.array(place.bracket[:1]))
+    strobe, start = batch.strobe(0.5), (row.chart.host_points(row.start), row.p)
     return lanes(section_map, (strobe, np.int32(_SETTLED)), start, periods=_SETTLED, tile=_TILE)[0]
 
 
 def _narrowed(
-    scene: Scene, lanes: LaneRunner, n: int, u: Float[np.ndarray, " d"], bracket: tuple[float, float]
+    batch: LaneBatch, lanes: LaneRunner, n: int, u: Float[np.ndarray, " d"], bracket: tuple[float, float]
 ) -> tuple[Orbit, tuple[float, float]] | None:
     """The orbit at the stable end of the part of a bracket in which its multiplier passes −1, and that part."""
     values = np.linspace(*bracket, _CANDIDATES)
     start = np.broadcast_to(u, (_CANDIDATES, len(u)))
-    orbit = orbits(lanes, scene.strobe(), start, scene.at(values).p, n)
+    orbit = orbits(lanes, batch.strobe(), start, batch.at(values).p, n)
     ok = (orbit.residual < CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
     smallest = _smallest_multiplier(np.where(ok[:, None, None], orbit.monodromy, 0.0))
     first = _first(ok & (smallest < -1.0))
@@ -223,11 +225,11 @@ def _first(beyond: Bool[np.ndarray, " lanes"]) -> int | None:
     return first if first > 0 else None
 
 
-def _dataset(scene: Scene, estimates: list[Estimate], reference: float, place: DoublingBracket) -> xr.Dataset:
+def _dataset(batch: LaneBatch, estimates: list[Estimate], reference: float, place: DoublingBracket) -> xr.Dataset:
     def column(data: Any, long_name: str, units: str = "1") -> Entry:
         return variable("estimate", data, long_name, units)
 
-    axis = scene.line
+    axis = batch.line
     method, effort, value, seconds, cpu_seconds = zip(*estimates, strict=True)
     error = np.abs(np.array(value) - reference)
     variables = {

@@ -1,6 +1,6 @@
-"""What every effect of a scene costs, and every analysis: operations of the compiled programs with and without it.
+"""What every effect of a batch costs, and every analysis: operations of the compiled programs with and without it.
 
-An effect is left out of the scene's own system and nothing else is changed: the same solver, the same steps. Times
+An effect is left out of the batch's own system and nothing else is changed: the same solver, the same steps. Times
 are of all processors, which other programs on the machine disturb less than that of the clock: of one program after the
 other on the same lanes, with the effect and without it in turns.
 """
@@ -17,9 +17,9 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.analyses.base import LANE, Analysis, Entry, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.config.options.base import Options
 from jaxnh.costs.operations import count
 from jaxnh.costs.stage import StagelessRunner
@@ -56,12 +56,12 @@ class EffectRow(NamedTuple):
     note: str = ""
 
 
-def price(scene: Scene, requested: Requested, lanes: LaneExecutor, repeats: int) -> xr.Dataset:
+def price(batch: LaneBatch, requested: Requested, lanes: LaneExecutor, repeats: int) -> xr.Dataset:
     """A row for every effect of the paper's particle, then one for every number of tangents and every analysis."""
-    scene = scene.take(np.linspace(0, scene.count - 1, _bench(lanes)).round().astype(int))
+    batch = batch.take(np.linspace(0, batch.count - 1, _bench(lanes)).round().astype(int))
     with lanes.stage("cost: programs of all effects", 0):
-        most = _most_tangents(scene.flow, requested)
-        rows = [*_effects(scene.flow, scene), *_tangents(scene, most), *_analyses(scene, requested, lanes)]
+        most = _most_tangents(batch.flow, requested)
+        rows = [*_effects(batch.flow, batch), *_tangents(batch, most), *_analyses(batch, requested, lanes)]
         operations = np.array([[_operations(p, lanes) for p in (row.with_it, row.without_it)] for row in rows])
     with lanes.stage("cost: times of all effects", 0):
         ratios = np.array([_ratio(row, lanes, repeats) for row in rows])
@@ -79,7 +79,7 @@ def price(scene: Scene, requested: Requested, lanes: LaneExecutor, repeats: int)
         "stored": column([row.stored for row in rows], "bytes that a lane leaves in the result", "byte"),
         "note": column(notes, "note"),
     }
-    solver, steps = _solver(scene)
+    solver, steps = _solver(batch)
     return xr.Dataset(variables, attrs={"solver": solver.name, "steps_per_period": steps, "repeats": repeats})
 
 
@@ -88,29 +88,29 @@ def _bench(lanes: LaneExecutor) -> int:
     return lanes.tile * len(lanes.devices)
 
 
-def _solver(scene: Scene) -> tuple[Solver, int]:
-    """Solver and steps of all comparisons: the scene's own, or another with as many kicks."""
-    if isinstance(scene.solver, IsokineticSplitting) and scene.solver.processed:
+def _solver(batch: LaneBatch) -> tuple[Solver, int]:
+    """Solver and steps of all comparisons: the batch's own, or another with as many kicks."""
+    if isinstance(batch.solver, IsokineticSplitting) and batch.solver.processed:
         other = SPLITTINGS[_STAND_IN]
-        return other, other.most_steps(scene.solver.total_kicks(scene.steps))
-    return scene.solver, scene.steps
+        return other, other.most_steps(batch.solver.total_kicks(batch.steps))
+    return batch.solver, batch.steps
 
 
 # ---- rows
 
 
 @singledispatch
-def _effects(flow: Flow, scene: Scene) -> Iterator[EffectRow]:
+def _effects(flow: Flow, batch: LaneBatch) -> Iterator[EffectRow]:
     """A row an effect of the paper's particle; none for a user's system."""
     return iter(())
 
 
 @_effects.register
-def _(flow: IsokineticParticle, scene: Scene) -> Iterator[EffectRow]:
-    base = _map(scene, flow)
+def _(flow: IsokineticParticle, batch: LaneBatch) -> Iterator[EffectRow]:
+    base = _map(batch, flow)
 
     def less(effect: str) -> PricedProgram:
-        return _map(scene, replace(flow, without=flow.without | {effect}))
+        return _map(batch, replace(flow, without=flow.without | {effect}))
 
     yield _effect("forcing", flow.without, base, less)
     if flow.disturbed and flow.d:
@@ -120,17 +120,17 @@ def _(flow: IsokineticParticle, scene: Scene) -> Iterator[EffectRow]:
     for name in ("coupling", "cubic_stiffness"):
         yield _effect(name, flow.without, base, less)
     yield EffectRow("damping", "effect", base, less("damping"), note=_FREE_OF_COST["damping"])
-    with_it, without_it = (_general(scene, flow, constrained) for constrained in (True, False))
+    with_it, without_it = (_general(batch, flow, constrained) for constrained in (True, False))
     note = f"by the general route, {dopri8.name} in {_GENERAL_STEPS} steps"
     yield EffectRow("constraint", "effect", with_it, without_it, note=note)
 
 
 @_effects.register
-def _(flow: FreeParticle, scene: Scene) -> Iterator[EffectRow]:
-    base = _map(scene, flow)
+def _(flow: FreeParticle, batch: LaneBatch) -> Iterator[EffectRow]:
+    base = _map(batch, flow)
 
     def less(effect: str) -> PricedProgram:
-        return _map(scene, free_particle(**_numbers(flow), without=flow.without | {effect}))
+        return _map(batch, free_particle(**_numbers(flow), without=flow.without | {effect}))
 
     yield _effect("forcing", flow.without, base, less)
     yield EffectRow("disturbance", "effect", None, base, note="is left out")
@@ -148,20 +148,20 @@ def _effect(
     return EffectRow(what, "effect", base, less(what))
 
 
-def _map(scene: Scene, flow: Flow) -> PricedProgram:
+def _map(batch: LaneBatch, flow: Flow) -> PricedProgram:
     """A period of a flow in time."""
-    solver, steps = _solver(scene)
-    return map_alone(scene.in_time(), make_return_map(flow, solver, steps))
+    solver, steps = _solver(batch)
+    return map_alone(batch.in_time(), make_return_map(flow, solver, steps))
 
 
-def _general(scene: Scene, flow: IsokineticParticle, constrained: bool) -> PricedProgram:
+def _general(batch: LaneBatch, flow: IsokineticParticle, constrained: bool) -> PricedProgram:
     """A period of the same forces by the general route, with the constraint and without it."""
     made = lagrangian(definition(flow.without & frozenset(EFFECTS), constrained), {"b": 0.0, **_numbers(flow)})
-    scene = scene.in_time()
-    velocity = tuple(np.asarray(v, float) for v in flow.velocity(np.float64(0.0), scene.start))
-    still = np.zeros(scene.count)
-    start = Motion(scene.start[0], velocity, (still, still))
-    return map_alone(replace(scene, start=start), make_return_map(made, dopri8, _GENERAL_STEPS))
+    batch = batch.in_time()
+    velocity = tuple(np.asarray(v, float) for v in flow.velocity(np.float64(0.0), batch.start))
+    still = np.zeros(batch.count)
+    start = Motion(batch.start[0], velocity, (still, still))
+    return map_alone(replace(batch, start=start), make_return_map(made, dopri8, _GENERAL_STEPS))
 
 
 def _numbers(flow: Flow) -> dict[str, float]:
@@ -181,25 +181,25 @@ def _(flow: IsokineticParticle, requested: Requested) -> int:
     return flow.exponents - int(flow.autonomous)
 
 
-def _tangents(scene: Scene, most: int) -> Iterator[EffectRow]:
+def _tangents(batch: LaneBatch, most: int) -> Iterator[EffectRow]:
     """A row a tangent: the program with so many against that with one fewer."""
-    programs = [lyapunov.program(scene, k) for k in range(most + 1)]
+    programs = [lyapunov.program(batch, k) for k in range(most + 1)]
     for k in range(1, most + 1):
         yield EffectRow(f"tangent {k}", "tangents", programs[k], programs[k - 1])
 
 
-def _analyses(scene: Scene, requested: Requested, lanes: LaneRunner) -> Iterator[EffectRow]:
+def _analyses(batch: LaneBatch, requested: Requested, lanes: LaneRunner) -> Iterator[EffectRow]:
     """A row an analysis: its own program, a period, against the map alone, and what it stores."""
-    stored = _stored(scene, requested, lanes)
-    not_measured = Price(None, map_alone(scene), "not measured")
+    stored = _stored(batch, requested, lanes)
+    not_measured = Price(None, map_alone(batch), "not measured")
     for analysis, options in requested:
-        found = analysis.price(options, scene) if analysis.price else not_measured
+        found = analysis.price(options, batch) if analysis.price else not_measured
         yield EffectRow(analysis.name, "analysis", found.with_it, found.without_it, stored[analysis.name], found.note)
 
 
-def _stored(scene: Scene, requested: Requested, lanes: LaneRunner) -> dict[str, float]:
+def _stored(batch: LaneBatch, requested: Requested, lanes: LaneRunner) -> dict[str, float]:
     """Bytes a lane of each analysis, by running it on two lanes for as short as it can be."""
-    two = replace(scene.take(slice(2)), chosen={lyapunov.ANALYSIS.name: {"parts": 1}})
+    two = replace(batch.take(slice(2)), chosen={lyapunov.ANALYSIS.name: {"parts": 1}})
     done: dict[str, xr.Dataset] = {}
     found: dict[str, float] = {}
     for analysis, options in requested:

@@ -15,8 +15,8 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in, per_time
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, per_time
 from jaxnh.costs.stage import StagelessRunner
 
 _SEARCHED = 256  # lanes of the sweep among which the most chaotic is looked for
@@ -37,21 +37,21 @@ class _Average(NamedTuple):
     cpu_seconds: float
 
 
-def price(scene: Scene, lanes: LaneRunner) -> xr.Dataset | None:
+def price(batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset | None:
     """Error and error bar at every averaging time; None where no lane of the sweep is chaotic beyond its error bar."""
     with lanes.stage(f"cost: largest exponents of {_SEARCHED} lanes", _SEARCHED * (_TRANSIENT + _SEARCH_PERIODS)):
-        value = _most_chaotic(scene, StagelessRunner(lanes))
+        value = _most_chaotic(batch, StagelessRunner(lanes))
     if value is None:
         return None
     averaged = np.array([*_AVERAGED, 10 * _AVERAGED[-1]])
-    label = f"cost: largest exponent at {scene.line.name} = {value:.6g}"
+    label = f"cost: largest exponent at {batch.line.name} = {value:.6g}"
     with lanes.stage(label, _LANES * float(np.sum(_TRANSIENT + averaged))):
-        return _measured(scene, StagelessRunner(lanes), value, averaged)
+        return _measured(batch, StagelessRunner(lanes), value, averaged)
 
 
-def _measured(scene: Scene, lanes: LaneRunner, value: float, averaged: Int[np.ndarray, " times"]) -> xr.Dataset:
+def _measured(batch: LaneBatch, lanes: LaneRunner, value: float, averaged: Int[np.ndarray, " times"]) -> xr.Dataset:
     """The analysis at every averaging time, the last of which gives the reference."""
-    near = scene.at(value + _SPACING * np.arange(_LANES))
+    near = batch.at(value + _SPACING * np.arange(_LANES))
     found = []
     _exponents(near, lanes, int(averaged[0]))  # compiles
     for periods in averaged:
@@ -59,31 +59,31 @@ def _measured(scene: Scene, lanes: LaneRunner, value: float, averaged: Int[np.nd
         exponent, bar = _exponents(near, lanes, int(periods))
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         found.append(_Average(exponent, bar, wall / _LANES, cpu / _LANES))
-    return _dataset(scene, value, averaged[:-1], found[:-1], float(np.mean(found[-1].exponent)))
+    return _dataset(batch, value, averaged[:-1], found[:-1], float(np.mean(found[-1].exponent)))
 
 
-def _most_chaotic(scene: Scene, lanes: LaneRunner) -> float | None:
+def _most_chaotic(batch: LaneBatch, lanes: LaneRunner) -> float | None:
     """The value of the first axis with the largest exponent."""
-    picked = np.unique(np.linspace(0, scene.count - 1, _SEARCHED).round().astype(int))
-    exponent, bar = _exponents(scene.take(picked), lanes, _SEARCH_PERIODS)
+    picked = np.unique(np.linspace(0, batch.count - 1, _SEARCHED).round().astype(int))
+    exponent, bar = _exponents(batch.take(picked), lanes, _SEARCH_PERIODS)
     best = int(np.nanargmax(exponent))
-    return float(scene.line.values[picked[best]]) if exponent[best] > 2 * bar[best] else None
+    return float(batch.line.values[picked[best]]) if exponent[best] > 2 * bar[best] else None
 
 
 def _exponents(
-    scene: Scene, lanes: LaneRunner, periods: int
+    batch: LaneBatch, lanes: LaneRunner, periods: int
 ) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
     """Largest exponent and its error bar of every lane."""
     options = lyapunov.LyapunovOptions(transient=_TRANSIENT, periods=periods, exponents=1)
-    found = lyapunov.run(options, scene, lanes)
+    found = lyapunov.run(options, batch, lanes)
     return found["exponents"].to_numpy()[:, 0], found["exponents_error"].to_numpy()[:, 0]
 
 
 def _dataset(
-    scene: Scene, value: float, averaged: Int[np.ndarray, " times"], found: list[_Average], reference: float
+    batch: LaneBatch, value: float, averaged: Int[np.ndarray, " times"], found: list[_Average], reference: float
 ) -> xr.Dataset:
     """Quantiles over the lanes, (averaged, quantile)."""
-    name, unit, spread = scene.line.name, per_time(scene.flow), ("averaging_periods", "quantile")
+    name, unit, spread = batch.line.name, per_time(batch.flow), ("averaging_periods", "quantile")
     errors = np.abs(np.array([average.exponent for average in found]) - reference)
     errors, bars = (
         np.quantile(values, _QUANTILES, axis=1).T for values in (errors, [average.bar for average in found])
@@ -92,7 +92,7 @@ def _dataset(
     seconds, cpu_seconds = ([getattr(average, kind) for average in found] for kind in ("seconds", "cpu_seconds"))
     variables = {
         "averaging_periods": variable(
-            "averaging_periods", averaged, "averaging time", counted_in=counted_in(scene.in_time().system)
+            "averaging_periods", averaged, "averaging time", counted_in=counted_in(batch.in_time().system)
         ),
         "quantile": variable("quantile", np.array(_QUANTILES), "part of the lanes below"),
         "error": variable(spread, errors, "distance of the largest exponent from a longer run", unit),

@@ -21,7 +21,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Entry, variable
-from jaxnh.analyses.scene import Scene
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map, scheme_of
@@ -119,12 +119,12 @@ class SolverRow:
 class SolverBench:
     """Lanes to time: one full round of tiles on every device, on the attractors of the sweep."""
 
-    def __init__(self, scene: Scene, lanes: LaneExecutor) -> None:
-        self.system, self._lanes = scene.system, lanes
-        self.split = isinstance(scheme_of(scene.system).reference, IsokineticSplitting)
+    def __init__(self, batch: LaneBatch, lanes: LaneExecutor) -> None:
+        self.system, self._lanes = batch.system, lanes
+        self.split = isinstance(scheme_of(batch.system).reference, IsokineticSplitting)
         self.count = lanes.tile * len(lanes.devices)
-        begun = scene.take(np.linspace(0, scene.count - 1, self.count).round().astype(int)).lanes
-        state = lanes.iterate(scene.strobe(), _SETTLED, begun)
+        begun = batch.take(np.linspace(0, batch.count - 1, self.count).round().astype(int)).lanes
+        state = lanes.iterate(batch.strobe(), _SETTLED, begun)
         self._at = state, begun[1]
 
     def seconds(self, setting: SolverSetting, periods: int = 1) -> float:
@@ -142,7 +142,7 @@ class SolverBench:
 
 
 def price(
-    scene: Scene, calibration: Calibration, target: float, work: float, lanes: LaneExecutor, repeats: int
+    batch: LaneBatch, calibration: Calibration, target: float, work: float, lanes: LaneExecutor, repeats: int
 ) -> xr.Dataset:
     """Error and time of every setting, with the one marked that the engine uses.
 
@@ -151,10 +151,10 @@ def price(
         work: lane-periods of the whole run, for its projected time.
         repeats: times that each row is timed.
     """
-    bench = SolverBench(scene, lanes)
+    bench = SolverBench(batch, lanes)
     with lanes.stage("cost: errors of all solvers", 0):
         rows = _rows(calibration, bench)
-        rows, picked = _with_pick(rows, scene, bench)
+        rows, picked = _with_pick(rows, batch, bench)
     with lanes.stage(f"cost: times of {len(rows)} settings", 0):
         least, seconds, largest = bench.medians(rows, repeats)
     settings = [row.setting for row in rows]
@@ -276,17 +276,17 @@ def _front(rows: Sequence[SolverRow]) -> list[SolverRow]:
     return [r for r in rows if not any(o.pilot < r.pilot and o.error < r.error for o in rows)]
 
 
-def _with_pick(rows: list[SolverRow], scene: Scene, bench: SolverBench) -> tuple[list[SolverRow], int]:
+def _with_pick(rows: list[SolverRow], batch: LaneBatch, bench: SolverBench) -> tuple[list[SolverRow], int]:
     """The rows with the engine's own among them, and its place."""
     for i, row in enumerate(rows):
         s = row.setting
-        if (s.method, s.steps, s.compensated) == (scene.solver.name, scene.steps, scene.compensated):
+        if (s.method, s.steps, s.compensated) == (batch.solver.name, batch.steps, batch.compensated):
             return rows, i
-    solver, steps = scene.solver, scene.steps
+    solver, steps = batch.solver, batch.steps
     kicks = solver.total_kicks(steps) if isinstance(solver, IsokineticSplitting) else steps * solver.stages
-    setting = SolverSetting(solver.name, solver, steps, float(kicks), scene.compensated)
+    setting = SolverSetting(solver.name, solver, steps, float(kicks), batch.compensated)
     bench.seconds(setting)
-    pick = SolverRow(setting, scene.error_estimate, bench.seconds(setting))
+    pick = SolverRow(setting, batch.error_estimate, bench.seconds(setting))
     same = [
         i
         for i, row in enumerate(rows)

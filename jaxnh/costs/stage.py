@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from jaxnh.analyses.scene import LaneRunner
+from jaxnh.analyses.batch import LaneRunner
 from jaxnh.maps.family import Maps
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State

@@ -13,7 +13,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, variable
-from jaxnh.analyses.scene import Axis
+from jaxnh.analyses.batch import Axis
 from jaxnh.engine.experiment import Experiment
 from jaxnh.maps.family import ParameterFamily
 from jaxnh.maps.section import System

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from jaxnh.analyses.base import Analysis
-from jaxnh.analyses.scene import Axis
+from jaxnh.analyses.batch import Axis
 from jaxnh.config.options.base import Options
 from jaxnh.engine.executor.lanes import TILE
 from jaxnh.engine.experiment import Experiment

@@ -11,7 +11,7 @@ import xarray as xr
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, SweepLanes
-from jaxnh.analyses.scene import Axis, Scene
+from jaxnh.analyses.batch import Axis, LaneBatch
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.axes import SweepPoints, on_axes, places_of, points, points_along, points_together, whole_on_axes
 from jaxnh.engine.batches import Requested, lanes_of, stackable
@@ -48,17 +48,17 @@ def spent(lanes: LaneExecutor, seconds: float) -> SecondsSpent:
 # ---- scenes
 
 
-def scene_of(
+def batch_of(
     at: SweepPoints,
     plan: Plan,
     precision: str,
     chosen: Mapping[str, Mapping[str, int]] | None = None,
     place: np.ndarray | None = None,
     along: Axis | None = None,
-) -> Scene:
+) -> LaneBatch:
     """Lanes with the solver and steps that were decided on."""
     more = {"place": place, "along": along, "family": at.family, "chosen": chosen or {}, "precision": precision}
-    return Scene(at.system, at.start, at.p, *plan, **more)
+    return LaneBatch(at.system, at.start, at.p, *plan, **more)
 
 
 def plan_of_job(job: Job) -> Plan:
@@ -139,13 +139,13 @@ def _groups(
     else:
         at = (points_together if stackable(experiment, axes, requested, job) else points)(experiment, axes, places)
     place = places[0] * job.step
-    scene = scene_of(at, plan_of_job(job), experiment.precision, job.chosen, place, axes[0] if line else None)
+    lane_batch = batch_of(at, plan_of_job(job), experiment.precision, job.chosen, place, axes[0] if line else None)
     options = {analysis.name: options for analysis, options in requested}
     groups: dict[str, xr.Dataset] = {}
     for name in names:
         analysis = ANALYSES[name]
         needed = ({need: groups[need] for need in analysis.needs},) if analysis.needs else ()
-        groups[name] = analysis.run(options[name], scene, lanes, *needed)
+        groups[name] = analysis.run(options[name], lane_batch, lanes, *needed)
     return groups
 
 
@@ -172,7 +172,7 @@ def _of_all_tiles(
         places = np.unravel_index(some, job.shape)
         at_row = points(experiment, axes, places)
         place = places[0] * job.step
-        rows.append((some, scene_of(at_row, plan_of_job(job), experiment.precision, job.chosen, place)))
+        rows.append((some, batch_of(at_row, plan_of_job(job), experiment.precision, job.chosen, place)))
     data = gathered(analysis.name)
     groups = analysis.whole.run(options, SweepLanes(tuple(axes), tuple(rows)), lanes, data)
     if job.level:

@@ -19,7 +19,7 @@ from pydantic_core import PydanticCustomError
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Setting
-from jaxnh.analyses.scene import Axis
+from jaxnh.analyses.batch import Axis
 from jaxnh.config.config import Config, UserConfig, config_of, load_config
 from jaxnh.config.messages import fault_of_rule
 from jaxnh.config.options.base import Options

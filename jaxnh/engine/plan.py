@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Starts
-from jaxnh.analyses.scene import Axis, Scene, picked
+from jaxnh.analyses.batch import Axis, LaneBatch, picked
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
 from jaxnh.engine.axes import SweepPoints, points, sampled
 from jaxnh.engine.batches import Requested, lanes_of, shared_values_a_tile
 from jaxnh.engine.cache import calibrations
 from jaxnh.engine.cache.calibrations import Decision
-from jaxnh.engine.compute import scene_of
+from jaxnh.engine.compute import batch_of
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.tiles import turns_of
 from jaxnh.engine.experiment import Experiment
@@ -80,7 +80,7 @@ def draws(requested: Requested) -> dict[str, Starts]:
 
 def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:
     """Sample lanes, and so many of their random starts as well."""
-    state, lane = draw(Scene(row.system, row.start, row.p, scheme_of(row.system).reference, 1, False, math.inf))
+    state, lane = draw(LaneBatch(row.system, row.start, row.p, scheme_of(row.system).reference, 1, False, math.inf))
     some = np.unique(np.linspace(0, len(lane) - 1, most).round().astype(int))
     drawn = picked(state, some), *picked((dict(row.p), dict(row.where)), lane[some])
     own = row.start, dict(row.p), dict(row.where)
@@ -114,11 +114,11 @@ def choose(
     accuracy, precision = experiment.accuracy, experiment.precision
     target = accuracy.target if precision == "float64" and not accuracy.steps else 0.0
     for places in sampled(axes, most) if choosing else ():
-        scene = replace(scene_of(points(experiment, axes, places), plan, precision), target=target)
+        lane_batch = replace(batch_of(points(experiment, axes, places), plan, precision), target=target)
         for analysis, options in choosing:
             assert analysis.choose is not None
             before = found.setdefault(analysis.name, {})
-            for key, number in analysis.choose(options, scene, lanes).items():
+            for key, number in analysis.choose(options, lane_batch, lanes).items():
                 before[key] = max(number, before.get(key, number))
     return found
 
@@ -214,7 +214,7 @@ def check_size(
     count = experiment.sweep.lanes
     work = work_of(requested, count) * count
     first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
-    turns = turns_of((scene_of(first, plan, experiment.precision).strobe(),))
+    turns = turns_of((batch_of(first, plan, experiment.precision).strobe(),))
     seconds = work * turns * lanes.accounts.fastest if math.isfinite(lanes.accounts.fastest) else 0.0
     if count > MOST_LANES or seconds > _LONGEST_RUN:
         size = f", {8e-9 * count:.2g} GB a variable" if count > MOST_LANES else ""

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 
 from jaxnh.analyses import ANALYSES, GROUPS
 from jaxnh.analyses.base import Analysis
-from jaxnh.analyses.scene import Axis
+from jaxnh.analyses.batch import Axis
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.config.options.base import Options
 from jaxnh.engine import dask_workers

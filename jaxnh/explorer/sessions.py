@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from jaxnh.analyses.scene import Axis
+from jaxnh.analyses.batch import Axis
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.progress import Progress
 from jaxnh.engine.session import Session

@@ -196,7 +196,7 @@ def _fitting(solver: Any) -> diffrax.AbstractSolver:
     return solver
 
 
-WAYS: dict[type[Flow], tuple[Scheme, Scheme]] = {
+SCHEMES: dict[type[Flow], tuple[Scheme, Scheme]] = {
     IsokineticParticle: (Kicks(), StepScheme()),
     Flow: (StepScheme(), StepScheme()),
 }
@@ -205,7 +205,7 @@ WAYS: dict[type[Flow], tuple[Scheme, Scheme]] = {
 
 def scheme_of(system: Flow | Section, solver: Any = None) -> Scheme:
     """How a flow is integrated, by a solver if one is named."""
-    own, other = next(WAYS[kind] for kind in type(system.flow).__mro__ if kind in WAYS)
+    own, other = next(SCHEMES[kind] for kind in type(system.flow).__mro__ if kind in SCHEMES)
     return own if solver is None or isinstance(solver, type(own.reference)) else other
 
 
@@ -288,7 +288,7 @@ def _unit_step(flow: Flow, solver: Solver) -> ReturnMap:
 
 def _equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: int = 0) -> SteppedStrobe:
     """So many equal steps over a length of time, or the same in every one of so many parts."""
-    strobe = SteppedStrobe(flow, _unit_step(flow, solver).stretched(length / steps), np.int32(steps))
+    strobe = SteppedStrobe(flow, _unit_step(flow, solver).rescaled_time(length / steps), np.int32(steps))
     if not parts:
         return strobe
     return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], parts, axis=0), strobe)

@@ -192,7 +192,7 @@ class EventStrobe(ReturnMap):
 
     def _stepped(self, search: _Search, p: Parameters, advance: Callable[[ReturnMap, Carried], Carried]) -> _Search:
         """One step on: a whole one, one that locates the crossing within it, or the one that ends there."""
-        partly, before = self.unit.stretched(self.step * search.share), _state_of(search.carried)
+        partly, before = self.unit.rescaled_time(self.step * search.share), _state_of(search.carried)
         ahead = advance(partly, search.carried)
         after = _state_of(ahead)
         rate, finite = self.system.rate(after, p), _finite(after)

@@ -105,10 +105,10 @@ Maps = ReturnMap | MapFamily
 def padded_like(maps: Maps, other: Maps) -> Maps:
     """The same maps in tables as large as those of others, which have more steps: both run through one program."""
     if isinstance(maps, ReturnMap) and isinstance(other, ReturnMap):
-        return maps.with_room_of(other)
+        return maps.padded_like(other)
     assert isinstance(maps, MapFamily)
     assert isinstance(other, MapFamily)
-    return MapFamily(maps.system, maps.names, lambda values: maps.at(values).with_room_of(other.at(values)))
+    return MapFamily(maps.system, maps.names, lambda values: maps.at(values).padded_like(other.at(values)))
 
 
 class TreeStack(eqx.Module):

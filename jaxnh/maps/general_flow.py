@@ -92,14 +92,14 @@ class GeneralStrobe(ReturnMap):
             return self.rolled
         return split_of(self.system).size * (1 + tangents) * self.solver.stages > _LARGEST_STEP
 
-    def shortest(self) -> GeneralStrobe:
+    def as_loop(self) -> GeneralStrobe:
         return replace(self, rolled=True) if isinstance(self.solver, WrittenOutRungeKutta) else self
 
-    def stretched(self, factor: ArrayLike) -> GeneralStrobe:
+    def rescaled_time(self, factor: ArrayLike) -> GeneralStrobe:
         """The map over so many times the time, of a flow without a clock."""
         return replace(self, grid=self.grid * factor, values=())
 
-    def with_room_of(self, other: ReturnMap) -> GeneralStrobe:
+    def padded_like(self, other: ReturnMap) -> GeneralStrobe:
         if not hasattr(self.solver, "written_stages"):  # diffrax takes no step of no length
             return self
         assert isinstance(other, GeneralStrobe)

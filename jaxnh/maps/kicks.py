@@ -150,7 +150,7 @@ class KickStrobe(ReturnMap):
         scale = 1.5 - 0.5 * sum(ni * ni for ni in n)
         return q, tuple(scale * ni for ni in n)
 
-    def stretched(self, factor: ArrayLike) -> KickStrobe:
+    def rescaled_time(self, factor: ArrayLike) -> KickStrobe:
         """The map over so many times the time, of a system without a clock."""
         return KickStrobe(self.system, self.table * factor, self.kicks, self.rest * factor, self.compensated)
 
@@ -158,7 +158,7 @@ class KickStrobe(ReturnMap):
         table, most = np.asarray(self.table), int(np.max(self.kicks))
         return replace(self, table=table[..., : 1 << (most - 1).bit_length(), :])
 
-    def with_room_of(self, other: ReturnMap) -> KickStrobe:
+    def padded_like(self, other: ReturnMap) -> KickStrobe:
         assert isinstance(other, KickStrobe)
         table = np.asarray(self.table)
         return replace(self, table=np.pad(table, [(0, len(np.asarray(other.table)) - len(table)), (0, 0)]))

@@ -62,7 +62,7 @@ class ReturnMap(eqx.Module):
         """Lanes a tile at most, where more would be slower."""
         return None
 
-    def shortest(self) -> ReturnMap:
+    def as_loop(self) -> ReturnMap:
         """The same map as the shortest program, which need not be the fastest, nor equal in its last bits."""
         return self
 
@@ -87,7 +87,7 @@ class ReturnMap(eqx.Module):
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         """The state and any number of tangents one strobe period later, exact derivatives of `__call__`."""
 
-    def stretched(self, factor: ArrayLike) -> ReturnMap:
+    def rescaled_time(self, factor: ArrayLike) -> ReturnMap:
         """The map over so many times the time, of a flow without a clock; of maps of one step alone."""
         raise NotImplementedError
 
@@ -95,6 +95,6 @@ class ReturnMap(eqx.Module):
         """The same map in tables no larger than it needs."""
         return self
 
-    def with_room_of(self, other: ReturnMap) -> ReturnMap:
+    def padded_like(self, other: ReturnMap) -> ReturnMap:
         """The same map in tables as large as another's, which has more steps: both then run through one program."""
         return self

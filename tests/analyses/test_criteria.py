@@ -15,11 +15,11 @@ from conftest import ROOT
 from measure import scene_of, some_slow
 
 from jaxnh.analyses import chaos01, verdict
+from jaxnh.analyses.batch import LaneBatch, spread
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.exponents.tangent_growth import gram_schmidt
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.periodic.newton_on_lanes import least_period
-from jaxnh.analyses.scene import Scene, spread
 from jaxnh.analyses.trajectories import diagram
 from jaxnh.costs.operations import count
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -301,7 +301,7 @@ def test_averages_tell_weak_chaos_from_tori():
     assert np.all(grown[2:] > 5 * math.log(n))
     flow = lagrangian(undamped, {"drive": 0.3})
     start = jax.tree.map(np.asarray, jax.vmap(flow.chart.state)(np.stack([angles, 0.0 * angles], axis=-1)))
-    scene = Scene(
+    scene = LaneBatch(
         flow, start, {"drive": np.full(4, 0.3)}, SOLVERS["dopri5"], 120, compensated=False, error_estimate=1e-8
     )
     found = verdict.unsteadiness(scene, lanes, 512, 4096)

@@ -15,7 +15,7 @@ from measure import apart, twin
 import jaxnh
 from jaxnh.analyses.basins.basins import BasinsOptions, choose
 from jaxnh.analyses.basins.steps_after_transient import settled_steps
-from jaxnh.analyses.scene import Scene
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.window_averages import average_window
 from jaxnh.engine.experiment import Experiment
 from jaxnh.solvers import SPLITTINGS
@@ -30,7 +30,7 @@ def scene_over(box, count, seed, target=TARGET):
     """Lanes that start at random in a box of x1 and y1."""
     x, y = np.random.default_rng(seed).uniform(-box, box, (2, count))
     start = (x, y), (np.full(count, 0.1), np.full(count, math.sqrt(0.99)))
-    return Scene(SYSTEM, start, {}, SPLITTINGS["processed6"], STEPS, False, TARGET, target=target)
+    return LaneBatch(SYSTEM, start, {}, SPLITTINGS["processed6"], STEPS, False, TARGET, target=target)
 
 
 def test_error_after_the_first_look(lanes):

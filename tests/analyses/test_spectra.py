@@ -9,8 +9,8 @@ import pytest
 from conftest import ROOT, session_of
 
 import jaxnh
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.scene import Scene
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import dopri8
 
@@ -56,7 +56,7 @@ def test_spectra_beside_heyoka(name):
     assert k == reference.shape[1]
     start = jax.vmap(lambda y: flow.chart.state(there.embed(y)))(jnp.asarray(states))
     p = {case.parameter: np.linspace(case.low, case.high, COUNT)}
-    scene = Scene(flow, jax.tree.map(np.asarray, start), p, dopri8, STEPS[name], False, 1e-8)
+    scene = LaneBatch(flow, jax.tree.map(np.asarray, start), p, dopri8, STEPS[name], False, 1e-8)
     options = lyapunov.LyapunovOptions(transient=0, periods=PERIODS, exponents=k)
     found = lyapunov.run(options, scene, LaneExecutor())
     exponents, errors = found["exponents"].to_numpy(), found["exponents_error"].to_numpy()

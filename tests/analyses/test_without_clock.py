@@ -7,8 +7,8 @@ import pytest
 from conftest import ROOT, session_of
 
 import jaxnh
+from jaxnh.analyses.batch import LaneBatch, spread
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
-from jaxnh.analyses.scene import Scene, spread
 from jaxnh.analyses.verdict import KINDS, across
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import dopri8
@@ -30,7 +30,7 @@ def lorenz(tmp_path_factory):
 
 
 def at_rest(flow, start, rho, units):
-    scene = Scene(flow, spread(flow.start(start), len(rho)), {"rho": np.array(rho)}, dopri8, 96, False, 1e-9)
+    scene = LaneBatch(flow, spread(flow.start(start), len(rho)), {"rho": np.array(rho)}, dopri8, 96, False, 1e-9)
     return detect_equilibrium(scene, LaneExecutor(), units)
 
 

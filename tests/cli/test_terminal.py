@@ -11,9 +11,9 @@ import xarray as xr
 from rich.console import Console
 
 from jaxnh.analyses.base import Table
+from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.cascade.follow import Cascade
-from jaxnh.analyses.scene import Axis
 from jaxnh.cli import terminal
 from jaxnh.systems.particle import constant_speed
 

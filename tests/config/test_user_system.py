@@ -18,9 +18,9 @@ from conftest import ROOT
 from measure import SYSTEMS
 
 import jaxnh
+from jaxnh.analyses.batch import Axis, LaneBatch
 from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.scene import Axis, Scene
 from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
 from jaxnh.engine.axes import points
@@ -76,7 +76,9 @@ def scene_of(experiment, values, steps):
     (axis,), values = experiment.axes, np.asarray(values)
     along = Axis(axis.name, values, axis.long_name)
     start = experiment.start({}, len(values))
-    return Scene(experiment.dynamics(), start, {axis.name: values}, SOLVERS["dopri8"], steps, False, 0.0, along=along)
+    return LaneBatch(
+        experiment.dynamics(), start, {axis.name: values}, SOLVERS["dopri8"], steps, False, 0.0, along=along
+    )
 
 
 # ---- the map

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxnh.analyses.base import LANE, variable
-from jaxnh.analyses.scene import Axis
+from jaxnh.analyses.batch import Axis
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES
 from jaxnh.engine.axes import on_axes, places_of, points, sampled
 from jaxnh.engine.experiment import Experiment

@@ -13,7 +13,7 @@ from conftest import lanes_with_kept_programs, session_of
 from measure import SYSTEMS, UNIT, apart, calibrated, twin
 
 import jaxnh
-from jaxnh.analyses.scene import spread
+from jaxnh.analyses.batch import spread
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from measure import scene_of
 
 from jaxnh.analyses import ANALYSES
-from jaxnh.analyses.scene import Scene
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import compute
@@ -76,7 +76,7 @@ def test_bits_are_those_of_each_value_alone():
     family = ParameterFamily(("d",), lambda values: disturbed_speed(d=values[0]), tuple((d,) for d in D))
     d = np.repeat(D, np.diff(CUTS))
     order = np.random.default_rng(0).permutation(len(b))  # lanes of a row need not be neighbours
-    together = Scene(flows[0], start, {"b": b, "d": d}, SOLVER, STEPS, False, 0.0, family=family, **chosen)
+    together = LaneBatch(flows[0], start, {"b": b, "d": d}, SOLVER, STEPS, False, 0.0, family=family, **chosen)
     together = together.take(order)
     assert {name for name, analysis in ANALYSES.items() if analysis.stackable} == set(OPTIONS)
     for name, said in OPTIONS.items():

@@ -13,9 +13,9 @@ import pytest
 import taylor
 from measure import calibrated, scene_of, twin
 
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import attractor_survey
-from jaxnh.analyses.scene import Scene
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.iterate import record
 from jaxnh.solvers import SPLITTINGS, dopri8
@@ -198,7 +198,7 @@ def flow_lanes(flow, name, values, x, v):
     """A scene of a user's flow by 64 steps of Dopri8 a period, right to 1e-8 and better."""
     at_rest = np.zeros(len(values))
     start = Motion((np.asarray(x, float),), (np.asarray(v, float),), (at_rest, at_rest.copy()))
-    return Scene(flow, start, {name: np.asarray(values, float)}, dopri8, 64, False, 1e-8)
+    return LaneBatch(flow, start, {name: np.asarray(values, float)}, dopri8, 64, False, 1e-8)
 
 
 def still_tori(rng, count, time=4000.0):

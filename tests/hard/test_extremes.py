@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from measure import apart, scene_of, twin
 from scenes import PAPER_B, hold, hold_to_rounding, roundings, show, show_sum_rule, start_at
 
+from jaxnh.analyses.batch import spread
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.scene import spread
 from jaxnh.engine.experiment import load
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.build import make_return_map

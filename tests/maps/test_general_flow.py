@@ -12,7 +12,7 @@ import pytest
 from calm import check_convergence, check_derivatives, image
 from measure import CALM, UNIT, apart, some_slow
 
-from jaxnh.analyses.scene import spread
+from jaxnh.analyses.batch import spread
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.general_flow import general_strobe

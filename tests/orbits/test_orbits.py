@@ -89,7 +89,7 @@ def test_map_is_fine_enough(lanes, strobes, name):
 def test_one_program_for_all_refinements(lanes, strobes):
     """A table as large as that of twice the steps: the same program as that map, and bit for bit the same derivatives."""
     one, finer = strobes["constant"], make_return_map(SYSTEMS["constant"], FINEST, 300)
-    roomy = one.with_room_of(finer)
+    roomy = one.padded_like(finer)
     assert jax.tree.map(np.shape, roomy) == jax.tree.map(np.shape, finer) != jax.tree.map(np.shape, one)
     u, b = np.random.default_rng(3).uniform(-1, 1, (8, 3)), np.linspace(5.4, 5.6, 8)
     for ours, exact in zip(period_of(lanes, roomy)(u, b)[:2], period_of(lanes, one)(u, b)[:2], strict=True):

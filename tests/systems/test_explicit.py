@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses.scene import spread
+from jaxnh.analyses.batch import spread
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.solvers import tsit5

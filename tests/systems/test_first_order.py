@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses.scene import spread
+from jaxnh.analyses.batch import spread
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.section import Section, begin

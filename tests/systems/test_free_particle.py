@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from measure import UNIT
 
-from jaxnh.analyses.scene import spread
+from jaxnh.analyses.batch import spread
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate

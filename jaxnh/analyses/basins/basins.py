@@ -24,9 +24,9 @@ from jaxnh.analyses.basins.continuation import ContinuedAttractors, Grid, contin
 from jaxnh.analyses.basins.settling import FAILED, Lot, settle
 from jaxnh.analyses.basins.steps_after_transient import settled_steps
 from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in, per_time, picked
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.random_starts import check_box, started
-from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, per_time, picked
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.window_averages import average_window, maps, window_averages
 from jaxnh.config.options.base import BLOCKS
@@ -57,27 +57,27 @@ def check(options: BasinsOptions, setting: Setting) -> None:
         check_plane(setting, "boundary")
 
 
-def choose(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> dict[str, int]:
+def choose(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:
     """Steps of a period after the first look, the same for all lanes of a sweep: fewer where that is worth it."""
-    scene = scene.in_time()
-    if scene.count * max(1, options.starts) < _MANY:
-        return {"steps": scene.steps}
-    some = np.unique(np.linspace(0, scene.count - 1, min(scene.count, _SAMPLED)).round().astype(int))
-    here = _started(options, scene.take(some))[0]
+    batch = batch.in_time()
+    if batch.count * max(1, options.starts) < _MANY:
+        return {"steps": batch.steps}
+    some = np.unique(np.linspace(0, batch.count - 1, min(batch.count, _SAMPLED)).round().astype(int))
+    here = _started(options, batch.take(some))[0]
     few = here.take(np.unique(np.linspace(0, here.count - 1, _SAMPLED).round().astype(int)))
     begun = average_window(few, lanes, few.start, options.transient // 2)
     return {"steps": settled_steps(few, lanes, begun.state)}
 
 
-def run(options: BasinsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """What every lane has come to by itself (`settling.Lot`), each (lane,), (lane, mean) or (lane, component).
 
     With random starts `start` is a dimension after the lanes.
     """
-    scene = scene.in_time()
-    rows = (scene.count, options.starts) if options.starts else (scene.count,)
-    with lanes.stage(f"basins: {math.prod(rows):,} lanes to their attractors", periods(options, scene.count)):
-        starting, steps = _started(options, scene)[0], _settled(scene).steps
+    batch = batch.in_time()
+    rows = (batch.count, options.starts) if options.starts else (batch.count,)
+    with lanes.stage(f"basins: {math.prod(rows):,} lanes to their attractors", periods(options, batch.count)):
+        starting, steps = _started(options, batch)[0], _settled(batch).steps
         lot = settle(starting, lanes, options.transient, options.longest, steps)
     dims = (LANE, "start")[: len(rows)]
     second = {
@@ -115,11 +115,11 @@ def whole(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     drawn: dict[str, np.ndarray] = {name: np.zeros(count) for name in options.box}
     for row, at_row in sweep.rows:
         some = (row[:, None] * each + np.arange(each)).ravel()
-        scene, here = _started(options, _settled(at_row))
+        batch, here = _started(options, _settled(at_row))
         part = picked(lot, some)
         for name, values in here.items():
             drawn[name][some] = values
-        found = find(scene, lanes, part, point[some], options.limit, options.longest)
+        found = find(batch, lanes, part, point[some], options.limit, options.longest)
         for leaf, changed in zip(lot, part, strict=True):
             leaf[some] = changed
         judged += found.judged
@@ -151,21 +151,21 @@ def whole(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     }
 
 
-def _settled(scene: Scene) -> Scene:
-    """The scene in time, with as many steps as its lanes need once they have come near their attractors."""
-    return replace(scene.in_time(), steps=scene.chosen.get("basins", {}).get("steps", scene.steps))
+def _settled(batch: LaneBatch) -> LaneBatch:
+    """The batch in time, with as many steps as its lanes need once they have come near their attractors."""
+    return replace(batch.in_time(), steps=batch.chosen.get("basins", {}).get("steps", batch.steps))
 
 
-def _started(options: BasinsOptions, scene: Scene) -> tuple[Scene, dict[str, np.ndarray]]:
+def _started(options: BasinsOptions, batch: LaneBatch) -> tuple[LaneBatch, dict[str, np.ndarray]]:
     """The lanes with their random starts, and what was drawn, where there are some."""
-    return started(scene, options.starts, options.seed, options.box) if options.starts else (scene, {})
+    return started(batch, options.starts, options.seed, options.box) if options.starts else (batch, {})
 
 
 def starts(options: BasinsOptions) -> Starts | None:
     """Where lanes start at random, if they do."""
     if not options.starts:
         return None
-    return lambda scene: (_started(options, scene)[0].start, np.repeat(np.arange(scene.count), options.starts))
+    return lambda batch: (_started(options, batch)[0].start, np.repeat(np.arange(batch.count), options.starts))
 
 
 def _grid(sweep: SweepLanes, own: Sequence[int], point: Int[np.ndarray, " lanes"]) -> Grid:
@@ -176,7 +176,7 @@ def _grid(sweep: SweepLanes, own: Sequence[int], point: Int[np.ndarray, " lanes"
         here = np.isin(first, some)
         row[here], lane[here] = number, np.searchsorted(some, first[here])
     values = tuple(sweep.axes[k].values for k in own)
-    return Grid(values, [_settled(scene) for _, scene in sweep.rows], row, lane)
+    return Grid(values, [_settled(batch) for _, batch in sweep.rows], row, lane)
 
 
 def _known(
@@ -208,12 +208,12 @@ def _known(
             np.array([getattr(one, k) for one in unseen]) for k in ("u", "multiplier", "exponent")
         )
         there = picked(every, origin)._replace(u=u, multiplier=multiplier, exponent=exponent)
-        for here, scene in grid.at(at[len(same) :]):
-            there.points[here, :POINTS] = recorded(scene_from(scene, lanes, u[here]), lanes, POINTS)
+        for here, batch in grid.at(at[len(same) :]):
+            there.points[here, :POINTS] = recorded(scene_from(batch, lanes, u[here]), lanes, POINTS)
         every = joined([every, there])
     coordinates = dict[str, Output]()
-    for here, scene in grid.at(at):
-        for name, output in _coordinates(scene, lanes, picked(every, here)).items():
+    for here, batch in grid.at(at):
+        for name, output in _coordinates(batch, lanes, picked(every, here)).items():
             kept = coordinates.setdefault(
                 name, output._replace(data=np.full((len(at), *output.data.shape[1:]), np.nan))
             )
@@ -222,25 +222,25 @@ def _known(
     return SweepAttractors(at, np.concatenate([number, number[origin]]), every, coordinates, changes), number
 
 
-def _coordinates(scene: Scene, lanes: LaneRunner, judged: Attractors) -> dict[str, Output]:
+def _coordinates(batch: LaneBatch, lanes: LaneRunner, judged: Attractors) -> dict[str, Output]:
     """Coordinates of a point of every attractor, and under NAME_points of its points, at the strobe."""
     count, points = len(judged.u), judged.points[:, :POINTS]
-    one = states_at(scene, lanes, judged.u)
-    every = states_at(scene, lanes, points.reshape(-1, points.shape[-1]))
+    one = states_at(batch, lanes, judged.u)
+    every = states_at(batch, lanes, points.reshape(-1, points.shape[-1]))
     every = jax.tree.map(lambda leaf: leaf.reshape(count, -1), every)
     start = np.zeros(1)
-    found = outputs(scene.flow, jax.tree.map(lambda leaf: leaf[:, None], one), start)
+    found = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], one), start)
     found = {name: output._replace(data=output.data[:, 0]) for name, output in found.items()}
-    return found | {f"{name}_points": output for name, output in outputs(scene.flow, every, start).items()}
+    return found | {f"{name}_points": output for name, output in outputs(batch.flow, every, start).items()}
 
 
-def price(options: BasinsOptions, scene: Scene) -> Price:
+def price(options: BasinsOptions, batch: LaneBatch) -> Price:
     """A period of a look, with its means, against the map alone."""
-    scene = scene.in_time()
-    strobe, parts = maps(scene)
+    batch = batch.in_time()
+    strobe, parts = maps(batch)
     turns = (float(BLOCKS), 1.0, *((float(parts),) if parts else ()), *strobe.turns)
-    program = PricedProgram(window_averages, (strobe, np.int32(1)), scene.lanes, turns, (parts,), BLOCKS, whole=True)
-    return Price(program, map_alone(scene), "means of every coordinate and its square")
+    program = PricedProgram(window_averages, (strobe, np.int32(1)), batch.lanes, turns, (parts,), BLOCKS, whole=True)
+    return Price(program, map_alone(batch), "means of every coordinate and its square")
 
 
 def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:

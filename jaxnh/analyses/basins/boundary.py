@@ -20,8 +20,8 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.base import OptionError, Setting, variable
+from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.exponents.errors import student
-from jaxnh.analyses.scene import Axis
 
 BOX = 5
 """Starts along an edge of a box."""

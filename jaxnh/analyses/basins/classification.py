@@ -28,10 +28,10 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from jaxnh.analyses.basins.point_sets import lie_within, point_set, spacing
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, SETTLED_TO, Lot
 from jaxnh.analyses.basins.volume import keeps_volume
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.analyses.equilibria.search import find_equilibria
 from jaxnh.analyses.exponents.lyapunov import run as exponents_of
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
-from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
 from jaxnh.analyses.window_averages import WindowAverages, average_window, maps, points_a_unit, units
@@ -100,27 +100,27 @@ class Attractors(NamedTuple):
     margin: Float[np.ndarray, " reps"]
 
 
-def classify(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, longest: int) -> Attractors:
-    """What the lanes of a scene are on, which are done as the lot says; they go on from where it has left them.
+def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int, longest: int) -> Attractors:
+    """What the lanes of a batch are on, which are done as the lot says; they go on from where it has left them.
 
-    The scene has them at their start, which sizes are held against.
+    The batch has them at their start, which sizes are held against.
 
     Args:
         longest_period: of periodic orbits.
         longest: periods that a lane may take.
     """
     look = lot.time // 2
-    seen, state = _confirming_look(scene, lanes, lot)
-    size = np.where(scene.chart.angles, 1.0, np.maximum(seen.largest, lot.least))
-    unit = 2.0 * SETTLED_TO * units(np.array(scene.chart.angles), size)
+    seen, state = _confirming_look(batch, lanes, lot)
+    size = np.where(batch.chart.angles, 1.0, np.maximum(seen.largest, lot.least))
+    unit = 2.0 * SETTLED_TO * units(np.array(batch.chart.angles), size)
     with np.errstate(invalid="ignore"):
         stays = np.all(np.abs(seen.whole - lot.means) <= lot.unit + unit, axis=1) | (lot.known == RESTLESS)
-    u = points_at(scene, lanes, state)
-    count = scene.count
+    u = points_at(batch, lanes, state)
+    count = batch.count
     kind, period = np.full(count, NONE, np.int8), np.zeros(count, np.int64)
     exponent, multiplier = np.full((2, count), np.nan)
-    moved_on = scene_from(scene, lanes, u)
-    if scene.flow.autonomous:
+    moved_on = scene_from(batch, lanes, u)
+    if batch.flow.autonomous:
         there = find_equilibria(moved_on, lanes, u, lot.size, seen)
         at_rest = there.found & stays
         kind[at_rest & there.stable], exponent[at_rest] = EQUILIBRIUM, there.exponent[at_rest]
@@ -130,31 +130,31 @@ def classify(scene: Scene, lanes: LaneRunner, lot: Lot, longest_period: int, lon
         left = np.zeros(0, int)
     else:
         some = np.flatnonzero(stays)
-        found = _orbits(scene.take(some), lanes, u[some], longest_period)
+        found = _orbits(batch.take(some), lanes, u[some], longest_period)
         on_orbit = found.period > 0
         here = some[on_orbit]
         kind[here], period[here] = PERIODIC, found.period[on_orbit]
         multiplier[here], u[here] = found.multiplier[on_orbit], found.u[on_orbit]
         with np.errstate(divide="ignore"):
-            exponent[here] = np.log(multiplier[here]) / (period[here] * scene.flow.period)
+            exponent[here] = np.log(multiplier[here]) / (period[here] * batch.flow.period)
         left = some[~on_orbit]
     near, margin = np.full((2, count), _NEAR_ORBIT)
-    points = recorded(scene_from(scene, lanes, u), lanes, POINTS)
+    points = recorded(scene_from(batch, lanes, u), lanes, POINTS)
     steps = np.zeros_like(points)
     if len(left):
         kind[left], exponent[left] = _by_exponents(moved_on.take(left), lanes, picked(seen, left), LONGER * look[left])
         cloud = recorded(moved_on.take(left), lanes, _CLOUD)
-        drift = _drift(scene.chart, cloud[:, -POINTS:], size[left])
+        drift = _drift(batch.chart, cloud[:, -POINTS:], size[left])
         passing = kind[left] == QUASIPERIODIC
-        across = _drift_across(scene, picked((cloud, size[left]), passing)) if scene.flow.autonomous else drift[passing]
+        across = _drift_across(batch, picked((cloud, size[left]), passing)) if batch.flow.autonomous else drift[passing]
         passing[passing] = across * LONGER * look[left][passing] < 1.0
         kind[left[passing | ((kind[left] == CHAOTIC) & (drift <= _REPEATS))]] = NONE
         kind[left[_conserved(moved_on.take(left), lanes, u[left], kind[left], longest)]] = NONE
         points, steps = filled_up(points, steps, _CLOUD)
-        points[left], steps[left] = cloud, _steps(scene.take(left), lanes, cloud)
+        points[left], steps[left] = cloud, _steps(batch.take(left), lanes, cloud)
         for k in left:
-            near[k] = _WIDER * spacing(scene.chart, points[k], np.zeros_like(steps[k]), size[k])
-            margin[k] = max(_WIDER * spacing(scene.chart, points[k], steps[k], size[k]), _NEAR_ORBIT)
+            near[k] = _WIDER * spacing(batch.chart, points[k], np.zeros_like(steps[k]), size[k])
+            margin[k] = max(_WIDER * spacing(batch.chart, points[k], steps[k], size[k]), _NEAR_ORBIT)
     some = np.flatnonzero((kind == CHAOTIC) & (lot.known == SETTLED))  # regular and unstable: a repeller?
     if len(some):
         sets = (points[some], steps[some], size[some], margin[some])
@@ -171,15 +171,17 @@ def filled_up(
     return np.pad(points, more, mode="edge"), np.pad(steps, more)
 
 
-def scene_from(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> Scene:
+def scene_from(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> LaneBatch:
     """The same lanes from section points."""
-    return Scene(**{**scene.__dict__, "start": states_at(scene, lanes, u)})
+    return LaneBatch(**{**batch.__dict__, "start": states_at(batch, lanes, u)})
 
 
-def followed(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes points d"]:
+def followed(
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
+) -> Float[np.ndarray, "lanes points d"]:
     """Points of lanes that go on from u, that among them."""
-    strobe, parts = maps(scene)
-    return lanes(_followed, (strobe,), (u, dict(scene.p)), periods=FOLLOWED, static=(parts,))
+    strobe, parts = maps(batch)
+    return lanes(_followed, (strobe,), (u, dict(batch.p)), periods=FOLLOWED, static=(parts,))
 
 
 def _followed(strobe: ReturnMap, u: Array, p: Parameters, parts: int) -> Float[Array, "points d"]:
@@ -226,14 +228,14 @@ def stays_near(
     return np.all(known[there] == at, axis=1)
 
 
-def _confirming_look(scene: Scene, lanes: LaneRunner, lot: Lot) -> tuple[WindowAverages, State]:
+def _confirming_look(batch: LaneBatch, lanes: LaneRunner, lot: Lot) -> tuple[WindowAverages, State]:
     """The long look of every lane, those of like length together."""
     look = lot.time // 2
     parts, order = [], []
     for length in np.unique(look).tolist():
         here = np.flatnonzero(look == length)
-        begun = states_at(scene.take(here), lanes, lot.u[here])
-        parts.append(average_window(scene.take(here), lanes, begun, LONGER * length))
+        begun = states_at(batch.take(here), lanes, lot.u[here])
+        parts.append(average_window(batch.take(here), lanes, begun, LONGER * length))
         order.append(here)
     back = np.argsort(np.concatenate(order))
     seen = jax.tree.map(lambda *leaves: np.concatenate(leaves)[back], *parts)
@@ -243,48 +245,50 @@ def _confirming_look(scene: Scene, lanes: LaneRunner, lot: Lot) -> tuple[WindowA
 # ---- periodic
 
 
-def _orbits(scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], limit: int):
-    found = survey(scene, lanes, u, limit, "basins", 0)
-    return beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
+def _orbits(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], limit: int):
+    found = survey(batch, lanes, u, limit, "basins", 0)
+    return beyond_doublings(lanes, batch.strobe(), dict(batch.p), found)
 
 
 # ---- all others
 
 
 def _by_exponents(
-    scene: Scene, lanes: LaneRunner, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]
+    batch: LaneBatch, lanes: LaneRunner, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]
 ) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
     """Kinds by the largest exponents, and the one that counts."""
-    clock, period = not scene.flow.autonomous, scene.flow.period
-    if not clock and scene.flow.exponents == 1:  # along the flow there is one alone
-        around = _comes_back(scene, seen, looked)
-        return np.where(around, LIMIT_CYCLE, NONE).astype(np.int8), np.full(scene.count, np.nan)
-    options = LyapunovOptions(transient=_LAGS, periods=_AVERAGED, exponents=min(2, scene.flow.exponents))
-    found = exponents_of(options, scene, lanes)
+    clock, period = not batch.flow.autonomous, batch.flow.period
+    if not clock and batch.flow.exponents == 1:  # along the flow there is one alone
+        around = _comes_back(batch, seen, looked)
+        return np.where(around, LIMIT_CYCLE, NONE).astype(np.int8), np.full(batch.count, np.nan)
+    options = LyapunovOptions(transient=_LAGS, periods=_AVERAGED, exponents=min(2, batch.flow.exponents))
+    found = exponents_of(options, batch, lanes)
     every, errors = found["exponents"].to_numpy(), found["exponents_error"].to_numpy()
     largest, error = (every[:, 0], errors[:, 0]) if clock else across(every, errors)
     chaotic = beyond_shear(largest, error, _AVERAGED, period)
     neutral = nearly_zero(largest, error, period)
-    kind = np.full(scene.count, NONE, np.int8)
+    kind = np.full(batch.count, NONE, np.int8)
     kind[chaotic], kind[neutral & ~chaotic] = CHAOTIC, QUASIPERIODIC
     if clock:
-        here = timeless(scene, lanes, np.flatnonzero(kind == QUASIPERIODIC))
+        here = timeless(batch, lanes, np.flatnonzero(kind == QUASIPERIODIC))
         cycle = contracts(every[here], errors[here], period, np.full(len(here), _AVERAGED))
         kind[here] = np.where(cycle, LIMIT_CYCLE, NONE)
         largest[here] = np.where(cycle, every[here, -1], largest[here])
     else:
-        if len(scene.chart.angles) == 2 and sum(scene.chart.angles) < 2:  # Poincaré and Bendixson: nothing but cycles
+        if len(batch.chart.angles) == 2 and sum(batch.chart.angles) < 2:  # Poincaré and Bendixson: nothing but cycles
             kind[:] = NONE
         kind[largest + error < 0.0] = LIMIT_CYCLE
-        kind[(kind != CHAOTIC) & ~_comes_back(scene, seen, looked)] = NONE
+        kind[(kind != CHAOTIC) & ~_comes_back(batch, seen, looked)] = NONE
     return kind, largest
 
 
-def _comes_back(scene: Scene, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
+def _comes_back(
+    batch: LaneBatch, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]
+) -> Bool[np.ndarray, " lanes"]:
     """Whether a motion without a clock has gone to and fro or around: a slow passage goes one way."""
-    turns = np.array(scene.chart.angles)
+    turns = np.array(batch.chart.angles)
     fro = ~turns & (seen.path > _TO_AND_FRO * (seen.high - seen.low)) & (seen.high > seen.low)
-    turned = turns & (np.abs(_turning(turns, seen)) * looked[:, None] * points_a_unit(scene) > _TURNED)
+    turned = turns & (np.abs(_turning(turns, seen)) * looked[:, None] * points_a_unit(batch) > _TURNED)
     return np.any(fro | turned, axis=1)
 
 
@@ -309,13 +313,13 @@ def _drift(
 
 
 def _drift_across(
-    scene: Scene, motion: tuple[Float[np.ndarray, "lanes points d"], Float[np.ndarray, "lanes d"]]
+    batch: LaneBatch, motion: tuple[Float[np.ndarray, "lanes points d"], Float[np.ndarray, "lanes d"]]
 ) -> Float[np.ndarray, " lanes"]:
     """The same of motions without a clock: across the flow, after the time at which they repeat themselves best.
 
     Paths between points are parabolas, through a point and those beside it.
     """
-    drift, wrap = np.full(len(motion[0]), np.inf), scene.chart.wrap
+    drift, wrap = np.full(len(motion[0]), np.inf), batch.chart.wrap
     for k, (points, size) in enumerate(zip(*motion, strict=True)):
         scale = np.where(size > 0.0, size, 1.0)
         steps = wrap(np.diff(points, axis=0)) / scale
@@ -334,13 +338,13 @@ def _drift_across(
                 at = np.clip(at - np.sum(slope * there, axis=1) / np.where(along > 0.0, along, 1.0), -1.0, 1.0)
             there = away + at[:, None] * (v + at[:, None] * c)
             drift[k] = min(drift[k], np.abs(there).max() / lag)
-    return drift * points_a_unit(scene)
+    return drift * points_a_unit(batch)
 
 
-def recorded(scene: Scene, lanes: LaneRunner, count: int) -> Float[np.ndarray, "lanes points d"]:
+def recorded(batch: LaneBatch, lanes: LaneRunner, count: int) -> Float[np.ndarray, "lanes points d"]:
     """Points of lanes, one after the other: strobes, or without a clock several in a unit of time."""
-    strobe, parts = maps(scene)
-    return lanes(_record, (strobe,), scene.lanes, periods=count, static=(count, parts))
+    strobe, parts = maps(batch)
+    return lanes(_record, (strobe,), batch.lanes, periods=count, static=(count, parts))
 
 
 def _record(strobe: ReturnMap, state: State, p: Parameters, count: int, parts: int) -> Float[Array, "points d"]:
@@ -355,14 +359,14 @@ def _record(strobe: ReturnMap, state: State, p: Parameters, count: int, parts: i
 
 
 def _steps(
-    scene: Scene, lanes: LaneRunner, points: Float[np.ndarray, "lanes points d"]
+    batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "lanes points d"]
 ) -> Float[np.ndarray, "lanes points d"]:
     """Displacement along the flow in the time from a recorded point to the next, zero with a clock."""
-    if not scene.flow.autonomous:
+    if not batch.flow.autonomous:
         return np.zeros_like(points)
-    each = scene.take(np.repeat(np.arange(scene.count), points.shape[1]))
-    rates = lanes(_rate, (scene.flow,), (points.reshape(-1, points.shape[2]), dict(each.p)))
-    return rates.reshape(points.shape) * (scene.flow.period / points_a_unit(scene))
+    each = batch.take(np.repeat(np.arange(batch.count), points.shape[1]))
+    rates = lanes(_rate, (batch.flow,), (points.reshape(-1, points.shape[2]), dict(each.p)))
+    return rates.reshape(points.shape) * (batch.flow.period / points_a_unit(batch))
 
 
 def _rate(flow: Flow, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
@@ -371,7 +375,7 @@ def _rate(flow: Flow, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"
 
 
 def _leaves(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], sets: tuple[np.ndarray, ...]
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], sets: tuple[np.ndarray, ...]
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether motions from points beside those of lanes leave the sets that these are on.
 
@@ -381,23 +385,23 @@ def _leaves(
         sets: points, steps, sizes and margins.
     """
     aside = 2.0 * np.mod(np.arange(1, u.shape[1] + 1) * _GOLDEN, 1.0) - 1.0  # along no symmetry
-    cloud = recorded(scene_from(scene, lanes, u + _ASIDE * aside * sets[2]), lanes, _CLOUD)[:, -POINTS:]
+    cloud = recorded(scene_from(batch, lanes, u + _ASIDE * aside * sets[2]), lanes, _CLOUD)[:, -POINTS:]
     within = [
-        np.mean(lie_within(point_set(scene.chart, points, steps, size), later, size, float(margin)))
+        np.mean(lie_within(point_set(batch.chart, points, steps, size), later, size, float(margin)))
         for later, points, steps, size, margin in zip(cloud, *sets, strict=True)
     ]
     return np.array(within) < 0.5
 
 
 def _conserved(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     u: Float[np.ndarray, "lanes d"],
     kind: Int8[np.ndarray, " lanes"],
     longest: int,
 ) -> Bool[np.ndarray, " lanes"]:
     """Which of the motions that do not contract towards themselves keep phase volume too: these are no attractors."""
-    kept, some = np.zeros(scene.count, np.bool_), np.flatnonzero(np.isin(kind, (QUASIPERIODIC, CHAOTIC)))
+    kept, some = np.zeros(batch.count, np.bool_), np.flatnonzero(np.isin(kind, (QUASIPERIODIC, CHAOTIC)))
     if len(some):
-        kept[some] = keeps_volume(scene.take(some), lanes, u[some], longest)
+        kept[some] = keeps_volume(batch.take(some), lanes, u[some], longest)
     return kept

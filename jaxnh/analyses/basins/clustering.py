@@ -31,7 +31,7 @@ from jaxnh.analyses.basins.classification import (
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
 from jaxnh.analyses.basins.settling import CONSERVATIVE, OPEN, RESTLESS, SETTLED, Lot, go_on
 from jaxnh.analyses.basins.volume import keeps_volume
-from jaxnh.analyses.scene import LaneRunner, Scene, picked
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.systems.chart import Chart
 
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
@@ -59,7 +59,7 @@ class Assignment(NamedTuple):
 
 
 def find(
-    scene: Scene, lanes: LaneRunner, lot: Lot, point: Int[np.ndarray, " lanes"], limit: int, longest: int
+    batch: LaneBatch, lanes: LaneRunner, lot: Lot, point: Int[np.ndarray, " lanes"], limit: int, longest: int
 ) -> Assignment:
     """The attractors of lanes that have been run by themselves; those on none yet go on, in place, while they may.
 
@@ -71,27 +71,27 @@ def find(
         limit: period looked for, at most.
         longest: periods that a lane may take.
     """
-    found, most = Assignment(np.full(scene.count, -1), np.zeros(0, int), None), _MOST_CLUSTERS
-    tested = np.zeros(scene.count, np.bool_)
+    found, most = Assignment(np.full(batch.count, -1), np.zeros(0, int), None), _MOST_CLUSTERS
+    tested = np.zeros(batch.count, np.bool_)
     while True:
         before = len(found.point)
-        found = _search(scene, lanes, lot, point, found, limit, longest, most)
+        found = _search(batch, lanes, lot, point, found, limit, longest, most)
         most = most if len(found.point) > before else max(1, most // 2)
         left = (found.number < 0) & np.isin(lot.known, (SETTLED, RESTLESS))
         new = np.flatnonzero(left & ~tested)
         if len(new):
-            kept = new[keeps_volume(scene.take(new), lanes, lot.u[new], longest)]
+            kept = new[keeps_volume(batch.take(new), lanes, lot.u[new], longest)]
             lot.known[kept], left[kept], tested[new] = CONSERVATIVE, False, True
         some = np.flatnonzero(left & (2 * lot.time <= longest))
         if not len(some):
             lot.known[left] = OPEN
             return found
         with lanes.stage(f"basins: {len(some):,} lanes longer", float(lot.time[some].sum())):
-            go_on(scene, lanes, lot, some, longest)
+            go_on(batch, lanes, lot, some, longest)
 
 
 def _search(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     lot: Lot,
     point: Int[np.ndarray, " lanes"],
@@ -106,21 +106,21 @@ def _search(
     ones are found, the lanes of a cluster that are on none of them are judged in turn. So are, a few times, those
     whose leader is on no attractor but elsewhere.
     """
-    match(scene, lanes, lot, point, found)
+    match(batch, lanes, lot, point, found)
     open_, restless, fruitless = found.number < 0, True, 0
     while True:
         seeds, cluster = _representatives(lot, point, open_, most, restless)
         if not len(seeds):
             return found
-        here = scene.take(seeds)
+        here = batch.take(seeds)
         judged = classify(here, lanes, picked(lot, seeds), limit, longest)
         largest, before = np.nanmax(np.abs(lot.size), axis=0, initial=0.0), len(found.point)
         found, place = _added(here, lanes, found, judged, point[seeds], largest)
         settled = lot.known[seeds] == SETTLED
         found.number[seeds[settled]] = place[settled]
         of_leader = np.where(cluster >= 0, place[cluster], -1)
-        match(scene, lanes, lot, point, found, of_leader)
-        away = _away(scene.chart, lot, judged, cluster)
+        match(batch, lanes, lot, point, found, of_leader)
+        away = _away(batch.chart, lot, judged, cluster)
         fruitful = len(found.point) > before
         open_, restless = (found.number < 0) & (away | (fruitful & (of_leader >= 0))), False
         fruitless = 0 if fruitful else fruitless + 1
@@ -140,7 +140,7 @@ def _away(chart: Chart, lot: Lot, judged: Attractors, cluster: Int[np.ndarray, "
 
 
 def match(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     lot: Lot,
     point: Int[np.ndarray, " lanes"],
@@ -159,20 +159,20 @@ def match(
         return
     open_ = found.number < 0
     settled, restless = (np.flatnonzero(open_ & (lot.known == known)) for known in (SETTLED, RESTLESS))
-    paths = followed(scene.take(restless), lanes, lot.u[restless]) if len(restless) else np.empty(0)
-    (first, second), nearest = np.full((2, scene.count), np.inf), np.full(scene.count, -1)
+    paths = followed(batch.take(restless), lanes, lot.u[restless]) if len(restless) else np.empty(0)
+    (first, second), nearest = np.full((2, batch.count), np.inf), np.full(batch.count, -1)
     for k in range(len(found.point)):
         one: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], found.attractors)
         some = settled[point[settled] == found.point[k]]
         fits = np.all(np.abs(lot.means[some] - one.means) <= lot.unit[some] + one.unit, axis=1)
         some = some[fits if of_leader is None else fits | (of_leader[some] == k)]
-        distance = _distances(scene.chart, one, lot.u[some], lot.size[some])
+        distance = _distances(batch.chart, one, lot.u[some], lot.size[some])
         here = np.flatnonzero(point[restless] == found.point[k])
         if len(here):
-            here = here[_near(scene, one, paths[here])]
+            here = here[_near(batch, one, paths[here])]
             some, distance = (
                 np.append(some, restless[here]),
-                np.append(distance, _mean_distances(scene, one, paths[here])),
+                np.append(distance, _mean_distances(batch, one, paths[here])),
             )
         nearer = distance < first[some]
         second[some] = np.where(nearer, first[some], np.minimum(second[some], distance))
@@ -183,11 +183,11 @@ def match(
 
 
 def _mean_distances(
-    scene: Scene, one: Attractors, paths: Float[np.ndarray, "lanes followed d"]
+    batch: LaneBatch, one: Attractors, paths: Float[np.ndarray, "lanes followed d"]
 ) -> Float[np.ndarray, " lanes"]:
     """Mean distances of the points of paths from an attractor, in its margin."""
     every = paths.reshape(-1, paths.shape[2])
-    return _distances(scene.chart, one, every, np.zeros_like(every)).reshape(paths.shape[:2]).mean(axis=1)
+    return _distances(batch.chart, one, every, np.zeros_like(every)).reshape(paths.shape[:2]).mean(axis=1)
 
 
 def _distances(
@@ -202,10 +202,12 @@ def _distances(
     return np.max(np.abs(away) / np.where(unit > 0.0, unit, 1.0), axis=1) / float(one.margin)
 
 
-def _near(scene: Scene, one: Attractors, paths: Float[np.ndarray, "lanes followed d"]) -> Bool[np.ndarray, " lanes"]:
+def _near(
+    batch: LaneBatch, one: Attractors, paths: Float[np.ndarray, "lanes followed d"]
+) -> Bool[np.ndarray, " lanes"]:
     """Whether paths stay near an attractor."""
     edge = one.near * np.where(one.size > 0.0, one.size, 1.0)
-    return stays_near(np.array(scene.chart.angles), paths, one.points, edge)
+    return stays_near(np.array(batch.chart.angles), paths, one.points, edge)
 
 
 def _representatives(
@@ -237,7 +239,7 @@ def _representatives(
 
 
 def _added(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     found: Assignment,
     judged: Attractors,
@@ -254,13 +256,13 @@ def _added(
         one: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
         if before:
             assert found.attractors is not None
-            same = _same(scene.take(slice(k, k + 1)), lanes, one, found.attractors, largest, found.point == point[k])
+            same = _same(batch.take(slice(k, k + 1)), lanes, one, found.attractors, largest, found.point == point[k])
             if np.any(same):
                 place[k] = int(np.argmax(same))
                 continue
         if new:
             others = picked(judged, np.array(new))
-            same = _same(scene.take(slice(k, k + 1)), lanes, one, others, largest, point[new] == point[k])
+            same = _same(batch.take(slice(k, k + 1)), lanes, one, others, largest, point[new] == point[k])
             if np.any(same):
                 place[k] = before + int(np.argmax(same))
                 continue
@@ -283,7 +285,7 @@ def joined(parts: Sequence[Attractors]) -> Attractors:
 
 
 def _same(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     one: Attractors,
     others: Attractors,
@@ -292,10 +294,10 @@ def _same(
 ) -> Bool[np.ndarray, " others"]:
     """Which of some attractors at the same point another one is: orbits have a point in common, others fill one set."""
     if one.kind in (PERIODIC, EQUILIBRIUM):
-        return same_orbits(scene.chart, one, others, largest) & here
+        return same_orbits(batch.chart, one, others, largest) & here
     alike = (others.kind == one.kind) & here
     for k in np.flatnonzero(alike):
-        alike[k] = same_set(scene.chart, one, jax.tree.map(lambda leaf, k=k: leaf[k], others))
+        alike[k] = same_set(batch.chart, one, jax.tree.map(lambda leaf, k=k: leaf[k], others))
     return alike
 
 

@@ -20,11 +20,11 @@ from jaxtyping import Bool, Float, Int
 from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Attractors, scene_from
 from jaxnh.analyses.basins.clustering import Assignment, match, same_orbits, same_within
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, go_on, settle
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.analyses.crises.band_phase import embedded
 from jaxnh.analyses.crises.sudden_growth import agreed, sudden_growths
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, largest_multiplier, orbits
-from jaxnh.analyses.scene import LaneRunner, Scene, picked
 
 BIRTH, DEATH, CRISIS = range(3)
 CHANGES = ("birth", "death", "crisis")
@@ -39,13 +39,13 @@ class Grid(NamedTuple):
 
     Attributes:
         values: along each axis, each (n,).
-        scenes: of the values that lanes share.
-        row: number of the scene of every value, (values,).
+        batches: of the values that lanes share.
+        row: number of the batch of every value, (values,).
         lane: number of a lane there, (values,).
     """
 
     values: tuple[Float[np.ndarray, " n"], ...]
-    scenes: Sequence[Scene]
+    batches: Sequence[LaneBatch]
     row: Int[np.ndarray, " values"]
     lane: Int[np.ndarray, " values"]
 
@@ -58,11 +58,11 @@ class Grid(NamedTuple):
         place[axis] = order[np.clip(rank, 0, len(order) - 1)]
         return np.where((rank >= 0) & (rank < len(order)), np.ravel_multi_index(place, sizes), -1)
 
-    def at(self, points: Int[np.ndarray, " some"]) -> Iterator[tuple[Int[np.ndarray, " part"], Scene]]:
+    def at(self, points: Int[np.ndarray, " some"]) -> Iterator[tuple[Int[np.ndarray, " part"], LaneBatch]]:
         """Scenes of lanes at some values, each with the places of these in `points`."""
         for number in np.unique(self.row[points]).tolist():
             here = np.flatnonzero(self.row[points] == number)
-            yield here, self.scenes[number].take(self.lane[points[here]])
+            yield here, self.batches[number].take(self.lane[points[here]])
 
 
 class Change(NamedTuple):
@@ -219,7 +219,7 @@ class _Line:
     def _met(self, one: int, u: Float[np.ndarray, " d"], at: int) -> int:
         """The attractor at a value that an orbit is, with its kind and period; −1 where it is none."""
         there = self._there(at)
-        chart = self._grid.scenes[self._grid.row[at]].chart
+        chart = self._grid.batches[self._grid.row[at]].chart
         like = jax.tree.map(lambda leaf: leaf[one], self._every)._replace(u=u)
         hits = there[same_orbits(chart, like, picked(self._every, there), self._largest)]
         return int(hits[0]) if len(hits) else -1
@@ -234,7 +234,7 @@ class _Line:
         """Orbits of some attractors, through u at the values `begin`, at `end`: there only if they lead back to u."""
         found = self._newton(some, u, end)
         back = self._newton(some, found.u, begin)
-        chart = self._grid.scenes[0].chart
+        chart = self._grid.batches[0].chart
         with np.errstate(invalid="ignore"):
             returns = np.all(np.abs(chart.wrap(back.u - u)) <= same_within(self._largest), axis=1)
         return found._replace(there=found.there & back.there & returns)
@@ -246,28 +246,32 @@ class _Line:
         count = len(some)
         found = _OrbitsBeyond(np.zeros(count, bool), np.zeros(count, bool), u.copy(), *np.full((2, count), np.nan))
         finite = np.all(np.isfinite(u), axis=1)
-        for here, scene in self._grid.at(points):
+        for here, batch in self._grid.at(points):
             for kind in (PERIODIC, EQUILIBRIUM):
                 mine = (self._every.kind[some[here]] == kind) & finite[here]
                 if not np.any(mine):
                     continue
-                which, among = here[mine], scene.take(np.flatnonzero(mine))
+                which, among = here[mine], batch.take(np.flatnonzero(mine))
                 parts = (self._periodic if kind == PERIODIC else self._at_rest)(among, u[which], some[which])
                 for whole, part in zip(found, parts, strict=True):
                     whole[which] = part
         return found
 
-    def _periodic(self, scene: Scene, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> _OrbitsBeyond:
+    def _periodic(
+        self, batch: LaneBatch, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]
+    ) -> _OrbitsBeyond:
         period = self._every.period[some]
-        orbit = orbits(self._lanes, scene.strobe(), u, dict(scene.p), period, self._every.size[some])
+        orbit = orbits(self._lanes, batch.strobe(), u, dict(batch.p), period, self._every.size[some])
         multiplier = largest_multiplier(orbit.monodromy)
         with np.errstate(divide="ignore", invalid="ignore"):
-            exponent = np.log(multiplier) / (period * scene.flow.period)
+            exponent = np.log(multiplier) / (period * batch.flow.period)
         return _OrbitsBeyond(orbit.residual < CONVERGED, multiplier < 1.0, orbit.u, multiplier, exponent)
 
-    def _at_rest(self, scene: Scene, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> _OrbitsBeyond:
+    def _at_rest(
+        self, batch: LaneBatch, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]
+    ) -> _OrbitsBeyond:
         size = np.broadcast_to(self._largest, u.shape)
-        found = equilibria_from_starts(scene, self._lanes, u, size)
+        found = equilibria_from_starts(batch, self._lanes, u, size)
         return _OrbitsBeyond(found.found, found.stable, found.u, np.full(len(u), np.nan), found.exponent)
 
     # ---- all others
@@ -306,9 +310,9 @@ class _Line:
         """The attractor at a value that most points of each of some attractors lead to, −1 where there is none."""
         to = np.full((len(some), _PROBES), -1)
         place = np.linspace(0, POINTS - 1, _PROBES).round().astype(int)
-        for here, scene in self._grid.at(points):
+        for here, batch in self._grid.at(points):
             begun = self._every.points[some[here]][:, place]
-            many = scene.take(np.repeat(np.arange(len(here)), _PROBES))
+            many = batch.take(np.repeat(np.arange(len(here)), _PROBES))
             many = scene_from(many, self._lanes, begun.reshape(-1, begun.shape[-1]))
             lot, at = settle(many, self._lanes, transient, longest), np.repeat(points[here], _PROBES)
             found = Assignment(np.full(many.count, -1), self._point, self._every)
@@ -359,5 +363,5 @@ class _Line:
     def _clouds(self, chain: Sequence[int]) -> list[Float[np.ndarray, "points k"]]:
         """Points of attractors, in the largest of their sizes."""
         size = np.max(self._every.size[chain], axis=0)
-        turns = np.array(self._grid.scenes[0].chart.angles)
+        turns = np.array(self._grid.batches[0].chart.angles)
         return [embedded(self._every.points[one], turns, np.where(size > 0.0, size, 1.0)) for one in chain]

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int, Int8
 
-from jaxnh.analyses.scene import LaneRunner, Scene, picked
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.window_averages import WindowAverages, average_window, units
 from jaxnh.maps.section import reports
@@ -58,13 +58,13 @@ class Lot(NamedTuple):
     least: Float[np.ndarray, "lanes d"]
 
 
-def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps: int | None = None) -> Lot:
+def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, steps: int | None = None) -> Lot:
     """Lanes from their start states: looked at from `transient` periods on, until `longest` are over at most.
 
     After half of the transient a period has `steps` steps (`steps_after_transient`), or as many as before.
     """
-    start, count, d = scene.start, scene.count, scene.chart.dimension
-    width = units(np.array(scene.chart.angles), np.ones((1, d))).shape[1]
+    start, count, d = batch.start, batch.count, batch.chart.dimension
+    width = units(np.array(batch.chart.angles), np.ones((1, d))).shape[1]
     lot = Lot(
         np.full(count, OPEN, np.int8),
         np.zeros(count, np.int64),
@@ -76,33 +76,33 @@ def settle(scene: Scene, lanes: LaneRunner, transient: int, longest: int, steps:
     absent = ~_finite(start)
     lot.known[absent], lot.status[absent] = FAILED, STATUS.index("off_constraint")
     some = np.flatnonzero(~absent)
-    here = scene.take(some)
+    here = batch.take(some)
     begun = average_window(here, lanes, here.start, transient // 2) if len(some) else None
     if begun is None:
         return lot
-    scene, here = (replace(one, steps=steps or one.steps) for one in (scene, here))
+    batch, here = (replace(one, steps=steps or one.steps) for one in (batch, here))
     seen = average_window(here, lanes, begun.state, transient // 2)
     lot.least[some] = _LEAST * np.fmax(np.abs(points_at(here, lanes, here.start)), begun.largest)
     lot.size[some] = np.fmax(seen.largest, lot.least[some])
-    lot.time[some], lot.u[some] = transient, points_at(scene, lanes, seen.state)
-    lot.gap[some] = _gap(seen, units(np.array(scene.chart.angles), np.fmax(begun.largest, seen.largest)))
-    _fail(lot, some, scene.flow, seen.state)
+    lot.time[some], lot.u[some] = transient, points_at(batch, lanes, seen.state)
+    lot.gap[some] = _gap(seen, units(np.array(batch.chart.angles), np.fmax(begun.largest, seen.largest)))
+    _fail(lot, some, batch.flow, seen.state)
     left = lot.known[some] == OPEN
-    _look_on(scene, lanes, lot, some[left], picked(seen.state, left), transient, longest)
+    _look_on(batch, lanes, lot, some[left], picked(seen.state, left), transient, longest)
     return lot
 
 
-def go_on(scene: Scene, lanes: LaneRunner, lot: Lot, some: Int[np.ndarray, " some"], longest: int) -> None:
+def go_on(batch: LaneBatch, lanes: LaneRunner, lot: Lot, some: Int[np.ndarray, " some"], longest: int) -> None:
     """Lanes that are not done after all, from where they are, in place."""
     lot.known[some] = OPEN
     for elapsed in np.unique(lot.time[some]).tolist():
         here = some[lot.time[some] == elapsed]
-        state = states_at(scene, lanes, lot.u[here])
-        _look_on(scene, lanes, lot, here, state, elapsed, longest)
+        state = states_at(batch, lanes, lot.u[here])
+        _look_on(batch, lanes, lot, here, state, elapsed, longest)
 
 
 def _look_on(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     lot: Lot,
     open_: Int[np.ndarray, " some"],
@@ -111,9 +111,9 @@ def _look_on(
     longest: int,
 ) -> None:
     """Look at lanes as long as all before, until they are done."""
-    turns = np.array(scene.chart.angles)
+    turns = np.array(batch.chart.angles)
     while len(open_) and 2 * elapsed <= longest:
-        here = scene.take(open_)
+        here = batch.take(open_)
         seen = average_window(here, lanes, state, elapsed)
         elapsed *= 2
         before = lot.size[open_]
@@ -124,8 +124,8 @@ def _look_on(
         known = np.where(settled, SETTLED, np.where(restless, RESTLESS, OPEN)).astype(np.int8)
         lot.known[open_], lot.time[open_], lot.gap[open_] = known, elapsed, gap
         lot.means[open_], lot.unit[open_] = seen.whole, 2.0 * SETTLED_TO * scale
-        lot.u[open_] = points_at(scene, lanes, seen.state)
-        _fail(lot, open_, scene.flow, seen.state)
+        lot.u[open_] = points_at(batch, lanes, seen.state)
+        _fail(lot, open_, batch.flow, seen.state)
         if 2 * elapsed > longest:
             _escape(lot, open_, seen, before, turns)
         lot.size[open_] = np.fmax(seen.largest, lot.least[open_])

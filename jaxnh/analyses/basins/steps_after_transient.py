@@ -12,7 +12,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.systems.state import State, error_components
 
@@ -23,46 +23,46 @@ _WORTH = 0.95  # of the fewest steps that meet the target: those of another tria
 _ROUNDS = 8
 
 
-def settled_steps(scene: Scene, lanes: LaneRunner, state: State) -> int:
-    """Steps of a period, at most half of those of a scene, with an error no larger than its target; else all of them.
+def settled_steps(batch: LaneBatch, lanes: LaneRunner, state: State) -> int:
+    """Steps of a period, at most half of those of a batch, with an error no larger than its target; else all of them.
 
-    An error is the largest difference of any component after a period from the map of the scene, in all periods of its
+    An error is the largest difference of any component after a period from the map of the batch, in all periods of its
     lanes from these states on. That map has twice the steps or more, and of a method of order six an error 64 times as
     small.
     """
-    if not scene.target or scene.steps < 2 * _FEWEST:
-        return scene.steps
-    strobe, p = scene.strobe(), dict(scene.p)
+    if not batch.target or batch.steps < 2 * _FEWEST:
+        return batch.steps
+    strobe, p = batch.strobe(), dict(batch.p)
     _, after = lanes(record, (strobe,), (state, p), periods=_PERIODS, static=(_PERIODS,))
     before = jax.tree.map(lambda first, later: np.c_[first, later[:, :-1]].ravel(), state, after)
-    lane = np.repeat(np.arange(scene.count), _PERIODS)
+    lane = np.repeat(np.arange(batch.count), _PERIODS)
     each = {name: values[lane] for name, values in p.items()}
-    expected = _numbers(scene, jax.tree.map(np.ravel, after))
+    expected = _numbers(batch, jax.tree.map(np.ravel, after))
     good = np.all(np.isfinite(expected), axis=0)
 
     def error(steps: int) -> float:
-        coarser = replace(scene, steps=steps).strobe()
-        found = _numbers(scene, lanes(iterate, (coarser, np.int32(1)), (before, each), periods=1))
+        coarser = replace(batch, steps=steps).strobe()
+        found = _numbers(batch, lanes(iterate, (coarser, np.int32(1)), (before, each), periods=1))
         gaps = np.max(np.abs(found - expected), axis=0, initial=0.0)[good]
         return _SAFETY * float(np.max(np.where(np.isfinite(gaps), gaps, np.inf), initial=0.0))
 
-    order = getattr(scene.solver, "convergence_order", 1)
-    failed, met, steps = 0, scene.steps, scene.steps // 2
+    order = getattr(batch.solver, "convergence_order", 1)
+    failed, met, steps = 0, batch.steps, batch.steps // 2
     for _ in range(_ROUNDS):
         gap = error(steps)
-        if gap <= scene.target:
+        if gap <= batch.target:
             met = steps
-        elif met == scene.steps:
+        elif met == batch.steps:
             break
         else:
             failed = steps
-        factor = (gap / (0.9 * scene.target)) ** (1.0 / order)
+        factor = (gap / (0.9 * batch.target)) ** (1.0 / order)
         steps = max(math.ceil(steps * min(max(factor, 0.5), 1.5)), failed + 1)
         if not _FEWEST <= steps < _WORTH * met:
             break
     return met
 
 
-def _numbers(scene: Scene, state: State) -> np.ndarray:
+def _numbers(batch: LaneBatch, state: State) -> np.ndarray:
     """What of states counts, (components, points)."""
     return np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(error_components(state))])

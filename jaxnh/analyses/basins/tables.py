@@ -14,7 +14,7 @@ from jaxnh.analyses.base import LANE, Entry, flagged, named, numbered, variable
 from jaxnh.analyses.basins.classification import NONE, POINTS, Attractors
 from jaxnh.analyses.basins.continuation import CHANGES, Change
 from jaxnh.analyses.basins.settling import CONSERVATIVE, Lot
-from jaxnh.analyses.scene import Axis
+from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.systems.flow import Flow, Output, status
 

@@ -9,7 +9,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.smooth_window import window
 from jaxnh.analyses.window_averages import maps
@@ -30,17 +30,17 @@ A lane that settles on an attractor brings distances of order one down to `settl
 
 
 def keeps_volume(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], longest: int
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], longest: int
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether phase volume about lanes from u neither contracts nor grows by what counts in `longest` periods.
 
     By a mean under a smooth window: on a regular motion it converges as fast as other means do.
     """
-    strobe, parts = maps(scene)
-    shared, state = (strobe, np.int32(_PERIODS)), states_at(scene, lanes, u)
-    mean = lanes(_mean, shared, (state, dict(scene.p)), periods=_PERIODS, static=(parts,))
+    strobe, parts = maps(batch)
+    shared, state = (strobe, np.int32(_PERIODS)), states_at(batch, lanes, u)
+    mean = lanes(_mean, shared, (state, dict(batch.p)), periods=_PERIODS, static=(parts,))
     with np.errstate(invalid="ignore"):
-        return np.abs(mean) * longest * (scene.flow.period if parts else 1.0) < _KEEPS
+        return np.abs(mean) * longest * (batch.flow.period if parts else 1.0) < _KEEPS
 
 
 def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, parts: int) -> Array:

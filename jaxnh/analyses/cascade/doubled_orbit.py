@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, apart, largest_multiplier, least_period, orbits
-from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.orbits.doubling_points import DoublingPoint, doubling_function, halves
 from jaxnh.orbits.shooting import Period, ShootingOrbits, Wrap, close_orbits
 
@@ -28,7 +28,7 @@ _RATIO = 2.5  # of amplitudes: that of successive ones in a cascade (2.5029…),
 
 
 def daughters(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     born: DoublingPoint,
     largest: float,
@@ -38,7 +38,7 @@ def daughters(
     """Lanes at some distances beyond a doubling, on the stable orbit of twice the period where Newton has found it.
 
     Args:
-        scene: the scene; its lanes but for their values of the first axis.
+        batch: the batch; its lanes but for their values of the first axis.
         lanes: runs lanes.
         born: the doubling.
         largest: amplitude that the daughter orbit does not exceed, where the doubling orbit has only one point; in
@@ -49,7 +49,7 @@ def daughters(
     Returns:
         A lane a distance, of period 0 where none was found.
     """
-    n, chart = len(born.orbit), scene.chart
+    n, chart = len(born.orbit), batch.chart
     at = int(np.argmax(np.linalg.norm(born.vector / size, axis=1)))
     origin, direction = born.orbit[at], born.vector[at] / np.linalg.norm(born.vector[at] / size)
     if n > 1:  # half way to the next point of its own the orbit of twice the period has another neighbour
@@ -58,13 +58,13 @@ def daughters(
     growth = np.sqrt(np.abs(distances / distances[-1]))
     amplitude = np.outer(growth, sizes).ravel()
     value = np.repeat(born.value + distances, _AMPLITUDES)
-    p = scene.at(value).p
+    p = batch.at(value).p
     each = np.tile(size, (len(value), 1))
-    orbit = orbits(lanes, scene.strobe(), origin + amplitude[:, None] * direction, p, 2 * n, each)
+    orbit = orbits(lanes, batch.strobe(), origin + amplitude[:, None] * direction, p, 2 * n, each)
     ok = (orbit.residual < CONVERGED) & (largest_multiplier(orbit.monodromy) < 1.0)
     ok &= apart(chart, orbit.u, origin, size) <= largest
     found = np.flatnonzero(ok)
-    shortest = least_period(lanes, scene.strobe(), orbit.u[found], picked(p, found), 2 * n, each[found])
+    shortest = least_period(lanes, batch.strobe(), orbit.u[found], picked(p, found), 2 * n, each[found])
     ok[found[shortest != 2 * n]] = False
     ok = ok.reshape(len(distances), _AMPLITUDES)
     first = np.arange(len(distances)) * _AMPLITUDES + np.argmax(ok, axis=1)

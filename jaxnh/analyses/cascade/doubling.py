@@ -10,6 +10,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting, Table, variable
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, counted_in
 from jaxnh.analyses.cascade.extended_precision import (
     FLOAT64_LEVELS,
     ExtendedDoublings,
@@ -23,7 +24,6 @@ from jaxnh.analyses.cascade.extended_precision import (
 from jaxnh.analyses.cascade.follow import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
 from jaxnh.analyses.periodic.location import price_of_orbits
-from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.config.options.orbits import DoublingOptions
 from jaxnh.maps.section import System
 
@@ -72,20 +72,20 @@ def check(options: DoublingOptions, setting: Setting) -> None:
             raise OptionError(message + setting.advice) from None
 
 
-def run(options: DoublingOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: DoublingOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
-    if scene.precision == "extended":
-        see_that_it_can(scene)
-    search = options.search and scene.family is None
-    extended, levels = scene.precision == "extended", options.levels
+    if batch.precision == "extended":
+        see_that_it_can(batch)
+    search = options.search and batch.family is None
+    extended, levels = batch.precision == "extended", options.levels
     in_float64 = min(levels, FLOAT64_LEVELS) if extended else levels
-    found = follow(scene, lanes, in_float64, search=search)
+    found = follow(batch, lanes, in_float64, search=search)
     if not extended:
-        return _dataset(scene.system, scene.line, levels, found)
-    beyond = extended_doublings(scene, lanes, found, levels)
-    whole = beyond_float64(scene, found, beyond, levels)
-    limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, found.size, scene.chart.wrap)
-    return _extended(_dataset(scene.system, scene.line, levels, whole), beyond, *limits)
+        return _dataset(batch.system, batch.line, levels, found)
+    beyond = extended_doublings(batch, lanes, found, levels)
+    whole = beyond_float64(batch, found, beyond, levels)
+    limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, found.size, batch.chart.wrap)
+    return _extended(_dataset(batch.system, batch.line, levels, whole), beyond, *limits)
 
 
 def _dataset(system: System, axis: Axis, levels: int, found: Cascade) -> xr.Dataset:

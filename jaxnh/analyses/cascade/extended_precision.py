@@ -17,9 +17,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.cascade.follow import Cascade
 from jaxnh.analyses.periodic.location import PERIOD_TILE, REFINEMENTS, LocatedDoubling, refined
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.double_double import Double
 from jaxnh.maps.extended_precision import carried
@@ -61,41 +61,41 @@ class ExtendedDoublings(NamedTuple):
     fine: tuple[ExtendedPoint, ...]
 
 
-def see_that_it_can(scene: Scene) -> None:
-    """See that extended precision knows all operations of the scene's map, before anything is computed.
+def see_that_it_can(batch: LaneBatch) -> None:
+    """See that extended precision knows all operations of the batch's map, before anything is computed.
 
     Raises:
         AccuracyError: it does not.
     """
-    number, section = (jax.ShapeDtypeStruct(shape, np.float64) for shape in ((), (scene.chart.dimension,)))
-    u, p = Double(section, section), dict.fromkeys(scene.p, Double(number, number))
+    number, section = (jax.ShapeDtypeStruct(shape, np.float64) for shape in ((), (batch.chart.dimension,)))
+    u, p = Double(section, section), dict.fromkeys(batch.p, Double(number, number))
     try:
-        jax.eval_shape(carried, scene.map().shortest(), np.int64(0), u, u, p)
+        jax.eval_shape(carried, batch.map().as_loop(), np.int64(0), u, u, p)
     except NotImplementedError as error:
         raise AccuracyError(f"{error}, and the system has it: leave accuracy.precision out") from None
 
 
-def extended_doublings(scene: Scene, lanes: LaneRunner, found: Cascade, levels: int) -> ExtendedDoublings:
+def extended_doublings(batch: LaneBatch, lanes: LaneRunner, found: Cascade, levels: int) -> ExtendedDoublings:
     """So many doublings of a cascade in double-double precision, up to the first where Newton does not settle.
 
     Args:
-        scene: lanes along the first axis.
+        batch: lanes along the first axis.
         lanes: runs lanes.
         found: the first of them in float64.
         levels: how many are looked for.
     """
-    maps = _maps(scene, lanes)
+    maps = _maps(batch, lanes)
     known: list[tuple[ExtendedPoint, ...]] = []
     while len(known) < levels:
         with lanes.stage(f"doubling: period {found.period << len(known)} in extended precision", 0):
-            located = _located(maps, scene, found, known)
+            located = _located(maps, batch, found, known)
         if located is None:
             break
         known.append(located)
     return ExtendedDoublings(*zip(*known, strict=True)) if known else ExtendedDoublings((), ())
 
 
-def beyond_float64(scene: Scene, found: Cascade, extended: ExtendedDoublings, levels: int) -> Cascade:
+def beyond_float64(batch: LaneBatch, found: Cascade, extended: ExtendedDoublings, levels: int) -> Cascade:
     """The cascade with the doublings, rounded, that extended precision has found beyond those of float64.
 
     How far four times the steps move them is what they move the last one of float64 by: from one doubling to the next
@@ -108,15 +108,15 @@ def beyond_float64(scene: Scene, found: Cascade, extended: ExtendedDoublings, le
     end = found.end
     if len(extended.fine) > count:
         n, last = found.period << len(extended.fine), extended.fine[-1].value[0]
-        lost = f"{n} → {2 * n} was not located in extended precision beyond {scene.line.name} = {last:.9g}"
+        lost = f"{n} → {2 * n} was not located in extended precision beyond {batch.line.name} = {last:.9g}"
         end = lost if len(extended.fine) < levels else ""
-    low, high = scene.line.values.min(), scene.line.values.max()
+    low, high = batch.line.values.min(), batch.line.values.max()
     outside = found.outside or any(not low <= located.point.value <= high for located in more)
     return found._replace(found=(*found.found, *more), end=end, outside=outside)
 
 
 class _Map(NamedTuple):
-    """One map of a scene, a period of it.
+    """One map of a batch, a period of it.
 
     Attributes:
         period: in double-double precision.
@@ -127,35 +127,35 @@ class _Map(NamedTuple):
     slopes: Slopes
 
 
-def _maps(scene: Scene, lanes: LaneRunner) -> list[_Map]:
+def _maps(batch: LaneBatch, lanes: LaneRunner) -> list[_Map]:
     """The maps, all through one program."""
-    plain = [replace(scene, compensated=False).map(refinement).shortest() for refinement in REFINEMENTS[:_MAPS]]
-    exact = refined(scene)[:_MAPS]
-    return [_map(scene, lanes, one.with_room_of(plain[-1]), same) for one, same in zip(plain, exact, strict=True)]
+    plain = [replace(batch, compensated=False).map(refinement).as_loop() for refinement in REFINEMENTS[:_MAPS]]
+    exact = refined(batch)[:_MAPS]
+    return [_map(batch, lanes, one.padded_like(plain[-1]), same) for one, same in zip(plain, exact, strict=True)]
 
 
-def _map(scene: Scene, lanes: LaneRunner, plain: ReturnMap, exact: Maps) -> _Map:
-    name = scene.line.name
+def _map(batch: LaneBatch, lanes: LaneRunner, plain: ReturnMap, exact: Maps) -> _Map:
+    name = batch.line.name
 
     def period(u: Sum, w: Sum, value: tuple[float, float]) -> tuple[Sum, Sum]:
         n = len(u[0])
-        p = {key: Double(np.asarray(own), np.zeros(n)) for key, own in scene.at(np.full(n, value[0])).p.items()}
+        p = {key: Double(np.asarray(own), np.zeros(n)) for key, own in batch.at(np.full(n, value[0])).p.items()}
         p[name] = p[name]._replace(lo=np.full(n, value[1]))
         moved = lanes(carried, (plain, np.int64(0)), (Double(*u), Double(*w), p), tile=_TILE)
         return tuple(moved.image), tuple(moved.vector)
 
     def slopes(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
-        lane = (u, scene.at(values).p)
+        lane = (u, batch.at(values).p)
         return lanes(derivatives, (exact, np.int32(1)), lane, tile=PERIOD_TILE, static=(name,))
 
     return _Map(period, slopes)
 
 
 def _located(
-    maps: Sequence[_Map], scene: Scene, found: Cascade, known: Sequence[tuple[ExtendedPoint, ...]]
+    maps: Sequence[_Map], batch: LaneBatch, found: Cascade, known: Sequence[tuple[ExtendedPoint, ...]]
 ) -> tuple[ExtendedPoint, ...] | None:
     """The doubling after those known, of each map."""
-    size, wrap, level = found.size, scene.chart.wrap, len(known)
+    size, wrap, level = found.size, batch.chart.wrap, len(known)
     points: list[ExtendedPoint | None] = []  # of the first maps, where the others start from them
     if level < len(found.found):
         starts = [exactly(at.value, at.orbit, at.vector) for at in found.found[level].refined[:_MAPS]]

@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.cascade.doubled_orbit import daughters, long_daughter, window
 from jaxnh.analyses.cascade.plateaus import PeriodScan, Start, seen, starts
 from jaxnh.analyses.periodic.attractor_survey import first_points, survey
 from jaxnh.analyses.periodic.location import LocatedDoubling, locate, period_map, refined
 from jaxnh.analyses.periodic.newton_on_lanes import apart
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.orbits.doubling_points import FEIGENBAUM, DoublingPoint
 
 TRANSIENT = 512
@@ -60,18 +60,18 @@ class Cascade(NamedTuple):
         return tuple(located.point for located in self.found)
 
 
-def follow(scene: Scene, lanes: LaneRunner, levels: int, *, search: bool = False) -> Cascade:
+def follow(batch: LaneBatch, lanes: LaneRunner, levels: int, *, search: bool = False) -> Cascade:
     """The doublings that the start state leads to along the first axis, at most so many.
 
     Args:
-        scene: lanes along the first axis.
+        batch: lanes along the first axis.
         lanes: runs lanes.
         levels: doublings looked for.
         search: whether to look as far as the lanes reach beyond either end as well, where they have fewer.
     """
-    steps = _Steps(scene, lanes, survey_limit(levels))
-    inside = line = steps.survey(np.unique(scene.line.values), "doubling")
-    if scene.line.values[-1] < scene.line.values[0]:
+    steps = _Steps(batch, lanes, survey_limit(levels))
+    inside = line = steps.survey(np.unique(batch.line.values), "doubling")
+    if batch.line.values[-1] < batch.line.values[0]:
         inside = line = line.take(slice(None, None, -1))
     found = _best(steps, line, levels)
     if len(found.points) < levels and search and len(line.value) > 1:
@@ -86,18 +86,18 @@ def follow(scene: Scene, lanes: LaneRunner, levels: int, *, search: bool = False
 
 
 def along_line(
-    scene: Scene, lanes: LaneRunner, line: PeriodScan, levels: int, size: Float[np.ndarray, " d"]
+    batch: LaneBatch, lanes: LaneRunner, line: PeriodScan, levels: int, size: Float[np.ndarray, " d"]
 ) -> tuple[LocatedDoubling, ...]:
     """The doublings, at most so many, of the orbit of the first lane of a line and those born from it, along it.
 
     Args:
-        scene: lanes along the first axis; its own values of it play no part here.
+        batch: lanes along the first axis; its own values of it play no part here.
         lanes: runs lanes.
         line: the first of its lanes has an orbit that attracts, the others what a survey has found there.
         levels: doublings looked for.
         size: of the motion in each section coordinate.
     """
-    steps = _Steps(scene, lanes, _LONGEST_SEEN)
+    steps = _Steps(batch, lanes, _LONGEST_SEEN)
     steps.size = size
     first = (start for start in starts(line) if start.line.sign == line.sign and start.runs[0].first == 0)
     start = next(first, None)
@@ -118,7 +118,7 @@ def _outside(steps: _Steps, line: PeriodScan) -> PeriodScan:
 
 def _best(steps: _Steps, line: PeriodScan, levels: int) -> Cascade:
     """The first cascade along a line that has so many doublings, or else the one that has most."""
-    name, ends = steps.scene.line.name, 0
+    name, ends = steps.batch.line.name, 0
     none = f"no doubling was located between {name} = {line.value[0]:.9g} and {line.value[-1]:.9g}"
     best = Cascade(1, (), steps.size, none)
     for start in starts(line):
@@ -142,7 +142,7 @@ def _along(steps: _Steps, start: Start, levels: int) -> Cascade:
     end = ""
     if len(found) < levels:
         n, last = start.period << len(found), found[-1].located.point.value if found else start.value
-        where = f"{steps.scene.line.name} = {last:.9g} and {start.line.value[-1]:.9g}"
+        where = f"{steps.batch.line.name} = {last:.9g} and {start.line.value[-1]:.9g}"
         end = f"{n} → {2 * n} was not located between {where}"
     return Cascade(start.period, tuple(level.located for level in found), steps.size, end)
 
@@ -204,23 +204,23 @@ class _Steps:
     Each is a function of numbers, and its result a record of arrays.
 
     Attributes:
-        scene: lanes along the first axis; its own values of it play no part here.
+        batch: lanes along the first axis; its own values of it play no part here.
         limit: largest period that surveys look for.
         size: of the motion in each section coordinate, (d,).
         tried: doublings found from the end of a run, by its period, value and direction.
     """
 
-    def __init__(self, scene: Scene, lanes: LaneRunner, limit: int) -> None:
-        self.scene, self.limit = scene, limit
+    def __init__(self, batch: LaneBatch, lanes: LaneRunner, limit: int) -> None:
+        self.batch, self.limit = batch, limit
         self.tried: dict[tuple[int, float, float], int] = {}
         self._lanes = lanes
-        self.size = np.ones(scene.chart.dimension)
+        self.size = np.ones(batch.chart.dimension)
         self._located: dict[tuple[int, float, float], LocatedDoubling | None] = {}
         self._daughters: dict[tuple[int, float, float, float], PeriodScan] = {}
 
     def survey(self, values: Float[np.ndarray, " lanes"], label: str) -> PeriodScan:
         """Lanes at these values of the first axis, on their attractors."""
-        row = self.scene.at(values)
+        row = self.batch.at(values)
         start = first_points(row, self._lanes)
         found = survey(row, self._lanes, start, self.limit, label, TRANSIENT, only_doublings=True)
         if not found.failed.all():
@@ -232,7 +232,7 @@ class _Steps:
         near, far = bracket.value.tolist()
         if (key := (n, near, far)) not in self._located:
             with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
-                located = locate(self.scene, self._lanes, bracket.u[:1], near, far, n)
+                located = locate(self.batch, self._lanes, bracket.u[:1], near, far, n)
             if located is not None and abs(located.point.value - near) > 2 * abs(far - near):
                 located = None  # Newton has gone to another doubling
             self._located[key] = located
@@ -244,11 +244,11 @@ class _Steps:
         """Lanes at distances beyond a doubling, on the stable orbit of twice its period where there is one."""
         key = len(born.orbit), born.value, float(distances[0]), float(distances[-1])
         if key not in self._daughters:
-            points = np.concatenate([line.u, first_points(self.scene, self._lanes)])
-            largest = float(np.nanmax(apart(self.scene.chart, points, born.orbit[0], self.size)))
-            label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {self.scene.line.name} = {born.value:.9g}"
+            points = np.concatenate([line.u, first_points(self.batch, self._lanes)])
+            largest = float(np.nanmax(apart(self.batch.chart, points, born.orbit[0], self.size)))
+            label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {self.batch.line.name} = {born.value:.9g}"
             with self._lanes.stage(label, 0):
-                self._daughters[key] = daughters(self.scene, self._lanes, born, largest, self.size, distances)
+                self._daughters[key] = daughters(self.batch, self._lanes, born, largest, self.size, distances)
         return self._daughters[key]
 
     def long(self, born: DoublingPoint, gap: float) -> LocatedDoubling | None:
@@ -258,17 +258,17 @@ class _Steps:
         if (key := (n, born.value, stop)) not in self._located:
             near = _BEYOND * gap
             with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
-                period = period_map(self.scene, self._lanes, refined(self.scene)[0])
-                points = long_daughter(period, born, near, gap, self.size, self.scene.chart.wrap)
+                period = period_map(self.batch, self._lanes, refined(self.batch)[0])
+                points = long_daughter(period, born, near, gap, self.size, self.batch.chart.wrap)
                 found = points is not None
-                located = locate(self.scene, self._lanes, points, born.value + near, stop, n) if found else None
+                located = locate(self.batch, self._lanes, points, born.value + near, stop, n) if found else None
             beyond = located is not None and (located.point.value - born.value) / gap > _BEYOND
             self._located[key] = located if beyond else None
         return self._located[key]
 
     def searched(self, line: PeriodScan) -> str:
         """In words, what a survey has seen, and from where cascades were looked for."""
-        name = self.scene.line.name
+        name = self.batch.line.name
         words = [
             f"{n} → {2 * n} {'up' if sign > 0 else 'down'} from {value:.6g} ({found or 'none'} located)"
             for (n, value, sign), found in sorted(self.tried.items(), key=lambda item: -item[1])

@@ -24,6 +24,7 @@ from jaxnh.analyses.base import (
     Table,
     variable,
 )
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.equilibria import equilibria
 from jaxnh.analyses.continuation.families import orbits_of
 from jaxnh.analyses.continuation.family_tree import grow
@@ -32,7 +33,6 @@ from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifu
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined
 from jaxnh.analyses.random_starts import check_box
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.config.options.orbits import BranchesOptions
 from jaxnh.orbits.branches import StepControl
 
@@ -74,9 +74,9 @@ def check(options: BranchesOptions, setting: Setting) -> None:
         raise OptionError("equilibria of a flow with constraints are not isolated; leave it out", "equilibria")
 
 
-def run(options: BranchesOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """The orbit that every lane has settled on: a point of it, its period, and the size of the motion."""
-    found = survey_from_start(scene, lanes, options.limit, "branches", options.transient)
+    found = survey_from_start(batch, lanes, options.limit, "branches", options.transient)
     size = np.where(found.failed[:, None], np.nan, found.size)
     return xr.Dataset(
         {
@@ -90,15 +90,15 @@ def run(options: BranchesOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset
 def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `branches` and `bifurcations`, from what all lanes have settled on."""
     [axis], [(order, row)] = sweep.axes, sweep.rows
-    scene = replace(row, along=replace(axis, values=axis.values[order]))
+    batch = replace(row, along=replace(axis, values=axis.values[order]))
     u, period, size = (data[f"lane_{name}"].to_numpy()[order] for name in ("u", "period", "size"))
     known = np.isfinite(size).all(axis=1)
     unit = np.median(size[known], axis=0) if known.any() else np.ones(u.shape[1])
     ends = float(axis.values.min()), float(axis.values.max())
-    families = [orbits_of(scene, lanes, strobe, unit, ends) for strobe in refined(scene)]
-    waves = settled_waves(scene, lanes, u, np.where(known, period, 0))
+    families = [orbits_of(batch, lanes, strobe, unit, ends) for strobe in refined(batch)]
+    waves = settled_waves(batch, lanes, u, np.where(known, period, 0))
     some = np.unique(np.linspace(0, len(order) - 1, min(options.values, len(order))).round().astype(int))
-    here = scene.take(np.argsort(scene.line.values, kind="stable")[some])
+    here = batch.take(np.argsort(batch.line.values, kind="stable")[some])
     if options.starts:
         with lanes.stage(f"branches: {options.starts} random starts at {len(some)} values of {axis.name}", 0):
             waves.append(
@@ -111,7 +111,7 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
         return lanes.stage(f"branches: {label}", 0)
 
     steps = StepControl(options.step, options.longest)
-    grown = [FollowedBranches(grow(families, waves, options.limit, steps, stage), families[0], scene)]
+    grown = [FollowedBranches(grow(families, waves, options.limit, steps, stage), families[0], batch)]
     if options.equilibria:
         grown.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
     return datasets(lanes, grown, options.limit)

@@ -26,12 +26,12 @@ from jaxnh.analyses.base import (
     flagged,
     variable,
 )
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, counted_in
 from jaxnh.analyses.continuation.families import orbits_of, plane_of
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import settled_waves
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined
-from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.config.options.orbits import CurvesOptions
 from jaxnh.orbits.branches import StepControl
 from jaxnh.orbits.codimension_two import POINTS, Special, special_points
@@ -90,9 +90,9 @@ def check(options: CurvesOptions, setting: Setting) -> None:
         raise OptionError(f"{name} is what curves calls a number of its own; rename it")
 
 
-def run(options: CurvesOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: CurvesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Nothing: only lanes at a few values of the second axis are looked at, once all are there."""
-    return xr.Dataset({"lane_number": variable(LANE, np.arange(scene.count, dtype=np.int32), "number of a lane")})
+    return xr.Dataset({"lane_number": variable(LANE, np.arange(batch.count, dtype=np.int32), "number of a lane")})
 
 
 def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
@@ -102,18 +102,18 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
         np.linspace(0, len(second.values) - 1, min(options.values, len(second.values))).round().astype(int)
     )
     chosen = np.unique(second.values[some])
-    scenes = [_along(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
+    batches = [_along(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
-    surveys = [survey_from_start(scene, lanes, options.limit, "curves", options.transient) for scene in scenes]
+    surveys = [survey_from_start(batch, lanes, options.limit, "curves", options.transient) for batch in batches]
     sizes = np.concatenate([survey.size[~survey.failed] for survey in surveys])
-    size = np.median(sizes, axis=0) if len(sizes) else np.ones(scenes[0].system.chart.dimension)
+    size = np.median(sizes, axis=0) if len(sizes) else np.ones(batches[0].system.chart.dimension)
     names = (first.name, second.name)
-    plane, *others = (plane_of(scenes[0], lanes, strobe, size, names, low, high) for strobe in refined(scenes[0]))
+    plane, *others = (plane_of(batches[0], lanes, strobe, size, names, low, high) for strobe in refined(batches[0]))
     curves = list[Curve]()
-    for scene, survey, value in zip(scenes, surveys, chosen.tolist(), strict=True):
+    for batch, survey, value in zip(batches, surveys, chosen.tolist(), strict=True):
         period = np.where(survey.failed, 0, survey.period)
-        waves = settled_waves(scene, lanes, survey.u, period)
-        families = [orbits_of(scene, lanes, strobe, size, (low[0], high[0])) for strobe in refined(scene)]
+        waves = settled_waves(batch, lanes, survey.u, period)
+        families = [orbits_of(batch, lanes, strobe, size, (low[0], high[0])) for strobe in refined(batch)]
         with lanes.stage(f"curves: bifurcations at {second.name} = {value:g}", 0):
             tree = grow(families, waves, options.limit, StepControl(options.step))
         seeds = [
@@ -133,14 +133,14 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
             for k, curve in enumerate(curves)
             for point in special_points(plane, curve)
         ]
-    found = _dataset(scenes[0], sweep.axes, curves, errors, special, options.limit)
-    return {"curves": found, "codimension_two": _special(scenes[0], sweep.axes, curves, special)}
+    found = _dataset(batches[0], sweep.axes, curves, errors, special, options.limit)
+    return {"curves": found, "codimension_two": _special(batches[0], sweep.axes, curves, special)}
 
 
-def _along(row: Scene, first: Axis, lanes: np.ndarray) -> Scene:
+def _along(row: LaneBatch, first: Axis, lanes: np.ndarray) -> LaneBatch:
     """The lanes along the first axis at a value of the second."""
-    scene = row.take(lanes)
-    return replace(scene, along=replace(first, values=scene.p[first.name]))
+    batch = row.take(lanes)
+    return replace(batch, along=replace(first, values=batch.p[first.name]))
 
 
 def _followed(
@@ -181,7 +181,7 @@ def _passes(plane: ParameterPlane, curve: Curve, seed: _Seed) -> bool:
 
 
 def _dataset(
-    scene: Scene,
+    batch: LaneBatch,
     axes: Sequence[Axis],
     curves: Sequence[Curve],
     errors: Sequence[np.ndarray],
@@ -197,7 +197,7 @@ def _dataset(
             found[k, : len(one)] = one
         return found
 
-    dims, d = ("curve", "point"), scene.chart.dimension
+    dims, d = ("curve", "point"), batch.chart.dimension
     multipliers = [np.stack([np.real(curve.multipliers), np.imag(curve.multipliers)], axis=-1) for curve in curves]
     columns: dict[str, Entry] = {}
     for k, axis in enumerate(axes):
@@ -213,7 +213,7 @@ def _dataset(
             "curve",
             np.array([curve.period for curve in curves], np.int32),
             "period of the orbit",
-            counted_in=counted_in(scene.system),
+            counted_in=counted_in(batch.system),
         ),
         "multipliers": variable(
             (*dims, "multiplier", "part"), table(multipliers, d, 2), "Floquet multipliers, real and imaginary part"
@@ -229,15 +229,15 @@ def _dataset(
     return xr.Dataset(found, attrs=attrs)
 
 
-def _special(scene: Scene, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[_Point]) -> xr.Dataset:
+def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[_Point]) -> xr.Dataset:
     """Variables over (codimension_two,): the points of codimension two, each with its curve and its multipliers."""
-    multipliers = np.full((len(special), scene.chart.dimension, 2), np.nan)
+    multipliers = np.full((len(special), batch.chart.dimension, 2), np.nan)
     for k, (_, point, _) in enumerate(special):
         multipliers[k] = np.stack([np.real(point.multipliers), np.imag(point.multipliers)], axis=-1)
     period = np.array([curves[one.curve].period for one in special], np.int32)
     found = {
         **_kind_and_curve("", special),
-        "period": variable("codimension_two", period, "period of the orbit", counted_in=counted_in(scene.system)),
+        "period": variable("codimension_two", period, "period of the orbit", counted_in=counted_in(batch.system)),
         "multipliers": variable(
             ("codimension_two", "multiplier", "part"), multipliers, "Floquet multipliers, real and imaginary part"
         ),

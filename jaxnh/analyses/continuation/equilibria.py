@@ -8,19 +8,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.families import equilibria_of
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.continuation.tables import FollowedBranches
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.random_starts import Box, started
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.orbits.branches import StepControl
 
 _FARTHEST = 100.0  # sizes of the box: equilibria found further out are none of those looked for
 
 
 def equilibria(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     starts: int,
     seed: int,
@@ -32,19 +32,19 @@ def equilibria(
     """All branches that equilibria lead to, with their folds, branch points and Hopf bifurcations.
 
     Args:
-        scene: lanes along the first axis, at each of which Newton begins.
+        batch: lanes along the first axis, at each of which Newton begins.
         lanes: runs lanes.
         starts, seed, box: points at each lane that Newton begins at.
         ends: of the range of the parameter.
         steps: how branches are followed.
         stage: shows what is done inside, by its label.
     """
-    still = replace(scene.in_time(), along=scene.line)
+    still = replace(batch.in_time(), along=batch.line)
     many, _ = started(still, starts, seed, box)
-    u, values = many.system.chart.host_points(many.start), np.repeat(scene.line.values, starts)
+    u, values = many.system.chart.host_points(many.start), np.repeat(batch.line.values, starts)
     size = np.ptp(u, axis=0) / 2.0
     size = np.where(size > 0.0, size, size.max())
-    with stage(f"equilibria from {starts} points at {scene.count} values of {scene.line.name}"):
+    with stage(f"equilibria from {starts} points at {batch.count} values of {batch.line.name}"):
         found = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
     with np.errstate(invalid="ignore"):
         near = found.found & np.all(np.abs(found.u) < _FARTHEST * size, axis=1)
@@ -52,6 +52,6 @@ def equilibria(
         [SeedOrbit(found.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
         for value in np.unique(values).tolist()
     ]
-    family = equilibria_of(scene, lanes, size, ends)
+    family = equilibria_of(batch, lanes, size, ends)
     tree = grow([family] * 3, waves, 1, steps, stage)  # a field has no steps that could be refined
     return FollowedBranches(tree, family, still)

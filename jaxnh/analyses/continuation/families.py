@@ -1,4 +1,4 @@
-"""The family of maps that a scene is over its first axis, for `orbits.arclength`: of orbits, or of equilibria.
+"""The family of maps that a batch is over its first axis, for `orbits.arclength`: of orbits, or of equilibria.
 
 And over two of its parameters, for `orbits.curves`.
 """
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.section import rates
@@ -27,30 +27,30 @@ _FEW = 4
 
 
 def orbits_of(
-    scene: Scene, lanes: LaneRunner, strobe: Maps, size: Float[np.ndarray, " d"], ends: tuple[float, float]
+    batch: LaneBatch, lanes: LaneRunner, strobe: Maps, size: Float[np.ndarray, " d"], ends: tuple[float, float]
 ) -> Family:
-    """Periodic orbits of a map of the scene.
+    """Periodic orbits of a map of the batch.
 
     Args:
-        scene: lanes along the first axis.
+        batch: lanes along the first axis.
         lanes: runs lanes.
         strobe: the map, in any refinement.
         size: of the motion in each section coordinate.
         ends: of the range of the parameter, the lower one first.
     """
-    name, shared, few = scene.line.name, (strobe, np.int32(1)), _FEW if scene.flow.autonomous else 0
+    name, shared, few = batch.line.name, (strobe, np.int32(1)), _FEW if batch.flow.autonomous else 0
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
         tile = few if len(u) <= 2 * few else _TILE
-        return lanes(derivatives, shared, (u, scene.at(values).p), tile=tile, static=(name,))
+        return lanes(derivatives, shared, (u, batch.at(values).p), tile=tile, static=(name,))
 
-    return Family(period, scene.chart.wrap, size, *ends)
+    return Family(period, batch.chart.wrap, size, *ends)
 
 
 def plane_of(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     strobe: Maps,
     size: Float[np.ndarray, " d"],
@@ -58,29 +58,31 @@ def plane_of(
     low: Float[np.ndarray, " 2"],
     high: Float[np.ndarray, " 2"],
 ) -> ParameterPlane:
-    """A map of the scene over a plane of two parameters that lanes may have of their own, between their ends."""
+    """A map of the batch over a plane of two parameters that lanes may have of their own, between their ends."""
     shared = (strobe, np.int32(1))
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, "lanes 2"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
-        p = {key: np.full(len(u), leaf[0]) for key, leaf in scene.p.items()}
+        p = {key: np.full(len(u), leaf[0]) for key, leaf in batch.p.items()}
         both = p | dict(zip(names, values.T, strict=True))
         return lanes(derivatives, shared, (u, both), tile=_TILE, static=(names,))
 
-    return ParameterPlane(period, scene.chart.wrap, size, low, high)
+    return ParameterPlane(period, batch.chart.wrap, size, low, high)
 
 
-def equilibria_of(scene: Scene, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]) -> Family:
-    """Equilibria of the field of a scene's flow, which has no clock; sizes as of the flow's own coordinates."""
-    name, scene = scene.line.name, replace(scene.in_time(), along=scene.line)
+def equilibria_of(
+    batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]
+) -> Family:
+    """Equilibria of the field of a batch's flow, which has no clock; sizes as of the flow's own coordinates."""
+    name, batch = batch.line.name, replace(batch.in_time(), along=batch.line)
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
-        return lanes(field, (scene.flow,), (u, scene.at(values).p), tile=_TILE, static=(name,))
+        return lanes(field, (batch.flow,), (u, batch.at(values).p), tile=_TILE, static=(name,))
 
-    return Family(period, scene.chart.wrap, size, *ends, field=True)
+    return Family(period, batch.chart.wrap, size, *ends, field=True)
 
 
 def field(flow: Flow, u: Float[Array, " d"], p: Parameters, name: str) -> Derivatives:

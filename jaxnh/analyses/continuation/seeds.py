@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.periodic.attractor_survey import first_points, strobe_points
 from jaxnh.analyses.periodic.location import period_map
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.random_starts import Box, started
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.maps.iterate import section_map
 from jaxnh.orbits.shooting import Wrap, orbits_from_afar
 
@@ -24,16 +24,16 @@ _FARTHEST = 100.0  # sizes of the motion: orbits found further out are none of t
 
 
 def settled_waves(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: Int[np.ndarray, " lanes"]
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: Int[np.ndarray, " lanes"]
 ) -> list[list[SeedOrbit]]:
     """Orbits of the lanes that have one, in waves: evenly over the axis, then those between them, and so on."""
-    order = np.argsort(scene.line.values, kind="stable")
-    found = _whole(scene, lanes, u, period)
+    order = np.argsort(batch.line.values, kind="stable")
+    found = _whole(batch, lanes, u, period)
     return [[found[k] for k in order[part] if k in found] for part in _between(len(order))]
 
 
 def random_wave(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     starts: int,
     seed: int,
@@ -47,9 +47,9 @@ def random_wave(
     Orbits are sought where a motion, or the same after a transient, nearly comes back (Auerbach et al., Phys. Rev.
     Lett. 58 (1987) 2387), by multiple shooting: a motion that passes an unstable orbit is near all of its points.
     """
-    many, _ = started(scene, starts, seed, box)
-    many = replace(many, along=replace(scene.line, values=np.repeat(scene.line.values, starts)))
-    strobe, wrap, values = many.strobe(), scene.chart.wrap, np.tile(many.line.values, 2)
+    many, _ = started(batch, starts, seed, box)
+    many = replace(many, along=replace(batch.line, values=np.repeat(batch.line.values, starts)))
+    strobe, wrap, values = many.strobe(), batch.chart.wrap, np.tile(many.line.values, 2)
     count, at = _WINDOWS * _WINDOW + limit, (first_points(many, lanes), dict(many.p))
     paths = [
         lanes(strobe_points, (strobe, np.int32(wait)), at, periods=wait + count, static=(count,))
@@ -101,14 +101,14 @@ def _is_least(
 
 
 def _whole(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: Int[np.ndarray, " lanes"]
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: Int[np.ndarray, " lanes"]
 ) -> Mapping[int, SeedOrbit]:
     """All points of the orbits of lanes from one of them, by number of the lane; without a period there is none."""
-    points, strobe = [u], scene.strobe()
+    points, strobe = [u], batch.strobe()
     for _ in range(1, int(period.max(initial=0))):
-        arguments = (points[-1], dict(scene.p))
+        arguments = (points[-1], dict(batch.p))
         points.append(lanes(section_map, (strobe, np.int32(1)), arguments, tile=ORBIT_TILE))
-    path, values = np.stack(points, axis=1), scene.line.values
+    path, values = np.stack(points, axis=1), batch.line.values
     return {
         k: SeedOrbit(path[k, :n], float(values[k]))
         for k, n in enumerate(period.tolist())

@@ -11,8 +11,8 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Entry, Table, flagged, numbered, variable
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, counted_in
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
-from jaxnh.analyses.scene import Axis, LaneRunner, Scene, counted_in
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.section import drawn_plane, outputs
 from jaxnh.orbits.arclength import Family
@@ -37,12 +37,12 @@ class FollowedBranches(NamedTuple):
     Attributes:
         tree: them and their bifurcations.
         family: the first of its maps.
-        scene: whose section coordinates their points have.
+        batch: whose section coordinates their points have.
     """
 
     tree: Tree
     family: Family
-    scene: Scene
+    batch: LaneBatch
 
 
 class _Table(Protocol):
@@ -59,8 +59,8 @@ def datasets(lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int) -
         grown: first the orbits, then, where there are any, the equilibria, whose period is 0.
         limit: of the period.
     """
-    scene = grown[0].scene
-    axis, trees = scene.line, [part.tree for part in grown]
+    batch = grown[0].batch
+    axis, trees = batch.line, [part.tree for part in grown]
     all_ = [(of, k) for of, tree in enumerate(trees) for k in range(len(tree.branches))]
     order = sorted(all_, key=lambda pair: (_period(grown[pair[0]], trees[pair[0]].branches[pair[1]].period), pair))
     rank = {pair: place for place, pair in enumerate(order)}
@@ -98,7 +98,7 @@ def _branches(
     lanes: LaneRunner, grown: Sequence[FollowedBranches], branches: Sequence[tuple[int, Branch]]
 ) -> dict[str, Entry]:
     """Variables over (branch, point), filled up with NaN."""
-    axis, system, every = grown[0].scene.line, grown[0].scene.system, [branch for _, branch in branches]
+    axis, system, every = grown[0].batch.line, grown[0].batch.system, [branch for _, branch in branches]
     shape = (len(every), max((len(branch.value) for branch in every), default=0))
 
     def table(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
@@ -131,7 +131,7 @@ def _bifurcations(
     branch: Sequence[int],
 ) -> dict[str, Entry]:
     """Variables over (bifurcation,)."""
-    axis, system, every = grown[0].scene.line, grown[0].scene.system, [point for _, point in found]
+    axis, system, every = grown[0].batch.line, grown[0].batch.system, [point for _, point in found]
     dim, name = ("bifurcation",), axis.name
 
     def column(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
@@ -191,7 +191,7 @@ def bifurcations_table(data: xr.Dataset) -> Table:
 
 
 def _dimension(grown: Sequence[FollowedBranches]) -> int:
-    return max(part.scene.chart.dimension for part in grown)
+    return max(part.batch.chart.dimension for part in grown)
 
 
 def _period_variable(dim: tuple[str, ...], periods: Sequence[int], counted: str) -> Entry:
@@ -215,7 +215,7 @@ def _coordinates(
     columns, words = dict[str, dict[int, np.ndarray]](), dict[str, Output]()
     for number, part in enumerate(grown):
         mine = [place for place, (of, _) in enumerate(points) if of == number]
-        for name, (output, rows) in _outputs(lanes, part.scene, [points[place][1] for place in mine]).items():
+        for name, (output, rows) in _outputs(lanes, part.batch, [points[place][1] for place in mine]).items():
             words.setdefault(name, output)
             columns.setdefault(name, {}).update(zip(mine, rows, strict=True))
     found: dict[str, Entry] = {}
@@ -231,16 +231,16 @@ def _coordinates(
 
 
 def _outputs(
-    lanes: LaneRunner, scene: Scene, points: Sequence[Float[np.ndarray, "k n d"]]
+    lanes: LaneRunner, batch: LaneBatch, points: Sequence[Float[np.ndarray, "k n d"]]
 ) -> Mapping[str, tuple[Output, list[Float[np.ndarray, "k n"]]]]:
     """Coordinates of the flow by name, of all points of some branches."""
     flat = [one.reshape(-1, one.shape[-1]) for one in points]
-    whole = np.concatenate(flat) if flat else np.zeros((1, scene.chart.dimension))
-    states = states_at(scene, lanes, whole)
-    named = outputs(scene.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
+    whole = np.concatenate(flat) if flat else np.zeros((1, batch.chart.dimension))
+    states = states_at(batch, lanes, whole)
+    named = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
     cuts = np.cumsum([len(one) for one in flat])[:-1]
     found = dict[str, tuple[Output, list[np.ndarray]]]()
-    for name in (drawn_plane(scene.system)[0], *scene.flow.coordinates):
+    for name in (drawn_plane(batch.system)[0], *batch.flow.coordinates):
         if name in named:
             parts = np.split(np.asarray(named[name].data)[:, 0], cuts) if flat else []
             rows = [part.reshape(one.shape[:2]) for part, one in zip(parts, points, strict=True)]

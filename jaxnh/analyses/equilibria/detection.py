@@ -16,7 +16,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
@@ -60,10 +60,10 @@ class _RateRun(NamedTuple):
     change: tuple[Float[Array, "d d"], ...]
 
 
-def detect_equilibrium(scene: Scene, lanes: LaneRunner, units: int) -> Equilibrium:
+def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equilibrium:
     """What lanes of a flow without a clock are doing after so many units of time."""
-    scene = scene.in_time()
-    run = lanes(_run, (scene.strobe(), scene.flow, np.int32(units)), scene.lanes, periods=units)
+    batch = batch.in_time()
+    run = lanes(_run, (batch.strobe(), batch.flow, np.int32(units)), batch.lanes, periods=units)
     largest, third, fourth, (change, closer, exact) = run
     never = largest <= _NEVER * largest.max(axis=1, keepdims=True)
     slow = (fourth <= _SLOW * largest) & ((fourth <= third) | (fourth <= _STILL * largest))

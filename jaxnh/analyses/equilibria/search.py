@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.window_averages import WindowAverages
 from jaxnh.maps.section import rates
 from jaxnh.systems.flow import Flow, Parameters
@@ -30,42 +30,42 @@ class Zeros(NamedTuple):
 
 
 def find_equilibria(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     u: Float[np.ndarray, "lanes d"],
     size: Float[np.ndarray, "lanes d"],
     seen: WindowAverages,
 ) -> Zeros:
     """Zeros of the field that lanes have come to: near their points, against how far they have moved in a look."""
-    found = equilibria_from_starts(scene, lanes, u, size)
-    apart = np.abs(scene.chart.wrap(found.u - u))
-    near = np.all(apart <= _NEAR * (seen.high - seen.low) + _rounding(scene, size), axis=1)
+    found = equilibria_from_starts(batch, lanes, u, size)
+    apart = np.abs(batch.chart.wrap(found.u - u))
+    near = np.all(apart <= _NEAR * (seen.high - seen.low) + _rounding(batch, size), axis=1)
     exponent = np.where(near, found.exponent, np.nan)
     return Zeros(found.found & near, found.stable & near, found.u, exponent)
 
 
 def equilibria_from_starts(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
 ) -> Zeros:
     """Newton for a zero of the field, least squares where that is singular, from points of lanes."""
     at, step = u.copy(), np.zeros_like(u)
-    rates, change = _fields(scene, lanes, u)
+    rates, change = _fields(batch, lanes, u)
     for _ in range(_STEPS):
         with np.errstate(invalid="ignore", over="ignore"):
             finite = np.all(np.isfinite(change), axis=(1, 2)) & np.all(np.isfinite(rates), axis=1)
         inverse = np.linalg.pinv(np.where(finite[:, None, None], change, 0.0))
         step = -np.einsum("lij,lj->li", inverse, np.where(finite[:, None], rates, 0.0))
         at = at + step
-        rates, change = _fields(scene, lanes, at)
+        rates, change = _fields(batch, lanes, at)
     finite = np.all(np.isfinite(change), axis=(1, 2)) & np.all(np.isfinite(rates), axis=1)  # else no step was taken
-    rounding = _rounding(scene, size)
+    rounding = _rounding(batch, size)
     found = finite & np.all(np.abs(step) <= rounding, axis=1)
     # Least squares take no step either where the field is across the range of a singular linearisation.
     with np.errstate(invalid="ignore"):
-        rest = np.einsum("lij,lj->li", np.abs(change), rounding) + rounding / scene.flow.period
+        rest = np.einsum("lij,lj->li", np.abs(change), rounding) + rounding / batch.flow.period
         found &= np.all(np.abs(rates) <= rest, axis=1)
     real = np.sort(np.linalg.eigvals(np.where(found[:, None, None], change, 0.0)).real, axis=1)[:, ::-1]
-    hidden = scene.flow.chart.dimension - scene.flow.exponents  # zeros, of what constraints keep
+    hidden = batch.flow.chart.dimension - batch.flow.exponents  # zeros, of what constraints keep
     if hidden:
         order = np.argsort(np.abs(real), axis=1)[:, hidden:]
         real = np.sort(np.take_along_axis(real, order, axis=1), axis=1)[:, ::-1]
@@ -74,15 +74,15 @@ def equilibria_from_starts(
     return Zeros(found, found & (real[:, 0] < -least), at, np.where(found, real[:, 0], np.nan))
 
 
-def _rounding(scene: Scene, size: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
-    unit = np.where(np.array(scene.chart.angles), 1.0, size)
+def _rounding(batch: LaneBatch, size: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
+    unit = np.where(np.array(batch.chart.angles), 1.0, size)
     return _ROUNDING * unit + _NOTHING * unit.max(axis=1, keepdims=True)
 
 
 def _fields(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
 ) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d d"]]:
-    return lanes(_field, (scene.flow,), (u, dict(scene.p)))
+    return lanes(_field, (batch.flow,), (u, dict(batch.p)))
 
 
 def _field(flow: Flow, u: Float[Array, " d"], p: Parameters) -> tuple[Array, Array]:

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.analyses.exponents.tangent_growth import TangentState, parts_of, turn
 from jaxnh.analyses.periodic.attractor_survey import Survey, early_look, first_look, survey
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, orbits
-from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State
 
@@ -63,13 +63,13 @@ class Early(NamedTuple):
         return np.flatnonzero(self.survey.period > 0)
 
 
-def settled_early(scene: Scene, lanes: LaneRunner, transient: int) -> Early | None:
+def settled_early(batch: LaneBatch, lanes: LaneRunner, transient: int) -> Early | None:
     """Lanes that are on stable orbits long before their transient is over, as most are; None where it is too short."""
     early = early_look(transient)
     if early is None:
         return None
-    found, ends = first_look(scene, lanes, "lyapunov", early)
-    return Early(found, lanes(_state_at, (scene.system,), (ends,)), early.periods)
+    found, ends = first_look(batch, lanes, "lyapunov", early)
+    return Early(found, lanes(_state_at, (batch.system,), (ends,)), early.periods)
 
 
 def joined(one: OrbitExponents, other: OrbitExponents) -> OrbitExponents:
@@ -78,7 +78,7 @@ def joined(one: OrbitExponents, other: OrbitExponents) -> OrbitExponents:
 
 
 def on_orbits(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     growth: TangentState,
     candidates: Int[np.ndarray, " some"],
@@ -95,14 +95,19 @@ def on_orbits(
     """
     if not len(candidates):
         return no_orbits(len(growth.tangents))
-    some, u = scene.take(candidates), scene.chart.host_points(picked(growth.state, candidates))
+    some, u = batch.take(candidates), batch.chart.host_points(picked(growth.state, candidates))
     found = survey(some, lanes, u, min(longest, _LONGEST), "lyapunov", 0, tile=ORBIT_TILE)
     settled = np.flatnonzero(found.period > 0)
-    return of_orbits(scene, lanes, growth, candidates[settled], picked(found, settled), parts)
+    return of_orbits(batch, lanes, growth, candidates[settled], picked(found, settled), parts)
 
 
 def of_orbits(
-    scene: Scene, lanes: LaneRunner, growth: TangentState, settled: Int[np.ndarray, " some"], found: Survey, parts: int
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    growth: TangentState,
+    settled: Int[np.ndarray, " some"],
+    found: Survey,
+    parts: int,
 ) -> OrbitExponents:
     """Exponents of stable periodic orbits that some lanes are on.
 
@@ -116,18 +121,18 @@ def of_orbits(
         return no_orbits(len(growth.tangents))
     order = np.argsort(found.period, kind="stable")  # tiles of lanes that take equally long
     settled, found = settled[order], picked(found, order)
-    scene, growth, n = scene.take(settled), picked(growth, settled), found.period
-    p = dict(scene.p)
-    finer = orbits(lanes, scene.strobe(2), found.u, p, n, found.size)
-    logs, rounding = _logs(scene, lanes, growth, n, found.u, found.monodromy, parts, 1)
-    fine, _ = _logs(scene, lanes, growth, n, finer.u, finer.monodromy, parts, 2)
+    batch, growth, n = batch.take(settled), picked(growth, settled), found.period
+    p = dict(batch.p)
+    finer = orbits(lanes, batch.strobe(2), found.u, p, n, found.size)
+    logs, rounding = _logs(batch, lanes, growth, n, found.u, found.monodromy, parts, 1)
+    fine, _ = _logs(batch, lanes, growth, n, finer.u, finer.monodromy, parts, 2)
     error = 2.0 * np.abs(logs - fine) + rounding
     kept = np.all(np.isfinite(logs) & np.isfinite(error), axis=1)
     return OrbitExponents(settled[kept], logs[kept], error[kept])
 
 
 def _logs(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     growth: TangentState,
     n: Int[np.ndarray, " lanes"],
@@ -146,14 +151,14 @@ def _logs(
     lost = np.flatnonzero(np.any(unseen, axis=1))
     if len(lost):
         some = picked(growth, lost), u[lost], n[lost]
-        carried, moved = _carried(scene.take(lost), lanes, *some, parts, refinement)
+        carried, moved = _carried(batch.take(lost), lanes, *some, parts, refinement)
         logs[lost] = np.where(unseen[lost], carried, logs[lost])
         rounding[lost] = np.where(unseen[lost], moved + _ROUNDING, rounding[lost])
     return logs, rounding
 
 
 def _carried(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     growth: TangentState,
     u: Float[np.ndarray, "lanes d"],
@@ -166,9 +171,9 @@ def _carried(
     Args:
         growth: of lanes near their orbits, a period before the point u of the orbit.
     """
-    strobes, k, p = parts_of(scene, parts, refinement), len(growth.tangents), dict(scene.p)
+    strobes, k, p = parts_of(batch, parts, refinement), len(growth.tangents), dict(batch.p)
     growth, _ = turn(lanes, strobes, growth, p, np.ones_like(n), tile=ORBIT_TILE)
-    growth = growth._replace(state=lanes(_state_at, (scene.system,), (u,), tile=ORBIT_TILE))
+    growth = growth._replace(state=lanes(_state_at, (batch.system,), (u,), tile=ORBIT_TILE))
     rates, moved = np.full((2, len(u), k), np.inf)
     going = np.arange(len(u))
     for _ in range(_TURNS):

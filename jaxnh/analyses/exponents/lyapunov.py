@@ -23,6 +23,7 @@ import xarray as xr
 from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, flagged, named, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in, per_time, picked
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.errors import (
     held_against_sum,
@@ -44,7 +45,6 @@ from jaxnh.analyses.exponents.tangent_growth import (
     quadrature,
 )
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.scene import LaneRunner, Scene, counted_in, per_time, picked
 from jaxnh.config.options.base import BLOCKS
 from jaxnh.config.options.chaos import LyapunovOptions
 from jaxnh.maps.section import reports
@@ -105,53 +105,53 @@ def check(options: LyapunovOptions, setting: Setting) -> None:
         raise OptionError(f"must be at most {most}, not {options.exponents}", "exponents")
 
 
-def choose(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> dict[str, int]:
+def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:
     """How many times a period tangents are orthonormalised, the same for all lanes of a sweep.
 
     And, where tangents need more steps than states, how many times as many.
     """
-    scene, k = scene.in_time(), tangents(options, scene.in_time())
+    batch, k = batch.in_time(), tangents(options, batch.in_time())
     if k == 1:
         return {"parts": 1}
-    parts, growth = _parts_needed(scene, lanes, k)
-    refinement = _refinement_needed(scene, lanes, growth, parts)
+    parts, growth = _parts_needed(batch, lanes, k)
+    refinement = _refinement_needed(batch, lanes, growth, parts)
     return {"parts": parts} | ({"refinement": refinement} if refinement > 1 else {})
 
 
-def run(options: LyapunovOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """The `exponents` largest exponents of every lane, their errors, and the sum rule where all are found."""
-    scene = scene.in_time()
-    chosen = scene.chosen.get("lyapunov") or choose(options, scene, lanes)
+    batch = batch.in_time()
+    chosen = batch.chosen.get("lyapunov") or choose(options, batch, lanes)
     parts, refinement = chosen["parts"], chosen.get("refinement", 1)
-    scene = replace(scene, steps=refinement * scene.steps)
-    found = averages(options, scene, lanes, parts)
-    data = _dataset(options, scene, found, spectrum(options, scene, lanes, found, parts), parts)
+    batch = replace(batch, steps=refinement * batch.steps)
+    found = averages(options, batch, lanes, parts)
+    data = _dataset(options, batch, found, spectrum(options, batch, lanes, found, parts), parts)
     return data if refinement == 1 else data.assign_attrs(refinement_for_tangents=refinement)
 
 
 def averages(
-    options: LyapunovOptions, scene: Scene, lanes: LaneRunner, parts: int, *, to_the_end: bool = False
+    options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, parts: int, *, to_the_end: bool = False
 ) -> Averages:
     """Growth of all lanes in blocks, after the transient.
 
     Lanes whose errors are small enough stop early, and so do those that are on a stable orbit after the first block,
     which gives their exponents at once, unless all averages are to go on `to_the_end`.
     """
-    count, k, lead = scene.count, tangents(options, scene), int(scene.flow.autonomous)
-    strobes = parts_of(scene, parts)
-    nodes = quadrature(scene) if scene.flow.contraction and every_exponent(options, scene) else None
+    count, k, lead = batch.count, tangents(options, batch), int(batch.flow.autonomous)
+    strobes = parts_of(batch, parts)
+    nodes = quadrature(batch) if batch.flow.contraction and every_exponent(options, batch) else None
     aligning = options.transient // _ALIGNING
     settling = options.transient - aligning
     block = options.periods // BLOCKS
-    state, p = scene.lanes
-    early = settled_early(scene, lanes, options.transient) if not to_the_end and _have_orbits(options, scene) else None
+    state, p = batch.lanes
+    early = settled_early(batch, lanes, options.transient) if not to_the_end and _have_orbits(options, batch) else None
     state, before = (early.state, early.periods) if early else (jax.tree.map(np.array, state), 0)
     others = np.setdiff1d(np.arange(count), early.settled) if early else np.arange(count)
     with lanes.stage(f"lyapunov: transient of {len(others)} lanes", len(others) * (options.transient - before)):
         left = max(settling - before, 0)
         if len(others):
-            _put(state, others, lanes.iterate(scene.strobe(), left, picked((state, p), others)))
-        growth = lanes(begin, (scene.system,), (state,), static=(k,))
+            _put(state, others, lanes.iterate(batch.strobe(), left, picked((state, p), others)))
+        growth = lanes(begin, (batch.system,), (state,), static=(k,))
         if len(others):
             some, some_p = picked((growth, p), others)
             _put(growth, others, average(lanes, strobes, some, some_p, aligning)[0])
@@ -167,17 +167,17 @@ def averages(
             smooth[running] += smooth_parts(part, block, i)
             _put(growth, running, part)
             done[running] += 1
-            if i == 0 and not to_the_end and _have_orbits(options, scene):
+            if i == 0 and not to_the_end and _have_orbits(options, batch):
                 if early:
                     found = picked(early.survey, early.settled)
-                    settled = of_orbits(scene, lanes, growth, early.settled, found, parts)
+                    settled = of_orbits(batch, lanes, growth, early.settled, found, parts)
                 # A chaotic lane whose tangent shrinks in this block is looked at as well, and goes on.
                 candidates = others[~(rates[others, 0, lead] > 0.0)]
-                settled = joined(settled, on_orbits(scene, lanes, growth, candidates, parts, options.periods))
+                settled = joined(settled, on_orbits(batch, lanes, growth, candidates, parts, options.periods))
                 running = np.setdiff1d(running, settled.lanes)
             if options.error and i + 1 >= BLOCKS // 4:
                 plain = of_blocks(rates[running, : i + 1, lead : lead + k])
-                error = nearly_neutral(plain, aligning, (i + 1) * block).error / scene.flow.period
+                error = nearly_neutral(plain, aligning, (i + 1) * block).error / batch.flow.period
                 running = running[~(np.max(error, axis=1) < options.error)]
             if not len(running):
                 break
@@ -203,17 +203,17 @@ class Spectrum(NamedTuple):
     source: Int8[np.ndarray, " lanes"]
 
 
-def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: Averages, parts: int) -> Spectrum:
+def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, found: Averages, parts: int) -> Spectrum:
     """The best that is known of every lane: its orbit, a smooth average or a plain one."""
-    lead, k = int(scene.flow.autonomous), tangents(options, scene)
+    lead, k = int(batch.flow.autonomous), tangents(options, batch)
     aligned, block = options.transient // _ALIGNING, options.periods // BLOCKS
-    mean, error = np.full((2, scene.count, lead + k), np.nan)
-    on_orbit = np.isin(np.arange(scene.count), found.settled.lanes)
+    mean, error = np.full((2, batch.count, lead + k), np.nan)
+    on_orbit = np.isin(np.arange(batch.count), found.settled.lanes)
     for blocks in np.unique(found.blocks[~on_orbit]):
         chosen = (found.blocks == blocks) & ~on_orbit
         plain = of_blocks(found.rates[chosen, :blocks, : lead + k])
         mean[chosen], error[chosen] = nearly_neutral(plain, aligned, blocks * block)
-    source = np.zeros(scene.count, np.int8)
+    source = np.zeros(batch.count, np.int8)
     if options.plain:
         return Spectrum(mean, error, source)
     number = np.arange(BLOCKS)
@@ -228,80 +228,80 @@ def spectrum(options: LyapunovOptions, scene: Scene, lanes: LaneRunner, found: A
     regular = whole[better]
     source[regular] = SOURCES.index("smooth_average")
     mean[regular] = smooth.mean[better]
-    error[regular] = smooth.error[better] + _of_steps(scene, lanes, picked(found.growth, regular), regular, parts)
+    error[regular] = smooth.error[better] + _of_steps(batch, lanes, picked(found.growth, regular), regular, parts)
     drifting = whole[~better]
     error[drifting] += unseen_bursts(found.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
     candidates = np.flatnonzero(open_)
     orbits = [found.settled]
-    if len(candidates) and _have_orbits(options, scene):
-        orbits.append(on_orbits(scene, lanes, found.growth, candidates, parts, BLOCKS * block))
+    if len(candidates) and _have_orbits(options, batch):
+        orbits.append(on_orbits(batch, lanes, found.growth, candidates, parts, BLOCKS * block))
     for settled in orbits:
         source[settled.lanes] = SOURCES.index("orbit")
         mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
     if len(candidates) and lead:
         still, _, exponents, bound = detect_equilibrium(
-            scene.take(candidates), lanes, options.transient + options.periods
+            batch.take(candidates), lanes, options.transient + options.periods
         )
         resting = candidates[still]
         source[resting] = SOURCES.index("equilibrium")
-        complete = exponents.shape[1] == scene.flow.exponents  # else some eigenvalues are those of constraints
+        complete = exponents.shape[1] == batch.flow.exponents  # else some eigenvalues are those of constraints
         for values, found_there in ((mean, exponents), (error, bound)):
-            values[resting] = found_there[still, : lead + k] * scene.flow.period if complete else np.nan
+            values[resting] = found_there[still, : lead + k] * batch.flow.period if complete else np.nan
     return Spectrum(mean, error, source)
 
 
-def _have_orbits(options: LyapunovOptions, scene: Scene) -> bool:
+def _have_orbits(options: LyapunovOptions, batch: LaneBatch) -> bool:
     """Whether orbits of lanes are looked for: of a strobe map, whose multipliers are right to rounding."""
-    return not options.plain and not scene.flow.autonomous and scene.precision == "float64"
+    return not options.plain and not batch.flow.autonomous and batch.precision == "float64"
 
 
 def _of_steps(
-    scene: Scene, lanes: LaneRunner, growth: TangentState, some: Int[np.ndarray, " some"], parts: int
+    batch: LaneBatch, lanes: LaneRunner, growth: TangentState, some: Int[np.ndarray, " some"], parts: int
 ) -> Float[np.ndarray, "some sums"]:
-    """Twice what twice the steps change in the growth over a few periods from where these lanes of a scene are.
+    """Twice what twice the steps change in the growth over a few periods from where these lanes of a batch are.
 
     Regular motions from one state stay together for that long. In plain averages this is far below the scatter, as
     steps are chosen for tangents as well (`_refinement_needed`).
     """
     if not len(some):
         return np.zeros((0, len(growth.logs)))
-    p = picked(dict(scene.p), some)
-    coarse, fine = (average(lanes, parts_of(scene, parts, n), growth, p, _COMPARED)[1] for n in (1, 2))
+    p = picked(dict(batch.p), some)
+    coarse, fine = (average(lanes, parts_of(batch, parts, n), growth, p, _COMPARED)[1] for n in (1, 2))
     return 2.0 * np.abs(coarse - fine)[:, : len(growth.logs)]
 
 
-def every_exponent(options: LyapunovOptions, scene: Scene) -> bool:
+def every_exponent(options: LyapunovOptions, batch: LaneBatch) -> bool:
     """Whether all exponents are asked for, so that there is a sum rule."""
-    return options.exponents >= scene.flow.exponents
+    return options.exponents >= batch.flow.exponents
 
 
-def tangents(options: LyapunovOptions, scene: Scene) -> int:
+def tangents(options: LyapunovOptions, batch: LaneBatch) -> int:
     """How many tangents are carried: one for each exponent that is wanted and not known."""
-    return min(options.exponents, scene.flow.exponents - int(scene.flow.autonomous))
+    return min(options.exponents, batch.flow.exponents - int(batch.flow.autonomous))
 
 
-def _pilots(scene: Scene) -> Scene:
+def _pilots(batch: LaneBatch) -> LaneBatch:
     """Some lanes across a sweep."""
-    return scene.take(np.unique(np.linspace(0, scene.count - 1, _PILOT_LANES).round().astype(int)))
+    return batch.take(np.unique(np.linspace(0, batch.count - 1, _PILOT_LANES).round().astype(int)))
 
 
-def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> tuple[int, TangentState]:
+def _parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, TangentState]:
     """Orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
 
     Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
     bounds what a longer part does; where that is all that rounding lets one see, a smaller part is looked at. Also
     these lanes some periods from their start.
     """
-    few = _pilots(scene)
+    few = _pilots(batch)
     parts = _PILOT_PARTS
     while True:
         state, p = few.lanes
-        growth = lanes(begin, (scene.system,), (state,), static=(k,))
+        growth = lanes(begin, (batch.system,), (state,), static=(k,))
         # The first number of parts one at a time, through the program of a whole period, which is needed anyway.
         single = parts == _PILOT_PARTS
-        strobes = cut_period(scene, parts)
+        strobes = cut_period(batch, parts)
         loss = 0.0
-        for strobe in one_by_one(strobes, cut_period(scene, 1)) * _PILOT_PERIODS if single else (strobes,):
+        for strobe in one_by_one(strobes, cut_period(batch, 1)) * _PILOT_PERIODS if single else (strobes,):
             growth, _ = average(lanes, strobe, growth, p, 1 if single else _PILOT_PERIODS)
             loss = float(np.max(growth.loss, initial=loss, where=np.isfinite(growth.loss)))
         if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
@@ -310,21 +310,21 @@ def _parts_needed(scene: Scene, lanes: LaneRunner, k: int) -> tuple[int, Tangent
     return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / _LARGEST_LOSS, 1.0))), 1, _MOST_PARTS)), growth
 
 
-def _refinement_needed(scene: Scene, lanes: LaneRunner, growth: TangentState, parts: int) -> int:
+def _refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState, parts: int) -> int:
     """Times the steps of the map, a power of two, with which tangents grow and shrink as twice as many have it.
 
     Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
     its polynomial can follow. Measured on lanes across the sweep, part by part from one state each, so that paths that
     chaos parts do not count.
     """
-    if not scene.target:
+    if not batch.target:
         return 1
-    few, room = _pilots(scene), cut_period(scene, 1)
-    p, refinement, enough = dict(few.p), 1, max(_TANGENT_ERROR, _TANGENT_ERRORS * scene.error_estimate)
+    few, room = _pilots(batch), cut_period(batch, 1)
+    p, refinement, enough = dict(few.p), 1, max(_TANGENT_ERROR, _TANGENT_ERRORS * batch.error_estimate)
     periods = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts)
     while refinement < _MOST_REFINED:
         pieces = (refinement * parts, 2 * refinement * parts)
-        coarse, fine = (one_by_one(cut_period(scene, n, n // parts), room) for n in pieces)
+        coarse, fine = (one_by_one(cut_period(batch, n, n // parts), room) for n in pieces)
         now, apart, whole = growth, *np.zeros((2, 1, 1))
         for i in range(len(coarse) * periods):
             i %= len(coarse)
@@ -340,25 +340,27 @@ def _refinement_needed(scene: Scene, lanes: LaneRunner, growth: TangentState, pa
     return refinement
 
 
-def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectrum: Spectrum, parts: int) -> xr.Dataset:
+def _dataset(
+    options: LyapunovOptions, batch: LaneBatch, averages: Averages, spectrum: Spectrum, parts: int
+) -> xr.Dataset:
     """All variables; the first sum without a clock is that along the flow."""
-    period, k = scene.flow.period, spectrum.mean.shape[1]
+    period, k = batch.flow.period, spectrum.mean.shape[1]
     wanted = min(options.exponents, k)
     found, spread = spectrum.mean / period, spectrum.error / period
     averaged = averages.blocks * (options.periods // BLOCKS)
-    symbols, residual = scene.flow.contraction, None
+    symbols, residual = batch.flow.contraction, None
     volume = averages.rates[:, :, k:].copy()
     ran = np.arange(BLOCKS) < averages.blocks[:, None]
     volume = np.sum(np.where(ran[:, :, None], volume, 0.0), axis=1) / averages.blocks[:, None] / period
     sums = np.sum(np.where(ran[:, :, None], averages.rates[:, :, :k], 0.0), axis=(1, 2)) / averages.blocks / period
-    if every_exponent(options, scene):
+    if every_exponent(options, batch):
         # At rest the flow has no direction once its rate has come down to rounding.
         sums = np.where(spectrum.source == SOURCES.index("equilibrium"), found.sum(axis=1), sums)
         residual = sums - volume[:, 1 if symbols else 0]
         of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
         spread[of_average] = held_against_sum(spread[of_average], residual[of_average])
     attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
-    if scene.flow.autonomous:
+    if batch.flow.autonomous:
         rests = (spectrum.mean[:, 0] * averaged < _AT_REST) | (spectrum.source == SOURCES.index("equilibrium"))
         lost = ~np.isfinite(spectrum.mean[:, 0])
         for values in (found, spread):
@@ -366,9 +368,9 @@ def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectru
         attrs["along_flow"] = "the exponent along the flow is known to be zero"
     order = np.argsort(-found, axis=1)[:, :wanted]
     exponents, errors = np.take_along_axis(found, order, axis=1), np.take_along_axis(spread, order, axis=1)
-    each, unit = (LANE, "exponent"), per_time(scene.flow)
+    each, unit = (LANE, "exponent"), per_time(batch.flow)
     words = "Lyapunov exponents, natural logarithm"
-    ended = reports(scene.flow, jax.tree.map(lambda leaf: leaf[:, None], averages.growth.state))["status"]
+    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], averages.growth.state))["status"]
     lost = ~np.all(np.isfinite(exponents), axis=1) & (spectrum.source != SOURCES.index("equilibrium"))
     code = np.where(lost & (np.asarray(ended.data) == 0), NOT_FINITE, ended.data)
     variables = {
@@ -384,7 +386,7 @@ def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectru
         words = f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
         variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, unit)
     variables["averaging_periods"] = variable(
-        LANE, averaged, "length of the average", counted_in=counted_in(scene.system)
+        LANE, averaged, "length of the average", counted_in=counted_in(batch.system)
     )
     if residual is not None:
         what = "sum of the plain averages, at rest of the exponents"
@@ -394,7 +396,7 @@ def _dataset(options: LyapunovOptions, scene: Scene, averages: Averages, spectru
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
             variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, unit)
         # Without a clock the exponent along the flow counts as well.
-        of = "of the flow" if scene.flow.autonomous else "of the Poincaré section"
+        of = "of the flow" if batch.flow.autonomous else "of the Poincaré section"
         variables["kaplan_yorke"] = variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {of}")
     return xr.Dataset(variables, attrs=attrs)
 
@@ -409,23 +411,23 @@ def kaplan_yorke(exponents: Float[np.ndarray, "lanes k"]) -> Float[np.ndarray, "
     return np.where(whole == k, float(k), whole + before / following)
 
 
-def program(scene: Scene, k: int, parts: int = _PRICED_PARTS) -> PricedProgram:
+def program(batch: LaneBatch, k: int, parts: int = _PRICED_PARTS) -> PricedProgram:
     """A period of k tangents, orthonormalised so many times; of none the map alone."""
-    scene = scene.in_time()
+    batch = batch.in_time()
     if not k:
-        return map_alone(scene)
-    state, p = scene.lanes
+        return map_alone(batch)
+    state, p = batch.lanes
     state = jax.tree.map(jnp.asarray, state)
-    begun = jax.vmap(lambda z: begin(scene.flow, z, k))(state)
-    strobes = cut_period(scene, parts)
+    begun = jax.vmap(lambda z: begin(batch.flow, z, k))(state)
+    strobes = cut_period(batch, parts)
     shared = (strobes, None, np.int32(1), np.float64(0.0))
     return PricedProgram(advance, shared, (jax.tree.map(np.asarray, begun), p), (1.0, float(parts), *strobes.turns))
 
 
-def price(options: LyapunovOptions, scene: Scene) -> Price:
+def price(options: LyapunovOptions, batch: LaneBatch) -> Price:
     """All tangents against the map alone."""
-    k = tangents(options, scene)
-    return Price(program(scene, k), program(scene, 0), f"{k} tangent{'s' if k > 1 else ''}")
+    k = tangents(options, batch)
+    return Price(program(batch, k), program(batch, 0), f"{k} tangent{'s' if k > 1 else ''}")
 
 
 def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:

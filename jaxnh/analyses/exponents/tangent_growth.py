@@ -18,7 +18,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.smooth_window import windows
 from jaxnh.config.options.base import BLOCKS
 from jaxnh.maps.batching import as_batched
@@ -74,41 +74,41 @@ class Quadrature(NamedTuple):
     weights: np.ndarray
 
 
-def quadrature(scene: Scene) -> Quadrature | ParameterFamily[Quadrature]:
+def quadrature(batch: LaneBatch) -> Quadrature | ParameterFamily[Quadrature]:
     """Nodes and maps of the quadrature; of a family one for each value."""
-    if scene.family is not None:
-        return scene.family.derive("quadrature", lambda system: _nodes(scene.under(system)))
-    return _nodes(scene)
+    if batch.family is not None:
+        return batch.family.derive("quadrature", lambda system: _nodes(batch.under(system)))
+    return _nodes(batch)
 
 
-def _nodes(scene: Scene) -> Quadrature:
+def _nodes(batch: LaneBatch) -> Quadrature:
     """Nodes in panels of twelve, in number with the kicks of a period, denser where the flow is faster.
 
     Their states are those of another map, a step of order six from node to node, so that neither determinants nor
     errors of the map's own kicks are part of the result.
     """
-    flow, kicks = scene.flow, scene.solver.total_kicks(scene.steps)
+    flow, kicks = batch.flow, batch.solver.total_kicks(batch.steps)
     panels, span = -(-kicks // (_KICKS_A_NODE * len(_PANEL_NODES))), (0.0, flow.period)
     edges = np.linspace(*span, panels + 1) if flow.autonomous else step_grid(flow, panels, span)
     half = 0.5 * np.diff(edges)
     t = (edges[:-1, None] + half[:, None] * (1.0 + _PANEL_NODES)).ravel()
-    maps = between(flow, _BETWEEN_NODES, 1, np.append(0.0, t), compensated=scene.compensated)
-    return Quadrature(flow, in_precision(maps, scene.precision), t, (half[:, None] * _PANEL_WEIGHTS).ravel())
+    maps = between(flow, _BETWEEN_NODES, 1, np.append(0.0, t), compensated=batch.compensated)
+    return Quadrature(flow, in_precision(maps, batch.precision), t, (half[:, None] * _PANEL_WEIGHTS).ravel())
 
 
-def parts_of(scene: Scene, parts: int, refinement: int = 1) -> Maps:
+def parts_of(batch: LaneBatch, parts: int, refinement: int = 1) -> Maps:
     """The maps between orthonormalisations, so many a period, stacked, with `refinement` times the steps."""
-    if scene.family is not None:
+    if batch.family is not None:
         key = parts, refinement
-        return scene.family.maps(scene.system, key, lambda system: cut_period(scene.under(system), parts, refinement))
-    return cut_period(scene, parts, refinement)
+        return batch.family.maps(batch.system, key, lambda system: cut_period(batch.under(system), parts, refinement))
+    return cut_period(batch, parts, refinement)
 
 
-def cut_period(scene: Scene, parts: int, refinement: int = 1) -> ReturnMap:
+def cut_period(batch: LaneBatch, parts: int, refinement: int = 1) -> ReturnMap:
     """Likewise, of lanes with one system."""
-    steps = refinement * scene.steps
-    strobe = cut_strobe(scene.flow, scene.solver, steps, parts, compensated=scene.compensated)
-    return in_precision(strobe, scene.precision)
+    steps = refinement * batch.steps
+    strobe = cut_strobe(batch.flow, batch.solver, steps, parts, compensated=batch.compensated)
+    return in_precision(strobe, batch.precision)
 
 
 def one_by_one(strobes: ReturnMap, roomy: ReturnMap) -> list[ReturnMap]:

@@ -17,6 +17,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.analyses.periodic.newton_on_lanes import (
     CONVERGED,
     ORBIT_TILE,
@@ -26,7 +27,6 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     orbits,
     sizes,
 )
-from jaxnh.analyses.scene import LaneRunner, Scene, picked
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
@@ -65,16 +65,16 @@ class Survey(NamedTuple):
     size: Float[np.ndarray, "lanes d"]
 
 
-def survey_from_start(scene: Scene, lanes: LaneRunner, limit: int, label: str, transient: int) -> Survey:
-    """Attractor and period, up to a limit, of every lane of a scene from its start state."""
+def survey_from_start(batch: LaneBatch, lanes: LaneRunner, limit: int, label: str, transient: int) -> Survey:
+    """Attractor and period, up to a limit, of every lane of a batch from its start state."""
     early, *late = _looks(transient, limit)
     if not late:
-        return survey(scene, lanes, first_points(scene, lanes), limit, label, transient)
-    return _continued(scene, lanes, first_look(scene, lanes, label, early), late, label)
+        return survey(batch, lanes, first_points(batch, lanes), limit, label, transient)
+    return _continued(batch, lanes, first_look(batch, lanes, label, early), late, label)
 
 
 def survey(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     u: Float[np.ndarray, "lanes d"],
     limit: int,
@@ -84,7 +84,7 @@ def survey(
     only_doublings: bool = False,
     tile: int | None = None,
 ) -> Survey:
-    """Attractor and period (from `least` up to a limit) of every lane of a scene, from start points u.
+    """Attractor and period (from `least` up to a limit) of every lane of a batch, from start points u.
 
     Lanes whose orbit is not found early are looked at again after the whole transient. The period is a multiple of the
     least n after which the points roughly recur; with `only_doublings`, for a cascade, 2, 4, 8, … times that alone are
@@ -95,7 +95,7 @@ def survey(
     """
     first, *late = _looks(transient, limit)
     how = label, least, only_doublings, tile
-    return _continued(scene, lanes, _look(scene, lanes, u, first, *how), late, *how)
+    return _continued(batch, lanes, _look(batch, lanes, u, first, *how), late, *how)
 
 
 class Timing(NamedTuple):
@@ -141,15 +141,15 @@ def early_look(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:
     return early if early.wait and early.periods < transient else None
 
 
-def first_look(scene: Scene, lanes: LaneRunner, label: str, early: Timing) -> EarlySurvey:
-    """What is seen of all lanes from their start states; the same for whichever analyses of a scene ask for it."""
-    if early not in scene.seen:
-        scene.seen[early] = _look(scene, lanes, first_points(scene, lanes), early, label)
-    return scene.seen[early]
+def first_look(batch: LaneBatch, lanes: LaneRunner, label: str, early: Timing) -> EarlySurvey:
+    """What is seen of all lanes from their start states; the same for whichever analyses of a batch ask for it."""
+    if early not in batch.seen:
+        batch.seen[early] = _look(batch, lanes, first_points(batch, lanes), early, label)
+    return batch.seen[early]
 
 
 def _continued(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     seen: EarlySurvey,
     late: Sequence[Timing],
@@ -160,13 +160,13 @@ def _continued(
 ) -> Survey:
     """Those lanes whose orbits have not been seen are looked at again."""
     found = jax.tree.map(np.copy, seen.survey)
-    open_, ends = np.arange(scene.count), seen.ends
+    open_, ends = np.arange(batch.count), seen.ends
     for timing in late:
         left = np.flatnonzero((found.period[open_] == 0) & ~found.failed[open_])
         if not len(left):
             break
         open_ = open_[left]
-        part, ends = _look(scene.take(open_), lanes, ends[left], timing, label, least, only_doublings, tile)
+        part, ends = _look(batch.take(open_), lanes, ends[left], timing, label, least, only_doublings, tile)
         for whole, some in zip(found, part, strict=True):
             whole[open_] = some
     return found
@@ -181,7 +181,7 @@ def _nothing_found(u: Float[np.ndarray, "lanes d"]) -> Survey:
 
 
 def _look(
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     u: Float[np.ndarray, "lanes d"],
     timing: Timing,
@@ -191,17 +191,17 @@ def _look(
     tile: int | None = None,
 ) -> EarlySurvey:
     """What is seen of lanes some periods on, in 2 limit points of each."""
-    strobe, count, p = scene.strobe(), scene.count, dict(scene.p)
+    strobe, count, p = batch.strobe(), batch.count, dict(batch.p)
     (wait, limit, tries), cost = timing, timing.periods
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
         shared, static = (strobe, np.int32(wait)), (2 * limit,)
-        if scene.chart.dimensionless:
+        if batch.chart.dimensionless:
             points = lanes(strobe_points, shared, (u, p), periods=cost, static=static, tile=tile)
             size = np.ones_like(u)
         else:
-            shared = (*shared, scene.flow.period / (2 * np.pi))
-            points, size = lanes(_sized_points, shared, (u, p, scene.start), periods=cost, static=static, tile=tile)
-    recurs = _recurrences(scene.chart, points, size, limit, least, only_doublings)
+            shared = (*shared, batch.flow.period / (2 * np.pi))
+            points, size = lanes(_sized_points, shared, (u, p, batch.start), periods=cost, static=static, tile=tile)
+    recurs = _recurrences(batch.chart, points, size, limit, least, only_doublings)
     period, found, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
     failed |= ~np.all(np.isfinite(points), axis=(1, 2))
     rank, first, last = np.cumsum(recurs, axis=0), 1, 1
@@ -211,7 +211,7 @@ def _look(
         first, last = last + 1, 2 * last + 1
         with lanes.stage(f"{label}: orbits of {len(np.unique(lane))} lanes", 0):
             orbit = orbits(lanes, strobe, found[lane], picked(p, lane), n, size[lane])
-        near = apart(scene.chart, orbit.u, found[lane], size[lane]) < 2 * _CLOSE
+        near = apart(batch.chart, orbit.u, found[lane], size[lane]) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
         here, least_of = np.unique(lane[settled], return_index=True)
@@ -283,11 +283,11 @@ def beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, found: Surv
     return Survey(period, u, residual, multiplier, monodromy, failed, size)
 
 
-def first_points(scene: Scene, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
+def first_points(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
     """Section coordinates of every lane's start, or of its first crossing where there is a section."""
-    if scene.flow is scene.system:
-        return scene.chart.host_points(scene.start)
-    return lanes(_first_crossing, (scene.strobe(),), scene.lanes, periods=1)
+    if batch.flow is batch.system:
+        return batch.chart.host_points(batch.start)
+    return lanes(_first_crossing, (batch.strobe(),), batch.lanes, periods=1)
 
 
 def _first_crossing(strobe: ReturnMap, state: State, p: Parameters) -> Float[Array, " d"]:

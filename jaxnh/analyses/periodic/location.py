@@ -1,4 +1,4 @@
-"""How a doubling of a scene is located: `orbits.doubling_points` on lanes, with the map in several refinements."""
+"""How a doubling of a batch is located: `orbits.doubling_points` on lanes, with the map in several refinements."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.config.options.base import Options
 from jaxnh.maps.family import Maps, padded_like
 from jaxnh.maps.iterate import Derivatives, derivatives, section_map
@@ -28,7 +28,7 @@ _LEAST = 32.0  # 2ᵖ at order 5; methods that are chosen have more
 
 
 class LocatedDoubling(NamedTuple):
-    """A doubling of a scene, by maps with the steps that the accuracy asks for and with twice and four times as many.
+    """A doubling of a batch, by maps with the steps that the accuracy asks for and with twice and four times as many.
 
     Attributes:
         refined: the doubling of each of these maps.
@@ -56,7 +56,7 @@ class LocatedDoubling(NamedTuple):
 
 
 def locate(
-    scene: Scene, lanes: LaneRunner, points: Float[np.ndarray, "some d"], start: float, stop: float, n: int
+    batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "some d"], start: float, stop: float, n: int
 ) -> LocatedDoubling | None:
     """The doubling between two values of the first axis of the period-n orbit that is stable at the first.
 
@@ -66,9 +66,9 @@ def locate(
     Returns:
         None where the orbit does not double before `stop`.
     """
-    wrap = scene.chart.wrap
-    coarse, fine, finest = (period_map(scene, lanes, strobe) for strobe in refined(scene))
-    branch = follow_branch(coarse, walk(scene, lanes, points, start, n), start, stop, wrap)
+    wrap = batch.chart.wrap
+    coarse, fine, finest = (period_map(batch, lanes, strobe) for strobe in refined(batch))
+    branch = follow_branch(coarse, walk(batch, lanes, points, start, n), start, stop, wrap)
     first = branch and doubling_point(coarse, branch, wrap)
     second = first and moved_doubling(fine, first, wrap)
     third = second and moved_doubling(finest, second, wrap)
@@ -77,39 +77,39 @@ def locate(
     return LocatedDoubling((first, second, third))
 
 
-def refined(scene: Scene) -> tuple[Maps, ...]:
+def refined(batch: LaneBatch) -> tuple[Maps, ...]:
     """The map with 1, 2 and 4 times the steps, all of one shape, so that they run through one program.
 
     Sums are compensated where they can be, whatever the accuracy needs: doublings deep in a cascade are as near to each
     other as plain sums scatter them.
     """
-    exact = replace(scene, compensated=True)
+    exact = replace(batch, compensated=True)
     strobes = [exact.strobe(refinement) for refinement in REFINEMENTS]
     return tuple(padded_like(strobe, strobes[-1]) for strobe in strobes)
 
 
-def period_map(scene: Scene, lanes: LaneRunner, strobe: Maps) -> Period:
+def period_map(batch: LaneBatch, lanes: LaneRunner, strobe: Maps) -> Period:
     """P and ∂P/∂u at points and values of the first axis."""
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
-        return lanes(derivatives, (strobe, np.int32(1)), (u, scene.at(values).p), tile=PERIOD_TILE)
+        return lanes(derivatives, (strobe, np.int32(1)), (u, batch.at(values).p), tile=PERIOD_TILE)
 
     return period
 
 
 def walk(
-    scene: Scene, lanes: LaneRunner, points: Float[np.ndarray, "some d"], value: float, n: int
+    batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "some d"], value: float, n: int
 ) -> Float[np.ndarray, "n d"]:
     """The n points of an orbit from its first ones: all that there are go on by as many periods as they are."""
-    strobe = scene.strobe()
+    strobe = batch.strobe()
     while len(points) < n:
         here = points[: n - len(points)]
-        p = scene.at(np.full(len(here), value)).p
+        p = batch.at(np.full(len(here), value)).p
         image = lanes(section_map, (strobe, np.int32(len(points))), (here, p), tile=ORBIT_TILE)
         points = np.concatenate([points, image])
     return points
 
 
-def price_of_orbits(options: Options, scene: Scene) -> Price:
+def price_of_orbits(options: Options, batch: LaneBatch) -> Price:
     """Orbits and their multipliers, at several values of a parameter, need the derivatives of a period."""
-    return newton_price(scene, PERIOD_TILE)
+    return newton_price(batch, PERIOD_TILE)

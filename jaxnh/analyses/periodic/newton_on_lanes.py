@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.scene import LaneRunner, picked
+from jaxnh.analyses.batch import LaneRunner, picked
 from jaxnh.maps.family import Maps
 from jaxnh.orbits.newton import NewtonStep, Orbit, find_orbits, look
 from jaxnh.systems.chart import Chart

@@ -7,10 +7,10 @@ import xarray as xr
 from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, named, numbered, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey_from_start
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
-from jaxnh.analyses.scene import LaneRunner, Scene, counted_in
 from jaxnh.config.options.orbits import PeriodOptions
 from jaxnh.systems.flow import NOT_FINITE, status
 
@@ -25,13 +25,13 @@ def numbers(options: PeriodOptions) -> int:
     return 6 * options.limit
 
 
-def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Least period of every lane with its residual and largest multiplier."""
-    found = survey_from_start(scene, lanes, options.limit, "period", options.transient)
-    found = beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
+    found = survey_from_start(batch, lanes, options.limit, "period", options.transient)
+    found = beyond_doublings(lanes, batch.strobe(), dict(batch.p), found)
     variables = {
         "period": numbered(
-            LANE, found.period, "least period up to the limit", ("none",), counted_in=counted_in(scene.system)
+            LANE, found.period, "least period up to the limit", ("none",), counted_in=counted_in(batch.system)
         ),
         "residual": variable(
             LANE, found.residual, "largest component of Pⁿ(u) − u of the orbit, in sizes of the motion"
@@ -42,9 +42,9 @@ def run(options: PeriodOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     return xr.Dataset(variables, attrs={"limit": options.limit, "transient": options.transient})
 
 
-def price(options: PeriodOptions, scene: Scene) -> Price:
+def price(options: PeriodOptions, batch: LaneBatch) -> Price:
     """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
-    return newton_price(scene, ORBIT_TILE)
+    return newton_price(batch, ORBIT_TILE)
 
 
 def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:

@@ -18,9 +18,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, Starts
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.trajectories.poincare import recording, strobe_states
 from jaxnh.analyses.trajectories.states import (
@@ -77,7 +77,7 @@ def check(options: DiagramOptions, setting: Setting) -> None:
             raise OptionError(message, "start")
 
 
-def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """States at `strobes` strobes after the transient, dimensions (lane, strobe), or (lane, start, strobe) if random.
 
     With `statistics` those of the strobes take their place, (lane,) or (lane, start).
@@ -85,84 +85,84 @@ def run(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
     With `start: up` or `down` the last state at a value of the first axis is the start state at the next.
     """
     dims = (LANE, "strobe")
-    where = f"at {scene.count:,} values of {scene.line.name}" if options.carried else f"of {scene.count:,} lanes"
+    where = f"at {batch.count:,} values of {batch.line.name}" if options.carried else f"of {batch.count:,} lanes"
     label = f"diagram: {options.strobes} strobes {where}, start {options.start}"
-    with lanes.stage(label, periods(options, scene.count)):
+    with lanes.stage(label, periods(options, batch.count)):
         if options.start == "random":
             dims = (LANE, "start", "strobe")
-            states = _side_by_side(options, scene, lanes, *random_starts(options, scene))
-            states = jax.tree.map(lambda leaf: leaf.reshape(scene.count, options.starts, -1), states)
+            states = _side_by_side(options, batch, lanes, *random_starts(options, batch))
+            states = jax.tree.map(lambda leaf: leaf.reshape(batch.count, options.starts, -1), states)
         elif options.start == "fixed":
-            states = _side_by_side(options, scene, lanes, *scene.lanes)
+            states = _side_by_side(options, batch, lanes, *batch.lanes)
         else:
-            states = _in_turn(options, scene, lanes)
-    t = np.array([options.phase * scene.flow.period])
+            states = _in_turn(options, batch, lanes)
+    t = np.array([options.phase * batch.flow.period])
     attrs = {
         "start": options.start,
         "phase": options.phase,
-        **section_attrs(scene),
+        **section_attrs(batch),
     }
-    variables = state_variables(scene.system, states, t, dims)
+    variables = state_variables(batch.system, states, t, dims)
     return xr.Dataset(statistics(variables, "strobe") if options.statistics else variables, attrs=attrs)
 
 
-def random_starts(options: DiagramOptions, scene: Scene) -> tuple[State, Parameters]:
+def random_starts(options: DiagramOptions, batch: LaneBatch) -> tuple[State, Parameters]:
     """Random states at t = 0 and parameters, (lanes · starts,), the starts of a lane one after the other.
 
     A lane has its states by its place along the first axis, whatever lanes it is computed with.
     """
-    first, place = int(scene.places.min()), scene.places
+    first, place = int(batch.places.min()), batch.places
     bits = np.random.PCG64(options.seed)
-    d = scene.flow.chart.dimension
+    d = batch.flow.chart.dimension
     bits.advance(first * options.starts * d)  # a draw of 64 bits a number
     shape = int(place.max()) - first + 1, options.starts, d
     draws = np.random.Generator(bits).uniform(-1.0, 1.0, shape)[place - first]
-    p = {name: np.repeat(values, options.starts) for name, values in scene.p.items()}
-    states = scene.flow.chart.state((draws.reshape(-1, d) * scene.flow.chart.scales(options.box)).T)
-    states = jax.tree.map(np.asarray, jax.vmap(scene.flow.nearest)(states, p))
-    return begin(scene.system, states), p
+    p = {name: np.repeat(values, options.starts) for name, values in batch.p.items()}
+    states = batch.flow.chart.state((draws.reshape(-1, d) * batch.flow.chart.scales(options.box)).T)
+    states = jax.tree.map(np.asarray, jax.vmap(batch.flow.nearest)(states, p))
+    return begin(batch.system, states), p
 
 
 def starts(options: DiagramOptions) -> Starts | None:
     """Where lanes start at random, if they do."""
     if options.start != "random":
         return None
-    return lambda scene: (random_starts(options, scene)[0], np.repeat(np.arange(scene.count), options.starts))
+    return lambda batch: (random_starts(options, batch)[0], np.repeat(np.arange(batch.count), options.starts))
 
 
-def _side_by_side(options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, p: Parameters) -> State:
+def _side_by_side(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, start: State, p: Parameters) -> State:
     """A lane for each start state and its parameters: components (lanes, strobes)."""
-    state, strobe = _at_phase(options, scene, lanes, start, p)
+    state, strobe = _at_phase(options, batch, lanes, start, p)
     state = settled(lanes, strobe, options.transient, state, p)
     if options.orbits:
-        state = _on_orbits(replace(scene, start=state, p=p, place=None, along=None), lanes, options.orbits)
+        state = _on_orbits(replace(batch, start=state, p=p, place=None, along=None), lanes, options.orbits)
     return lanes(strobe_states, (strobe,), (state, p), periods=options.strobes - 1, static=(options.strobes,))
 
 
-def _on_orbits(scene: Scene, lanes: LaneRunner, limit: int) -> State:
+def _on_orbits(batch: LaneBatch, lanes: LaneRunner, limit: int) -> State:
     """Start states, of lanes near a stable orbit up to a period a point of that: they need not wait to come to it."""
-    found = survey(scene, lanes, points_at(scene, lanes, scene.start), limit, "diagram", 0)
-    found = beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
-    on_orbit, states = found.period > 0, states_at(scene, lanes, found.u)
-    return jax.tree.map(lambda orbit, start: np.where(on_orbit, orbit, start), states, scene.start)
+    found = survey(batch, lanes, points_at(batch, lanes, batch.start), limit, "diagram", 0)
+    found = beyond_doublings(lanes, batch.strobe(), dict(batch.p), found)
+    on_orbit, states = found.period > 0, states_at(batch, lanes, found.u)
+    return jax.tree.map(lambda orbit, start: np.where(on_orbit, orbit, start), states, batch.start)
 
 
-def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:
-    """The start state carried along the first axis in one lane: components (lanes, strobes) in the scene's order."""
-    values = scene.line.values
+def _in_turn(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> State:
+    """The start state carried along the first axis in one lane: components (lanes, strobes) in the batch's order."""
+    values = batch.line.values
     order = np.argsort(values, kind="stable")
     if options.start == "down":
         order = order[::-1]
-    if scene.family is not None:
-        return _under_each_flow(options, scene, lanes, order)
-    state, strobe = _at_phase(options, scene, lanes, *scene.take(order[:1]).lanes)
+    if batch.family is not None:
+        return _under_each_flow(options, batch, lanes, order)
+    state, strobe = _at_phase(options, batch, lanes, *batch.take(order[:1]).lanes)
     each = options.transient + options.strobes - 1
     at_once = min(_CARRIED_AT_ONCE, max(1, _CARRIED_PERIODS // max(each, 1)))
     met = []
     for first in range(0, len(order), at_once):
         part = order[first : first + at_once]
         padded = np.append(part, np.full(at_once - len(part), part[-1]))
-        p = {name: lane_values[None, padded] for name, lane_values in scene.p.items()}
+        p = {name: lane_values[None, padded] for name, lane_values in batch.p.items()}
         state, states = lanes(
             carried,
             (strobe, np.int32(options.transient)),
@@ -177,14 +177,14 @@ def _in_turn(options: DiagramOptions, scene: Scene, lanes: LaneRunner) -> State:
 
 
 def _under_each_flow(
-    options: DiagramOptions, scene: Scene, lanes: LaneRunner, order: Int[np.ndarray, " lanes"]
+    options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, order: Int[np.ndarray, " lanes"]
 ) -> State:
     """As `_in_turn`, along a parameter that all lanes share: a call for each value, in that order."""
-    assert scene.family is not None
-    first, met = scene.take(order[:1]), []
+    assert batch.family is not None
+    first, met = batch.take(order[:1]), []
     state = first.start
-    for value in scene.line.values[order].tolist():
-        here = first.under(scene.family.at((value,)))
+    for value in batch.line.values[order].tolist():
+        here = first.under(batch.family.at((value,)))
         p = here.p
         begun, strobe = _at_phase(options, here, lanes, state, p)
         state = settled(lanes, strobe, options.transient, state if met else begun, p, tile=1)
@@ -196,16 +196,16 @@ def _under_each_flow(
 
 
 def _at_phase(
-    options: DiagramOptions, scene: Scene, lanes: LaneRunner, start: State, p: Parameters
+    options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, start: State, p: Parameters
 ) -> tuple[State, Maps]:
     """States at t = 0 brought to the phase of the strobes, and the map of a period from there."""
     if not options.phase:
-        return start, scene.strobe()
-    t, period = options.phase * scene.flow.period, scene.flow.period
+        return start, batch.strobe()
+    t, period = options.phase * batch.flow.period, batch.flow.period
     first, strobe = (
         in_precision(
-            make_return_map(scene.system, scene.solver, scene.steps, compensated=scene.compensated, span=span),
-            scene.precision,
+            make_return_map(batch.system, batch.solver, batch.steps, compensated=batch.compensated, span=span),
+            batch.precision,
         )
         for span in ((0.0, t), (t, t + period))
     )
@@ -222,13 +222,13 @@ def carried(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters
     return lax.scan(at, state, p)
 
 
-def price(options: DiagramOptions, scene: Scene) -> Price:
+def price(options: DiagramOptions, batch: LaneBatch) -> Price:
     """Every strobe is kept; a carried state is one lane, against the map of one lane."""
     if not options.carried:
-        return Price(recording(scene), map_alone(scene), "every strobe is kept")
-    strobe, (values, strobes) = scene.map(), _PRICED
-    one = scene.take(slice(1))
-    p = {name: np.resize(found, (1, values)) for name, found in scene.p.items()}
+        return Price(recording(batch), map_alone(batch), "every strobe is kept")
+    strobe, (values, strobes) = batch.map(), _PRICED
+    one = batch.take(slice(1))
+    p = {name: np.resize(found, (1, values)) for name, found in batch.p.items()}
     program = PricedProgram(
         carried,
         (strobe, np.zeros((), np.int32)),

@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.analyses.base import LANE, Analysis, Setting, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.trajectories.states import TILE, check_transient, count, section_attrs, settled, state_variables
 from jaxnh.config.options.trajectories import PoincareOptions
 from jaxnh.maps.iterate import record
@@ -38,20 +38,20 @@ def check(options: PoincareOptions, setting: Setting) -> None:
     check_transient(options.transient, setting)
 
 
-def run(options: PoincareOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """States at `strobes` strobes after the transient, from the start states, dimensions (lane, strobe)."""
-    strobe, (start, p) = scene.strobe(), scene.lanes
-    with lanes.stage(f"poincare: {options.strobes} strobes of {scene.count:,} lanes", periods(options, scene.count)):
+    strobe, (start, p) = batch.strobe(), batch.lanes
+    with lanes.stage(f"poincare: {options.strobes} strobes of {batch.count:,} lanes", periods(options, batch.count)):
         start = settled(lanes, strobe, options.transient, start, p, TILE)
         states = lanes(
             strobe_states, (strobe,), (start, p), periods=options.strobes - 1, tile=TILE, static=(options.strobes,)
         )
     variables = {}
-    if scene.flow is scene.system:  # else every crossing has its own time
-        time = scene.flow.period * (options.transient + np.arange(options.strobes))
-        variables["t"] = variable("strobe", time, "time since the start", scene.flow.labels.units["t"])
-    variables |= state_variables(scene.system, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
-    return xr.Dataset(variables, attrs=section_attrs(scene))
+    if batch.flow is batch.system:  # else every crossing has its own time
+        time = batch.flow.period * (options.transient + np.arange(options.strobes))
+        variables["t"] = variable("strobe", time, "time since the start", batch.flow.labels.units["t"])
+    variables |= state_variables(batch.system, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
+    return xr.Dataset(variables, attrs=section_attrs(batch))
 
 
 def strobe_states(strobe: ReturnMap, state: State, p: Parameters, count: int) -> State:
@@ -60,18 +60,18 @@ def strobe_states(strobe: ReturnMap, state: State, p: Parameters, count: int) ->
     return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), state, following)
 
 
-def price(options: PoincareOptions, scene: Scene) -> Price:
+def price(options: PoincareOptions, batch: LaneBatch) -> Price:
     """Every strobe is kept; the transient is the map alone."""
-    return Price(recording(scene, TILE), map_alone(scene, tile=TILE), "every strobe is kept")
+    return Price(recording(batch, TILE), map_alone(batch, tile=TILE), "every strobe is kept")
 
 
-def recording(scene: Scene, tile: int | None = None) -> PricedProgram:
+def recording(batch: LaneBatch, tile: int | None = None) -> PricedProgram:
     """The program that keeps every strobe, of some periods."""
-    strobe = scene.map()
+    strobe = batch.map()
     return PricedProgram(
         strobe_states,
         (strobe,),
-        scene.lanes,
+        batch.lanes,
         (0.0, *strobe.turns),
         (_PRICED_STROBES,),
         _PRICED_STROBES - 1,

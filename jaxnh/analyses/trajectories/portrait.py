@@ -8,8 +8,8 @@ import xarray as xr
 from jax import lax
 
 from jaxnh.analyses.base import LANE, Analysis, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.trajectories.states import TILE, count, settled, state_variables
 from jaxnh.config.options.trajectories import PortraitOptions
 from jaxnh.maps.build import make_parts
@@ -31,26 +31,26 @@ def numbers(options: PortraitOptions) -> int:
     return 4 * options.periods * options.samples
 
 
-def run(options: PortraitOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Trajectories of `periods` periods after the transient, from the start states, dimensions (lane, time)."""
-    scene = scene.in_time()
-    start, p = scene.lanes
-    with lanes.stage(f"portrait: {options.periods} periods of {scene.count:,} lanes", periods(options, scene.count)):
-        start = settled(lanes, scene.strobe(), options.transient, start, p, TILE)
+    batch = batch.in_time()
+    start, p = batch.lanes
+    with lanes.stage(f"portrait: {options.periods} periods of {batch.count:,} lanes", periods(options, batch.count)):
+        start = settled(lanes, batch.strobe(), options.transient, start, p, TILE)
         states = lanes(
             trajectory,
-            (_parts(options, scene),),
+            (_parts(options, batch),),
             (start, p),
             periods=options.periods,
             tile=TILE,
             static=(options.periods,),
         )
-    in_period = scene.flow.period * np.arange(options.samples) / options.samples
+    in_period = batch.flow.period * np.arange(options.samples) / options.samples
     elapsed = np.arange(options.periods * options.samples) / options.samples
-    time = scene.flow.period * (options.transient + elapsed)
+    time = batch.flow.period * (options.transient + elapsed)
     variables = {
-        "t": variable("time", time, "time since the start", scene.flow.labels.units["t"]),
-        **state_variables(scene.system, states, in_period, (LANE, "time"), {"coordinates": "t"}),
+        "t": variable("time", time, "time since the start", batch.flow.labels.units["t"]),
+        **state_variables(batch.system, states, in_period, (LANE, "time"), {"coordinates": "t"}),
     }
     return xr.Dataset(variables)
 
@@ -71,19 +71,19 @@ def trajectory(parts: ReturnMap, state: State, p: Parameters, count: int) -> Sta
     return jax.tree.map(lambda component: component.reshape(-1), path)
 
 
-def price(options: PortraitOptions, scene: Scene) -> Price:
+def price(options: PortraitOptions, batch: LaneBatch) -> Price:
     """Every sample ends a step, which is then shorter than that of the map."""
-    scene = scene.in_time()
-    parts = _parts(options, scene)
+    batch = batch.in_time()
+    parts = _parts(options, batch)
     turns = (1.0, float(options.samples), *parts.turns)
-    program = PricedProgram(trajectory, (parts,), scene.lanes, turns, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)
-    return Price(program, map_alone(scene, tile=TILE), "every sample ends a step, and is kept")
+    program = PricedProgram(trajectory, (parts,), batch.lanes, turns, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)
+    return Price(program, map_alone(batch, tile=TILE), "every sample ends a step, and is kept")
 
 
-def _parts(options: PortraitOptions, scene: Scene) -> ReturnMap:
+def _parts(options: PortraitOptions, batch: LaneBatch) -> ReturnMap:
     """The maps from sample to sample."""
-    parts = make_parts(scene.flow, scene.solver, scene.steps, options.samples, compensated=scene.compensated)
-    return in_precision(parts, scene.precision)
+    parts = make_parts(batch.flow, batch.solver, batch.steps, options.samples, compensated=batch.compensated)
+    return in_precision(parts, batch.precision)
 
 
 ANALYSIS = Analysis(

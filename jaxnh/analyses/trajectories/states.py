@@ -9,7 +9,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Entry, OptionError, Setting, named
-from jaxnh.analyses.scene import LaneRunner, Scene
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.section import Section, System, drawn_plane, outputs, reports
 from jaxnh.systems.flow import Parameters
@@ -76,9 +76,9 @@ def statistics(variables: Mapping[str, Entry], dim: str) -> dict[str, Entry]:
     return found
 
 
-def section_attrs(scene: Scene) -> dict[str, str]:
+def section_attrs(batch: LaneBatch) -> dict[str, str]:
     """Attributes of a group of crossings: which section they cross; none of a group of strobes."""
-    section = scene.system
+    section = batch.system
     if not isinstance(section, Section):
         return {}
     return {"section": section.description, "section_coordinate": section.coordinate}

@@ -11,9 +11,9 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Entry, Table, flagged, variable
+from jaxnh.analyses.batch import Axis, LaneBatch, counted_in
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.location import LocatedDoubling
-from jaxnh.analyses.scene import Axis, Scene, counted_in
 from jaxnh.analyses.windows.search import DOUBLED, ENDS, End, Window, all_lanes
 
 OWN_NAMES = (
@@ -45,7 +45,7 @@ NOWHERE = LocatedValue(np.nan, np.nan)
 def dataset(
     limit: int,
     levels: int,
-    scene: Scene,
+    batch: LaneBatch,
     line: PeriodScan,
     found: Sequence[Sequence[Window]],
     doublings: Sequence[Sequence[LocatedDoubling]],
@@ -53,7 +53,7 @@ def dataset(
     crises: Sequence[LocatedValue],
 ) -> xr.Dataset:
     """Variables over (window,), and the doublings over (window, level)."""
-    axis, unit = scene.line, counted_in(scene.system)
+    axis, unit = batch.line, counted_in(batch.system)
     value, error = np.full((2, len(found), levels), np.nan)
     for k, located in enumerate(doublings):
         value[k, : len(located)] = [one.point.value for one in located]
@@ -72,8 +72,8 @@ def dataset(
         "lanes": variable("window", np.array(count, np.int32), "number of lanes that have settled in the window"),
         "first": variable("window", first, f"{axis.long_name} of the first of these lanes", axis.units),
         "last": variable("window", last, f"{axis.long_name} of the last of these lanes", axis.units),
-        **_end_variables("begin", "begin to attract", axis, [group[0].begin for group in found], scene),
-        **_end_variables("end", "cease to attract", axis, [group[0].end for group in found], scene),
+        **_end_variables("begin", "begin to attract", axis, [group[0].begin for group in found], batch),
+        **_end_variables("end", "cease to attract", axis, [group[0].end for group in found], batch),
         "doubling": variable(
             ("window", "level"),
             value,
@@ -96,9 +96,9 @@ def dataset(
     return xr.Dataset(variables, attrs=attrs)
 
 
-def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], scene: Scene) -> dict[str, Entry]:
+def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], batch: LaneBatch) -> dict[str, Entry]:
     """The place, its error, its kind and the multipliers there of one end of all windows."""
-    multipliers = np.full((len(ends), scene.chart.dimension, 2), np.nan)
+    multipliers = np.full((len(ends), batch.chart.dimension, 2), np.nan)
     for k, end in enumerate(ends):
         multipliers[k] = np.stack([np.real(end.multipliers), np.imag(end.multipliers)], axis=-1)
     return {

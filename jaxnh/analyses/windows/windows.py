@@ -14,6 +14,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.cascade.follow import along_line
 from jaxnh.analyses.cascade.limits import doublings_limit
 from jaxnh.analyses.cascade.plateaus import PeriodScan
@@ -24,7 +25,6 @@ from jaxnh.analyses.continuation.seeds import settled_waves
 from jaxnh.analyses.crises.band_phase import embedded
 from jaxnh.analyses.periodic.attractor_survey import strobe_points, survey_from_start
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined, walk
-from jaxnh.analyses.scene import LaneRunner, Scene
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
 from jaxnh.analyses.windows.tables import NOWHERE, OWN_NAMES, LocatedValue, dataset, table
@@ -66,37 +66,37 @@ def independent(options: WindowsOptions) -> bool:
     return False
 
 
-def run(options: WindowsOptions, scene: Scene, lanes: LaneRunner) -> xr.Dataset:
+def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """The windows that lanes along the first axis have settled in, in the order of the axis."""
-    scene = scene.take(np.unique(scene.line.values, return_index=True)[1])
-    found = survey_from_start(scene, lanes, _DOUBLED * options.limit, "windows", options.transient)
+    batch = batch.take(np.unique(batch.line.values, return_index=True)[1])
+    found = survey_from_start(batch, lanes, _DOUBLED * options.limit, "windows", options.transient)
     size = np.median(found.size[~found.failed], axis=0) if not found.failed.all() else found.size[0]
-    line = PeriodScan(scene.line.values, np.where(found.failed, 0, found.period), found.u)
+    line = PeriodScan(batch.line.values, np.where(found.failed, 0, found.period), found.u)
 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"windows: {label}", 0)
 
     def orbits(some: Int[np.ndarray, " some"]) -> list[SeedOrbit]:
-        waves = settled_waves(scene.take(some), lanes, line.u[some], line.period[some])
+        waves = settled_waves(batch.take(some), lanes, line.u[some], line.period[some])
         return [orbit for wave in waves for orbit in wave]
 
     def families(low: float, high: float) -> list[Family]:
-        return [orbits_of(scene, lanes, strobe, size, (low, high)) for strobe in strobes]
+        return [orbits_of(batch, lanes, strobe, size, (low, high)) for strobe in strobes]
 
-    strobes = refined(scene)
+    strobes = refined(batch)
     windows = search(line, options.limit, orbits, families, stage)
     windows.sort(key=lambda group: float(line.value[all_lanes(group)[0]]))
-    doublings = [_doublings(options.levels, scene, lanes, line, group[0], size) for group in windows]
+    doublings = [_doublings(options.levels, batch, lanes, line, group[0], size) for group in windows]
     limits = [_limit(located) for located in doublings]
     crises = [
-        _crisis(options.crisis, scene, lanes, families, group[0], limit, size)
+        _crisis(options.crisis, batch, lanes, families, group[0], limit, size)
         for group, limit in zip(windows, limits, strict=True)
     ]
-    return dataset(options.limit, options.levels, scene, line, windows, doublings, limits, crises)
+    return dataset(options.limit, options.levels, batch, line, windows, doublings, limits, crises)
 
 
 def _doublings(
-    levels: int, scene: Scene, lanes: LaneRunner, line: PeriodScan, window: Window, size: Float[np.ndarray, " d"]
+    levels: int, batch: LaneBatch, lanes: LaneRunner, line: PeriodScan, window: Window, size: Float[np.ndarray, " d"]
 ) -> tuple[LocatedDoubling, ...]:
     """Doublings of a window beyond its end: between its lanes, or as far beyond as the sweep goes."""
     if not levels or window.end.kind != DOUBLED:
@@ -113,7 +113,7 @@ def _doublings(
     ]
     begun = PeriodScan(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
     with lanes.stage(f"windows: doublings of period {window.period}", 0):
-        return along_line(scene, lanes, begun.joined(others).joined(no_orbit[1]), levels, size)
+        return along_line(batch, lanes, begun.joined(others).joined(no_orbit[1]), levels, size)
 
 
 def _limit(doublings: Sequence[LocatedDoubling]) -> LocatedValue:
@@ -129,7 +129,7 @@ def _limit(doublings: Sequence[LocatedDoubling]) -> LocatedValue:
 
 def _crisis(
     most: int,
-    scene: Scene,
+    batch: LaneBatch,
     lanes: LaneRunner,
     families: Callable[[float, float], Sequence[Family]],
     window: Window,
@@ -137,15 +137,15 @@ def _crisis(
     size: Float[np.ndarray, " d"],
 ) -> LocatedValue:
     """Where the bands beyond the doublings of a window grow, no further than the sweep goes."""
-    start, (low, high) = limit.value, (float(end(scene.line.values)) for end in (np.min, np.max))
+    start, (low, high) = limit.value, (float(end(batch.line.values)) for end in (np.min, np.max))
     if not most or window.period == 1 or not low < start < high:  # of one band no path is ever out of turn
         return NOWHERE
     stop = float(np.clip(start + _REACH * (start - window.end.value), low, high))
     inside, n = float(window.inside.value[0]), window.period
     family = families(min(inside, stop), max(inside, stop))[0]
-    u, turning = window.inside.u, np.array(scene.chart.angles)
-    with lanes.stage(f"windows: bands of period {n} up to {scene.line.name} = {stop:.9g}", 0):
-        points = walk(scene, lanes, u, inside, n)[None]
+    u, turning = window.inside.u, np.array(batch.chart.angles)
+    with lanes.stage(f"windows: bands of period {n} up to {batch.line.name} = {stop:.9g}", 0):
+        points = walk(batch, lanes, u, inside, n)[None]
         begun = correct(family, points, window.inside.value, along_parameter(family, 1, n), FINE)
         if not begun.converged[0]:
             return NOWHERE
@@ -154,20 +154,20 @@ def _crisis(
         def paths(values: Float[np.ndarray, " values"], count: int) -> Float[np.ndarray, "values points k"]:
             found = (orbits_at(family, [branch], value) for value in values.tolist())
             begin = np.stack([orbits[0, 0] if len(orbits) else points[0, 0] for orbits in found]) + _OFF * size
-            return embedded(_paths(scene.at(values), lanes, begin, _AWAY * n, count), turning, size)
+            return embedded(_paths(batch.at(values), lanes, begin, _AWAY * n, count), turning, size)
 
         found = locate_crisis(paths, start, stop, n, most)
     return LocatedValue(found.value, found.error + window.end.error) if found else NOWHERE
 
 
 def _paths(
-    scene: Scene, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], transient: int, count: int
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], transient: int, count: int
 ) -> Float[np.ndarray, "lanes count d"]:
     """Strobes of lanes after a transient, by as many calls of one program as they need."""
-    strobe, parts = scene.strobe(), list[np.ndarray]()
+    strobe, parts = batch.strobe(), list[np.ndarray]()
     for begun in range(0, count, _AT_ONCE):
         wait = 0 if begun else transient
-        arguments = (strobe, np.int32(wait)), (u, scene.p)
+        arguments = (strobe, np.int32(wait)), (u, batch.p)
         part = lanes(strobe_points, *arguments, periods=wait + _AT_ONCE, tile=len(u), static=(_AT_ONCE,))
         parts.append(part)
         u = part[:, -1]

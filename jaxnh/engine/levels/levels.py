@@ -26,7 +26,7 @@ from jaxtyping import Bool, Int
 
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, variable
-from jaxnh.analyses.scene import Axis
+from jaxnh.analyses.batch import Axis
 from jaxnh.storage.hdf5 import DATA
 from jaxnh.storage.pieces import Job, Piece
 

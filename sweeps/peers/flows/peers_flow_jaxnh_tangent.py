@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.scene import Scene
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import ReturnMap
 from sweeps.peers.flows.peers_flow_jaxnh import FlowMaps
@@ -54,10 +54,10 @@ class Contestant(FlowMaps):
 
         return run
 
-    def _scene(self, setting: Setting) -> Scene:
+    def _scene(self, setting: Setting) -> LaneBatch:
         state, p = self.started(self.scene.timed())
         solver = self.solvers[setting.form]
-        return Scene(self.placed.flow, state, p, solver, int(setting.knob), False, setting.errors.max)
+        return LaneBatch(self.placed.flow, state, p, solver, int(setting.knob), False, setting.errors.max)
 
     def _options(self) -> lyapunov.LyapunovOptions:
         return lyapunov.LyapunovOptions(transient=0, periods=TANGENT_PERIODS, exponents=self.placed.flow.exponents)

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxnh.analyses.batch import LaneBatch as AnalysisScene
+from jaxnh.analyses.batch import spread
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.scene import Scene as AnalysisScene
-from jaxnh.analyses.scene import spread
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import ReturnMap

@@ -49,7 +49,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Scene:
+class LaneBatch:
     """Lanes of one system, and the solver that meets the accuracy asked for.
 
     Attributes:
@@ -110,12 +110,12 @@ class Scene:
         """What its return map acts on."""
         return self.system.chart
 
-    def in_time(self) -> Scene:
-        """The same scene with no section, for what is an average or a path over time."""
+    def in_time(self) -> LaneBatch:
+        """The same batch with no section, for what is an average or a path over time."""
         return replace(self, system=self.flow, start=self.start.state) if self.flow is not self.system else self
 
-    def take(self, lanes: slice | Int[np.ndarray, " some"]) -> Scene:
-        """The scene of some of its lanes: a slice, or an array of their numbers."""
+    def take(self, lanes: slice | Int[np.ndarray, " some"]) -> LaneBatch:
+        """The batch of some of its lanes: a slice, or an array of their numbers."""
         start, p = picked((self.start, dict(self.p)), lanes)
         along = self.along and replace(self.along, values=self.along.values[lanes])
         return replace(self, start=start, p=p, place=self.places[lanes], along=along)
@@ -128,11 +128,11 @@ class Scene:
             ValueError: they do not lie along one.
         """
         if self.along is None:
-            raise ValueError("the lanes of this scene do not lie along one axis")
+            raise ValueError("the lanes of this batch do not lie along one axis")
         return self.along
 
-    def at(self, values: Float[np.ndarray, " points"]) -> Scene:
-        """The scene at other values along the first axis, the start state and all else as in its first lane."""
+    def at(self, values: Float[np.ndarray, " points"]) -> LaneBatch:
+        """The batch at other values along the first axis, the start state and all else as in its first lane."""
         along = replace(self.line, values=np.asarray(values))
 
         def repeated(leaf: np.ndarray) -> np.ndarray:
@@ -141,8 +141,8 @@ class Scene:
         start, p = jax.tree.map(repeated, (self.start, dict(self.p)))
         return replace(self, start=start, p={**p, along.name: along.values}, place=None, along=along)
 
-    def under(self, system: System) -> Scene:
-        """The scene under one system of its family, without the parameters that this has decided."""
+    def under(self, system: System) -> LaneBatch:
+        """The batch under one system of its family, without the parameters that this has decided."""
         assert self.family is not None
         p = {name: values for name, values in self.p.items() if name not in self.family.names}
         return replace(self, system=system, p=p, family=None)
