@@ -319,7 +319,7 @@ OTHERS = {
     },
     "fault_of": {"plotting/reading.py": "a DamagedError, or the very error that was met: an ordinary failure"},
     "ValueError": {
-        "analyses/scene.py": "a scene without a line: an error of the caller's program",
+        "analyses/batch.py": "a batch without a line: an error of the caller's program",
         "maps/general_flow.py": "lanes with a parameter that the flow does not know of: likewise",
         "maps/rows.py": "maps that do not go into one program: likewise",
         "systems/paper.py": "no common period: an argument of a constructor; caught by the config",
