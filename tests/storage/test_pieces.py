@@ -104,12 +104,12 @@ def test_rows_of_a_shared_axis():
     tiles = [
         [
             (piece.begin[1], piece.end[1])
-            for piece in dataclasses.replace(job(axes, tile, ("diagram",)), rows=rows).pieces()
+            for piece in dataclasses.replace(job(axes, tile, ("diagram",)), shared_values=rows).pieces()
         ]
         for tile, rows in ((14, 32), (40, 3), (14, 1))
     ]
     assert tiles == [[(0, 2), (2, 4), (4, 6), (6, 7)], [(0, 3), (3, 6), (6, 7)], [(d, d + 1) for d in range(7)]]
-    cut = dataclasses.replace(job(axes, 4, ("diagram",)), rows=32).pieces()
+    cut = dataclasses.replace(job(axes, 4, ("diagram",)), shared_values=32).pieces()
     assert [piece.shape for piece in cut] == [(4, 1), (1, 1)] * 7
 
 
@@ -122,7 +122,7 @@ AXES = st.lists(st.tuples(st.integers(1, 6), st.booleans()), min_size=1, max_siz
 @given(AXES, st.integers(1, 40), st.integers(1, 5))
 def test_every_lane_is_in_one_tile_and_in_one_line(axes, tile, rows):
     whole = dataclasses.replace(
-        job(axes, tile, ("diagram", "doubling", "lyapunov"), ("diagram", "lyapunov")), rows=rows
+        job(axes, tile, ("diagram", "doubling", "lyapunov"), ("diagram", "lyapunov")), shared_values=rows
     )
     pieces = whole.pieces()
     assert [piece.number for piece in pieces] == list(range(len(pieces)))
