@@ -431,6 +431,7 @@ KINDS = {
             "basins": one_attractor,
         },
         known_flows.CYCLE,
+        {"branches": {"limit": 1, "transient": 64, "starts": 3, "values": 1, "box": {"x_dot": (0.05, 0.4)}}},
     ),
     "the free particle": Kind(
         "system: {constraint: free}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1, y2: 0.9}\n"
