@@ -322,7 +322,7 @@ OTHERS = {
         "analyses/batch.py": "a batch without a line: an error of the caller's program",
         "maps/general_flow.py": "lanes with a parameter that the flow does not know of: likewise",
         "maps/family.py": "maps that do not go into one program: likewise",
-        "systems/paper.py": "no common period: an argument of a constructor; caught by the config",
+        "systems/particle_parameters.py": "no common period: an argument of a constructor; caught by the config",
     },
 }
 

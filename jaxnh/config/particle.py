@@ -22,7 +22,7 @@ from jaxnh.config.blocks import (
 )
 from jaxnh.config.messages import close_match, listed, shown
 from jaxnh.config.options.base import rule
-from jaxnh.systems.paper import EFFECTS, strobe_period
+from jaxnh.systems.particle_parameters import EFFECTS, strobe_period
 
 _START_Y2 = math.sqrt(0.99)  # of the paper's start, at its speed of one
 _COORDINATES = ("x1", "x2", "y1", "y2")
@@ -120,7 +120,7 @@ class Particle(SystemBlock):
 
     @property
     def effects_left_out(self) -> frozenset[str]:
-        """Those named, of `systems.paper.EFFECTS`."""
+        """Those named, of `systems.particle_parameters.EFFECTS`."""
         return frozenset(self.without or ())
 
     def has_clock(self, sweep: SweepBlock) -> bool:

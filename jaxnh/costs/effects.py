@@ -29,8 +29,8 @@ from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver, dopri8
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.free_particle import FreeParticle, definition, free_particle
 from jaxnh.systems.lagrangian import Motion, lagrangian
-from jaxnh.systems.paper import EFFECTS
 from jaxnh.systems.particle import IsokineticParticle
+from jaxnh.systems.particle_parameters import EFFECTS
 
 _STAND_IN = "blanes_moan6"  # for a processed solver, which a flow without a clock has no use for
 _GENERAL_STEPS = 64

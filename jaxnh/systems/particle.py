@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Flow, Labels, Output, Parameters
-from jaxnh.systems.paper import strobe_period
+from jaxnh.systems.particle_parameters import strobe_period
 from jaxnh.systems.state import Number, Vector
 
 State = tuple[Vector, Vector]

@@ -17,7 +17,7 @@ from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
-from jaxnh.systems.paper import EFFECTS
+from jaxnh.systems.particle_parameters import EFFECTS
 
 WITHOUT = [(), *((name,) for name in EFFECTS), EFFECTS]
 A, B, OMEGA = 0.4, 1.1, 1.3

@@ -17,8 +17,8 @@ from paper_equations import constrained_field
 from scipy.integrate import quad
 from scipy.special import ellipeinc
 
-from jaxnh.systems.paper import strobe_period
 from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
+from jaxnh.systems.particle_parameters import strobe_period
 
 MOMENTS = 200
 RNG = np.random.default_rng(11)
