@@ -271,11 +271,11 @@ class EventStrobe(ReturnMap):
 
     def _arrived(self, start: Crossing, ended: _Search, state: State) -> Crossing:
         """The crossing, or a lane that has failed and says why."""
-        found = ended.left <= 0
+        crossed = ended.left <= 0
         why = jnp.where(ended.lost, 1.0 * NOT_FINITE, 1.0 * NO_RETURN)
-        reason = jnp.where(found, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
-        state = masked(state, found)
-        return Crossing(state, jnp.where(found, ended.t, jnp.nan), reason)
+        reason = jnp.where(crossed, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
+        state = masked(state, crossed)
+        return Crossing(state, jnp.where(crossed, ended.t, jnp.nan), reason)
 
 
 def _state_of(carried: Carried) -> State:

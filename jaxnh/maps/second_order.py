@@ -59,10 +59,10 @@ class SecondOrder:
         if not self.damped:
             return np.zeros(len(self.halves.positions))
         program = self._damping
-        found = dict(zip(program.inputs, [jnp.float64(0.0), *jax.tree.leaves(system)], strict=False))
+        slots = dict(zip(program.inputs, [jnp.float64(0.0), *jax.tree.leaves(system)], strict=False))
         needed = program.needed(program.outputs)
-        program.run(found, lambda step: not needed.isdisjoint(step.makes))
-        return np.array([float(value) for value in program.results(found)])
+        program.run(slots, lambda step: not needed.isdisjoint(step.makes))
+        return np.array([float(value) for value in program.results(slots)])
 
 
 def second_order(system: Flow) -> SecondOrder | None:
@@ -179,7 +179,7 @@ class _Field:
             leaves = [jnp.zeros_like(x[0])] * self.count
             for i, position in zip(halves.positions, x, strict=True):
                 leaves[i] = position
-            found = self.rates(t, system, leaves, own)
-            return [found[j] for j in halves.velocities]
+            rates = self.rates(t, system, leaves, own)
+            return [rates[j] for j in halves.velocities]
 
         return TimeSplit(force, self.system, ([0.0] * len(halves.positions), self.own))

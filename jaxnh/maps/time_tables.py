@@ -64,9 +64,9 @@ class TimeSplit:
             return ()
 
         def at(t: Any) -> tuple[Any, ...]:
-            found = dict(zip(self._program.inputs, [t, *jax.tree.leaves(shared)], strict=False))
-            self._program.run(found, lambda step: not self._before.isdisjoint(step.makes))
-            return tuple(found[slot] for slot in self._table)
+            slots = dict(zip(self._program.inputs, [t, *jax.tree.leaves(shared)], strict=False))
+            self._program.run(slots, lambda step: not self._before.isdisjoint(step.makes))
+            return tuple(slots[slot] for slot in self._table)
 
         times = jnp.asarray(t)
         values = jax.vmap(at)(times.ravel())
@@ -75,10 +75,10 @@ class TimeSplit:
     def rest(self, values: Sequence[Any], shared: Any, lane: Any) -> Any:
         """What the function is, with the values of the table at its time."""
         leaves = [*jax.tree.leaves(shared), *jax.tree.leaves(lane)]
-        found = dict(zip(self._program.inputs[1:], leaves, strict=True))
-        found |= dict(zip(self._table, values, strict=True))
-        self._program.run(found, self._after, _IN_LANES)
-        return self._program.results(found)
+        slots = dict(zip(self._program.inputs[1:], leaves, strict=True))
+        slots |= dict(zip(self._table, values, strict=True))
+        self._program.run(slots, self._after, _IN_LANES)
+        return self._program.results(slots)
 
     def _in_lanes(self, step: Step) -> bool:
         return self._level[step.makes[0]] == _LANE and not self._needed.isdisjoint(step.makes)

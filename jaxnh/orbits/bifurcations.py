@@ -74,20 +74,20 @@ class BifurcationPoints(NamedTuple):
 
 def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
     """All that test functions show on branches of one period; None where they show nothing."""
-    order, found = kinds(family), list[tuple[int, int, int]]()
+    order, changed = kinds(family), list[tuple[int, int, int]]()
     for number, branch in enumerate(branches):
         changes = np.diff(np.signbit(branch.tests), axis=0) & np.isfinite(branch.tests[1:] + branch.tests[:-1])
         # Where both change, the branch turns because another one crosses it there: it is that one's pitchfork.
         changes[:, order.index(FOLD)] &= ~changes[:, order.index(BRANCH_POINT)]
         changes[0] &= branch.ends[0] != COLLAPSED  # there it is the doubling of another branch that shows
         changes[-1] &= branch.ends[1] != COLLAPSED
-        found += [(number, int(i), order[k]) for i, k in zip(*np.nonzero(changes), strict=True)]
-    if not found:
+        changed += [(number, int(i), order[k]) for i, k in zip(*np.nonzero(changes), strict=True)]
+    if not changed:
         return None
-    branch, place, kind = (np.array(column) for column in zip(*found, strict=True))
+    branch, place, kind = (np.array(column) for column in zip(*changed, strict=True))
 
     def at(step: int) -> tuple[PathVector, PathVector]:
-        rows = [(branches[b], i + step) for b, i, _ in found]
+        rows = [(branches[b], i + step) for b, i, _ in changed]
         where = PathVector(np.stack([b.points[i] for b, i in rows]), np.array([b.value[i] for b, i in rows]))
         return where, PathVector(
             np.stack([b.way.points[i] for b, i in rows]), np.array([b.way.value[i] for b, i in rows])
@@ -181,10 +181,10 @@ def _at(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) ->
 
 def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> CurveOrbits:
     """The orbits at roots; where another branch crosses, from those beside: there Newton's equations are singular."""
-    found = _at(family, stretch, share)
+    orbits = _at(family, stretch, share)
     cross = np.flatnonzero(stretch.kind == BRANCH_POINT)
     if not len(cross):
-        return found
+        return orbits
     part: Brackets = jax.tree.map(lambda leaf: leaf[cross], stretch)
     four: Brackets = jax.tree.map(lambda leaf: np.repeat(leaf, len(_BESIDE), axis=0), part)
     beside = _at(family, four, (share[cross, None] + _BESIDE).ravel())
@@ -192,11 +192,11 @@ def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some
     middle = np.sum(points * _BETWEEN[:, None, None], axis=1)
     value = np.sum(beside.value.reshape(len(cross), -1) * _BETWEEN, axis=1)
     along = times(1.0 / length(family, part.chord), part.chord)
-    here = correct(family, middle, value, along, np.inf)
-    here = here._replace(converged=here.converged & beside.converged.reshape(len(cross), -1).all(axis=1))
-    for leaf, new in zip(jax.tree.leaves(found), jax.tree.leaves(here), strict=True):
+    crossings = correct(family, middle, value, along, np.inf)
+    crossings = crossings._replace(converged=crossings.converged & beside.converged.reshape(len(cross), -1).all(axis=1))
+    for leaf, new in zip(jax.tree.leaves(orbits), jax.tree.leaves(crossings), strict=True):
         leaf[cross] = new
-    return found
+    return orbits
 
 
 def _told_apart(
@@ -259,10 +259,10 @@ def _fitted(values: Float[np.ndarray, "some nodes"]) -> Float[np.ndarray, "some 
 
 def _polynomial(terms: Float[np.ndarray, "some terms"], at: np.ndarray) -> np.ndarray:
     """Values (some, points) at points (points,) or (some, points)."""
-    found = np.zeros(np.broadcast_shapes((len(terms), 1), np.shape(np.atleast_2d(at))))
+    values = np.zeros(np.broadcast_shapes((len(terms), 1), np.shape(np.atleast_2d(at))))
     for k in range(terms.shape[1])[::-1]:
-        found = found * at + terms[:, k, None]
-    return found
+        values = values * at + terms[:, k, None]
+    return values
 
 
 def _derived(terms: Float[np.ndarray, "some terms"]) -> Float[np.ndarray, "some fewer"]:

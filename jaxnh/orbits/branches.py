@@ -146,11 +146,11 @@ def both_ways(
     count = len(begun.value)
     back = begun._replace(way=PathVector(-begun.way.points, -begun.way.value), crossing=-begun.crossing)
     course = _Course(family, jax.tree.map(lambda *leaves: np.concatenate(leaves), begun, back), steps)
-    found, turn, followed = dict[int, Branch](), 0, 0
+    branches, turn, followed = dict[int, Branch](), 0, 0
     while turn < count or len(course.open_):
         more = list[int]()
         while turn < count and (at_once is None or followed < at_once):
-            if wanted is None or wanted(list(found.values()), turn):
+            if wanted is None or wanted(list(branches.values()), turn):
                 more.append(turn)
                 followed += 1
             turn += 1
@@ -162,8 +162,8 @@ def both_ways(
                 followed -= 1
                 ahead, behind = course.branch(k), course.branch(count + k)
                 loop = ahead.ends[1] == CLOSED
-                found[k] = ahead.ending(CLOSED) if loop else behind.reversed(odd(family)).joined(ahead)
-    return {k: found[k] for k in sorted(found)}
+                branches[k] = ahead.ending(CLOSED) if loop else behind.reversed(odd(family)).joined(ahead)
+    return {k: branches[k] for k in sorted(branches)}
 
 
 class _Course:
@@ -311,26 +311,26 @@ def _collapses(
     That is a doubling that the branch is born in. Beyond it, it has the same orbits again, half a period on.
     """
     n = now.points.shape[1]
-    found, merged = np.zeros((2, len(now.value)), bool)
-    none = np.zeros(len(found))
+    collapsed, merged = np.zeros((2, len(now.value)), bool)
+    none = np.zeros(len(collapsed))
     for m in (n // q for q in range(2, n + 1) if n % q == 0 and all(q % r for r in range(2, q))):
         before, after = (PathVector(family.wrap(o.points - np.roll(o.points, -m, 1)), none) for o in (now, taken))
         merged |= length(family, after) < _SAME
-        found |= merged | (inner(family, before, after) <= 0.0)
-    return found, merged
+        collapsed |= merged | (inner(family, before, after) <= 0.0)
+    return collapsed, merged
 
 
 def _passes(
     family: Family, begun: CurveOrbits, now: CurveOrbits, taken: CurveOrbits, near: Float[np.ndarray, " lanes"]
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether a step passes the orbit that its branch has begun with, whichever of its points comes first."""
-    found = np.zeros(len(now.value), bool)
+    passes = np.zeros(len(now.value), bool)
     for m in range(now.points.shape[1]):
         points, way = np.roll(begun.points, m, 1), PathVector(np.roll(begun.way.points, m, 1), begun.way.value)
         before, after = (PathVector(family.wrap(o.points - points), o.value - begun.value) for o in (now, taken))
         passed = (inner(family, before, way) < 0.0) & (inner(family, after, way) >= 0.0)
-        found |= passed & (length(family, after) <= near)
-    return found
+        passes |= passed & (length(family, after) <= near)
+    return passes
 
 
 def _chosen(which: Bool[np.ndarray, " lanes"], one: _Leaves, other: _Leaves) -> _Leaves:

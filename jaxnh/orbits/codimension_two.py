@@ -61,20 +61,20 @@ class Special(NamedTuple):
 
 def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
     """All that a curve passes through, in its order."""
-    found = list[Special]()
+    points = list[Special]()
     for kind, test in _tests(plane, curve.kind).items():
         values = test(curve.track)
         signs = np.signbit(values)
         changes = (signs[1:] != signs[:-1]) & np.isfinite(values[1:] + values[:-1])
         for place in np.flatnonzero(changes).tolist():
             if at := _located(plane, curve, test, place, (float(values[place]), float(values[place + 1]))):
-                found.append(_special(plane, kind, place, at))
+                points.append(_special(plane, kind, place, at))
     if curve.kind == NEIMARK_SACKER and len(plane.size) == 2:
         turns = _turning(curve.track)
         for place in np.flatnonzero(turns[1:] * turns[:-1] < 0.0).tolist():
             if at := _located(plane, curve, _turning, place, (float(turns[place]), float(turns[place + 1]))):
                 half = angle_cosine(multipliers(at.blocks))[0] < 0.0
-                found.append(_special(plane, ONE_TWO if half else ONE_ONE, place, at))
+                points.append(_special(plane, ONE_TWO if half else ONE_ONE, place, at))
     if curve.kind == FOLD:
         ways = curve.track.way[:, -2:]
         for place in np.flatnonzero(np.sum(ways[1:] * ways[:-1], axis=1) < 0.0).tolist():
@@ -84,8 +84,8 @@ def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
 
             ends = float(ways[place] @ ways[place]), float(ways[place + 1] @ ways[place])
             if at := _located(plane, curve, forward, place, ends):
-                found.append(_special(plane, CUSP, place, at))
-    return sorted(found, key=lambda point: point.place)
+                points.append(_special(plane, CUSP, place, at))
+    return sorted(points, key=lambda point: point.place)
 
 
 def _special(plane: ParameterPlane, kind: int, place: int, at: CurvePoints) -> Special:
@@ -100,17 +100,17 @@ def _tests(plane: ParameterPlane, kind: int) -> dict[int, Callable[[CurvePoints]
         def to_cosine(cosine: float) -> Callable[[CurvePoints], np.ndarray]:
             return lambda track: angle_cosine(multipliers(track.blocks)) - cosine
 
-        found = {point: to_cosine(cosine) for point, cosine in _COSINES.items()}
-        return {CHENCINER: lambda track: _cubic(plane, kind, track), **found}
+        tests = {point: to_cosine(cosine) for point, cosine in _COSINES.items()}
+        return {CHENCINER: lambda track: _cubic(plane, kind, track), **tests}
     critical = 1.0 if kind == FOLD else -1.0
     other, resonance = (DOUBLING, ONE_ONE) if kind == FOLD else (FOLD, ONE_TWO)
-    found: dict[int, Callable[[CurvePoints], np.ndarray]] = {
+    tests: dict[int, Callable[[CurvePoints], np.ndarray]] = {
         FOLD_FLIP: lambda track: tested(other, track.blocks),
         resonance: lambda track: _others(multipliers(track.blocks), critical),
     }
     if kind == DOUBLING:
-        found[GENERALISED_DOUBLING] = lambda track: _cubic(plane, kind, track)
-    return found
+        tests[GENERALISED_DOUBLING] = lambda track: _cubic(plane, kind, track)
+    return tests
 
 
 def _others(values: Complex[np.ndarray, "lanes d"], critical: float) -> Float[np.ndarray, " lanes"]:
@@ -145,12 +145,12 @@ def _cubic(plane: ParameterPlane, kind: int, track: CurvePoints) -> Float[np.nda
         points, np.arange(lanes, dtype=float), way, track.blocks, none, none, none, track.converged, way
     )
     family = Family(period, plane.wrap, plane.size, 0.0, float(max(lanes, 1)))
-    found, some = np.full(lanes, np.nan), np.arange(lanes)
+    coefficients, subset = np.full(lanes, np.nan), np.arange(lanes)
     if kind == NEIMARK_SACKER:  # beyond strong resonances there are no complex multipliers
-        some = np.flatnonzero(np.isfinite(critical(family, multipliers(track.blocks))))
+        subset = np.flatnonzero(np.isfinite(critical(family, multipliers(track.blocks))))
     with np.errstate(divide="ignore", invalid="ignore"):  # at strong resonances it is infinite
-        found[some] = cubic(family, orbits.take(some), np.full(len(some), kind)).coefficient
-    return found
+        coefficients[subset] = cubic(family, orbits.take(subset), np.full(len(subset), kind)).coefficient
+    return coefficients
 
 
 def _located(

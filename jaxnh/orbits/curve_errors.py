@@ -46,8 +46,8 @@ def errors_of_special(
     values = list[np.ndarray]()
     for plane, curve in zip(planes, others, strict=True):
         part = curve.part(near)
-        found = special_points(plane, part) if part.track.converged.all() else []
-        same = [other.values for other in found if other.kind == point.kind]
+        candidates = special_points(plane, part) if part.track.converged.all() else []
+        same = [other.values for other in candidates if other.kind == point.kind]
         if not same:
             return np.full(2, np.nan)
         away = [np.abs((value - point.values) / (plane.high - plane.low)).max() for value in same]

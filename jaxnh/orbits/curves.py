@@ -169,7 +169,7 @@ def correct(
     lanes, size = z.shape
     d = len(plane.size)
     n = (size - 2) // d
-    found = CurvePoints(
+    track = CurvePoints(
         z.copy(),
         np.full_like(z, np.nan),
         np.full((lanes, n, d, d), np.nan),
@@ -179,24 +179,24 @@ def correct(
     last, open_ = np.full(lanes, np.inf), np.arange(lanes)
     near = np.broadcast_to(near, lanes)
     for _ in range(_NEWTON_STEPS + 1):
-        missing, slopes, blocks = _equations(plane, kind, found.z[open_])
+        missing, slopes, blocks = _equations(plane, kind, track.z[open_])
         finite = np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(missing).all(axis=1)
         open_, missing, slopes, blocks = open_[finite], missing[finite], slopes[finite], blocks[finite]
         if not len(open_):
             break
-        found.blocks[open_] = blocks
+        track.blocks[open_] = blocks
         moved, way = _solved(missing, slopes, None if across is None else across[open_])
         at_rest = last[open_] <= _AT_REST
-        found.converged[open_[at_rest]], found.way[open_[at_rest]] = True, way[at_rest]
+        track.converged[open_[at_rest]], track.way[open_[at_rest]] = True, way[at_rest]
         length = np.linalg.norm(moved, axis=1)
         going = ~at_rest & np.isfinite(length) & (length <= np.maximum(_CONTRACTION * last[open_], near[open_]))
         open_ = open_[going]
         last[open_] = length[going]
-        found.z[open_] += moved[going]
+        track.z[open_] += moved[going]
         if not len(open_):
             break
-    found.missed[:] = np.linalg.norm(found.z - z, axis=1)
-    return found
+    track.missed[:] = np.linalg.norm(track.z - z, axis=1)
+    return track
 
 
 def follow(
@@ -251,15 +251,15 @@ def both_ways(
 ) -> list[Curve | None]:
     """The curves through bifurcations of a kind, each from end to end; None where Newton does not confirm one."""
     z = unknowns(plane, points, values)
-    found = correct(plane, kind, z)
-    begun = found.take(found.converged)
+    corrected = correct(plane, kind, z)
+    begun = corrected.take(corrected.converged)
     lanes = len(begun.z)
     back = begun._replace(way=-begun.way)
     twice = CurvePoints(*(np.concatenate(leaves) for leaves in zip(begun, back, strict=True)))
     halves = follow(plane, kind, twice, largest, most)
     curves = list[Curve | None]([None] * len(z))
     for k, (ahead, end), (behind, start) in zip(
-        np.flatnonzero(found.converged).tolist(), halves[:lanes], halves[lanes:], strict=True
+        np.flatnonzero(corrected.converged).tolist(), halves[:lanes], halves[lanes:], strict=True
     ):
         track = ahead
         if end != CLOSED:
@@ -393,14 +393,14 @@ def _ended(
     before, after = (np.sum((z - begun) * first, axis=1) for z in (now.z, taken.z))
     near = np.linalg.norm(taken.z - begun, axis=1) <= 2.0 * step
     long = np.array([len(history) > _LEAST_LOOP for history in histories])
-    found = {CLOSED: long & near & (before < 0.0) & (after >= 0.0)}
+    endings = {CLOSED: long & near & (before < 0.0) & (after >= 0.0)}
     one, other = known(plane, now.z)[0], known(plane, taken.z)[0]
     n = one.shape[1]
     if n % 2 == 0:
         gaps = [plane.wrap(u - np.roll(u, n // 2, 1)) / plane.size for u in (one, other)]
-        found[COLLAPSED] = np.sum(gaps[0] * gaps[1], axis=(1, 2)) <= 0.0
+        endings[COLLAPSED] = np.sum(gaps[0] * gaps[1], axis=(1, 2)) <= 0.0
     if kind not in (FOLD, DOUBLING):
         finite = np.all(np.isfinite(taken.blocks), axis=(1, 2, 3))
         values = multipliers(np.where(finite[:, None, None, None], taken.blocks, 0.0))
-        found[RESONANCE] = np.abs(angle_cosine(values)) > 1.0
-    return found
+        endings[RESONANCE] = np.abs(angle_cosine(values)) > 1.0
+    return endings

@@ -119,7 +119,7 @@ def doubling_point(period: Period, branch: DoublingBranch, wrap: Wrap) -> Doubli
         branch: with orbits near the doubling.
         wrap: of differences of section coordinates.
     """
-    found: DoublingPoint | None = None
+    best: DoublingPoint | None = None
     for _ in range(_ROUNDS):
         nearest = np.argsort(np.abs(branch.values - branch.centre), kind="stable")[: len(_NODES)]
         nodes = branch.centre + branch.half * _NODES
@@ -133,18 +133,18 @@ def doubling_point(period: Period, branch: DoublingBranch, wrap: Wrap) -> Doubli
         misfit = np.abs(tested - polynomial.polyval(_NODES, fit)).max()
         root = _root_nearest_zero(fit)
         if root is None:
-            return found
+            return best
         value = float(branch.centre + branch.half * root)
         there = close_orbits(period, _through(nodes, orbits.points, np.array([value])), np.array([value]), wrap)
         slope = float(polynomial.polyval(root, polynomial.polyder(fit)) / branch.half)
         missed = misfit + np.abs(doubling_function(there)[0])
         error = float(missed / abs(slope) + np.spacing(abs(value)))
-        if not there.converged[0] or (found is not None and not error < 0.25 * found.error):
-            return found
+        if not there.converged[0] or (best is not None and not error < 0.25 * best.error):
+            return best
         narrower = branch.half / (_NARROWER if abs(root) <= 1.0 else 1.0)
         branch = DoublingBranch(nodes, orbits.points, value, narrower)
-        found = DoublingPoint(value, there.points[0], cyclic.null_vector(_reversed(there))[0], error, slope)
-    return found
+        best = DoublingPoint(value, there.points[0], cyclic.null_vector(_reversed(there))[0], error, slope)
+    return best
 
 
 def moved_doubling(period: Period, point: DoublingPoint, wrap: Wrap) -> DoublingPoint | None:

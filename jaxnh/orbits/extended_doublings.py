@@ -124,9 +124,9 @@ def next_doubling(
         orbit = np.concatenate([points + moved, points - moved])
         vector = _null_vector(slopes, value, orbit)
         guess = exactly(value, orbit, vector)._replace(error=abs(gap))
-        found = extended_doubling(period, slopes, guess, size, wrap)
-        if found is not None and _BEYOND < _distance(last, found) / gap < _UP_TO:
-            return found
+        doubling = extended_doubling(period, slopes, guess, size, wrap)
+        if doubling is not None and _BEYOND < _distance(last, doubling) / gap < _UP_TO:
+            return doubling
     return None
 
 

@@ -44,5 +44,5 @@ def _of_triangle(turn: Float[np.ndarray, "d d"], upper: Float[np.ndarray, "d d"]
     """Eigenvalues of turn @ upper, block by block where the turn leaves the first directions among themselves."""
     d = len(turn)
     ends = [k for k in range(1, d) if np.abs(turn[k:, :k]).max() < _APART]
-    found = [np.linalg.eigvals(turn[i:j, i:j] @ upper[i:j, i:j]) for i, j in zip([0, *ends], [*ends, d], strict=True)]
-    return np.concatenate(found).astype(complex)
+    values = [np.linalg.eigvals(turn[i:j, i:j] @ upper[i:j, i:j]) for i, j in zip([0, *ends], [*ends, d], strict=True)]
+    return np.concatenate(values).astype(complex)

@@ -167,11 +167,11 @@ def find_doubled(
 
     far = jnp.full((), jnp.inf)
     begun = _Branches(u - _of(size, half), normal, first**2, jnp.int32(0), far, far)
-    found = lax.while_loop(unfinished, improve, as_batched(begun, u[0]))
-    u = found.m + _of(size, jnp.sqrt(found.square) * found.v)
+    final = lax.while_loop(unfinished, improve, as_batched(begun, u[0]))
+    u = final.m + _of(size, jnp.sqrt(final.square) * final.v)
     image, monodromy, _ = derivatives(strobe, 2 * jnp.asarray(n), u, p)
     residual = jnp.max(_in(size, jnp.abs(chart.wrap(image - u))))
-    return Orbit(u, jnp.where(found.size < _NEWTON_TOLERANCE, residual, jnp.inf), monodromy, found.steps)
+    return Orbit(u, jnp.where(final.size < _NEWTON_TOLERANCE, residual, jnp.inf), monodromy, final.steps)
 
 
 def _along(

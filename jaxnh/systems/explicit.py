@@ -99,8 +99,8 @@ def free_accelerations(equations: Equations, explicit: Explicit, q: Vector, u: V
             way[g] = rate
         ways.append(way)
     small = [[_dot([_dot(row, way) for row in mass], other) for other in ways] for way in ways]
-    (found,), _ = eliminate(small, [[_dot(way, forces) for way in ways]], len(free))
-    return tuple(x + jnp.zeros_like(q[0]) for x in found)
+    (coefficients,), _ = eliminate(small, [[_dot(way, forces) for way in ways]], len(free))
+    return tuple(x + jnp.zeros_like(q[0]) for x in coefficients)
 
 
 def _dot(one: Sequence[Number], other: Sequence[Number]) -> Number:

@@ -150,13 +150,13 @@ def _read(function: Callable[..., Any], at: Vector) -> Any:
     What does not depend on the state is then a number, and no part of the program. Outside of one everything is known,
     and nothing is to be kept of it.
     """
-    found = function(*at)
+    result = function(*at)
     if not isinstance(at[0], Tracer):
-        return found
-    known, leaves = constants(function, *at), jax.tree.leaves(found)
+        return result
+    known, leaves = constants(function, *at), jax.tree.leaves(result)
     kept = jax.tree.leaves(known, is_leaf=lambda leaf: leaf is None)
     values = [leaf if number is None else number for leaf, number in zip(leaves, kept, strict=True)]
-    return jax.tree.unflatten(jax.tree.structure(found), values)
+    return jax.tree.unflatten(jax.tree.structure(result), values)
 
 
 def bordered(mass: list[list[Number]], slopes: list[list[Number]]) -> list[list[Number]]:

@@ -223,8 +223,8 @@ class Lagrangian(DefinedFlow):
             ends = [[float(i == k + j) for i in range(k + len(slopes))] for j in range(len(slopes))]
             ways, smallest = eliminate(bordered(mass, slopes), ends, k * definite(mass))
             singular |= smallest <= SMALLEST_PIVOT
-            found = largest_of(list(residuals))
-            drift = jnp.where(found > drift, found, drift)
+            largest = largest_of(list(residuals))
+            drift = jnp.where(largest > drift, largest, drift)
             for _ in range(_PROJECTIONS):
                 v = tuple(v[i] - sum(r * way[i] for r, way in zip(residuals, ways, strict=True)) for i in range(k))
                 residuals = f(*q, *v, t)
@@ -303,15 +303,15 @@ class Lagrangian(DefinedFlow):
 @once
 def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit | None:
     """Of a structure, once: parameters are no numbers then, and decide nothing."""
-    found: list[Explicit | None] = []
+    velocities: list[Explicit | None] = []
 
     def look(system: Lagrangian, own: Parameters) -> float:
-        found.append(explicit_velocities(system.equations(own), len(system.names)) if system.constraints else None)
+        velocities.append(explicit_velocities(system.equations(own), len(system.names)) if system.constraints else None)
         return 0.0
 
     system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
     jax.eval_shape(look, system, dict.fromkeys(system.lane_parameters, 0.0))
-    return found[0]
+    return velocities[0]
 
 
 def lagrangian(

@@ -74,35 +74,35 @@ class Program:
         text = str(self._program)
         if "custom_" in text or self.unread:
             return None
-        found = hashlib.sha256(text.encode())
+        digest = hashlib.sha256(text.encode())
         for value in map(np.asarray, self._constants):
-            found.update(f"{value.dtype} {value.shape}".encode() + value.tobytes())
-        return found.hexdigest()
+            digest.update(f"{value.dtype} {value.shape}".encode() + value.tobytes())
+        return digest.hexdigest()
 
     def depends(self, levels: Sequence[int]) -> list[int]:
         """For each slot the largest of the numbers, above zero, of the arguments that it depends on; 0: on none."""
-        found = [0] * self.size
+        numbers = [0] * self.size
         for slot, level in zip(self.inputs, levels, strict=True):
-            found[slot] = level
+            numbers[slot] = level
         for slot in self.unread:
-            found[slot] = max(levels, default=1)
+            numbers[slot] = max(levels, default=1)
         for step in self.steps:
-            level = max((found[slot] for slot in step.reads if not isinstance(slot, KnownValue)), default=0)
+            level = max((numbers[slot] for slot in step.reads if not isinstance(slot, KnownValue)), default=0)
             for slot in step.makes:
-                found[slot] = level
-        return found
+                numbers[slot] = level
+        return numbers
 
     def needed(self, slots: Sequence[Slot | KnownValue]) -> set[Slot]:
         """All slots that these are made of, and they."""
-        found = {slot for slot in slots if not isinstance(slot, KnownValue)}
+        reached = {slot for slot in slots if not isinstance(slot, KnownValue)}
         for step in reversed(self.steps):
-            if not found.isdisjoint(step.makes):
-                found |= {slot for slot in step.reads if not isinstance(slot, KnownValue)}
-        return found
+            if not reached.isdisjoint(step.makes):
+                reached |= {slot for slot in step.reads if not isinstance(slot, KnownValue)}
+        return reached
 
     def run(
         self,
-        found: dict[Slot, Any],
+        slot_values: dict[Slot, Any],
         wanted: Callable[[Step], bool],
         instead: Mapping[Any, Callable[..., Any]] | None = None,
     ) -> None:
@@ -112,7 +112,7 @@ class Program:
             instead: functions in place of primitives.
         """
         for step in filter(wanted, self.steps):
-            values = [slot.value if isinstance(slot, KnownValue) else found[slot] for slot in step.reads]
+            values = [slot.value if isinstance(slot, KnownValue) else slot_values[slot] for slot in step.reads]
             primitive = step.equation.primitive
             if instead and primitive in instead:
                 results = [instead[primitive](*values)]
@@ -121,11 +121,11 @@ class Program:
             else:
                 bound = primitive.bind(*values, **step.equation.params)
                 results = bound if primitive.multiple_results else [bound]
-            found |= dict(zip(step.makes, results, strict=True))
+            slot_values |= dict(zip(step.makes, results, strict=True))
 
-    def results(self, found: Mapping[Slot, Any]) -> Any:
+    def results(self, slot_values: Mapping[Slot, Any]) -> Any:
         """What the function returns, from values."""
-        leaves = [slot.value if isinstance(slot, KnownValue) else found[slot] for slot in self.outputs]
+        leaves = [slot.value if isinstance(slot, KnownValue) else slot_values[slot] for slot in self.outputs]
         return jax.tree.unflatten(self.structure, leaves)
 
     def _slot(self) -> Slot:
@@ -162,12 +162,12 @@ def constants(function: Callable[..., Any], *arguments: Any) -> Any:
     program = Program(function, *arguments)
     depends = program.depends([1] * len(program.inputs))
     free = [slot for slot in program.outputs if isinstance(slot, KnownValue) or not depends[slot]]
-    needed, found = program.needed(free), dict[Slot, Any]()
+    needed, values = program.needed(free), dict[Slot, Any]()
     with jax.ensure_compile_time_eval():
-        program.run(found, lambda step: not needed.isdisjoint(step.makes))
+        program.run(values, lambda step: not needed.isdisjoint(step.makes))
     leaves = []
     for slot in program.outputs:
-        value = slot.value if isinstance(slot, KnownValue) else found.get(slot)
+        value = slot.value if isinstance(slot, KnownValue) else values.get(slot)
         leaves.append(None if value is None or jnp.ndim(value) else float(value))
     return jax.tree.unflatten(program.structure, leaves)
 
@@ -197,11 +197,11 @@ def once(
 
     @functools.lru_cache(maxsize=256)
     @functools.wraps(look)
-    def found(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Found:
+    def cached(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Found:
         with jax.sharding.use_abstract_mesh(_NO_DEVICES):
             return look(structure, shapes)
 
-    return found
+    return cached
 
 
 def _alone(equation: Any, program: Any) -> Callable[..., Sequence[Any]]:

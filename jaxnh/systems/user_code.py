@@ -53,12 +53,12 @@ def _plain(error: Exception) -> str:
 
 def _names_at(trace: TracebackType | None, path: str) -> Mapping[str, Any]:
     """Names that the code of a file had where it failed last."""
-    found: Mapping[str, Any] = {}
+    names: Mapping[str, Any] = {}
     while trace is not None:
         if trace.tb_frame.f_code.co_filename == path:
-            found = {**vars(builtins), **trace.tb_frame.f_globals, **trace.tb_frame.f_locals}
+            names = {**vars(builtins), **trace.tb_frame.f_globals, **trace.tb_frame.f_locals}
         trace = trace.tb_next
-    return found
+    return names
 
 
 def _advice(tree: ast.Module, text: str, here: tuple[int, int, int, int], names: Mapping[str, Any]) -> str:

@@ -63,9 +63,9 @@ def daughters(
     orbit = orbits(lanes, batch.strobe(), origin + amplitude[:, None] * direction, p, 2 * n, each)
     ok = (orbit.residual < CONVERGED) & (largest_multiplier(orbit.monodromy) < 1.0)
     ok &= apart(chart, orbit.u, origin, size) <= largest
-    found = np.flatnonzero(ok)
-    shortest = least_period(lanes, batch.strobe(), orbit.u[found], picked(p, found), 2 * n, each[found])
-    ok[found[shortest != 2 * n]] = False
+    candidates = np.flatnonzero(ok)
+    shortest = least_period(lanes, batch.strobe(), orbit.u[candidates], picked(p, candidates), 2 * n, each[candidates])
+    ok[candidates[shortest != 2 * n]] = False
     ok = ok.reshape(len(distances), _AMPLITUDES)
     first = np.arange(len(distances)) * _AMPLITUDES + np.argmax(ok, axis=1)
     return PeriodScan(value[first], np.where(ok.any(axis=1), 2 * n, 0), orbit.u[first])
@@ -91,9 +91,9 @@ def long_daughter(
     starts = np.concatenate([born.orbit + moved, born.orbit - moved], axis=1)
     orbits = close_orbits(period, starts, np.full(len(starts), born.value + distance), wrap)
     apart = np.linalg.norm(halves(orbits.points, wrap) / size, axis=-1).max(axis=-1)
-    found = orbits.converged & (apart > expected * _AROUND[0]) & (apart < before)
-    found[found] &= doubling_function(ShootingOrbits(*(leaf[found] for leaf in orbits))) > 0.0
-    return orbits.points[np.argmax(found)] if found.any() else None
+    doubled = orbits.converged & (apart > expected * _AROUND[0]) & (apart < before)
+    doubled[doubled] &= doubling_function(ShootingOrbits(*(leaf[doubled] for leaf in orbits))) > 0.0
+    return orbits.points[np.argmax(doubled)] if doubled.any() else None
 
 
 def window(expected: float, number: int, end: float) -> Float[np.ndarray, " distances"]:

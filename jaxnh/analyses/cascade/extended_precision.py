@@ -75,44 +75,44 @@ def see_that_it_can(batch: LaneBatch) -> None:
         raise AccuracyError(f"{error}, and the system has it: leave accuracy.precision out") from None
 
 
-def extended_doublings(batch: LaneBatch, lanes: LaneRunner, found: Cascade, levels: int) -> ExtendedDoublings:
+def extended_doublings(batch: LaneBatch, lanes: LaneRunner, cascade: Cascade, levels: int) -> ExtendedDoublings:
     """So many doublings of a cascade in double-double precision, up to the first where Newton does not settle.
 
     Args:
         batch: lanes along the first axis.
         lanes: runs lanes.
-        found: the first of them in float64.
+        cascade: the first of them in float64.
         levels: how many are looked for.
     """
     maps = _maps(batch, lanes)
     known: list[tuple[ExtendedPoint, ...]] = []
     while len(known) < levels:
-        with lanes.stage(f"doubling: period {found.period << len(known)} in extended precision", 0):
-            located = _located(maps, batch, found, known)
+        with lanes.stage(f"doubling: period {cascade.period << len(known)} in extended precision", 0):
+            located = _located(maps, batch, cascade, known)
         if located is None:
             break
         known.append(located)
     return ExtendedDoublings(*zip(*known, strict=True)) if known else ExtendedDoublings((), ())
 
 
-def beyond_float64(batch: LaneBatch, found: Cascade, extended: ExtendedDoublings, levels: int) -> Cascade:
+def beyond_float64(batch: LaneBatch, cascade: Cascade, extended: ExtendedDoublings, levels: int) -> Cascade:
     """The cascade with the doublings, rounded, that extended precision has found beyond those of float64.
 
     How far four times the steps move them is what they move the last one of float64 by: from one doubling to the next
     this changes by as much as they are apart, of which there is less and less.
     """
-    count = len(found.found)
+    count = len(cascade.found)
     pairs = [(_rounded(coarse), _rounded(fine)) for coarse, fine in zip(*extended, strict=True)][count:]
-    shift = found.found[-1].refined[2].value - found.found[-1].refined[1].value if pairs else 0.0
+    shift = cascade.found[-1].refined[2].value - cascade.found[-1].refined[1].value if pairs else 0.0
     more = [LocatedDoubling((coarse, fine, fine._replace(value=fine.value + shift))) for coarse, fine in pairs]
-    end = found.end
+    end = cascade.end
     if len(extended.fine) > count:
-        n, last = found.period << len(extended.fine), extended.fine[-1].value[0]
+        n, last = cascade.period << len(extended.fine), extended.fine[-1].value[0]
         lost = f"{n} → {2 * n} was not located in extended precision beyond {batch.line.name} = {last:.9g}"
         end = lost if len(extended.fine) < levels else ""
     low, high = batch.line.values.min(), batch.line.values.max()
-    outside = found.outside or any(not low <= located.point.value <= high for located in more)
-    return found._replace(found=(*found.found, *more), end=end, outside=outside)
+    outside = cascade.outside or any(not low <= located.point.value <= high for located in more)
+    return cascade._replace(found=(*cascade.found, *more), end=end, outside=outside)
 
 
 class _Map(NamedTuple):
@@ -152,13 +152,13 @@ def _map(batch: LaneBatch, lanes: LaneRunner, plain: ReturnMap, exact: Maps) -> 
 
 
 def _located(
-    maps: Sequence[_Map], batch: LaneBatch, found: Cascade, known: Sequence[tuple[ExtendedPoint, ...]]
+    maps: Sequence[_Map], batch: LaneBatch, cascade: Cascade, known: Sequence[tuple[ExtendedPoint, ...]]
 ) -> tuple[ExtendedPoint, ...] | None:
     """The doubling after those known, of each map."""
-    size, wrap, level = found.size, batch.chart.wrap, len(known)
+    size, wrap, level = cascade.size, batch.chart.wrap, len(known)
     points: list[ExtendedPoint | None] = []  # of the first maps, where the others start from them
-    if level < len(found.found):
-        starts = [exactly(at.value, at.orbit, at.vector) for at in found.found[level].refined[:_MAPS]]
+    if level < len(cascade.found):
+        starts = [exactly(at.value, at.orbit, at.vector) for at in cascade.found[level].refined[:_MAPS]]
     elif level > 1 and (first := next_doubling(*maps[0], [known[0] for known in known], size, wrap)) is not None:
         points.append(first)
         starts = [of_finer_map(first, known[-1][0], before, wrap) for before in known[-1][1:]]

@@ -107,7 +107,7 @@ def starts(line: PeriodScan) -> list[Start]:
     ones those in the direction of the line, then in its order; then runs with no such neighbour, the longest first.
     Where the same period goes on beyond a few other lanes a run has no end.
     """
-    found: list[Start] = []
+    ends: list[Start] = []
     for ordered in (line, line.take(slice(None, None, -1))):
         runs = ordered.runs()
         following = [_following(runs, i) for i in range(len(runs))]
@@ -117,8 +117,10 @@ def starts(line: PeriodScan) -> list[Start]:
                 chain.append(j)
             goes_on = following[i] is not None and len(chain) == 1
             if run.period and not goes_on and run.last + 1 < len(ordered.value):
-                found.append(Start(ordered, tuple(runs[k] for k in chain)))
-    return sorted(found, key=lambda start: (-len(start.runs), -start.runs[0].lanes if len(start.runs) == 1 else 0))
+                ends.append(Start(ordered, tuple(runs[k] for k in chain)))
+    return sorted(
+        ends, key=lambda start: (-len(start.runs), -start.runs[0].lanes if len(start.runs) == 1 else 0)
+    )
 
 
 def _following(runs: list[Plateau], i: int) -> int | None:

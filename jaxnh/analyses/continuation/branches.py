@@ -76,12 +76,12 @@ def check(options: BranchesOptions, setting: Setting) -> None:
 
 def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """The orbit that every lane has settled on: a point of it, its period, and the size of the motion."""
-    found = survey_from_start(batch, lanes, options.limit, "branches", options.transient)
-    size = np.where(found.failed[:, None], np.nan, found.size)
+    attractors = survey_from_start(batch, lanes, options.limit, "branches", options.transient)
+    size = np.where(attractors.failed[:, None], np.nan, attractors.size)
     return xr.Dataset(
         {
-            "lane_period": variable(LANE, found.period, "period of a lane"),
-            "lane_u": variable((LANE, "lane_component"), found.u, "point of the orbit of a lane"),
+            "lane_period": variable(LANE, attractors.period, "period of a lane"),
+            "lane_u": variable((LANE, "lane_component"), attractors.u, "point of the orbit of a lane"),
             "lane_size": variable((LANE, "lane_component"), size, "size of the motion of a lane"),
         }
     )

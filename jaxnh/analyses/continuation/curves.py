@@ -133,8 +133,8 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
             for k, curve in enumerate(curves)
             for point in special_points(plane, curve)
         ]
-    found = _dataset(batches[0], sweep.axes, curves, errors, special, options.limit)
-    return {"curves": found, "codimension_two": _special(batches[0], sweep.axes, curves, special)}
+    dataset = _dataset(batches[0], sweep.axes, curves, errors, special, options.limit)
+    return {"curves": dataset, "codimension_two": _special(batches[0], sweep.axes, curves, special)}
 
 
 def _along(row: LaneBatch, first: Axis, lanes: np.ndarray) -> LaneBatch:
@@ -192,10 +192,10 @@ def _dataset(
     shape = (len(curves), max((len(curve.values) for curve in curves), default=0))
 
     def table(values: Sequence[np.ndarray], *more: int) -> np.ndarray:
-        found = np.full((*shape, *more), np.nan)
+        filled = np.full((*shape, *more), np.nan)
         for k, one in enumerate(values):
-            found[k, : len(one)] = one
-        return found
+            filled[k, : len(one)] = one
+        return filled
 
     dims, d = ("curve", "point"), batch.chart.dimension
     multipliers = [np.stack([np.real(curve.multipliers), np.imag(curve.multipliers)], axis=-1) for curve in curves]
@@ -206,7 +206,7 @@ def _dataset(
         columns[f"{axis.name}_error"] = variable(dims, table([error[:, k] for error in errors]), words, axis.units)
         words = f"{axis.long_name} at the point of codimension two"
         columns |= _at_special(f"codimension_two_{axis.name}", axis, k, special, words)
-    found = {
+    filled = {
         **columns,
         "kind": flagged("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
         "period": variable(
@@ -226,7 +226,7 @@ def _dataset(
     attrs = {"limit": limit, "over": names}
     if not curves:
         attrs["warnings"] = f"curves: no bifurcation was found to follow over {names.replace(' ', ' and ')}"
-    return xr.Dataset(found, attrs=attrs)
+    return xr.Dataset(filled, attrs=attrs)
 
 
 def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[_Point]) -> xr.Dataset:
@@ -235,7 +235,7 @@ def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], sp
     for k, (_, point, _) in enumerate(special):
         multipliers[k] = np.stack([np.real(point.multipliers), np.imag(point.multipliers)], axis=-1)
     period = np.array([curves[one.curve].period for one in special], np.int32)
-    found = {
+    variables = {
         **_kind_and_curve("", special),
         "period": variable("codimension_two", period, "period of the orbit", counted_in=counted_in(batch.system)),
         "multipliers": variable(
@@ -243,9 +243,9 @@ def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], sp
         ),
     }
     for k, axis in enumerate(axes):
-        found |= _at_special(axis.name, axis, k, special, axis.long_name)
+        variables |= _at_special(axis.name, axis, k, special, axis.long_name)
     names = " ".join(axis.name for axis in axes)
-    return xr.Dataset(found, attrs={"over": names})
+    return xr.Dataset(variables, attrs={"over": names})
 
 
 def _kind_and_curve(before: str, special: Sequence[_Point]) -> dict[str, Entry]:

@@ -45,11 +45,11 @@ def equilibria(
     size = np.ptp(u, axis=0) / 2.0
     size = np.where(size > 0.0, size, size.max())
     with stage(f"equilibria from {starts} points at {batch.count} values of {batch.line.name}"):
-        found = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
+        zeros = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
     with np.errstate(invalid="ignore"):
-        near = found.found & np.all(np.abs(found.u) < _FARTHEST * size, axis=1)
+        near = zeros.found & np.all(np.abs(zeros.u) < _FARTHEST * size, axis=1)
     waves = [
-        [SeedOrbit(found.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
+        [SeedOrbit(zeros.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
         for value in np.unique(values).tolist()
     ]
     family = equilibria_of(batch, lanes, size, ends)

@@ -131,7 +131,7 @@ def _followed(
         return not on_branch(family, others, orbits.points[k], float(orbits.value[k]), near)
 
     with stage(f"branches of period {n} from {len(orbits.value)} orbits"):  # and back through bifurcations as well
-        followed = both_ways(family, orbits, steps, lambda found, k: is_new([*known, *found], k), _AT_ONCE)
+        followed = both_ways(family, orbits, steps, lambda branches, k: is_new([*known, *branches], k), _AT_ONCE)
     new = list[Branch]()
     for k, branch in followed.items():
         if len(branch.value) > 1 and is_new(new, k) and not (k < beside and _is_known(family, [*known, *new], branch)):
@@ -200,7 +200,7 @@ def _located(
     orbits, kind = second.orbits.take(sure), stretch.kind[sure]
     normal, values = cubic(families[1], orbits, kind), eigenvalues(families[1], orbits)
     coefficient = np.where(kind == FOLD, second.bend[sure], normal.coefficient)
-    found = [
+    bifurcations = [
         Bifurcation(
             int(kind[k]),
             float(orbits.value[k]),
@@ -214,7 +214,7 @@ def _located(
         )
         for k, at in enumerate(sure.tolist())
     ]
-    return found, first.orbits.take(sure), np.real(normal.vectors), lost + len(some) - len(sure)
+    return bifurcations, first.orbits.take(sure), np.real(normal.vectors), lost + len(some) - len(sure)
 
 
 def _parents(family: Family, branch: Branch) -> list[SeedOrbit]:

@@ -25,17 +25,17 @@ def on_branch(
 
 def orbits_at(family: Family, branches: Sequence[Branch], value: float) -> Float[np.ndarray, "some n d"]:
     """The orbits of branches of one period at a value of the parameter, nearly; where one turns, perhaps two."""
-    found, stretches = list[np.ndarray](), list[tuple[Branch, int]]()
+    candidates, stretches = list[np.ndarray](), list[tuple[Branch, int]]()
     for branch in branches:
         above, rate = branch.value - value, branch.way.value
         passes = (above[:-1] <= 0.0) != (above[1:] <= 0.0)
         turns = (rate[:-1] < 0.0) != (rate[1:] < 0.0)
         stretches += [(branch, i) for i in np.flatnonzero(passes | turns).tolist()]
         # where it begins or ends at the value and lies below it
-        found += [branch.points[end][None] for end in (0, -1) if above[end] == 0.0]
+        candidates += [branch.points[end][None] for end in (0, -1) if above[end] == 0.0]
     if stretches:
-        found.append(_between(family, stretches, value))
-    return np.concatenate(found) if found else np.zeros((0, 0, len(family.size)))
+        candidates.append(_between(family, stretches, value))
+    return np.concatenate(candidates) if candidates else np.zeros((0, 0, len(family.size)))
 
 
 def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"], near: float) -> bool:
@@ -62,11 +62,11 @@ def _between(family: Family, stretches: Sequence[tuple[Branch, int]], value: flo
 
     zero, one = np.zeros(len(size)), np.ones(len(size))
     turn = np.where(rise(zero) * rise(one) < 0.0, _zeros(rise, zero, one), 0.0)
-    found = list[np.ndarray]()
+    orbits = list[np.ndarray]()
     for low, high in ((zero, turn), (turn, one)):
         passes = (above(low) <= 0.0) != (above(high) <= 0.0)
-        found.append(_cubic(_zeros(above, low, high)[:, None, None], points, ways)[passes])
-    return np.concatenate(found)
+        orbits.append(_cubic(_zeros(above, low, high)[:, None, None], points, ways)[passes])
+    return np.concatenate(orbits)
 
 
 def _cubic(s: np.ndarray, ends: np.ndarray, slopes: np.ndarray) -> np.ndarray:

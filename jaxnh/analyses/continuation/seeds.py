@@ -28,8 +28,8 @@ def settled_waves(
 ) -> list[list[SeedOrbit]]:
     """Orbits of the lanes that have one, in waves: evenly over the axis, then those between them, and so on."""
     order = np.argsort(batch.line.values, kind="stable")
-    found = _whole(batch, lanes, u, period)
-    return [[found[k] for k in order[part] if k in found] for part in _between(len(order))]
+    orbits = _whole(batch, lanes, u, period)
+    return [[orbits[k] for k in order[part] if k in orbits] for part in _between(len(order))]
 
 
 def random_wave(
@@ -56,7 +56,7 @@ def random_wave(
         for wait in (0, transient)
     ]
     path, period = np.concatenate(paths), period_map(many, lanes, strobe)
-    found = list[SeedOrbit]()
+    seeds = list[SeedOrbit]()
     for n in range(1, limit + 1):
         points, lane = _returns(path, n, wrap, size)
         orbit = orbits_from_afar(period, points, values[lane], size, wrap)
@@ -65,11 +65,11 @@ def random_wave(
         for value in np.unique(values[lane[good]]).tolist():
             here = orbit.points[good & (values[lane] == value)]
             while len(here):  # the first, and all others but those that are it
-                found.append(SeedOrbit(here[0], value))
+                seeds.append(SeedOrbit(here[0], value))
                 turns = [np.roll(here[0], m, 0) for m in range(n)]
                 away = [np.max(np.abs(wrap(here - turn)) / size, axis=(1, 2)) > _SAME for turn in turns]
                 here = here[np.all(away, axis=0)]
-    return found
+    return seeds
 
 
 def _returns(

@@ -159,17 +159,17 @@ def _continued(
     tile: int | None = None,
 ) -> Survey:
     """Those lanes whose orbits have not been seen are looked at again."""
-    found = jax.tree.map(np.copy, seen.survey)
+    survey = jax.tree.map(np.copy, seen.survey)
     open_, ends = np.arange(batch.count), seen.ends
     for timing in late:
-        left = np.flatnonzero((found.period[open_] == 0) & ~found.failed[open_])
+        left = np.flatnonzero((survey.period[open_] == 0) & ~survey.failed[open_])
         if not len(left):
             break
         open_ = open_[left]
         part, ends = _look(batch.take(open_), lanes, ends[left], timing, label, least, only_doublings, tile)
-        for whole, some in zip(found, part, strict=True):
-            whole[open_] = some
-    return found
+        for whole, new in zip(survey, part, strict=True):
+            whole[open_] = new
+    return survey
 
 
 def _nothing_found(u: Float[np.ndarray, "lanes d"]) -> Survey:
@@ -202,7 +202,7 @@ def _look(
             shared = (*shared, batch.flow.period / (2 * np.pi))
             points, size = lanes(_sized_points, shared, (u, p, batch.start), periods=cost, static=static, tile=tile)
     recurs = _recurrences(batch.chart, points, size, limit, least, only_doublings)
-    period, found, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
+    period, point, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
     failed |= ~np.all(np.isfinite(points), axis=(1, 2))
     rank, first, last = np.cumsum(recurs, axis=0), 1, 1
     while first <= tries and np.any(rank[-1, period == 0] >= first):
@@ -210,8 +210,8 @@ def _look(
         n, lane = np.nonzero(recurs & (rank >= first) & (rank <= last) & (period == 0))
         first, last = last + 1, 2 * last + 1
         with lanes.stage(f"{label}: orbits of {len(np.unique(lane))} lanes", 0):
-            orbit = orbits(lanes, strobe, found[lane], picked(p, lane), n, size[lane])
-        near = apart(batch.chart, orbit.u, found[lane], size[lane]) < 2 * _CLOSE
+            orbit = orbits(lanes, strobe, point[lane], picked(p, lane), n, size[lane])
+        near = apart(batch.chart, orbit.u, point[lane], size[lane]) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
         here, least_of = np.unique(lane[settled], return_index=True)
@@ -226,11 +226,11 @@ def _look(
             turned = orbits(lanes, strobe, exact.u[shorter], picked(p, some), shortest[shorter], size[some])
             for whole, part in zip(exact, turned, strict=True):
                 whole[shorter] = part
-        period[here], found[here] = shortest, exact.u
+        period[here], point[here] = shortest, exact.u
         residual[here], monodromy[here] = exact.residual, exact.monodromy
         multiplier[here] = largest[settled]
         multiplier[here[shorter]] = largest_multiplier(exact.monodromy[shorter])
-    return EarlySurvey(Survey(period, found, residual, multiplier, monodromy, failed, size), points[:, -1])
+    return EarlySurvey(Survey(period, point, residual, multiplier, monodromy, failed, size), points[:, -1])
 
 
 def _recurrences(
@@ -266,9 +266,9 @@ def _recurrences(
     return possible
 
 
-def beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, found: Survey) -> Survey:
+def beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, survey: Survey) -> Survey:
     """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
-    period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in found)
+    period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in survey)
     chart = strobe.chart
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
     for n in np.unique(period[near]):
