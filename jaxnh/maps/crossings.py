@@ -59,7 +59,7 @@ class SteppedStrobe(ReturnMap):
 
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         begun = Pushforward(state, tangents, as_batched(jnp.ones_like(state[0][0]), state[0][0]))
-        return lax.fori_loop(0, self.steps, lambda _, pushed: _pushed_on(self.one, pushed, p), begun)
+        return lax.fori_loop(0, self.steps, lambda _, pushed: _compose(self.one, pushed, p), begun)
 
 
 class _Search(NamedTuple):
@@ -144,7 +144,7 @@ class EventStrobe(ReturnMap):
 
         def advance(one: ReturnMap, carried: Carried) -> Carried:
             assert isinstance(carried, Pushforward)
-            return _pushed_on(one, carried, p)
+            return _compose(one, carried, p)
 
         ended = self._searched(1, state, tuple(t.state.t for t in tangents), begun, p, advance)
         last = ended.carried
@@ -205,7 +205,7 @@ class EventStrobe(ReturnMap):
         seen &= seeking & finite
         straight = heights[0] / (heights[0] - heights[1])
         guess = jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
-        better, *bracket = _improved(search.share, *ends[2:], rising, search.low, search.high)
+        better, *bracket = _improve(search.share, *ends[2:], rising, search.low, search.high)
 
         near = (jnp.abs(better - search.share) <= _SETTLED) | (search.shots >= _MOST_SHOTS)
         onwards, arrived = seeking & ~seen, search.settled
@@ -282,7 +282,7 @@ def _state_of(carried: Carried) -> State:
     return carried.state if isinstance(carried, Pushforward) else carried
 
 
-def _improved(
+def _improve(
     share: Array, height: Array, rate: Array, rising: Array, low: Array, high: Array
 ) -> tuple[Array, Array, Array]:
     """Newton's better share, for a height and its rate, in the part of the step that has the crossing; that part."""
@@ -293,7 +293,7 @@ def _improved(
     return jnp.where(inside, better, 0.5 * (low + high)), low, high
 
 
-def _pushed_on(one: ReturnMap, pushed: Pushforward, p: Parameters) -> Pushforward:
+def _compose(one: ReturnMap, pushed: Pushforward, p: Parameters) -> Pushforward:
     """State and tangents one map later, volumes multiplied."""
     after = one.push(pushed.state, p, pushed.tangents)
     return after._replace(volume=pushed.volume * after.volume)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State
-from jaxnh.systems.tracing import KnownValue, Program, constants, once
+from jaxnh.systems.tracing import KnownValue, Program, cached_by_structure, constants
 
 _MOST_COMPONENTS = 12  # of a state: each pair of them is traced
 _LARGEST_FORCE = 100  # equations: in larger ones the stages would have to be a loop
@@ -70,7 +70,7 @@ def second_order(system: Flow) -> SecondOrder | None:
     return _second_order(jax.tree.structure(system), tuple(np.shape(leaf) for leaf in jax.tree.leaves(system)))
 
 
-@once
+@cached_by_structure
 def _second_order(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> SecondOrder | None:
     field = _Field(jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes]))
     small = field.carried_whole and field.count <= _MOST_COMPONENTS and field.size <= 2 * _LARGEST_FORCE

@@ -184,7 +184,7 @@ def reports(flow: Flow, y: State) -> dict[str, Output]:
     return {**of_flow, "status": status(np.where((reason == NO_RETURN) | (inner == 0), reason, inner))}
 
 
-def drawn_plane(system: System) -> tuple[str, str]:
+def plot_plane(system: System) -> tuple[str, str]:
     """The two coordinates that motions are drawn over: of a section the first pair without the one that it gives."""
     planes = system.flow.labels.planes
     if not isinstance(system, Section):

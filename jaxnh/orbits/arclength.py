@@ -150,7 +150,7 @@ def correct(
         tolerance: length of a step after which an orbit is known.
         near: lengths of steps that are too short to lead elsewhere, and need not be half of those before.
     """
-    orbits, last = _guessed(points, value), np.full(len(value), np.inf)
+    orbits, last = _initial_orbits(points, value), np.full(len(value), np.inf)
     open_ = np.arange(len(value))
     for _ in range(_NEWTON_STEPS + 1):
         missing, blocks, columns = _equations(family, orbits.points[open_], orbits.value[open_])
@@ -181,7 +181,7 @@ def correct(
     return orbits
 
 
-def _guessed(points: Float[np.ndarray, "lanes n d"], value: Float[np.ndarray, " lanes"]) -> CurveOrbits:
+def _initial_orbits(points: Float[np.ndarray, "lanes n d"], value: Float[np.ndarray, " lanes"]) -> CurveOrbits:
     """Guesses of which nothing else is known yet."""
     lanes, _, d = points.shape
 

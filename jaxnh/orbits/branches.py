@@ -25,7 +25,7 @@ from jaxnh.orbits.arclength import (
     minus,
     times,
 )
-from jaxnh.orbits.kinds import eigenvalues, odd, tested
+from jaxnh.orbits.kinds import eigenvalues, odd, test_functions
 
 ENDS = ("start", "range", "collapsed", "closed", "no_convergence", "most_points", "unbounded")
 """Why a branch ends: it was begun there, as at a bifurcation; the parameter leaves its range; the orbit is one of a
@@ -123,7 +123,7 @@ class Branch:
         )
 
 
-def both_ways(
+def follow_both_ways(
     family: Family,
     begun: CurveOrbits,
     steps: StepControl = STEPS,
@@ -187,8 +187,8 @@ class _Course:
         now = self._begun.take(lanes)
         self._keep(lanes, now)
         self.open_ = np.concatenate([self.open_, lanes])
-        self._now = _both(self._now, now)
-        self._bend = _both(self._bend, times(np.zeros(len(lanes)), now.way))
+        self._now = _join(self._now, now)
+        self._bend = _join(self._bend, times(np.zeros(len(lanes)), now.way))
 
     def is_done(self, lane: int) -> bool:
         """Whether a lane has come to its end."""
@@ -197,7 +197,7 @@ class _Course:
     def step(self) -> Int[np.ndarray, " some"]:
         """One step of all lanes on their way; those that have come to their ends by it."""
         family, steps, open_, now, bend = self._family, self._steps, self.open_, self._now, self._bend
-        taken, step, at_end = _stepped(family, now, bend, np.minimum(self._size[open_], _room(family, now)))
+        taken, step, at_end = _step_lanes(family, now, bend, np.minimum(self._size[open_], _room(family, now)))
         with np.errstate(invalid="ignore"):
             share = np.where(step > 0.0, taken.missed / np.maximum(step, _SMALLEST), 0.0)
             good = taken.converged & (inner(family, taken.way, now.way) >= _BENT) & (share <= _MISSED)
@@ -224,8 +224,8 @@ class _Course:
             self._end[open_[which]] = reason
             done |= which
         turned = times(1.0 / np.maximum(step, _SMALLEST), minus(taken.way, np.ones(len(open_)), now.way))
-        bend, now = _chosen(good, turned, bend), _chosen(good, taken, now)
-        self._bend, self._now, self.open_ = _taken(bend, ~done), now.take(~done), open_[~done]
+        bend, now = _select(good, turned, bend), _select(good, taken, now)
+        self._bend, self._now, self.open_ = _take(bend, ~done), now.take(~done), open_[~done]
         return open_[done]
 
     def branch(self, lane: int) -> Branch:
@@ -237,7 +237,7 @@ class _Course:
     def _keep(self, lanes: Int[np.ndarray, " some"], orbits: CurveOrbits) -> None:
         """Have points of lanes in their rows."""
         family = self._family
-        tests, multipliers = tested(family, orbits), eigenvalues(family, orbits)
+        tests, multipliers = test_functions(family, orbits), eigenvalues(family, orbits)
         whole = _Points(orbits.points, orbits.value, orbits.way, tests, multipliers, orbits.residual)
         for i, lane in enumerate(lanes.tolist()):
             self._rows[lane].append(whole.of_lane(i))
@@ -260,11 +260,11 @@ class _Points(NamedTuple):
         return _Points(self.points[i], self.value[i], way, self.tests[i], self.multipliers[i], self.residual[i])
 
 
-def _both(one: _Leaves, more: _Leaves) -> _Leaves:
+def _join(one: _Leaves, more: _Leaves) -> _Leaves:
     return jax.tree.map(lambda a, b: np.concatenate([a, b]), one, more)
 
 
-def _stepped(
+def _step_lanes(
     family: Family, now: CurveOrbits, bend: PathVector, size: Float[np.ndarray, " lanes"]
 ) -> tuple[CurveOrbits, Float[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
     """Orbits a step further, the lengths of the steps, and whether they end where the range does.
@@ -333,7 +333,7 @@ def _passes(
     return passes
 
 
-def _chosen(which: Bool[np.ndarray, " lanes"], one: _Leaves, other: _Leaves) -> _Leaves:
+def _select(which: Bool[np.ndarray, " lanes"], one: _Leaves, other: _Leaves) -> _Leaves:
     """Of each lane the one, or the other."""
 
     def leaf(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -342,5 +342,5 @@ def _chosen(which: Bool[np.ndarray, " lanes"], one: _Leaves, other: _Leaves) -> 
     return jax.tree.map(leaf, one, other)
 
 
-def _taken(way: PathVector, lanes: Bool[np.ndarray, " lanes"]) -> PathVector:
+def _take(way: PathVector, lanes: Bool[np.ndarray, " lanes"]) -> PathVector:
     return PathVector(way.points[lanes], way.value[lanes])

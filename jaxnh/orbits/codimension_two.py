@@ -16,7 +16,7 @@ from jaxtyping import Complex, Float
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.arclength import CurveOrbits, Family, PathVector
 from jaxnh.orbits.bifurcations import critical
-from jaxnh.orbits.curves import Curve, CurvePoints, ParameterPlane, angle_cosine, correct, known, tested
+from jaxnh.orbits.curves import Curve, CurvePoints, ParameterPlane, angle_cosine, correct, split_unknowns, test_function
 from jaxnh.orbits.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.orbits.multipliers import multipliers
 from jaxnh.orbits.normal_forms import cubic
@@ -67,12 +67,12 @@ def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
         signs = np.signbit(values)
         changes = (signs[1:] != signs[:-1]) & np.isfinite(values[1:] + values[:-1])
         for place in np.flatnonzero(changes).tolist():
-            if at := _located(plane, curve, test, place, (float(values[place]), float(values[place + 1]))):
+            if at := _locate(plane, curve, test, place, (float(values[place]), float(values[place + 1]))):
                 points.append(_special(plane, kind, place, at))
     if curve.kind == NEIMARK_SACKER and len(plane.size) == 2:
         turns = _turning(curve.track)
         for place in np.flatnonzero(turns[1:] * turns[:-1] < 0.0).tolist():
-            if at := _located(plane, curve, _turning, place, (float(turns[place]), float(turns[place + 1]))):
+            if at := _locate(plane, curve, _turning, place, (float(turns[place]), float(turns[place + 1]))):
                 half = angle_cosine(multipliers(at.blocks))[0] < 0.0
                 points.append(_special(plane, ONE_TWO if half else ONE_ONE, place, at))
     if curve.kind == FOLD:
@@ -83,13 +83,13 @@ def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
                 return track.way[:, -2:] @ first
 
             ends = float(ways[place] @ ways[place]), float(ways[place + 1] @ ways[place])
-            if at := _located(plane, curve, forward, place, ends):
+            if at := _locate(plane, curve, forward, place, ends):
                 points.append(_special(plane, CUSP, place, at))
     return sorted(points, key=lambda point: point.place)
 
 
 def _special(plane: ParameterPlane, kind: int, place: int, at: CurvePoints) -> Special:
-    points, values = known(plane, at.z)
+    points, values = split_unknowns(plane, at.z)
     return Special(kind, values[0], place, points[0], multipliers(at.blocks)[0])
 
 
@@ -105,15 +105,15 @@ def _tests(plane: ParameterPlane, kind: int) -> dict[int, Callable[[CurvePoints]
     critical = 1.0 if kind == FOLD else -1.0
     other, resonance = (DOUBLING, ONE_ONE) if kind == FOLD else (FOLD, ONE_TWO)
     tests: dict[int, Callable[[CurvePoints], np.ndarray]] = {
-        FOLD_FLIP: lambda track: tested(other, track.blocks),
-        resonance: lambda track: _others(multipliers(track.blocks), critical),
+        FOLD_FLIP: lambda track: test_function(other, track.blocks),
+        resonance: lambda track: _product_of_others(multipliers(track.blocks), critical),
     }
     if kind == DOUBLING:
         tests[GENERALISED_DOUBLING] = lambda track: _cubic(plane, kind, track)
     return tests
 
 
-def _others(values: Complex[np.ndarray, "lanes d"], critical: float) -> Float[np.ndarray, " lanes"]:
+def _product_of_others(values: Complex[np.ndarray, "lanes d"], critical: float) -> Float[np.ndarray, " lanes"]:
     """∏(μ − μ_c) over all multipliers but the critical one: it is zero where this one is double."""
     nearest = np.argmin(np.abs(values - critical), axis=1)
     apart = values - critical
@@ -134,7 +134,7 @@ def _turning(track: CurvePoints) -> Float[np.ndarray, " lanes"]:
 
 def _cubic(plane: ParameterPlane, kind: int, track: CurvePoints) -> Float[np.ndarray, " lanes"]:
     """The cubic coefficient of the normal form of each point, over its own number in place of a parameter."""
-    points, values = known(plane, track.z)
+    points, values = split_unknowns(plane, track.z)
     lanes, n, d = points.shape
 
     def period(u: np.ndarray, number: np.ndarray) -> Derivatives:
@@ -153,7 +153,7 @@ def _cubic(plane: ParameterPlane, kind: int, track: CurvePoints) -> Float[np.nda
     return coefficients
 
 
-def _located(
+def _locate(
     plane: ParameterPlane,
     curve: Curve,
     test: Callable[[CurvePoints], np.ndarray],

@@ -125,7 +125,7 @@ class Curve:
         )
 
 
-def tested(kind: int, blocks: Float[np.ndarray, "lanes n d d"]) -> Float[np.ndarray, " lanes"]:
+def test_function(kind: int, blocks: Float[np.ndarray, "lanes n d d"]) -> Float[np.ndarray, " lanes"]:
     """The test function of a kind, which is zero on its curves."""
     if kind == FOLD:
         return closed_determinant(blocks, 1.0)
@@ -134,7 +134,7 @@ def tested(kind: int, blocks: Float[np.ndarray, "lanes n d d"]) -> Float[np.ndar
     return closed_determinant(second_compound(blocks), 1.0)
 
 
-def unknowns(
+def join_unknowns(
     plane: ParameterPlane, points: Float[np.ndarray, "lanes n d"], values: Float[np.ndarray, "lanes 2"]
 ) -> Float[np.ndarray, "lanes N"]:
     """Orbits and parameters as unknowns in their units."""
@@ -142,7 +142,7 @@ def unknowns(
     return np.concatenate([points.reshape(lanes, -1), values], axis=1) / plane.unit(n)
 
 
-def known(plane: ParameterPlane, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray]:
+def split_unknowns(plane: ParameterPlane, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray]:
     """Orbits (lanes, n, d) and parameters (lanes, 2) of unknowns."""
     d = len(plane.size)
     n = (z.shape[1] - 2) // d
@@ -185,7 +185,7 @@ def correct(
         if not len(open_):
             break
         track.blocks[open_] = blocks
-        moved, way = _solved(missing, slopes, None if across is None else across[open_])
+        moved, way = _solve(missing, slopes, None if across is None else across[open_])
         at_rest = last[open_] <= _AT_REST
         track.converged[open_[at_rest]], track.way[open_[at_rest]] = True, way[at_rest]
         length = np.linalg.norm(moved, axis=1)
@@ -215,11 +215,11 @@ def follow(
             good = taken.converged & (np.sum(taken.way * now.way, axis=1) >= _BENT) & (share <= _MISSED)
         outside = good & _outside(plane, taken.z)
         if outside.any():
-            edge = _at_edge(plane, kind, now.take(outside), taken.take(outside))
+            edge = _cut_at_edge(plane, kind, now.take(outside), taken.take(outside))
             for leaf, new in zip(taken, edge, strict=True):
                 leaf[outside] = new
             good[outside] &= edge.converged
-        ended = _ended(plane, kind, [history[k] for k in open_.tolist()], now, taken, step)
+        ended = _endings(plane, kind, [history[k] for k in open_.tolist()], now, taken, step)
         done = good & outside
         end[open_[done]] = RANGE
         for reason, which in ended.items():
@@ -241,7 +241,7 @@ def follow(
     return list(zip(joined, end.tolist(), strict=True))
 
 
-def both_ways(
+def follow_both_ways(
     plane: ParameterPlane,
     kind: int,
     points: Float[np.ndarray, "lanes n d"],
@@ -250,7 +250,7 @@ def both_ways(
     most: int = 500,
 ) -> list[Curve | None]:
     """The curves through bifurcations of a kind, each from end to end; None where Newton does not confirm one."""
-    z = unknowns(plane, points, values)
+    z = join_unknowns(plane, points, values)
     corrected = correct(plane, kind, z)
     begun = corrected.take(corrected.converged)
     lanes = len(begun.z)
@@ -266,7 +266,7 @@ def both_ways(
             turned = CurvePoints(*(leaf[:0:-1] for leaf in behind))
             turned = turned._replace(way=-turned.way)
             track = CurvePoints(*(np.concatenate(leaves) for leaves in zip(turned, ahead, strict=True)))
-        orbits, both = known(plane, track.z)
+        orbits, both = split_unknowns(plane, track.z)
         ends = (CLOSED, CLOSED) if end == CLOSED else (start, end)
         curves[k] = Curve(kind, orbits, both, track, multipliers(track.blocks), ends)
     return curves
@@ -288,7 +288,7 @@ def _equations(
     plane: ParameterPlane, kind: int, z: Float[np.ndarray, "lanes N"]
 ) -> tuple[Float[np.ndarray, "lanes rows"], Float[np.ndarray, "lanes rows N"], Float[np.ndarray, "lanes n d d"]]:
     """What the orbit and the test function miss, derivatives of both in the unknowns, and ∂P/∂u, all in their units."""
-    (points, values), lanes = known(plane, z), len(z)
+    (points, values), lanes = split_unknowns(plane, z), len(z)
     n, d = points.shape[1:]
     width = plane.high - plane.low
     # One call for all: the orbits, and for differences each coordinate of all points and each parameter shifted.
@@ -319,7 +319,7 @@ def _equations(
 
 def _finite_test(kind: int, blocks: np.ndarray) -> np.ndarray:
     finite = np.all(np.isfinite(blocks), axis=(1, 2, 3))
-    return np.where(finite, tested(kind, np.where(finite[:, None, None, None], blocks, 0.0)), np.nan)
+    return np.where(finite, test_function(kind, np.where(finite[:, None, None, None], blocks, 0.0)), np.nan)
 
 
 def _periods(
@@ -335,7 +335,7 @@ def _periods(
     return np.asarray(image).reshape(points.shape), blocks, columns
 
 
-def _solved(missing: np.ndarray, slopes: np.ndarray, across: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def _solve(missing: np.ndarray, slopes: np.ndarray, across: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """The step of Newton across ways, or the least one, and the direction of the curve."""
     way = np.linalg.svd(slopes)[2][:, -1]
     least = -(np.linalg.pinv(slopes) @ missing[..., None])[..., 0]
@@ -360,7 +360,7 @@ def _beyond(plane: ParameterPlane, z: np.ndarray) -> Bool[np.ndarray, "lanes 2"]
     return (z[:, -2:] < plane.low / unit) | (z[:, -2:] > plane.high / unit)
 
 
-def _at_edge(plane: ParameterPlane, kind: int, now: CurvePoints, taken: CurvePoints) -> CurvePoints:
+def _cut_at_edge(plane: ParameterPlane, kind: int, now: CurvePoints, taken: CurvePoints) -> CurvePoints:
     """Points where curves leave the plane of parameters, between two points of theirs."""
     unit = plane.high - plane.low
     gone = taken.z - now.z
@@ -379,7 +379,7 @@ def _at_edge(plane: ParameterPlane, kind: int, now: CurvePoints, taken: CurvePoi
     return correct(plane, kind, z, across)
 
 
-def _ended(
+def _endings(
     plane: ParameterPlane,
     kind: int,
     histories: list[list[CurvePoints]],
@@ -394,7 +394,7 @@ def _ended(
     near = np.linalg.norm(taken.z - begun, axis=1) <= 2.0 * step
     long = np.array([len(history) > _LEAST_LOOP for history in histories])
     endings = {CLOSED: long & near & (before < 0.0) & (after >= 0.0)}
-    one, other = known(plane, now.z)[0], known(plane, taken.z)[0]
+    one, other = split_unknowns(plane, now.z)[0], split_unknowns(plane, taken.z)[0]
     n = one.shape[1]
     if n % 2 == 0:
         gaps = [plane.wrap(u - np.roll(u, n // 2, 1)) / plane.size for u in (one, other)]

@@ -26,7 +26,7 @@ _LIBRARIES = tuple(sysconfig.get_paths()[name] for name in ("stdlib", "platstdli
 _ENTRY = "system"  # the function that a file must have
 
 
-def text_of(function: Callable[..., Any]) -> str:
+def source_text(function: Callable[..., Any]) -> str:
     """Return the text of a file whose function `system` is this function.
 
     Raises:

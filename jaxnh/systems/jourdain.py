@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxnh.systems.elimination import definite, eliminate, known, minus
+from jaxnh.systems.elimination import eliminate, is_positive_definite, known, minus
 from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import constants
 
@@ -116,14 +116,14 @@ def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Acce
     at = (*q, *v, t)
     f = constraint_functions(equations, k)
     mass, slopes = matrices(equations, at, k)
-    right = applied(equations, q, v, t)
+    right = applied_forces(equations, q, v, t)
     right += [-rate for rate in (_along_motion(f, at, k) if slopes else ())]
-    (solution,), smallest = eliminate(bordered(mass, slopes), [right], k * definite(mass))
+    (solution,), smallest = eliminate(bordered_matrix(mass, slopes), [right], k * is_positive_definite(mass))
     solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
     return Accelerations(tuple(solution[:k]), tuple(solution[k:]), smallest <= SMALLEST_PIVOT)
 
 
-def applied(equations: Equations, q: Vector, v: Vector, t: Number) -> list[Number]:
+def applied_forces(equations: Equations, q: Vector, v: Vector, t: Number) -> list[Number]:
     """What accelerates but for the constraints: Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t, k components."""
     k = len(q)
     energy = _flat(equations.T, k)
@@ -159,7 +159,7 @@ def _read(function: Callable[..., Any], at: Vector) -> Any:
     return jax.tree.unflatten(jax.tree.structure(result), values)
 
 
-def bordered(mass: list[list[Number]], slopes: list[list[Number]]) -> list[list[Number]]:
+def bordered_matrix(mass: list[list[Number]], slopes: list[list[Number]]) -> list[list[Number]]:
     """[M, −Aᵀ; A, 0]."""
     m = len(slopes)
     top = [[*row, *(minus(0.0, a[i]) for a in slopes)] for i, row in enumerate(mass)]

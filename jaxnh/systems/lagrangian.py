@@ -17,22 +17,22 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
-from jaxnh.systems.chart import Chart, general_directions, turned
+from jaxnh.systems.chart import Chart, general_directions, wrap_angle
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
-from jaxnh.systems.elimination import definite, eliminate, largest_of
+from jaxnh.systems.elimination import eliminate, is_positive_definite, largest_of
 from jaxnh.systems.explicit import Explicit, all_velocities, explicit_velocities, free_accelerations
 from jaxnh.systems.flow import UNSAID, Labels, Output, Parameters, Reduction, status
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
     Equations,
     accelerations,
-    bordered,
+    bordered_matrix,
     constraint_functions,
     constraint_slopes,
     matrices,
 )
 from jaxnh.systems.state import Number, Vector, error_components, masked
-from jaxnh.systems.tracing import once
+from jaxnh.systems.tracing import cached_by_structure
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
@@ -221,7 +221,7 @@ class Lagrangian(DefinedFlow):
             at = (*q, *v, t)
             mass, slopes = matrices(equations, at, k)
             ends = [[float(i == k + j) for i in range(k + len(slopes))] for j in range(len(slopes))]
-            ways, smallest = eliminate(bordered(mass, slopes), ends, k * definite(mass))
+            ways, smallest = eliminate(bordered_matrix(mass, slopes), ends, k * is_positive_definite(mass))
             singular |= smallest <= SMALLEST_PIVOT
             largest = largest_of(list(residuals))
             drift = jnp.where(largest > drift, largest, drift)
@@ -287,7 +287,7 @@ class Lagrangian(DefinedFlow):
         outputs: dict[str, Output] = {}
         for name, q, v, is_angle in zip(self.names, y.q, y.v, self.angles, strict=True):
             rate = f"{name}_dot"
-            outputs[name] = Output(turned(q) if is_angle else q, words[name], {"units": units[name]})
+            outputs[name] = Output(wrap_angle(q) if is_angle else q, words[name], {"units": units[name]})
             outputs[rate] = Output(v, f"{words[rate]} = d{name}/dt", {"units": units[rate]})
         return outputs
 
@@ -300,7 +300,7 @@ class Lagrangian(DefinedFlow):
         }
 
 
-@once
+@cached_by_structure
 def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit | None:
     """Of a structure, once: parameters are no numbers then, and decide nothing."""
     velocities: list[Explicit | None] = []
@@ -335,6 +335,6 @@ def lagrangian(
     return Lagrangian(define, dict(parameters), of_lanes, names, angles, "period" in definition, m, ignorable)
 
 
-def at_rest(k: int) -> Motion:
+def zero_motion(k: int) -> Motion:
     """All zero: k coordinates and velocities of floats, and nothing to report."""
     return Motion((0.0,) * k, (0.0,) * k, (0.0, 0.0))

@@ -187,7 +187,7 @@ def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], 
     return sum(slopes[1:], slopes[0])
 
 
-def once(
+def cached_by_structure(
     look: Callable[[Any, tuple[tuple[int, ...], ...]], Found],
 ) -> Callable[[Any, tuple[tuple[int, ...], ...]], Found]:
     """A look at functions, by tracing, that is taken once for each structure of a pytree and shapes of its leaves.

@@ -24,7 +24,7 @@ _CHANGING = "what changes during the run"
 _OTHER_NAMES = {"fabs": "abs", "pow": "power", "fmod": "fmod", "array": "array"}  # of functions, in jax.numpy
 
 
-def explained(error: Exception, text: str, path: str) -> tuple[int | None, str]:
+def explain_error(error: Exception, text: str, path: str) -> tuple[int | None, str]:
     """Line of a file that an exception came from, None where it did not, and what is wrong in one line.
 
     Args:
@@ -65,7 +65,7 @@ def _advice(tree: ast.Module, text: str, here: tuple[int, int, int, int], names:
     """What to write instead of the code at (line, column, last line, last column); "" where nothing is known."""
     inside = [node for node in ast.walk(tree) if _holds(node, here)]  # outermost first
     for node in reversed(inside):
-        for words in (_of_call(node, names), _of_choice(node, text, here)):
+        for words in (_advice_on_call(node, names), _advice_on_choice(node, text, here)):
             if words:
                 return words
     return ""
@@ -79,7 +79,7 @@ def _holds(node: ast.AST, here: tuple[int, int, int, int]) -> bool:
     return begin <= here[:2] and here[2:] <= end
 
 
-def _of_call(node: ast.AST, names: Mapping[str, Any]) -> str:
+def _advice_on_call(node: ast.AST, names: Mapping[str, Any]) -> str:
     """Of a call of a function that takes known numbers alone: the function that takes others."""
     if not isinstance(node, ast.Call):
         return ""
@@ -116,7 +116,7 @@ def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
     return None
 
 
-def _of_choice(node: ast.AST, text: str, here: tuple[int, int, int, int]) -> str:
+def _advice_on_choice(node: ast.AST, text: str, here: tuple[int, int, int, int]) -> str:
     """Of a choice between numbers the function that chooses, and of an array that is changed in place what to do."""
     condition = "(condition, a, b)"
     for statement, one in _conditions(node):

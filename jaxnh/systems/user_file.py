@@ -39,7 +39,7 @@ from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.tracing import KnownValue, Program
-from jaxnh.systems.user_code import explained
+from jaxnh.systems.user_code import explain_error
 from jaxnh.systems.user_text import BESIDE_STATES, Names, can_be_states, read_text, with_velocities
 
 _ALWAYS = ("coordinates", "period", "time_unit", "angles", "labels", "units")
@@ -325,7 +325,7 @@ class UserFile:
         except UserFileError:
             raise
         except Exception as error:
-            line, what = explained(error, self.text, str(self.path))
+            line, what = explain_error(error, self.text, str(self.path))
             raise self._fault(line or self._define.__code__.co_firstlineno, what) from None
 
     def _fault(self, line: int, message: str) -> UserFileError:

@@ -15,11 +15,11 @@ from jaxnh.analyses.cascade.extended_precision import (
     FLOAT64_LEVELS,
     ExtendedDoublings,
     alpha_limit,
-    beyond_float64,
+    append_extended,
+    check_operations,
     delta_limit,
     deltas,
     extended_doublings,
-    see_that_it_can,
 )
 from jaxnh.analyses.cascade.follow import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
@@ -75,7 +75,7 @@ def check(options: DoublingOptions, setting: Setting) -> None:
 def run(options: DoublingOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
     if batch.precision == "extended":
-        see_that_it_can(batch)
+        check_operations(batch)
     search = options.search and batch.family is None
     extended, levels = batch.precision == "extended", options.levels
     in_float64 = min(levels, FLOAT64_LEVELS) if extended else levels
@@ -83,7 +83,7 @@ def run(options: DoublingOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     if not extended:
         return _dataset(batch.system, batch.line, levels, cascade)
     beyond = extended_doublings(batch, lanes, cascade, levels)
-    whole = beyond_float64(batch, cascade, beyond, levels)
+    whole = append_extended(batch, cascade, beyond, levels)
     limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, cascade.size, batch.chart.wrap)
     return _extended(_dataset(batch.system, batch.line, levels, whole), beyond, *limits)
 

@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.cascade.doubled_orbit import daughters, long_daughter, window
-from jaxnh.analyses.cascade.plateaus import PeriodScan, Start, seen, starts
+from jaxnh.analyses.cascade.doubled_orbit import doubled_lanes, long_doubled_orbit, window
+from jaxnh.analyses.cascade.plateaus import PeriodScan, Start, describe_periods, starts
 from jaxnh.analyses.periodic.attractor_survey import first_points, survey
-from jaxnh.analyses.periodic.location import LocatedDoubling, locate, period_map, refined
-from jaxnh.analyses.periodic.newton_on_lanes import apart
+from jaxnh.analyses.periodic.location import LocatedDoubling, locate, period_map, refined_maps
+from jaxnh.analyses.periodic.newton_on_lanes import section_distance
 from jaxnh.orbits.doubling_points import FEIGENBAUM, DoublingPoint
 
 TRANSIENT = 512
@@ -75,7 +75,7 @@ def follow(batch: LaneBatch, lanes: LaneRunner, levels: int, *, search: bool = F
         inside = line = line.take(slice(None, None, -1))
     cascade = _best(steps, line, levels)
     if len(cascade.points) < levels and search and len(line.value) > 1:
-        line = line.joined(_outside(steps, line))
+        line = line.joined(_lanes_outside(steps, line))
         wider = _best(steps, line, levels)
         same = [point.value for point in cascade.points[:1]] == [point.value for point in wider.points[:1]]
         cascade = wider if same or len(wider.points) > len(cascade.points) else cascade
@@ -85,7 +85,7 @@ def follow(batch: LaneBatch, lanes: LaneRunner, levels: int, *, search: bool = F
     return cascade._replace(end=end, outside=outside)
 
 
-def along_line(
+def follow_line(
     batch: LaneBatch, lanes: LaneRunner, line: PeriodScan, levels: int, size: Float[np.ndarray, " d"]
 ) -> tuple[LocatedDoubling, ...]:
     """The doublings, at most so many, of the orbit of the first lane of a line and those born from it, along it.
@@ -101,7 +101,7 @@ def along_line(
     steps.size = size
     first = (start for start in starts(line) if start.line.sign == line.sign and start.runs[0].first == 0)
     start = next(first, None)
-    return _along(steps, start, levels).found if start is not None else ()
+    return _follow_run(steps, start, levels).found if start is not None else ()
 
 
 def survey_limit(levels: int) -> int:
@@ -109,7 +109,7 @@ def survey_limit(levels: int) -> int:
     return min(max(_SMALLEST_LIMIT, 2**levels), _LONGEST_SEEN)
 
 
-def _outside(steps: _Steps, line: PeriodScan) -> PeriodScan:
+def _lanes_outside(steps: _Steps, line: PeriodScan) -> PeriodScan:
     """Lanes beyond either end of a line, as far as it is long."""
     low, high = line.value.min(), line.value.max()
     far = (high - low) * np.arange(1, _OUTSIDE + 1) / _OUTSIDE
@@ -125,7 +125,7 @@ def _best(steps: _Steps, line: PeriodScan, levels: int) -> Cascade:
         ends += len(start.runs) == 1
         if ends > _ENDS:
             break
-        cascade = _along(steps, start, levels)
+        cascade = _follow_run(steps, start, levels)
         if len(cascade.points) > len(best.points):
             best = cascade
         if len(cascade.points) == levels:
@@ -133,10 +133,10 @@ def _best(steps: _Steps, line: PeriodScan, levels: int) -> Cascade:
     return best
 
 
-def _along(steps: _Steps, start: Start, levels: int) -> Cascade:
+def _follow_run(steps: _Steps, start: Start, levels: int) -> Cascade:
     """The cascade that begins at the end of a run, one level after the other."""
     located: list[_Level] = []
-    while len(located) < levels and (level := _next(steps, start, located)) is not None:
+    while len(located) < levels and (level := _next_level(steps, start, located)) is not None:
         located.append(level)
     steps.tried[start.period, start.value, start.line.sign] = len(located)
     end = ""
@@ -147,7 +147,7 @@ def _along(steps: _Steps, start: Start, levels: int) -> Cascade:
     return Cascade(start.period, tuple(level.located for level in located), steps.size, end)
 
 
-def _next(steps: _Steps, start: Start, known: list[_Level]) -> _Level | None:
+def _next_level(steps: _Steps, start: Start, known: list[_Level]) -> _Level | None:
     """The next doubling beyond those found from a start."""
     n, sign = start.period << len(known), start.line.sign
     if n > _LONG and len(known) > 1:
@@ -245,10 +245,10 @@ class _Steps:
         key = len(born.orbit), born.value, float(distances[0]), float(distances[-1])
         if key not in self._daughters:
             points = np.concatenate([line.u, first_points(self.batch, self._lanes)])
-            largest = float(np.nanmax(apart(self.batch.chart, points, born.orbit[0], self.size)))
+            largest = float(np.nanmax(section_distance(self.batch.chart, points, born.orbit[0], self.size)))
             label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {self.batch.line.name} = {born.value:.9g}"
             with self._lanes.stage(label, 0):
-                self._daughters[key] = daughters(self.batch, self._lanes, born, largest, self.size, distances)
+                self._daughters[key] = doubled_lanes(self.batch, self._lanes, born, largest, self.size, distances)
         return self._daughters[key]
 
     def long(self, born: DoublingPoint, gap: float) -> LocatedDoubling | None:
@@ -258,8 +258,8 @@ class _Steps:
         if (key := (n, born.value, stop)) not in self._located:
             near = _BEYOND * gap
             with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
-                period = period_map(self.batch, self._lanes, refined(self.batch)[0])
-                points = long_daughter(period, born, near, gap, self.size, self.batch.chart.wrap)
+                period = period_map(self.batch, self._lanes, refined_maps(self.batch)[0])
+                points = long_doubled_orbit(period, born, near, gap, self.size, self.batch.chart.wrap)
                 has_points = points is not None
                 located = locate(self.batch, self._lanes, points, born.value + near, stop, n) if has_points else None
             beyond = located is not None and (located.point.value - born.value) / gap > _BEYOND
@@ -275,4 +275,4 @@ class _Steps:
         ]
         more = [f"{len(words) - _SHOWN} more"] if len(words) > _SHOWN else []
         tried = ", ".join([*words[:_SHOWN], *more]) or f"nothing, as no period ends between two values of {name}"
-        return f"{seen(line, name, self.limit)}; tried: {tried}"
+        return f"{describe_periods(line, name, self.limit)}; tried: {tried}"

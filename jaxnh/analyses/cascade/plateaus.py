@@ -110,7 +110,7 @@ def starts(line: PeriodScan) -> list[Start]:
     ends: list[Start] = []
     for ordered in (line, line.take(slice(None, None, -1))):
         runs = ordered.runs()
-        following = [_following(runs, i) for i in range(len(runs))]
+        following = [_next_run(runs, i) for i in range(len(runs))]
         for i, run in enumerate(runs):
             chain = [i]
             while (j := following[chain[-1]]) is not None and runs[j].period > runs[chain[-1]].period:
@@ -118,12 +118,10 @@ def starts(line: PeriodScan) -> list[Start]:
             goes_on = following[i] is not None and len(chain) == 1
             if run.period and not goes_on and run.last + 1 < len(ordered.value):
                 ends.append(Start(ordered, tuple(runs[k] for k in chain)))
-    return sorted(
-        ends, key=lambda start: (-len(start.runs), -start.runs[0].lanes if len(start.runs) == 1 else 0)
-    )
+    return sorted(ends, key=lambda start: (-len(start.runs), -start.runs[0].lanes if len(start.runs) == 1 else 0))
 
 
-def _following(runs: list[Plateau], i: int) -> int | None:
+def _next_run(runs: list[Plateau], i: int) -> int | None:
     """The run beyond the i-th that has the same period, or a power of two times it; None where there is none.
 
     Undecided lanes and short runs of other periods, of coexisting attractors or of windows, may lie between the two,
@@ -142,7 +140,7 @@ def _following(runs: list[Plateau], i: int) -> int | None:
     return None
 
 
-def seen(line: PeriodScan, name: str, limit: int) -> str:
+def describe_periods(line: PeriodScan, name: str, limit: int) -> str:
     """In words, which periods a survey up to a limit has found where along the axis of that name."""
     runs = line.runs()
     decided = [run for run in runs if run.period]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.continuation.families import equilibria_of
+from jaxnh.analyses.continuation.families import equilibrium_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.continuation.tables import FollowedBranches
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
@@ -52,6 +52,6 @@ def equilibria(
         [SeedOrbit(zeros.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
         for value in np.unique(values).tolist()
     ]
-    family = equilibria_of(batch, lanes, size, ends)
+    family = equilibrium_family(batch, lanes, size, ends)
     tree = grow([family] * 3, waves, 1, steps, stage)  # a field has no steps that could be refined
     return FollowedBranches(tree, family, still)

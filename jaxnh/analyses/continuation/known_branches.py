@@ -15,7 +15,7 @@ SAME = 1e-4
 _HALVINGS = 40
 
 
-def on_branch(
+def is_on_branch(
     family: Family, branches: Sequence[Branch], points: Float[np.ndarray, "n d"], value: float, near: float = SAME
 ) -> bool:
     """Whether an orbit at a value of the parameter is on one of the branches, whichever of its points comes first."""
@@ -34,7 +34,7 @@ def orbits_at(family: Family, branches: Sequence[Branch], value: float) -> Float
         # where it begins or ends at the value and lies below it
         candidates += [branch.points[end][None] for end in (0, -1) if above[end] == 0.0]
     if stretches:
-        candidates.append(_between(family, stretches, value))
+        candidates.append(_on_cubics(family, stretches, value))
     return np.concatenate(candidates) if candidates else np.zeros((0, 0, len(family.size)))
 
 
@@ -43,7 +43,7 @@ def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.nd
     return len(one) == len(other) and bool(_apart(family, one[None], other)[0] <= near)
 
 
-def _between(family: Family, stretches: Sequence[tuple[Branch, int]], value: float) -> Float[np.ndarray, "some n d"]:
+def _on_cubics(family: Family, stretches: Sequence[tuple[Branch, int]], value: float) -> Float[np.ndarray, "some n d"]:
     """On cubics between a point of a branch and its next the orbits at a value that they pass there."""
     points, values, rates, ways = (
         np.stack([leaf(branch)[i : i + 2] for branch, i in stretches], axis=1)

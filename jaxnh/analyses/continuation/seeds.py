@@ -23,13 +23,13 @@ _SAME = 1e-6  # sizes of the motion: orbits this near are one
 _FARTHEST = 100.0  # sizes of the motion: orbits found further out are none of this motion
 
 
-def settled_waves(
+def attractor_waves(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: Int[np.ndarray, " lanes"]
 ) -> list[list[SeedOrbit]]:
     """Orbits of the lanes that have one, in waves: evenly over the axis, then those between them, and so on."""
     order = np.argsort(batch.line.values, kind="stable")
     orbits = _whole(batch, lanes, u, period)
-    return [[orbits[k] for k in order[part] if k in orbits] for part in _between(len(order))]
+    return [[orbits[k] for k in order[part] if k in orbits] for part in _waves(len(order))]
 
 
 def random_wave(
@@ -116,7 +116,7 @@ def _whole(
     }
 
 
-def _between(count: int) -> Sequence[Int[np.ndarray, " some"]]:
+def _waves(count: int) -> Sequence[Int[np.ndarray, " some"]]:
     """Numbers below a count in waves: evenly spread, then those half way between, until there are no more."""
     waves, seen, size = list[np.ndarray](), np.zeros(count, bool), min(count, _FIRST_WAVE)
     while not seen.all():

@@ -14,7 +14,7 @@ from jaxnh.analyses.base import Entry, Table, flagged, numbered, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, counted_in
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.section_points import states_at
-from jaxnh.maps.section import drawn_plane, outputs
+from jaxnh.maps.section import outputs, plot_plane
 from jaxnh.orbits.arclength import Family
 from jaxnh.orbits.branches import ENDS, Branch
 from jaxnh.orbits.kinds import KINDS, stable
@@ -116,7 +116,7 @@ def _branches(
         axis.name: variable(dims, table([branch.value for branch in every]), axis.long_name, axis.units),
         "period": _period_variable(("branch",), periods, counted_in(system)),
         **_coordinates(lanes, grown, [(of, branch.points) for of, branch in branches], table, dims),
-        "multipliers": variable((*dims, "multiplier", "part"), values, _of_multipliers(grown)),
+        "multipliers": variable((*dims, "multiplier", "part"), values, _multiplier_words(grown)),
         "stable": flagged(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", "no", "yes"), -1),
         "residual": variable(dims, table([branch.residual for branch in every]), residual),
         "begins": flagged("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),
@@ -170,7 +170,7 @@ def _bifurcations(
         ),
         "coefficient": variable(dim, np.array([point.coefficient for point in every], float), coefficient),
         **_coordinates(lanes, grown, [(of, point.points[None]) for of, point in bifurcations], rows, dim),
-        "multipliers": variable((*dim, "multiplier", "part"), multipliers, _of_multipliers(grown)),
+        "multipliers": variable((*dim, "multiplier", "part"), multipliers, _multiplier_words(grown)),
     }
 
 
@@ -199,7 +199,7 @@ def _period_variable(dim: tuple[str, ...], periods: Sequence[int], counted: str)
     return numbered(dim, np.array(periods, np.int32), words, ("equilibrium",), counted_in=counted)
 
 
-def _of_multipliers(grown: Sequence[FollowedBranches]) -> str:
+def _multiplier_words(grown: Sequence[FollowedBranches]) -> str:
     return _MULTIPLIERS + _EIGENVALUES if len(grown) > 1 else _MULTIPLIERS
 
 
@@ -240,7 +240,7 @@ def _outputs(
     named = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
     cuts = np.cumsum([len(one) for one in flat])[:-1]
     coordinates = dict[str, tuple[Output, list[np.ndarray]]]()
-    for name in (drawn_plane(batch.system)[0], *batch.flow.coordinates):
+    for name in (plot_plane(batch.system)[0], *batch.flow.coordinates):
         if name in named:
             parts = np.split(np.asarray(named[name].data)[:, 0], cuts) if flat else []
             rows = [part.reshape(one.shape[:2]) for part, one in zip(parts, points, strict=True)]

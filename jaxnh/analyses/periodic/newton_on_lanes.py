@@ -62,7 +62,7 @@ def sizes(chart: Chart, size: Float[np.ndarray, "lanes d"]) -> tuple[Float[np.nd
     return () if chart.dimensionless else (size,)
 
 
-def apart(
+def section_distance(
     chart: Chart, one: Float[np.ndarray, "... d"], other: Float[np.ndarray, "... d"], size: Float[np.ndarray, "... d"]
 ) -> np.ndarray:
     """Largest difference (...) between section points in sizes of the motion; without dimensions that of positions."""

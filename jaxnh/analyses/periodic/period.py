@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, named, numbered, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in
-from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey_from_start
+from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey_from_start
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.config.options.orbits import PeriodOptions
@@ -28,7 +28,7 @@ def numbers(options: PeriodOptions) -> int:
 def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Least period of every lane with its residual and largest multiplier."""
     attractors = survey_from_start(batch, lanes, options.limit, "period", options.transient)
-    attractors = beyond_doublings(lanes, batch.strobe(), dict(batch.p), attractors)
+    attractors = polish_beyond_doublings(lanes, batch.strobe(), dict(batch.p), attractors)
     variables = {
         "period": numbered(
             LANE, attractors.period, "least period up to the limit", ("none",), counted_in=counted_in(batch.system)
