@@ -1,4 +1,4 @@
-"""How a map is made: of a flow under a solver, over a period, a part of one, or from crossing to crossing.
+"""Construction of maps: of a flow under a solver, over a period, a part of one, or from crossing to crossing.
 
 Every lane keeps the same clock, and the clock starts anew each period, so no phase is lost in a long run. The registry
 at the end says which flows have a way of their own; all others go by Runge–Kutta steps.
@@ -43,7 +43,7 @@ _SMALLEST_STEP = 64  # kicks of a step: as many as any splitting has, so that al
 
 
 class Scheme(Protocol):
-    """How flows of one kind are integrated, by solvers of one kind: the registry knows which.
+    """Integration of flows of one kind by solvers of one kind; the registry knows which.
 
     Attributes:
         reference: the one that errors are measured with.
@@ -60,7 +60,7 @@ class Scheme(Protocol):
     stacked: ClassVar[bool]
 
     def solvers(self, flow: Any, precision: str = "float64") -> tuple[Solver, ...]:
-        """Those to choose from."""
+        """Return the solvers to choose from."""
         ...
 
     def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> ReturnMap:
@@ -83,7 +83,7 @@ class Scheme(Protocol):
 
 
 class Kicks:
-    """By isokinetic splittings: kicks in a table that all lanes share."""
+    """Integration by isokinetic splittings: kicks in a table that all lanes share."""
 
     reference: ClassVar[Solver] = SPLITTINGS["sofroniou_spaletta10"]
     summations: ClassVar[tuple[bool, ...]] = (False, True)
@@ -141,7 +141,7 @@ class Kicks:
 
 
 class StepScheme:
-    """By steps of Runge–Kutta methods, of any flow, and of Nyström's, of those of second order."""
+    """Integration by Runge–Kutta methods, of any flow, and by Nyström methods, of flows of second order."""
 
     reference: ClassVar[Solver] = verner9
     summations: ClassVar[tuple[bool, ...]] = (False,)
@@ -160,9 +160,9 @@ class StepScheme:
         return _map_on_grid(flow, solver, step_grid(flow, steps, span))
 
     def step(self, flow: Any, solver: Any) -> ReturnMap:
-        return (
-            nystrom_unit_step(flow, solver) if isinstance(solver, Nystrom) else unit_step(flow, _check_solver(solver))
-        )
+        if isinstance(solver, Nystrom):
+            return nystrom_unit_step(flow, solver)
+        return unit_step(flow, _check_solver(solver))
 
     def parts(
         self,
@@ -206,7 +206,7 @@ SCHEMES: dict[type[Flow], tuple[Scheme, Scheme]] = {
 
 
 def scheme_of(system: Flow | Section, solver: Any = None) -> Scheme:
-    """How a flow is integrated, by a solver if one is named."""
+    """Return the scheme that integrates a flow, with a solver if one is named."""
     own, other = next(SCHEMES[kind] for kind in type(system.flow).__mro__ if kind in SCHEMES)
     return own if solver is None or isinstance(solver, type(own.reference)) else other
 

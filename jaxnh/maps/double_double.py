@@ -90,7 +90,7 @@ class Arithmetic(NamedTuple):
         return sine, self.add(one, negative(versine))
 
     def rem(self, a: Double, b: Double, whole: Callable[[Array], Array] = jnp.trunc) -> Double:
-        """What a is beyond a whole number of b; a divisor that is 2 π in float64 is 2 π."""
+        """Remainder of a divided by b; a divisor that is 2 π in float64 is 2 π."""
         turn = self.constant(_TURN)
         if b.lo is None:
             b = select(b.hi == float(_TURN), turn, b)
@@ -181,7 +181,7 @@ def quick_sum(a: Array, b: Array) -> Double:
 
 
 def from_float64(a: ArrayLike) -> Double:
-    """A float64."""
+    """Return a float64 as a `Double`."""
     return Double(jnp.asarray(a), None)
 
 
@@ -191,12 +191,12 @@ def negative(a: Double) -> Double:
 
 
 def scale(a: Double, power: Any) -> Double:
-    """a times a power of two."""
+    """Multiply a by a power of two."""
     return Double(power * a.hi, None if a.lo is None else power * a.lo)
 
 
 def select(which: Array, a: Double, b: Double) -> Double:
-    """a where it is asked for, else b."""
+    """Select a where it is asked for, else b."""
     less, least = (jnp.zeros_like(each.hi) if each.lo is None else each.lo for each in (a, b))
     return Double(jnp.where(which, a.hi, b.hi), jnp.where(which, less, least))
 

@@ -24,7 +24,7 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters
 
 Value = Double | Array
-"""Of a variable: a real number, or an integer or truth value as it is."""
+"""Value of a variable: a real number, or an integer or truth value as it is."""
 
 # What puts numbers elsewhere and does no arithmetic.
 _MOVING = {"broadcast_in_dim", "concatenate", "copy", "dynamic_slice", "reshape", "scatter", "select_n", "slice"}
@@ -169,7 +169,7 @@ _LOOPS: dict[str, Callable[[Arithmetic, Mapping[str, Any], list[Value]], list[Va
 
 
 def _whole(values: list[Value]) -> list[Value]:
-    """With both halves of every number, as loops carry them."""
+    """Flatten to both halves of every number, as loops carry them."""
     return [Double(v.hi, _half(v, 1)) if isinstance(v, Double) else v for v in values]
 
 

@@ -99,7 +99,7 @@ class MapFamily(ParameterFamily[ReturnMap]):
 
 
 Maps = ReturnMap | MapFamily
-"""What analyses hand to a lane runner: one map for all lanes, or one for each value of what they share."""
+"""Maps that analyses give to a lane runner: one for all lanes, or one for each value of what they share."""
 
 
 def padded_like(maps: Maps, other: Maps) -> Maps:

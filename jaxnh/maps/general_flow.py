@@ -40,7 +40,7 @@ StageField = Callable[[Any, Any], Any]
 
 
 class Moving(NamedTuple):
-    """What goes from step to step.
+    """State carried from step to step.
 
     Attributes:
         state: of the flow.
@@ -74,14 +74,14 @@ class GeneralStrobe(ReturnMap):
 
     @property
     def most_lanes(self) -> int | None:
-        """As many as have their stages in a core's nearest caches."""
+        """Number of lanes whose stages fit in a core's nearest caches."""
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return None
         return lanes_per_tile(8 * (self.solver.stages + 2) * len(self.system.coordinates))
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Of the loop over steps, and of the loop over stages where there is one."""
+        """Trip counts of the loop over steps and, where there is one, of the loop over stages."""
         steps = () if self.steps is None else (float(np.mean(self.steps)),)
         return (*steps, float(self.solver.stages)) if self._rolls(0) else steps  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -249,7 +249,7 @@ def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:
 
 
 def time_split(system: Flow) -> TimeSplit:
-    """What time decides in a flow's rate, and what its lanes do; traced once for all flows of a structure."""
+    """Split a flow's rate into what depends on time alone and the rest; traced once for all flows of a structure."""
     shapes = tuple((np.shape(leaf)) for leaf in jax.tree.leaves(system))
     return _split(jax.tree.structure(system), shapes)
 

@@ -55,7 +55,7 @@ class KickStrobe(ReturnMap):
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Of the loop over kicks."""
+        """Trip count of the loop over kicks."""
         return (float(np.mean(self.kicks)),)
 
     def __call__(self, state: State, p: Parameters) -> State:

@@ -48,12 +48,12 @@ class NystromStrobe(GeneralStrobe):
 
     @property
     def most_lanes(self) -> int:
-        """As many as have their stages, of positions alone, in a core's nearest caches."""
+        """Number of lanes whose stages, of positions alone, fit in a core's nearest caches."""
         return lanes_per_tile(8 * (self.solver.stages + 4) * np.shape(self.gamma)[-1])
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Of the loop over steps."""
+        """Trip count of the loop over steps."""
         return () if self.steps is None else (float(np.mean(self.steps)),)
 
     def __call__(self, state: State, p: Parameters) -> State:
@@ -172,7 +172,7 @@ def nystrom_unit_step(system: Flow, solver: Nystrom) -> NystromStrobe:
 
 
 def _times(factors: Any, carried: Carried) -> Carried:
-    """Every component times its factor."""
+    """Multiply every component by its factor."""
     return [[factors[k] * leaf for k, leaf in enumerate(part)] for part in carried]
 
 

@@ -43,7 +43,7 @@ class Halves(NamedTuple):
 
 
 class SecondOrder:
-    """What makes a flow one of second order.
+    """A flow as a system of second order.
 
     Attributes:
         halves: of its states.
@@ -66,7 +66,7 @@ class SecondOrder:
 
 
 def second_order(system: Flow) -> SecondOrder | None:
-    """What makes a flow one of second order; None where it is none. Traced once for all flows of a structure."""
+    """Return the flow as a system of second order, None where it is none. Traced once for all flows of a structure."""
     return _second_order(jax.tree.structure(system), tuple(np.shape(leaf) for leaf in jax.tree.leaves(system)))
 
 
@@ -119,11 +119,11 @@ class _Field:
         return sum(not needed.isdisjoint(step.makes) for step in program.steps)
 
     def rates(self, t: Any, system: Flow, leaves: Sequence[Any], own: Mapping[str, Any]) -> list[Any]:
-        """Of every leaf."""
+        """Return the rate of every leaf."""
         return jax.tree.leaves(system.rhs(t, jax.tree.unflatten(self._structure, leaves), own))
 
     def slopes(self, j: int, t: Any, system: Flow, leaves: Sequence[Any], own: Mapping[str, Any]) -> list[Any]:
-        """Of every rate, in leaf j."""
+        """Return the derivative of every rate in leaf j."""
 
         def moved(x: Any) -> list[Any]:
             return self.rates(t, system, [*leaves[:j], x, *leaves[j + 1 :]], own)

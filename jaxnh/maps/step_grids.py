@@ -63,7 +63,7 @@ class SmoothGrid:
 
 
 def share_of_steps(system: Flow, span: tuple[float, float]) -> float:
-    """What a span has of the steps of a period."""
+    """Share of the steps of a period that lies in a span."""
     if span == (0.0, system.period):
         return 1.0
     first, last, whole = SmoothGrid(system).share(np.array([*span, system.period]))

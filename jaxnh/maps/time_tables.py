@@ -1,4 +1,4 @@
-"""What of a field depends on time alone, taken out of the lanes: a table at the times of the stages, shared by all.
+"""Time-dependent part of a field, taken out of the lanes: a table at the times of the stages, shared by all.
 
 A field is traced into its list of equations. Those that reach from t to a number without the state of a lane or its
 own parameters need to be solved once a time, and not in every lane: forcing, a moving constraint, any function of t.
@@ -73,7 +73,7 @@ class TimeSplit:
         return tuple(value.reshape(*times.shape, *value.shape[1:]) for value in values)
 
     def rest(self, values: Sequence[Any], shared: Any, lane: Any) -> Any:
-        """What the function is, with the values of the table at its time."""
+        """Evaluate the function with the values of the table at its time."""
         leaves = [*jax.tree.leaves(shared), *jax.tree.leaves(lane)]
         slots = dict(zip(self._program.inputs[1:], leaves, strict=True))
         slots |= dict(zip(self._table, values, strict=True))

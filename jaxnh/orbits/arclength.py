@@ -23,7 +23,7 @@ FINE = 1e-9
 """Step of Newton, in lengths, after which an orbit is known to rounding."""
 
 ROUGH = 1e-6
-"""The same where the square of it is small enough: between the marked points of a branch."""
+"""Step of Newton, in lengths, whose square is small enough: between the marked points of a branch."""
 
 _NEWTON_STEPS = 12
 _CONTRACTION = 0.5  # of successive steps; Newton that contracts less is on its way to another curve
@@ -57,7 +57,7 @@ class Family(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Of the range."""
+        """Width of the parameter's range."""
         return self.high - self.low
 
 
@@ -95,7 +95,7 @@ class CurveOrbits(NamedTuple):
     other_way: PathVector
 
     def take(self, lanes: Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"] | slice) -> CurveOrbits:
-        """Those of some lanes."""
+        """Return the entries of a subset of lanes."""
 
         def some(leaf: np.ndarray) -> np.ndarray:
             return leaf[lanes]
@@ -182,7 +182,7 @@ def correct(
 
 
 def _initial_orbits(points: Float[np.ndarray, "lanes n d"], value: Float[np.ndarray, " lanes"]) -> CurveOrbits:
-    """Guesses of which nothing else is known yet."""
+    """Return orbits at guesses, without anything else known yet."""
     lanes, _, d = points.shape
 
     def unknown(*shape: int) -> np.ndarray:

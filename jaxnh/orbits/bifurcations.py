@@ -155,7 +155,7 @@ def neutral_pair(family: Family, orbits: CurveOrbits) -> Bool[np.ndarray, " some
 
 
 def critical(family: Family, values: Complex[np.ndarray, "some d"]) -> Complex[np.ndarray, " some"]:
-    """Of each orbit the complex multiplier nearest the unit circle (eigenvalue nearest the axis), above the real line.
+    """Complex multiplier of each orbit nearest the unit circle (eigenvalue nearest the axis), above the real line.
 
     NaN where all are real.
     """
@@ -217,7 +217,7 @@ def _crossing_directions(
 
 
 def _own_test(family: Family, nodes: CurveOrbits, kind: Int[np.ndarray, " nodes"]) -> Float[np.ndarray, " nodes"]:
-    """Of each node the test function of its kind, not a number where there is no orbit."""
+    """Test function of the kind of each node, NaN where there is no orbit."""
     column = np.array([kinds(family).index(k) for k in kind.tolist()], int)
     with np.errstate(all="ignore"):
         safe = nodes._replace(blocks=np.where(nodes.converged[:, None, None, None], nodes.blocks, 0.0))

@@ -47,7 +47,7 @@ _LEAST_LOOP = 8  # points of a closed branch
 
 
 class StepControl(NamedTuple):
-    """How branches are followed.
+    """Sizes and numbers of steps along branches.
 
     Attributes:
         largest: step, in sizes of the motion and widths of the range.
@@ -59,7 +59,7 @@ class StepControl(NamedTuple):
 
 
 STEPS = StepControl()
-"""As they are where nothing is said."""
+"""Default steps."""
 
 
 _Leaves = TypeVar("_Leaves", CurveOrbits, PathVector)
@@ -229,7 +229,7 @@ class _Course:
         return open_[done]
 
     def branch(self, lane: int) -> Branch:
-        """What a lane has come by; nothing of it is kept."""
+        """Return the branch that a lane has followed, and forget it."""
         rows, self._rows[lane] = self._rows[lane], []
         whole: _Points = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
         return Branch(*whole, ends=(START, int(self._end[lane])))
@@ -240,7 +240,7 @@ class _Course:
         tests, multipliers = test_functions(family, orbits), eigenvalues(family, orbits)
         whole = _Points(orbits.points, orbits.value, orbits.way, tests, multipliers, orbits.residual)
         for i, lane in enumerate(lanes.tolist()):
-            self._rows[lane].append(whole.of_lane(i))
+            self._rows[lane].append(whole.lane(i))
         self._count[lanes] += 1
 
 
@@ -254,8 +254,8 @@ class _Points(NamedTuple):
     multipliers: np.ndarray
     residual: np.ndarray
 
-    def of_lane(self, i: int) -> _Points:
-        """What belongs to one of several lanes."""
+    def lane(self, i: int) -> _Points:
+        """Return the point of one of several lanes."""
         way = PathVector(self.way.points[i], self.way.value[i])
         return _Points(self.points[i], self.value[i], way, self.tests[i], self.multipliers[i], self.residual[i])
 
@@ -290,7 +290,7 @@ def _step_lanes(
 
 
 def _gap(points: np.ndarray) -> np.ndarray:
-    """From each point (or vector) to the one half a period on."""
+    """Differences from each point (or vector) to the one half a period later."""
     return points - np.roll(points, points.shape[1] // 2, 1)
 
 
@@ -334,7 +334,7 @@ def _passes(
 
 
 def _select(which: Bool[np.ndarray, " lanes"], one: _Leaves, other: _Leaves) -> _Leaves:
-    """Of each lane the one, or the other."""
+    """Select one or the other for each lane."""
 
     def leaf(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)

@@ -122,7 +122,7 @@ def _product_of_others(values: Complex[np.ndarray, "lanes d"], critical: float) 
 
 
 def _turning(track: CurvePoints) -> Float[np.ndarray, " lanes"]:
-    """In two dimensions, which way M turns: zero where M is ±1, which a symmetry can bring about on a curve.
+    """Sense in which M turns, in two dimensions: zero where M is ±1, which a symmetry can bring about on a curve.
 
     There e^(±iθ) pass −1 or 1 and stay on the circle: cos θ has an extremum, and goes through nothing.
     """

@@ -58,7 +58,7 @@ def errors_of_special(
 def _error(
     coarse: Float[np.ndarray, " *shape"], fine: Float[np.ndarray, " *shape"], finest: Float[np.ndarray, " *shape"]
 ) -> Float[np.ndarray, " *shape"]:
-    """Of the first; rounding of all three is in it.
+    """Error of the first value; rounding of all three is in it.
 
     What is left beyond the finest is less than how far it is from the one before.
     """

@@ -63,7 +63,7 @@ class ParameterPlane(NamedTuple):
     high: Float[np.ndarray, " 2"]
 
     def unit(self, n: int) -> Float[np.ndarray, " N"]:
-        """What unknowns are measured in, so that squares of lengths are means over the points: N = nd + 2."""
+        """Units of the unknowns, such that squares of lengths are means over the points: N = nd + 2."""
         return np.concatenate([np.tile(self.size, n) * np.sqrt(n), self.high - self.low])
 
 
@@ -85,7 +85,7 @@ class CurvePoints(NamedTuple):
     converged: Bool[np.ndarray, " lanes"]
 
     def take(self, lanes: Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"] | slice) -> CurvePoints:
-        """Those of some lanes."""
+        """Return the entries of a subset of lanes."""
         return CurvePoints(*(leaf[lanes] for leaf in self))
 
 
@@ -287,7 +287,7 @@ def angle_cosine(values: Complex[np.ndarray, "lanes d"]) -> Float[np.ndarray, " 
 def _equations(
     plane: ParameterPlane, kind: int, z: Float[np.ndarray, "lanes N"]
 ) -> tuple[Float[np.ndarray, "lanes rows"], Float[np.ndarray, "lanes rows N"], Float[np.ndarray, "lanes n d d"]]:
-    """What the orbit and the test function miss, derivatives of both in the unknowns, and ∂P/∂u, all in their units."""
+    """Residuals of the orbit and the test function, their derivatives in the unknowns, and ∂P/∂u, all in units."""
     (points, values), lanes = split_unknowns(plane, z), len(z)
     n, d = points.shape[1:]
     width = plane.high - plane.low

@@ -127,7 +127,7 @@ def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
 
 
 def _points_first(each: np.ndarray, axis: int) -> np.ndarray:
-    """In one order in memory: the last bits of products depend on it."""
+    """Return an array in one memory order: the last bits of products depend on it."""
     return np.ascontiguousarray(np.moveaxis(each, axis, 0))
 
 
@@ -137,7 +137,7 @@ def _pairs(each: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _eliminated_sides(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """What stands on the right of the equation left for y_0, and of those of the points eliminated."""
+    """Return the right-hand sides of the equation left for y_0 and of those of the points eliminated."""
     m, known = right.shape[-1], []
     carried = _points_first(right, -2)
     for turns, _, _ in cycle.rounds:

@@ -34,7 +34,7 @@ _ROUNDING = 1e-6  # of the test function, which is of order one: what falls no m
 
 
 class DoublingPoint(NamedTuple):
-    """Where a period-n orbit has a multiplier −1.
+    """Point where a period-n orbit has a multiplier −1.
 
     Attributes:
         value: of the parameter.
@@ -209,7 +209,7 @@ def _interpolate(values: np.ndarray, leaves: np.ndarray, at: np.ndarray) -> np.n
 
 
 def _separation(points: Float[np.ndarray, "n d"], wrap: Wrap) -> float:
-    """How far an orbit of n points is from one of a shorter period, over all divisors of n."""
+    """Distance of an orbit of n points from one of a shorter period, over all divisors of n."""
     n = len(points)
     shorter = [n // q for q in range(2, n + 1) if n % q == 0]
     return min((float(np.abs(wrap(points - np.roll(points, m, 0))).max()) for m in shorter), default=np.inf)

@@ -230,7 +230,7 @@ def _move(points: Sum, step: np.ndarray) -> Sum:
 
 
 def _distance(a: ExtendedPoint, b: ExtendedPoint) -> float:
-    """Of the values of b from a."""
+    """Difference of the values, b minus a."""
     return (b.value[0] - a.value[0]) + (b.value[1] - a.value[1])
 
 

@@ -49,7 +49,7 @@ class Orbit(NamedTuple):
 
 
 class NewtonStep(NamedTuple):
-    """What a step of Newton on Pⁿ(u) = u rests on, at a point of one lane.
+    """Newton's step on Pⁿ(u) = u and its residual, at a point of one lane.
 
     Attributes:
         residual: largest component of Pⁿ(u) − u, in sizes of the motion.

@@ -152,7 +152,7 @@ def _response(blocks: np.ndarray, force: np.ndarray, z: Complex[np.ndarray, " so
 
 
 def _real_response(blocks: np.ndarray, left: np.ndarray, force: np.ndarray, critical: bool) -> np.ndarray:
-    """The same with z = 1; where a multiplier is one (`critical`), but for what is along its left vector."""
+    """The response with z = 1; where a multiplier is one (`critical`), without the part along its left vector."""
     cycle = _cycle(blocks, np.ones(len(blocks), complex), True)
     if critical:
         return cyclic.underdetermined(cycle, -force, np.real(left)).y

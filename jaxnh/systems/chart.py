@@ -76,7 +76,7 @@ class Chart(eqx.Module):
         return np.max(np.abs(self.wrap(one - other))[..., : self.positions], axis=-1, initial=0.0)
 
     def observable(self, y: State) -> Vector:
-        """What stands for a motion where one number is enough: the first coordinate, or of an angle cosine and sine.
+        """One number that represents a motion: the first coordinate, or of an angle cosine and sine.
 
         An angle itself is no observable: it may grow for ever, and whole turns of it are no motion.
         """

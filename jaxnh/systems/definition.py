@@ -1,4 +1,4 @@
-"""What all systems share that a function of their parameters defines: names, time, lanes' own values."""
+"""Common parts of systems defined by a function of their parameters: names, time, lanes' own values."""
 
 from __future__ import annotations
 
@@ -105,5 +105,5 @@ def _decides_the_clock(define: Callable[..., Definition], values: Mapping[str, A
 
 
 def marked(definition: Definition, kind: str) -> tuple[bool, ...]:
-    """For each coordinate of a definition, whether it is named among those of a kind."""
+    """Flag the coordinates of a definition that are named among those of a kind."""
     return tuple(name in definition.get(kind, ()) for name in definition["coordinates"])

@@ -48,12 +48,12 @@ class FirstOrder(DefinedFlow):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """As the system names them."""
+        """Names of the coordinates in the system."""
         return self.names
 
     @property
     def labels(self) -> Labels:
-        """As the definition says."""
+        """Labels of the definition."""
         kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(self.names, self.angles, strict=True)}
         return self.labelled(kinds, pairs(self.names))
 
@@ -66,7 +66,7 @@ class FirstOrder(DefinedFlow):
 
     @property
     def exponents(self) -> int:
-        """One a coordinate."""
+        """One exponent a coordinate."""
         return len(self.names)
 
     @property

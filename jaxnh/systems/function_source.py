@@ -116,7 +116,7 @@ def _names_of(code: CodeType) -> set[str]:
 
 
 def _defaults(function: FunctionType, known: Mapping[str, Any]) -> dict[str, Any]:
-    """What the head of a function takes from its module: in defaults, annotations and decorators."""
+    """Names that the head of a function takes from its module: in defaults, annotations and decorators."""
     tree = ast.parse(_source(function)).body[0]
     assert isinstance(tree, ast.FunctionDef)
     heads = [*tree.args.defaults, *tree.args.kw_defaults, *tree.decorator_list, tree.returns]

@@ -31,11 +31,11 @@ Components = Callable[[Vector, Vector, Number], Number]
 """(q, q̇, t) to a sequence of numbers."""
 
 SMALLEST_PIVOT = 64 * np.finfo(float).eps
-"""Of the largest entry of the matrix: a pivot below it is rounding."""
+"""Share of the largest entry of the matrix: a pivot below it is rounding."""
 
 
 class Equations(NamedTuple):
-    """What a system is: kinetic energy, generalised forces, and constraints (none where it is free).
+    """Equations of a system: kinetic energy, generalised forces, and constraints (none where it is free).
 
     Attributes:
         T: kinetic energy, (q, q̇, t) to a number.
@@ -69,7 +69,7 @@ def slope(function: Callable[..., Number], at: Vector, i: int) -> Number:
 
 
 def _flat(function: Callable[[Vector, Vector, Number], Number], k: int) -> Callable[..., Number]:
-    """The same function of its 2k + 1 components."""
+    """Return the function of its 2k + 1 components."""
     return lambda *at: function(at[:k], at[k : 2 * k], at[2 * k])
 
 
@@ -124,7 +124,7 @@ def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Acce
 
 
 def applied_forces(equations: Equations, q: Vector, v: Vector, t: Number) -> list[Number]:
-    """What accelerates but for the constraints: Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t, k components."""
+    """Forces without those of the constraints: Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t, k components."""
     k = len(q)
     energy = _flat(equations.T, k)
 

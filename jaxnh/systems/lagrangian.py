@@ -67,7 +67,7 @@ def _(y: Motion, kept: Number) -> Motion:
 
 
 class ReducedMotion(NamedTuple):
-    """What steps carry of a lane whose constraints give some of its velocities.
+    """State that steps carry of a lane whose constraints give some of its velocities.
 
     Attributes:
         q: k coordinates.
@@ -139,12 +139,12 @@ class Lagrangian(DefinedFlow):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Each coordinate and its velocity: x, x_dot, y, y_dot, …"""
+        """Names of each coordinate and its velocity: x, x_dot, y, y_dot, …"""
         return tuple(word for name in self.names for word in (name, f"{name}_dot"))
 
     @property
     def labels(self) -> Labels:
-        """As the definition says; each coordinate of the section is drawn with its velocity, then all others."""
+        """Labels of the definition; each coordinate of the section is drawn with its velocity, then all others."""
         kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(self.names, self.angles, strict=True)}
         rates = {f"{name}_dot": "velocity" for name in self.names}
         order = sorted(range(len(self.names)), key=self.ignorable.__getitem__)
@@ -175,8 +175,8 @@ class Lagrangian(DefinedFlow):
         missing = f": T has no term with the square of {', '.join(without)}" if without else ""
         return f"the mass matrix, the second derivatives of T by the velocities, is singular{missing}"
 
-    def lost_on_the_way(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
-        """Where the constraints come near to losing rank: the smallest singular value of df/dv against its largest."""
+    def near_degeneracy(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
+        """Describe a near loss of rank of the constraints: the smallest singular value of df/dv against its largest."""
         times = np.asarray(t, float)
         slopes = constraint_slopes(self.equations(p), (*y.q, *y.v, times), len(y.q))
         matrix = np.moveaxis(
@@ -292,7 +292,7 @@ class Lagrangian(DefinedFlow):
         return outputs
 
     def reports(self, y: Motion) -> dict[str, Output]:
-        """Of each trajectory, by the last of its states (..., points): largest |f| before a projection, and its end."""
+        """Return the largest |f| before a projection and the status of each trajectory, from states (..., points)."""
         drift, reason = (component[..., -1] for component in y.watch)
         return {
             "drift": Output(drift, "largest |f| that a step left before its projection", {"units": UNSAID}),
@@ -302,7 +302,7 @@ class Lagrangian(DefinedFlow):
 
 @cached_by_structure
 def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit | None:
-    """Of a structure, once: parameters are no numbers then, and decide nothing."""
+    """Compute the velocities once for a structure: parameters are no numbers then, and decide nothing."""
     velocities: list[Explicit | None] = []
 
     def look(system: Lagrangian, own: Parameters) -> float:

@@ -80,7 +80,7 @@ class Program:
         return digest.hexdigest()
 
     def depends(self, levels: Sequence[int]) -> list[int]:
-        """For each slot the largest of the numbers, above zero, of the arguments that it depends on; 0: on none."""
+        """Return for each slot the largest number, above zero, of an argument that it depends on; 0: none."""
         numbers = [0] * self.size
         for slot, level in zip(self.inputs, levels, strict=True):
             numbers[slot] = level
@@ -106,7 +106,7 @@ class Program:
         wanted: Callable[[Step], bool],
         instead: Mapping[Any, Callable[..., Any]] | None = None,
     ) -> None:
-        """Solve the equations that are wanted, in order, from values that are found and into them.
+        """Solve the equations that are wanted, in order, reading known values of slots and adding results to them.
 
         Args:
             instead: functions in place of primitives.
@@ -124,7 +124,7 @@ class Program:
             slot_values |= dict(zip(step.makes, results, strict=True))
 
     def results(self, slot_values: Mapping[Slot, Any]) -> Any:
-        """What the function returns, from values."""
+        """Return the function's results from the values of slots."""
         leaves = [slot.value if isinstance(slot, KnownValue) else slot_values[slot] for slot in self.outputs]
         return jax.tree.unflatten(self.structure, leaves)
 
@@ -158,7 +158,7 @@ class Program:
 
 
 def constants(function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function returns, a float in place of each result that depends on no argument, and None of others."""
+    """Return a function's results that depend on no argument as floats, and None in place of the others."""
     program = Program(function, *arguments)
     depends = program.depends([1] * len(program.inputs))
     free = [slot for slot in program.outputs if isinstance(slot, KnownValue) or not depends[slot]]
@@ -190,7 +190,7 @@ def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], 
 def cached_by_structure(
     look: Callable[[Any, tuple[tuple[int, ...], ...]], Found],
 ) -> Callable[[Any, tuple[tuple[int, ...], ...]], Found]:
-    """A look at functions, by tracing, that is taken once for each structure of a pytree and shapes of its leaves.
+    """Cache the result of tracing functions for each structure of a pytree and shapes of its leaves.
 
     What is traced while a program for some devices is made is of that program's devices, unless it is traced apart.
     """

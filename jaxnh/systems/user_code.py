@@ -1,4 +1,4 @@
-"""What is wrong with a user's Python, in words for who wrote it: where it failed, and what to write instead.
+"""Explanations of errors in a user's Python: where it failed, and what to write instead.
 
 Functions of a user's system are traced: they run once, with numbers that are not known yet. Python's own functions of
 numbers, and its choices between numbers, need known ones; JAX has others for both.
@@ -62,7 +62,7 @@ def _names_at(trace: TracebackType | None, path: str) -> Mapping[str, Any]:
 
 
 def _advice(tree: ast.Module, text: str, here: tuple[int, int, int, int], names: Mapping[str, Any]) -> str:
-    """What to write instead of the code at (line, column, last line, last column); "" where nothing is known."""
+    """Advise what to write instead of the code at (line, column, last line, last column); "" without advice."""
     inside = [node for node in ast.walk(tree) if _holds(node, here)]  # outermost first
     for node in reversed(inside):
         for words in (_advice_on_call(node, names), _advice_on_choice(node, text, here)):
@@ -80,7 +80,7 @@ def _holds(node: ast.AST, here: tuple[int, int, int, int]) -> bool:
 
 
 def _advice_on_call(node: ast.AST, names: Mapping[str, Any]) -> str:
-    """Of a call of a function that takes known numbers alone: the function that takes others."""
+    """Name the function to call instead of one that takes known numbers alone."""
     if not isinstance(node, ast.Call):
         return ""
     called, function = ast.unparse(node.func), _value(node.func, names)
@@ -108,7 +108,7 @@ def _module_of(function: Any) -> str:
 
 
 def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
-    """What a name, or a name of a module's, stands for; None where it is something else."""
+    """Return the value of a name, or of a module's name; None for other expressions."""
     if isinstance(node, ast.Name):
         return names.get(node.id)
     if isinstance(node, ast.Attribute):
@@ -117,7 +117,7 @@ def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
 
 
 def _advice_on_choice(node: ast.AST, text: str, here: tuple[int, int, int, int]) -> str:
-    """Of a choice between numbers the function that chooses, and of an array that is changed in place what to do."""
+    """Advise on a choice between numbers, and on an array that is changed in place."""
     condition = "(condition, a, b)"
     for statement, one in _conditions(node):
         if _holds(one, here):

@@ -62,7 +62,7 @@ _AS_IN = {"labels": "displacement", "units": "m"}
 
 
 class UserFile:
-    """What a user's file says.
+    """Contents of a user's file.
 
     Attributes:
         path: the file, as the config names it from where the command runs.
@@ -122,7 +122,7 @@ class UserFile:
         return hashlib.sha256("".join(texts).encode()).hexdigest() if len(texts) == len(self._equations) else None
 
     def define(self, **parameters: Any) -> Mapping[str, Any]:
-        """What the function returns, checked; one name, or one number that a function returns, as a tuple of it.
+        """Return the function's result, checked; one name, or one number that a function returns, as a tuple of it.
 
         Raises:
             UserFileError: it fails, or says what is no definition.
@@ -307,7 +307,7 @@ class UserFile:
         return traced.shapes, any(not isinstance(slot, KnownValue) and depends[slot] for slot in traced.outputs)
 
     def _numbers(self, name: str, values: Sequence[Any]) -> tuple[Any, ...]:
-        """What a function has returned as arrays."""
+        """Convert a function's result to arrays."""
         if any(one is None or isinstance(one, str | Mapping | tuple | list) for one in values):
             nothing = ", and returns nothing" if values[0] is None else ""
             raise self._fault(self._line_of(name), f"{name} must return {_RETURNED[name]}{nothing}")

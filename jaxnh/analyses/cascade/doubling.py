@@ -48,7 +48,7 @@ def independent(options: DoublingOptions) -> bool:
 
 
 def check(options: DoublingOptions, setting: Setting) -> None:
-    """See that the first axis is a parameter, and one that there is something of between two values of it."""
+    """Check that the first axis is a parameter for which the system exists between grid values."""
     first = setting.axes[0]
     if options.levels > _LEVELS and setting.precision != "extended":
         message = f"float64 tells {_LEVELS} doublings of a cascade apart; more need accuracy.precision: extended"

@@ -62,7 +62,7 @@ class ExtendedDoublings(NamedTuple):
 
 
 def check_operations(batch: LaneBatch) -> None:
-    """See that extended precision knows all operations of the batch's map, before anything is computed.
+    """Check that extended precision has all operations of the batch's map, before anything is computed.
 
     Raises:
         AccuracyError: it does not.

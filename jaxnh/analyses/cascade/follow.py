@@ -267,7 +267,7 @@ class _Steps:
         return self._located[key]
 
     def searched(self, line: PeriodScan) -> str:
-        """In words, what a survey has seen, and from where cascades were looked for."""
+        """Describe the periods of a survey, and where cascades were looked for."""
         name = self.batch.line.name
         words = [
             f"{n} → {2 * n} {'up' if sign > 0 else 'down'} from {value:.6g} ({count or 'none'} located)"

@@ -32,7 +32,7 @@ _SEEN = 10.0  # errors: a step must be so large to count
 
 
 class Limit(NamedTuple):
-    """What a sequence tends to; NaN where it is too short to tell.
+    """Limit of a sequence; NaN where it is too short to tell.
 
     Attributes:
         ratio, ratio_error: of successive distances, or widths, in the limit.
@@ -46,7 +46,7 @@ class Limit(NamedTuple):
 
 
 class _Kind(NamedTuple):
-    """What is known of a sequence beforehand.
+    """Prior knowledge of a sequence.
 
     Attributes:
         tied: ratios of corrections that follow from r = 1/δ or 1/α, (ratios,) each.
@@ -164,7 +164,7 @@ def _posterior(
     size: float,
     bound: float,
 ) -> _Posterior:
-    """How likely ratios r = 1/δ or 1/α are, limit and A integrated out (Rasmussen, Williams 2006, 2.7)."""
+    """Posterior of ratios r = 1/δ or 1/α, limit and A integrated out (Rasmussen, Williams 2006, 2.7)."""
     levels = len(sequence)
     k = np.arange(levels)
     power = r[:, None] ** k
@@ -198,7 +198,7 @@ def _covariance(
     size: float,
     bound: float,
 ) -> Float[np.ndarray, "ratios levels levels"]:
-    """Of corrections and errors: E ρᵏ⁺ˡ over |ρ| below a bound, and the ratios that are tied, times the size."""
+    """Covariance of corrections and errors: E ρᵏ⁺ˡ over |ρ| below a bound and the tied ratios, times the size."""
     sums = k[:, None] + k
     others = np.where(sums % 2 == 0, bound**sums / (sums + 1.0), 0.0)
     own = np.sum([ratio[:, None, None] ** sums for ratio in tied], axis=0)

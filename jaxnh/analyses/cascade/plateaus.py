@@ -25,7 +25,7 @@ class Plateau(NamedTuple):
 
     @property
     def lanes(self) -> int:
-        """How many there are."""
+        """Number of lanes."""
         return self.last - self.first + 1
 
 
@@ -67,7 +67,7 @@ class PeriodScan(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Where a cascade may begin.
+    """Possible beginning of a cascade.
 
     Attributes:
         line: in the direction of the cascade.
@@ -101,7 +101,7 @@ class Start(NamedTuple):
 
 
 def starts(line: PeriodScan) -> list[Start]:
-    """Every end of a run in both directions at which a cascade may begin, the most promising first.
+    """Return all ends of runs, in both directions, at which a cascade may begin, the most promising first.
 
     First come those with the longest chains of runs n, 2n, 4n, … (or with steps of 4n and more) beyond them, of equal
     ones those in the direction of the line, then in its order; then runs with no such neighbour, the longest first.
@@ -141,7 +141,7 @@ def _next_run(runs: list[Plateau], i: int) -> int | None:
 
 
 def describe_periods(line: PeriodScan, name: str, limit: int) -> str:
-    """In words, which periods a survey up to a limit has found where along the axis of that name."""
+    """Describe which periods a survey up to a limit has found where along the axis of that name."""
     runs = line.runs()
     decided = [run for run in runs if run.period]
     shown = sorted(sorted(decided, key=lambda run: -run.lanes)[:_SHOWN])

@@ -50,7 +50,7 @@ def numbers(options: BranchesOptions) -> int:
 
 
 def check(options: BranchesOptions, setting: Setting) -> None:
-    """See that there is one axis, a parameter that lanes may differ in, and a box for random starts."""
+    """Check that there is one axis, a parameter that lanes may differ in, and a box for random starts."""
     first, *others = setting.axes
     if first.kind == "start":
         what = f"{first.name} is a coordinate of the start state"

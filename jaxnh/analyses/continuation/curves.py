@@ -74,7 +74,7 @@ def numbers(options: CurvesOptions) -> int:
 
 
 def check(options: CurvesOptions, setting: Setting) -> None:
-    """See that there are two axes, parameters that lanes may differ in, and of more than one value each."""
+    """Check that there are two axes, parameters that lanes may differ in, of more than one value each."""
     names = [axis.name for axis in setting.axes]
     if len(names) != 2:
         raise OptionError(f"curves are followed over two axes, and the sweep has {' and '.join(names)}")
@@ -251,7 +251,7 @@ def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], sp
 
 
 def _kind_and_curve(before: str, special: Sequence[_Point]) -> dict[str, Entry]:
-    """What points of codimension two are, and the number of the curve that each is on."""
+    """Kinds of points of codimension two, and the number of the curve that each is on."""
     dim, curves = "codimension_two", np.array([one.curve for one in special], np.int32)
     return {
         f"{before}kind": flagged(dim, [one.point.kind for one in special], "point of codimension two", POINTS),

@@ -79,7 +79,7 @@ def _cubic(s: np.ndarray, ends: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 def _zeros(
     function: Callable[[np.ndarray], np.ndarray], low: Float[np.ndarray, " some"], high: Float[np.ndarray, " some"]
 ) -> Float[np.ndarray, " some"]:
-    """Where functions change sign, by halving."""
+    """Bisect for the places where functions change sign."""
     positive: Bool[np.ndarray, " some"] = function(high) > 0.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)

@@ -99,7 +99,7 @@ def survey(
 
 
 class Timing(NamedTuple):
-    """When lanes are looked at, and how closely.
+    """Time and effort of one survey of lanes.
 
     Attributes:
         wait: periods before.
@@ -113,19 +113,19 @@ class Timing(NamedTuple):
 
     @property
     def periods(self) -> int:
-        """That it takes."""
+        """Periods integrated in total."""
         return self.wait + 2 * self.limit
 
 
 class EarlySurvey(NamedTuple):
-    """What was seen of lanes at one time, and their last points, (lanes, d)."""
+    """Survey of lanes at one time, and their last points, (lanes, d)."""
 
     survey: Survey
     ends: Float[np.ndarray, "lanes d"]
 
 
 def _timings(transient: int, limit: int) -> list[Timing]:
-    """When lanes are looked at: the last time after the whole transient.
+    """Return the times of surveys, the last after the whole transient.
 
     All lanes are looked at early, since most are on their orbits long before the transient is over: only the least
     period that they recur after is tried, so that the others lose little. Those are looked at again after all of it.
@@ -136,13 +136,13 @@ def _timings(transient: int, limit: int) -> list[Timing]:
 
 
 def early_timing(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:
-    """The look before a transient is over; None where it is too short for one."""
+    """Return the time of a survey before the transient is over; None where it is too short for one."""
     early = Timing(transient // _EARLY, min(limit, _EARLY_LIMIT), 1)
     return early if early.wait and early.periods < transient else None
 
 
 def survey_early(batch: LaneBatch, lanes: LaneRunner, label: str, early: Timing) -> EarlySurvey:
-    """What is seen of all lanes from their start states; the same for whichever analyses of a batch ask for it."""
+    """Survey all lanes from their start states, once for all analyses of a batch."""
     if early not in batch.seen:
         batch.seen[early] = _survey_at(batch, lanes, first_points(batch, lanes), early, label)
     return batch.seen[early]
@@ -158,7 +158,7 @@ def _survey_late(
     only_doublings: bool = False,
     tile: int | None = None,
 ) -> Survey:
-    """Those lanes whose orbits have not been seen are looked at again."""
+    """Survey again the lanes whose orbits are not known yet."""
     survey = jax.tree.map(np.copy, seen.survey)
     open_, ends = np.arange(batch.count), seen.ends
     for timing in late:
@@ -190,7 +190,7 @@ def _survey_at(
     only_doublings: bool = False,
     tile: int | None = None,
 ) -> EarlySurvey:
-    """What is seen of lanes some periods on, in 2 limit points of each."""
+    """Survey lanes some periods later, from 2 limit points of each."""
     strobe, count, p = batch.strobe(), batch.count, dict(batch.p)
     (wait, limit, tries), cost = timing, timing.periods
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):

@@ -1,4 +1,4 @@
-"""How a doubling of a batch is located: `orbits.doubling_points` on lanes, with the map in several refinements."""
+"""Location of a doubling of a batch: `orbits.doubling_points` on lanes, with the map in several refinements."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PERIOD_TILE = 32
 """Lanes a tile of the derivatives of a period: an orbit has few points."""
 
 REFINEMENTS = (1, 2, 4)
-"""Of the steps that the accuracy asks for, in maps that a doubling is located with."""
+"""Share of the steps that the accuracy asks for, in maps that a doubling is located with."""
 
 _SAFETY = 8.0
 _LEAST = 32.0  # 2ᵖ at order 5; methods that are chosen have more
@@ -38,7 +38,7 @@ class LocatedDoubling(NamedTuple):
 
     @property
     def point(self) -> DoublingPoint:
-        """It with twice the steps."""
+        """The doubling of the map with twice the steps."""
         return self.refined[1]
 
     @property
