@@ -103,7 +103,7 @@ Maps = ReturnMap | MapFamily
 
 
 def padded_like(maps: Maps, other: Maps) -> Maps:
-    """The same maps in tables as large as those of others, which have more steps: both run through one program."""
+    """Return the maps in tables as large as those of others, which have more steps: both run through one program."""
     if isinstance(maps, ReturnMap) and isinstance(other, ReturnMap):
         return maps.padded_like(other)
     assert isinstance(maps, MapFamily)

@@ -63,7 +63,7 @@ class ReturnMap(eqx.Module):
         return None
 
     def as_loop(self) -> ReturnMap:
-        """The same map as the shortest program, which need not be the fastest, nor equal in its last bits."""
+        """Return this map as the shortest program, which need not be the fastest, nor equal in its last bits."""
         return self
 
     @property
@@ -92,9 +92,9 @@ class ReturnMap(eqx.Module):
         raise NotImplementedError
 
     def compact(self) -> ReturnMap:
-        """The same map in tables no larger than it needs."""
+        """Return this map in tables no larger than it needs."""
         return self
 
     def padded_like(self, other: ReturnMap) -> ReturnMap:
-        """The same map in tables as large as another's, which has more steps: both then run through one program."""
+        """Return this map in tables as large as another's, which has more steps: both then run through one program."""
         return self

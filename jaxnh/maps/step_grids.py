@@ -23,7 +23,7 @@ def step_grid(system: Flow, steps: int, span: tuple[float, float]) -> np.ndarray
 
 
 class SmoothGrid:
-    """The same grid as a smooth map from fictitious time τ to t, dt/dτ = 1/density, over all times.
+    """The grid as a smooth map from fictitious time τ to t, dt/dτ = 1/density, over all times.
 
     Steps of equal length in τ are steps of one constant length of an autonomous system, which is what a processed
     method needs: one conjugation then serves all of them.

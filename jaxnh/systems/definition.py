@@ -14,7 +14,7 @@ from jaxnh.systems.flow import UNSAID, Flow, Labels, Parameters, unit_of_time
 from jaxnh.systems.tracing import KnownValue, Program
 
 Definition = Mapping[str, Any]
-"""What a system says of itself: its equations of motion, `coordinates`, with a clock its `period`, without one if
+"""Definition of a system: its equations of motion, `coordinates`, with a clock its `period`, without one if
 wanted a `time_unit` that lengths of time are counted in, and where it has some, which of its names are `angles`; what
 parameters and coordinates are called in words, `labels`, and their `units`, by name."""
 
