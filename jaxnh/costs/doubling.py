@@ -21,13 +21,13 @@ from jaxtyping import Array, Bool, Float
 from jaxnh.analyses.base import Entry, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.cascade import follow
-from jaxnh.analyses.periodic.location import period_map, refined, walk
+from jaxnh.analyses.periodic.location import period_map, refined_maps, walk
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, orbits
 from jaxnh.costs.stage import StagelessRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.orbits.doubling_points import doubling_point, follow_branch, moved_doubling
+from jaxnh.orbits.doubling_points import doubling_point, follow_branch, refine_doubling
 from jaxnh.orbits.newton import Orbit
 from jaxnh.orbits.shooting import Period
 from jaxnh.systems.flow import Parameters
@@ -172,13 +172,13 @@ def by_interpolation(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket
 
         return look
 
-    coarse, fine, finest = refined(batch)
+    coarse, fine, finest = refined_maps(batch)
     points = walk(batch, lanes, _settled(batch, lanes, place)[None], place.bracket[0], place.n)
     wrap = batch.chart.wrap
     branch = follow_branch(period_map(batch, lanes, coarse), points, *place.bracket, wrap)
     point = branch and doubling_point(watched(coarse), branch, wrap)
     for period in (watched(fine), period_map(batch, lanes, finest)):
-        point = point and moved_doubling(period, point, wrap)
+        point = point and refine_doubling(period, point, wrap)
     return (list(roots.values()), point.value) if point else ([], math.nan)
 
 

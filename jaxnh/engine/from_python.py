@@ -13,7 +13,7 @@ from jaxnh.exceptions import InputError
 from jaxnh.systems.definition import DefinedFlow
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.free_particle import FreeParticle
-from jaxnh.systems.function_source import text_of
+from jaxnh.systems.function_source import source_text
 from jaxnh.systems.particle import IsokineticParticle
 from jaxnh.systems.user_file import UserFile
 
@@ -60,7 +60,7 @@ def experiment_of(
             else {}
         )
         path = Path(f"{getattr(function, '__name__', 'system')}.py")
-        user_file = UserFile(path, text_of(function))
+        user_file = UserFile(path, source_text(function))
         content["system"] = {"file": str(path), **given, **(parameters or {})}
         lane = _one_lane(user_file, content)
     else:

@@ -1,1 +1,1 @@
-"""From period to period, or from crossing to crossing: maps of one lane."""
+"""Maps of one lane, over a period or from crossing to crossing."""

@@ -13,7 +13,7 @@ Carry = TypeVar("Carry")
 
 
 def as_batched(carry: Carry, lane: ArrayLike) -> Carry:
-    """The same numbers, which `jax.vmap` takes to differ from lane to lane.
+    """Mark numbers as different from lane to lane for `jax.vmap`.
 
     It finds out by tracing the body of a loop that what begins as a constant does not stay one, and then traces it
     again: two loops, one in the other, four times. The price is a choice between equals, once where the loop begins.

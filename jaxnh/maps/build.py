@@ -1,4 +1,4 @@
-"""How a map is made: of a flow under a solver, over a period, a part of one, or from crossing to crossing.
+"""Construction of maps: of a flow under a solver, over a period, a part of one, or from crossing to crossing.
 
 Every lane keeps the same clock, and the clock starts anew each period, so no phase is lost in a long run. The registry
 at the end says which flows have a way of their own; all others go by Runge–Kutta steps.
@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from jaxnh.maps.crossings import EventStrobe, SteppedStrobe
-from jaxnh.maps.general_flow import general_strobe, stacked, unit_step
+from jaxnh.maps.general_flow import general_strobe, stack_leaves, unit_step
 from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table, whole_period
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.maps.nystrom import nystrom_strobe, nystrom_unit_step
@@ -43,7 +43,7 @@ _SMALLEST_STEP = 64  # kicks of a step: as many as any splitting has, so that al
 
 
 class Scheme(Protocol):
-    """How flows of one kind are integrated, by solvers of one kind: the registry knows which.
+    """Integration of flows of one kind by solvers of one kind; the registry knows which.
 
     Attributes:
         reference: the one that errors are measured with.
@@ -60,7 +60,7 @@ class Scheme(Protocol):
     stacked: ClassVar[bool]
 
     def solvers(self, flow: Any, precision: str = "float64") -> tuple[Solver, ...]:
-        """Those to choose from."""
+        """Return the solvers to choose from."""
         ...
 
     def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> ReturnMap:
@@ -83,7 +83,7 @@ class Scheme(Protocol):
 
 
 class Kicks:
-    """By isokinetic splittings: kicks in a table that all lanes share."""
+    """Integration by isokinetic splittings: kicks in a table that all lanes share."""
 
     reference: ClassVar[Solver] = SPLITTINGS["sofroniou_spaletta10"]
     summations: ClassVar[tuple[bool, ...]] = (False, True)
@@ -129,19 +129,19 @@ class Kicks:
             table = processed_table(flow, solver, each, (ends[:-1], ends[1:]), smallest=_SMALLEST_TABLE // len(grid))
         else:
             table = kick_table(flow, solver, grid, smallest=_SMALLEST_TABLE // len(grid))
-        return KickStrobe(stacked(flow.tabulated(), (len(grid),)), *table, compensated)
+        return KickStrobe(stack_leaves(flow.tabulated(), (len(grid),)), *table, compensated)
 
     def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> ReturnMap:
         if solver.processed:
             whole = whole_period(flow, solver, each * parts)
             table = cut_table(whole, parts, each * solver.stages, smallest=_SMALLEST_TABLE // parts)
         else:
-            table = kick_table(flow, solver, _in_parts(flow, each, parts), smallest=_SMALLEST_TABLE // parts)
-        return KickStrobe(stacked(flow.tabulated(), (parts,)), *table, compensated)
+            table = kick_table(flow, solver, _split_grid(flow, each, parts), smallest=_SMALLEST_TABLE // parts)
+        return KickStrobe(stack_leaves(flow.tabulated(), (parts,)), *table, compensated)
 
 
 class StepScheme:
-    """By steps of Runge–Kutta methods, of any flow, and of Nyström's, of those of second order."""
+    """Integration by Runge–Kutta methods, of any flow, and by Nyström methods, of flows of second order."""
 
     reference: ClassVar[Solver] = verner9
     summations: ClassVar[tuple[bool, ...]] = (False,)
@@ -157,10 +157,12 @@ class StepScheme:
         return tsitouras_papakostas8, verner9, tsit5
 
     def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> ReturnMap:
-        return _on_grid(flow, solver, step_grid(flow, steps, span))
+        return _map_on_grid(flow, solver, step_grid(flow, steps, span))
 
     def step(self, flow: Any, solver: Any) -> ReturnMap:
-        return nystrom_unit_step(flow, solver) if isinstance(solver, Nystrom) else unit_step(flow, _fitting(solver))
+        if isinstance(solver, Nystrom):
+            return nystrom_unit_step(flow, solver)
+        return unit_step(flow, _check_solver(solver))
 
     def parts(
         self,
@@ -172,25 +174,25 @@ class StepScheme:
         *,
         compensated: bool,
     ) -> ReturnMap:
-        return _on_grid(flow, solver, grid)
+        return _map_on_grid(flow, solver, grid)
 
     def cut(self, flow: Any, solver: Any, each: int, parts: int, *, compensated: bool) -> ReturnMap:
-        return _on_grid(flow, solver, _in_parts(flow, each, parts))
+        return _map_on_grid(flow, solver, _split_grid(flow, each, parts))
 
 
-def _in_parts(flow: Flow, each: int, parts: int) -> np.ndarray:
+def _split_grid(flow: Flow, each: int, parts: int) -> np.ndarray:
     """The step grid of a period in parts of `each` steps, (parts, each + 1)."""
     ends = step_grid(flow, each * parts, (0.0, flow.period))
     return ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
 
 
-def _on_grid(flow: Flow, solver: Any, grid: np.ndarray) -> ReturnMap:
+def _map_on_grid(flow: Flow, solver: Any, grid: np.ndarray) -> ReturnMap:
     if isinstance(solver, Nystrom):
         return nystrom_strobe(flow, solver, grid)
-    return general_strobe(flow, _fitting(solver), grid)
+    return general_strobe(flow, _check_solver(solver), grid)
 
 
-def _fitting(solver: Any) -> diffrax.AbstractSolver:
+def _check_solver(solver: Any) -> diffrax.AbstractSolver:
     if isinstance(solver, IsokineticSplitting):
         raise TypeError(f"{solver.name} is a splitting for a particle at a prescribed speed")
     return solver
@@ -204,7 +206,7 @@ SCHEMES: dict[type[Flow], tuple[Scheme, Scheme]] = {
 
 
 def scheme_of(system: Flow | Section, solver: Any = None) -> Scheme:
-    """How a flow is integrated, by a solver if one is named."""
+    """Return the scheme that integrates a flow, with a solver if one is named."""
     own, other = next(SCHEMES[kind] for kind in type(system.flow).__mro__ if kind in SCHEMES)
     return own if solver is None or isinstance(solver, type(own.reference)) else other
 
@@ -248,10 +250,10 @@ def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     """
     if system.autonomous:
         return _equal_steps(system, solver, max(1, math.ceil(steps / parts - 1e-6)), system.period / parts, parts)
-    return between(system, solver, steps, np.linspace(0.0, system.period, parts + 1), compensated=compensated)
+    return maps_between(system, solver, steps, np.linspace(0.0, system.period, parts + 1), compensated=compensated)
 
 
-def between(system: Flow, solver: Solver, steps: int, ends: np.ndarray, *, compensated: bool = False) -> ReturnMap:
+def maps_between(system: Flow, solver: Solver, steps: int, ends: np.ndarray, *, compensated: bool = False) -> ReturnMap:
     """The maps from each of some rising times (parts + 1,) within a period to the next, stacked as by `make_parts`."""
     if system.autonomous:
         lengths = np.diff(ends)

@@ -28,7 +28,7 @@ _SETTLED = 1e-9  # a step of Newton below this, as a share of the step, leaves i
 _MOST_SHOTS = 40
 
 Carried = State | Pushforward
-"""What goes from step to step: a state, alone or with tangents."""
+"""State carried from step to step, alone or with tangents."""
 
 
 class SteppedStrobe(ReturnMap):
@@ -46,12 +46,12 @@ class SteppedStrobe(ReturnMap):
 
     @property
     def most_lanes(self) -> int | None:
-        """Those of a step."""
+        """Largest number of lanes a tile for a single step."""
         return self.one.most_lanes
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Of the loop over steps, and those of a step."""
+        """Trip counts of the loop over steps and of the loops in a step."""
         return (float(np.mean(self.steps)), *self.one.turns)
 
     def __call__(self, state: State, p: Parameters) -> State:
@@ -59,7 +59,7 @@ class SteppedStrobe(ReturnMap):
 
     def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         begun = Pushforward(state, tangents, as_batched(jnp.ones_like(state[0][0]), state[0][0]))
-        return lax.fori_loop(0, self.steps, lambda _, pushed: _pushed_on(self.one, pushed, p), begun)
+        return lax.fori_loop(0, self.steps, lambda _, pushed: _compose(self.one, pushed, p), begun)
 
 
 class _Search(NamedTuple):
@@ -98,7 +98,7 @@ class _Search(NamedTuple):
 
 
 class EventStrobe(ReturnMap):
-    """From crossing to crossing. Lanes need different numbers of steps, and wait for the one that needs most.
+    """The map from crossing to crossing. Lanes need different numbers of steps, and wait for the one that needs most.
 
     One loop takes all steps, whole ones and those that locate a crossing, and over several crossings (`iterate`) lanes
     go on without waiting for each other. A passage to the other side and back within one step is seen where the cubic
@@ -118,12 +118,12 @@ class EventStrobe(ReturnMap):
 
     @property
     def most_lanes(self) -> int | None:
-        """Those of a step."""
+        """Largest number of lanes a tile for a single step."""
         return self.unit.most_lanes
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Of the loop over steps in a period of time, and those of a step."""
+        """Trip counts of the loop over steps in a period of time and of the loops in a step."""
         return (self.system.flow.period / float(np.mean(self.step)), *self.unit.turns)
 
     def __call__(self, state: Crossing, p: Parameters) -> Crossing:
@@ -138,13 +138,13 @@ class EventStrobe(ReturnMap):
         return self._arrived(state, ended, _state_of(ended.carried))
 
     def push(self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
-        """As every map's; along the flow, onto the section, with the field's rate in place of a step's own."""
+        """Push tangents as every map does, then along the flow onto the section, with the field's rate."""
         flow_tangents = tuple(Tangent(t.state.state, t.p) for t in tangents)
         begun = Pushforward(state.state, flow_tangents, jnp.ones_like(state.t))
 
         def advance(one: ReturnMap, carried: Carried) -> Carried:
             assert isinstance(carried, Pushforward)
-            return _pushed_on(one, carried, p)
+            return _compose(one, carried, p)
 
         ended = self._searched(1, state, tuple(t.state.t for t in tangents), begun, p, advance)
         last = ended.carried
@@ -191,7 +191,7 @@ class EventStrobe(ReturnMap):
         return lax.while_loop(unfinished, lambda search: self._stepped(search, p, advance), as_batched(first, rate))
 
     def _stepped(self, search: _Search, p: Parameters, advance: Callable[[ReturnMap, Carried], Carried]) -> _Search:
-        """One step on: a whole one, one that locates the crossing within it, or the one that ends there."""
+        """Take one step: a whole one, one that locates the crossing within it, or the one that ends there."""
         partly, before = self.unit.rescaled_time(self.step * search.share), _state_of(search.carried)
         ahead = advance(partly, search.carried)
         after = _state_of(ahead)
@@ -205,7 +205,7 @@ class EventStrobe(ReturnMap):
         seen &= seeking & finite
         straight = heights[0] / (heights[0] - heights[1])
         guess = jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
-        better, *bracket = _improved(search.share, *ends[2:], rising, search.low, search.high)
+        better, *bracket = _improve(search.share, *ends[2:], rising, search.low, search.high)
 
         near = (jnp.abs(better - search.share) <= _SETTLED) | (search.shots >= _MOST_SHOTS)
         onwards, arrived = seeking & ~seen, search.settled
@@ -231,7 +231,7 @@ class EventStrobe(ReturnMap):
         )
 
     def _on_section(self, ahead: Carried, search: _Search, p: Parameters) -> tuple[Carried, tuple[Array, ...]]:
-        """What comes to the section, its tangents moved along the flow onto it, and how much later each is there."""
+        """State and tangents moved along the flow onto the section, and how much later each arrives."""
         if not isinstance(ahead, Pushforward):
             return ahead, ()
         moving = self.system.flow.rhs(jnp.zeros_like(search.t), ahead.state, p)
@@ -271,18 +271,18 @@ class EventStrobe(ReturnMap):
 
     def _arrived(self, start: Crossing, ended: _Search, state: State) -> Crossing:
         """The crossing, or a lane that has failed and says why."""
-        found = ended.left <= 0
+        crossed = ended.left <= 0
         why = jnp.where(ended.lost, 1.0 * NOT_FINITE, 1.0 * NO_RETURN)
-        reason = jnp.where(found, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
-        state = masked(state, found)
-        return Crossing(state, jnp.where(found, ended.t, jnp.nan), reason)
+        reason = jnp.where(crossed, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
+        state = masked(state, crossed)
+        return Crossing(state, jnp.where(crossed, ended.t, jnp.nan), reason)
 
 
 def _state_of(carried: Carried) -> State:
     return carried.state if isinstance(carried, Pushforward) else carried
 
 
-def _improved(
+def _improve(
     share: Array, height: Array, rate: Array, rising: Array, low: Array, high: Array
 ) -> tuple[Array, Array, Array]:
     """Newton's better share, for a height and its rate, in the part of the step that has the crossing; that part."""
@@ -293,7 +293,7 @@ def _improved(
     return jnp.where(inside, better, 0.5 * (low + high)), low, high
 
 
-def _pushed_on(one: ReturnMap, pushed: Pushforward, p: Parameters) -> Pushforward:
+def _compose(one: ReturnMap, pushed: Pushforward, p: Parameters) -> Pushforward:
     """State and tangents one map later, volumes multiplied."""
     after = one.push(pushed.state, p, pushed.tangents)
     return after._replace(volume=pushed.volume * after.volume)

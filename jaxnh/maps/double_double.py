@@ -74,7 +74,7 @@ class Arithmetic(NamedTuple):
 
     def sin_cos(self, a: Double) -> tuple[Double, Double]:
         """sin a and cos a, by series at a/16, |a| ≤ π, and doublings; 1 − cos keeps its digits in them."""
-        x = scaled(self.rem(a, self.constant(_TURN), jnp.round), 0.5**_HALVINGS)
+        x = scale(self.rem(a, self.constant(_TURN), jnp.round), 0.5**_HALVINGS)
         square, one = self.mul(x, x), self.constant(1)
         sine = versine = self.constant(0)
         for k in range(_TERMS, 0, -1):  # Horner: 1 − x²/(2k (2k+1)) (…), x²/((2k−1) 2k) (1 − …)
@@ -82,18 +82,18 @@ class Arithmetic(NamedTuple):
             sine = self.mul(self.mul(square, self.constant(of_sine)), self.add(one, negative(sine)))
             versine = self.mul(self.mul(square, self.constant(of_versine)), self.add(one, negative(versine)))
         sine = self.mul(x, self.add(one, negative(sine)))
-        versine = self.mul(scaled(square, 0.5), self.add(one, negative(versine)))
+        versine = self.mul(scale(square, 0.5), self.add(one, negative(versine)))
         for _ in range(_HALVINGS):
             cosine = self.add(one, negative(versine))
-            versine = scaled(self.mul(sine, sine), 2.0)
-            sine = scaled(self.mul(sine, cosine), 2.0)
+            versine = scale(self.mul(sine, sine), 2.0)
+            sine = scale(self.mul(sine, cosine), 2.0)
         return sine, self.add(one, negative(versine))
 
     def rem(self, a: Double, b: Double, whole: Callable[[Array], Array] = jnp.trunc) -> Double:
-        """What a is beyond a whole number of b; a divisor that is 2 π in float64 is 2 π."""
+        """Remainder of a divided by b; a divisor that is 2 π in float64 is 2 π."""
         turn = self.constant(_TURN)
         if b.lo is None:
-            b = chosen(b.hi == float(_TURN), turn, b)
+            b = select(b.hi == float(_TURN), turn, b)
         return self.add(a, negative(self.mul(Double(whole(a.hi / b.hi), None), b)))
 
     def sqrt(self, a: Double) -> Double:
@@ -105,12 +105,12 @@ class Arithmetic(NamedTuple):
     def exp(self, a: Double) -> Double:
         """exp a."""
         power, grown = self._grown(a)
-        return scaled(self.add(self.constant(1), grown), power)
+        return scale(self.add(self.constant(1), grown), power)
 
     def expm1(self, a: Double) -> Double:
         """exp a − 1."""
         power, grown = self._grown(a)
-        return self.add(scaled(grown, power), self.add(Double(power, None), self.constant(-1)))
+        return self.add(scale(grown, power), self.add(Double(power, None), self.constant(-1)))
 
     def log(self, a: Double) -> Double:
         """ln a by a step of Newton, of third order."""
@@ -120,7 +120,7 @@ class Arithmetic(NamedTuple):
 
     def tanh(self, a: Double) -> Double:
         """tanh a."""
-        twice = scaled(Double(jnp.clip(a.hi, -_ONE_TO_ROUNDING, _ONE_TO_ROUNDING), a.lo), 2.0)
+        twice = scale(Double(jnp.clip(a.hi, -_ONE_TO_ROUNDING, _ONE_TO_ROUNDING), a.lo), 2.0)
         grown = self.expm1(twice)
         return self.div(grown, self.add(grown, self.constant(2)))
 
@@ -131,7 +131,7 @@ class Arithmetic(NamedTuple):
 
     def atan2(self, y: Double, x: Double) -> Double:
         """The angle of (x, y): that of float64, and the angle left after turning back by it, whose cube is nothing."""
-        first = exactly(jnp.arctan2(y.hi, x.hi))
+        first = from_float64(jnp.arctan2(y.hi, x.hi))
         sine, cosine = self.sin_cos(first)
         across = self.add(self.mul(y, cosine), negative(self.mul(x, sine)))
         along = self.add(self.mul(x, cosine), self.mul(y, sine))
@@ -147,7 +147,7 @@ class Arithmetic(NamedTuple):
     def _grown(self, a: Double) -> tuple[Array, Double]:
         """A power of two 2ⁿ and exp(a − n ln 2) − 1, by a series at a sixteenth and doublings."""
         n = jnp.clip(jnp.round(a.hi * (1.0 / float(_LN2))), _LEAST_EXPONENT, _LARGEST_EXPONENT)
-        x = scaled(self.add(a, negative(self.mul(Double(n, None), self.constant(_LN2)))), 0.5**_HALVINGS)
+        x = scale(self.add(a, negative(self.mul(Double(n, None), self.constant(_LN2)))), 0.5**_HALVINGS)
         grown, one, two = self.constant(0), self.constant(1), self.constant(2)
         for k in range(_POWERS, 0, -1):  # Horner: x (1 + x/2 (1 + x/3 (…)))
             grown = self.mul(self.mul(x, self.constant(Fraction(1, k))), self.add(one, grown))
@@ -180,8 +180,8 @@ def quick_sum(a: Array, b: Array) -> Double:
     return Double(total, b - (total - a))
 
 
-def exactly(a: ArrayLike) -> Double:
-    """A float64."""
+def from_float64(a: ArrayLike) -> Double:
+    """Return a float64 as a `Double`."""
     return Double(jnp.asarray(a), None)
 
 
@@ -190,13 +190,13 @@ def negative(a: Double) -> Double:
     return Double(-a.hi, None if a.lo is None else -a.lo)
 
 
-def scaled(a: Double, power: Any) -> Double:
-    """a times a power of two."""
+def scale(a: Double, power: Any) -> Double:
+    """Multiply a by a power of two."""
     return Double(power * a.hi, None if a.lo is None else power * a.lo)
 
 
-def chosen(which: Array, a: Double, b: Double) -> Double:
-    """a where it is asked for, else b."""
+def select(which: Array, a: Double, b: Double) -> Double:
+    """Select a where it is asked for, else b."""
     less, least = (jnp.zeros_like(each.hi) if each.lo is None else each.lo for each in (a, b))
     return Double(jnp.where(which, a.hi, b.hi), jnp.where(which, less, least))
 

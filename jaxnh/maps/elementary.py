@@ -99,7 +99,7 @@ def power_of_two(n: Array) -> Array:
     return lax.bitcast_convert_type((bits + _ONE) << _EXPONENT, jnp.float64)
 
 
-def _grown(x: Array) -> tuple[Array, Array]:
+def _reduced_exponential(x: Array) -> tuple[Array, Array]:
     """Whole n and exp(x − n ln 2) − 1."""
     n = jnp.round(x * (1.0 / math.log(2.0)))
     before = _reduced(x, n, _LN2[:-1])
@@ -114,7 +114,7 @@ def exponential(x: Array) -> Array:
     """exp x, of any shape."""
     if x.dtype != jnp.float64:
         return jnp.exp(x)
-    n, grown = _grown(jnp.clip(x, _LEAST, _LARGEST))
+    n, grown = _reduced_exponential(jnp.clip(x, _LEAST, _LARGEST))
     half = jnp.floor(0.5 * n)
     return (1.0 + grown) * power_of_two(half) * power_of_two(n - half)
 
@@ -144,7 +144,7 @@ def hyperbolic_tangent(x: Array) -> Array:
     """tanh x, of any shape."""
     if x.dtype != jnp.float64:
         return jnp.tanh(x)
-    n, grown = _grown(2.0 * jnp.minimum(jnp.abs(x), _ONE_TO_ROUNDING))
+    n, grown = _reduced_exponential(2.0 * jnp.minimum(jnp.abs(x), _ONE_TO_ROUNDING))
     power = power_of_two(n)
     less = power * grown + (power - 1.0)  # exp(2|x|) − 1
     return jnp.sign(x) * (less / (less + 2.0))

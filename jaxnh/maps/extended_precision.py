@@ -18,13 +18,13 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.maps import elementary
-from jaxnh.maps.double_double import Arithmetic, Double, chosen, negative
+from jaxnh.maps.double_double import Arithmetic, Double, negative, select
 from jaxnh.maps.elementary import cosine, exponential, hyperbolic_tangent, logarithm, sine
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters
 
 Value = Double | Array
-"""Of a variable: a real number, or an integer or truth value as it is."""
+"""Value of a variable: a real number, or an integer or truth value as it is."""
 
 # What puts numbers elsewhere and does no arithmetic.
 _MOVING = {"broadcast_in_dim", "concatenate", "copy", "dynamic_slice", "reshape", "scatter", "select_n", "slice"}
@@ -39,7 +39,7 @@ _CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_
 _ELEMENTARY = {sine: "sin", cosine: "cos", exponential: "exp", logarithm: "log", hyperbolic_tangent: "tanh"}
 
 
-def extended(function: Callable[..., Any], hidden: ArrayLike) -> Callable[..., Any]:
+def extend_precision(function: Callable[..., Any], hidden: ArrayLike) -> Callable[..., Any]:
     """The function with real arguments and results as `Double` in place of arrays.
 
     Args:
@@ -102,13 +102,13 @@ def _apply(arithmetic: Arithmetic, equation: Any, values: list[Value]) -> list[V
         results = result if equation.primitive.multiple_results else [result]
         return [_value(arithmetic, each) for each in results]
     if name in _MOVING:
-        return [_moved(equation, values)]
+        return [_move_halves(equation, values)]
     if name not in _OPERATIONS:
         raise NotImplementedError(f"{name} is not known in extended precision")
     return [_OPERATIONS[name](arithmetic, params, *values)]
 
 
-def _moved(equation: Any, values: list[Value]) -> Double:
+def _move_halves(equation: Any, values: list[Value]) -> Double:
     """Both halves moved alike."""
     halves = [
         equation.primitive.bind(*[_half(value, i) if _real(value) else value for value in values], **equation.params)
@@ -169,7 +169,7 @@ _LOOPS: dict[str, Callable[[Arithmetic, Mapping[str, Any], list[Value]], list[Va
 
 
 def _whole(values: list[Value]) -> list[Value]:
-    """With both halves of every number, as loops carry them."""
+    """Flatten to both halves of every number, as loops carry them."""
     return [Double(v.hi, _half(v, 1)) if isinstance(v, Double) else v for v in values]
 
 
@@ -182,7 +182,7 @@ def _power(arithmetic: Arithmetic, params: Mapping[str, Any], a: Double) -> Doub
 
 def _real_power(arithmetic: Arithmetic, _: Mapping[str, Any], a: Double, b: Double) -> Double:
     power = arithmetic.exp(arithmetic.mul(b, arithmetic.log(a)))
-    return chosen(a.hi == 0.0, Double(jnp.zeros_like(a.hi), None), power)
+    return select(a.hi == 0.0, Double(jnp.zeros_like(a.hi), None), power)
 
 
 def _equal(_: Arithmetic, __: Mapping[str, Any], a: Double, b: Double) -> Array:
@@ -208,10 +208,10 @@ _OPERATIONS: dict[str, Callable[..., Value]] = {
     "div": lambda arithmetic, _, a, b: arithmetic.div(a, b),
     "rem": lambda arithmetic, _, a, b: arithmetic.rem(a, b),
     "neg": lambda _, __, a: negative(a),
-    "abs": lambda _, __, a: chosen(a.hi < 0.0, negative(a), a),
+    "abs": lambda _, __, a: select(a.hi < 0.0, negative(a), a),
     "sign": lambda _, __, a: Double(jnp.sign(a.hi), None),
-    "max": lambda arithmetic, _, a, b: chosen(arithmetic.less(a, b), b, a),
-    "min": lambda arithmetic, _, a, b: chosen(arithmetic.less(b, a), b, a),
+    "max": lambda arithmetic, _, a, b: select(arithmetic.less(a, b), b, a),
+    "min": lambda arithmetic, _, a, b: select(arithmetic.less(b, a), b, a),
     "reduce_sum": _sum,
     "integer_pow": _power,
     "pow": _real_power,
@@ -246,11 +246,11 @@ class PointAndTangent(NamedTuple):
     vector: Double
 
 
-def carried(strobe: ReturnMap, hidden: ArrayLike, u: Double, w: Double, p: Mapping[str, Double]) -> PointAndTangent:
-    """One period of one lane from u (d,) along w (d,), and with parameters p of its own; see `extended`."""
+def push_point(strobe: ReturnMap, hidden: ArrayLike, u: Double, w: Double, p: Mapping[str, Double]) -> PointAndTangent:
+    """One period of one lane from u (d,) along w (d,), and with parameters p of its own; see `extend_precision`."""
     chart = strobe.chart
 
     def plain(u: Array, w: Array, p: Parameters) -> tuple[Array, Array]:
         return jax.jvp(lambda u: chart.point(strobe(chart.state(u), p)), (u,), (w,))
 
-    return PointAndTangent(*extended(plain, hidden)(u, w, p))
+    return PointAndTangent(*extend_precision(plain, hidden)(u, w, p))

@@ -99,11 +99,11 @@ class MapFamily(ParameterFamily[ReturnMap]):
 
 
 Maps = ReturnMap | MapFamily
-"""What analyses hand to a lane runner: one map for all lanes, or one for each value of what they share."""
+"""Maps that analyses give to a lane runner: one for all lanes, or one for each value of what they share."""
 
 
 def padded_like(maps: Maps, other: Maps) -> Maps:
-    """The same maps in tables as large as those of others, which have more steps: both run through one program."""
+    """Return the maps in tables as large as those of others, which have more steps: both run through one program."""
     if isinstance(maps, ReturnMap) and isinstance(other, ReturnMap):
         return maps.padded_like(other)
     assert isinstance(maps, MapFamily)

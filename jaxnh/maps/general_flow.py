@@ -28,7 +28,7 @@ from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State
-from jaxnh.systems.tracing import once
+from jaxnh.systems.tracing import cached_by_structure
 
 _SMALLEST_GRID = 2048  # steps of all parts: most accuracies, and refined ones, run through one program
 _LARGEST_STEP = 3000  # equations that are written out in a step; larger ones compile for minutes, and get a loop
@@ -40,7 +40,7 @@ StageField = Callable[[Any, Any], Any]
 
 
 class Moving(NamedTuple):
-    """What goes from step to step.
+    """State carried from step to step.
 
     Attributes:
         state: of the flow.
@@ -74,14 +74,14 @@ class GeneralStrobe(ReturnMap):
 
     @property
     def most_lanes(self) -> int | None:
-        """As many as have their stages in a core's nearest caches."""
+        """Number of lanes whose stages fit in a core's nearest caches."""
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return None
-        return lanes_of(8 * (self.solver.stages + 2) * len(self.system.coordinates))
+        return lanes_per_tile(8 * (self.solver.stages + 2) * len(self.system.coordinates))
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Of the loop over steps, and of the loop over stages where there is one."""
+        """Trip counts of the loop over steps and, where there is one, of the loop over stages."""
         steps = () if self.steps is None else (float(np.mean(self.steps)),)
         return (*steps, float(self.solver.stages)) if self._rolls(0) else steps  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -90,7 +90,7 @@ class GeneralStrobe(ReturnMap):
             return False
         if self.rolled is not None:
             return self.rolled
-        return split_of(self.system).size * (1 + tangents) * self.solver.stages > _LARGEST_STEP
+        return time_split(self.system).size * (1 + tangents) * self.solver.stages > _LARGEST_STEP
 
     def as_loop(self) -> GeneralStrobe:
         return replace(self, rolled=True) if isinstance(self.solver, WrittenOutRungeKutta) else self
@@ -115,7 +115,7 @@ class GeneralStrobe(ReturnMap):
         system = self.system
 
         def field(values: Sequence[Any], y: Moving) -> Moving:
-            return Moving(split_of(system).rest(values, system, (y.state, own)))
+            return Moving(time_split(system).rest(values, system, (y.state, own)))
 
         def project(t: Any, y: Moving) -> Moving:
             return Moving(system.project(t, y.state, p))
@@ -135,14 +135,14 @@ class GeneralStrobe(ReturnMap):
 
         def field(values: Sequence[Any], y: Moving) -> Moving:
             def rate(z: State, own: Any) -> State:
-                return split_of(system).rest(values, system, (z, own))
+                return time_split(system).rest(values, system, (z, own))
 
-            value, moved = linearised(rate, y.state, own, y.tangents, by_p)
+            value, moved = linearise(rate, y.state, own, y.tangents, by_p)
             spread = system.divergence_of(lambda z: rate(z, own), y.state)
             return Moving(value, moved, spread)
 
         def project(t: Any, y: Moving) -> Moving:
-            value, moved = linearised(
+            value, moved = linearise(
                 lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p
             )
             return Moving(value, moved, y.log_volume)
@@ -153,10 +153,10 @@ class GeneralStrobe(ReturnMap):
         if system.reduction.leaves_constraints:
             ended = self._march(field, project, begun, len(tangents) + 1)
         else:
-            placed, moved = linearised(lambda y, own: self._placed(y, {**p, **own}), state, own, begun.tangents, by_p)
+            placed, moved = linearise(lambda y, own: self._placed(y, {**p, **own}), state, own, begun.tangents, by_p)
             begun = Moving(system.reduction.reduce(placed), tuple(map(system.reduction.reduce, moved)), zero)
             ended = self._march(field, None, begun, len(tangents) + 1)
-            moved = linearised(
+            moved = linearise(
                 lambda z, own: self._ended(z, placed, {**p, **own}), ended.state, own, ended.tangents, by_p
             )
             ended = Moving(*moved, ended.log_volume)
@@ -218,7 +218,7 @@ class GeneralStrobe(ReturnMap):
         return Pushforward(self(state, p), tuple(moved), jnp.full_like(jax.tree.leaves(state)[0], jnp.nan))
 
 
-def linearised(
+def linearise(
     function: Callable[[Any, Any], Any],
     y: Any,
     own: Mapping[str, Any],
@@ -236,7 +236,7 @@ def linearised(
     return value, tuple(slope(dy, dp or still) for dy, dp in zip(moved, by_p, strict=True))
 
 
-def lanes_of(each: int) -> int:
+def lanes_per_tile(each: int) -> int:
     """Lanes a tile whose stages have so many bytes each."""
     return int(np.clip(1 << (_CACHE // each).bit_length() >> 1, _FEWEST_LANES, _MOST_LANES))
 
@@ -248,13 +248,13 @@ def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:
     return {name: p[name] if name in p else system.parameters[name] for name in system.lane_parameters}
 
 
-def split_of(system: Flow) -> TimeSplit:
-    """What time decides in a flow's rate, and what its lanes do; traced once for all flows of a structure."""
+def time_split(system: Flow) -> TimeSplit:
+    """Split a flow's rate into what depends on time alone and the rest; traced once for all flows of a structure."""
     shapes = tuple((np.shape(leaf)) for leaf in jax.tree.leaves(system))
     return _split(jax.tree.structure(system), shapes)
 
 
-@once
+@cached_by_structure
 def _split(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> TimeSplit:
     system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
 
@@ -274,12 +274,12 @@ def general_strobe(
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
     values: tuple[Any, ...] = ()
     if isinstance(solver, WrittenOutRungeKutta):
-        grid, times = with_stages(grid, solver.c[: solver.stages])
-        values = tuple(np.asarray(value) for value in split_of(system).table(times, system))
-    return GeneralStrobe(stacked(system, parts), solver, grid, np.full(parts, count, np.int32), values, rolled)
+        grid, times = stage_times(grid, solver.c[: solver.stages])
+        values = tuple(np.asarray(value) for value in time_split(system).table(times, system))
+    return GeneralStrobe(stack_leaves(system, parts), solver, grid, np.full(parts, count, np.int32), values, rolled)
 
 
-def with_stages(grid: np.ndarray, c: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+def stage_times(grid: np.ndarray, c: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """A grid (..., steps + 1) with room for as many steps as most accuracies need, and times (..., steps, stages)."""
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
     capacity = 1 << (max(_SMALLEST_GRID // math.prod(parts), count) - 1).bit_length()
@@ -287,7 +287,7 @@ def with_stages(grid: np.ndarray, c: Sequence[float]) -> tuple[np.ndarray, np.nd
     return grid, grid[..., :-1, None] + np.diff(grid)[..., None] * np.asarray(c)
 
 
-def stacked(system: Any, parts: tuple[int, ...]) -> Any:
+def stack_leaves(system: Any, parts: tuple[int, ...]) -> Any:
     """A flow as `lax.scan` takes it: every leaf with the parts as first axis, where there are some."""
     return jax.tree.map(lambda leaf: np.full(parts, leaf, float), system) if parts else system
 

@@ -55,7 +55,7 @@ class KickStrobe(ReturnMap):
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Of the loop over kicks."""
+        """Trip count of the loop over kicks."""
         return (float(np.mean(self.kicks)),)
 
     def __call__(self, state: State, p: Parameters) -> State:
@@ -101,7 +101,7 @@ class KickStrobe(ReturnMap):
     def _kick(self, entry: Array, carry: _Carry, p: Parameters) -> _Carry:
         if self.compensated:
             return self._kick_compensated(entry, carry, p)
-        q = _along(carry.q, carry.n, entry[0])
+        q = _drift(carry.q, carry.n, entry[0])
         return _Carry(q, kick(carry.n, self.system.force(q, self._forcing(entry), entry[1], p), half_turn), None)
 
     def _kick_compensated(self, entry: Array, carry: _Carry, p: Parameters) -> _Carry:
@@ -144,7 +144,7 @@ class KickStrobe(ReturnMap):
         )
 
     def _end(self, carry: _Carry) -> State:
-        q = _along(carry.q, carry.n, self.rest)
+        q = _drift(carry.q, carry.n, self.rest)
         q, n = (q, carry.n) if carry.lost is None else jax.tree.map(jnp.add, (q, carry.n), carry.lost)
         # A kick mirrors n and so keeps whatever rounding has made of |n|: one step of Newton for 1/|n| a period.
         scale = 1.5 - 0.5 * sum(ni * ni for ni in n)
@@ -178,7 +178,7 @@ def _one_loop(function: Callable[..., Any], *carried: Any) -> Any:
     return jax.tree.unflatten(structure, components)
 
 
-def _along(q: Vector, n: Vector, length: ArrayLike) -> Vector:
+def _drift(q: Vector, n: Vector, length: ArrayLike) -> Vector:
     """q after a drift of so much path along n."""
     return tuple(qi + ni * length for qi, ni in zip(q, n, strict=True))
 

@@ -16,11 +16,11 @@ from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.general_flow import (
     GeneralStrobe,
     Moving,
-    lanes_of,
-    linearised,
+    lanes_per_tile,
+    linearise,
     own_parameters,
-    stacked,
-    with_stages,
+    stack_leaves,
+    stage_times,
 )
 from jaxnh.maps.protocol import Pushforward, Tangent
 from jaxnh.maps.second_order import SecondOrder, second_order
@@ -48,12 +48,12 @@ class NystromStrobe(GeneralStrobe):
 
     @property
     def most_lanes(self) -> int:
-        """As many as have their stages, of positions alone, in a core's nearest caches."""
-        return lanes_of(8 * (self.solver.stages + 4) * np.shape(self.gamma)[-1])
+        """Number of lanes whose stages, of positions alone, fit in a core's nearest caches."""
+        return lanes_per_tile(8 * (self.solver.stages + 4) * np.shape(self.gamma)[-1])
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Of the loop over steps."""
+        """Trip count of the loop over steps."""
         return () if self.steps is None else (float(np.mean(self.steps)),)
 
     def __call__(self, state: State, p: Parameters) -> State:
@@ -72,13 +72,13 @@ class NystromStrobe(GeneralStrobe):
         by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
 
         def force(values: Sequence[Any], x: Carried) -> Carried:
-            value, moved = linearised(
+            value, moved = linearise(
                 lambda x, own: form.split.rest(values, self.system, (x, own)), x[0], own, x[1:], by_p
             )
             return [value, *moved]
 
         def project(t: Any, y: Moving) -> Moving:
-            value, moved = linearised(
+            value, moved = linearise(
                 lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p
             )
             return Moving(value, moved)
@@ -142,14 +142,14 @@ def nystrom_strobe(system: Flow, solver: Nystrom, grid: np.ndarray) -> NystromSt
     if form is None:
         raise AccuracyError(f"{solver.name} is for flows x'' = F(x, t) - gamma x', and this one is not seen to be one")
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
-    grid, times = with_stages(grid, solver.c)
+    grid, times = stage_times(grid, solver.c)
     values, gamma = list(form.split.table(times, system)), form.damping(system)
     if form.damped:
         since = np.diff(grid)[..., None] * np.asarray([*solver.c, 1.0])
         half = 0.5 * since[..., None] * gamma
         values += [np.exp(half), np.exp(-half)]
     return NystromStrobe(
-        stacked(system, parts),
+        stack_leaves(system, parts),
         solver,
         grid,
         np.full(parts, count, np.int32),
@@ -172,7 +172,7 @@ def nystrom_unit_step(system: Flow, solver: Nystrom) -> NystromStrobe:
 
 
 def _times(factors: Any, carried: Carried) -> Carried:
-    """Every component times its factor."""
+    """Multiply every component by its factor."""
     return [[factors[k] * leaf for k, leaf in enumerate(part)] for part in carried]
 
 

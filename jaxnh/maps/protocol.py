@@ -1,4 +1,4 @@
-"""What a map of one lane is: states and tangents over one period, whatever flow and solver it has."""
+"""The protocol of a map of one lane: states and tangents over one period, whatever its flow and solver."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class ReturnMap(eqx.Module):
 
     @property
     def chart(self) -> Chart:
-        """What it acts on in section coordinates."""
+        """Section coordinates that the map acts on."""
         return self.system.chart
 
     @property
@@ -63,13 +63,13 @@ class ReturnMap(eqx.Module):
         return None
 
     def as_loop(self) -> ReturnMap:
-        """The same map as the shortest program, which need not be the fastest, nor equal in its last bits."""
+        """Return this map as the shortest program, which need not be the fastest, nor equal in its last bits."""
         return self
 
     @property
     @abc.abstractmethod
     def turns(self) -> tuple[float, ...]:
-        """How often the loops of the program turn in a period, outermost first; of stacked maps their mean."""
+        """Trip counts of the program's loops in a period, outermost first; the mean over stacked maps."""
 
     @abc.abstractmethod
     def __call__(self, state: State, p: Parameters) -> State:
@@ -92,9 +92,9 @@ class ReturnMap(eqx.Module):
         raise NotImplementedError
 
     def compact(self) -> ReturnMap:
-        """The same map in tables no larger than it needs."""
+        """Return this map in tables no larger than it needs."""
         return self
 
     def padded_like(self, other: ReturnMap) -> ReturnMap:
-        """The same map in tables as large as another's, which has more steps: both then run through one program."""
+        """Return this map in tables as large as another's, which has more steps: both then run through one program."""
         return self

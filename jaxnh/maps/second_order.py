@@ -17,7 +17,7 @@ import numpy as np
 from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State
-from jaxnh.systems.tracing import KnownValue, Program, constants, once
+from jaxnh.systems.tracing import KnownValue, Program, cached_by_structure, constants
 
 _MOST_COMPONENTS = 12  # of a state: each pair of them is traced
 _LARGEST_FORCE = 100  # equations: in larger ones the stages would have to be a loop
@@ -43,7 +43,7 @@ class Halves(NamedTuple):
 
 
 class SecondOrder:
-    """What makes a flow one of second order.
+    """A flow as a system of second order.
 
     Attributes:
         halves: of its states.
@@ -59,18 +59,18 @@ class SecondOrder:
         if not self.damped:
             return np.zeros(len(self.halves.positions))
         program = self._damping
-        found = dict(zip(program.inputs, [jnp.float64(0.0), *jax.tree.leaves(system)], strict=False))
+        slots = dict(zip(program.inputs, [jnp.float64(0.0), *jax.tree.leaves(system)], strict=False))
         needed = program.needed(program.outputs)
-        program.run(found, lambda step: not needed.isdisjoint(step.makes))
-        return np.array([float(value) for value in program.results(found)])
+        program.run(slots, lambda step: not needed.isdisjoint(step.makes))
+        return np.array([float(value) for value in program.results(slots)])
 
 
 def second_order(system: Flow) -> SecondOrder | None:
-    """What makes a flow one of second order; None where it is none. Traced once for all flows of a structure."""
+    """Return the flow as a system of second order, None where it is none. Traced once for all flows of a structure."""
     return _second_order(jax.tree.structure(system), tuple(np.shape(leaf) for leaf in jax.tree.leaves(system)))
 
 
-@once
+@cached_by_structure
 def _second_order(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> SecondOrder | None:
     field = _Field(jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes]))
     small = field.carried_whole and field.count <= _MOST_COMPONENTS and field.size <= 2 * _LARGEST_FORCE
@@ -119,11 +119,11 @@ class _Field:
         return sum(not needed.isdisjoint(step.makes) for step in program.steps)
 
     def rates(self, t: Any, system: Flow, leaves: Sequence[Any], own: Mapping[str, Any]) -> list[Any]:
-        """Of every leaf."""
+        """Return the rate of every leaf."""
         return jax.tree.leaves(system.rhs(t, jax.tree.unflatten(self._structure, leaves), own))
 
     def slopes(self, j: int, t: Any, system: Flow, leaves: Sequence[Any], own: Mapping[str, Any]) -> list[Any]:
-        """Of every rate, in leaf j."""
+        """Return the derivative of every rate in leaf j."""
 
         def moved(x: Any) -> list[Any]:
             return self.rates(t, system, [*leaves[:j], x, *leaves[j + 1 :]], own)
@@ -179,7 +179,7 @@ class _Field:
             leaves = [jnp.zeros_like(x[0])] * self.count
             for i, position in zip(halves.positions, x, strict=True):
                 leaves[i] = position
-            found = self.rates(t, system, leaves, own)
-            return [found[j] for j in halves.velocities]
+            rates = self.rates(t, system, leaves, own)
+            return [rates[j] for j in halves.velocities]
 
         return TimeSplit(force, self.system, ([0.0] * len(halves.positions), self.own))

@@ -69,7 +69,7 @@ class Section(eqx.Module):
         return sum(weight * x for weight, x in zip(self.normal, y[0], strict=True) if weight)
 
     def height(self, y: State) -> Number:
-        """How far a state of the flow is from the section: above zero after a passage up, or down if that is wanted."""
+        """Signed distance of a state from the section: above zero after a passage up (down if that is wanted)."""
         above = self.across(y) - self.value
         return -above if self.direction == "down" else above
 
@@ -93,7 +93,7 @@ class Section(eqx.Module):
 
 
 System = Flow | Section
-"""What a return map is of: its chart is `system.chart`, the flow in continuous time `system.flow`."""
+"""The system of a return map: its chart is `system.chart`, the flow in continuous time `system.flow`."""
 
 
 class SectionChart(Chart):
@@ -175,7 +175,7 @@ def outputs(flow: Flow, y: State, t: np.ndarray) -> dict[str, Output]:
 
 
 def reports(flow: Flow, y: State) -> dict[str, Output]:
-    """What there is to report of each trajectory: of crossings the section may be what it has failed at."""
+    """Return the status of each trajectory, which may have failed to return to the section."""
     if not isinstance(y, Crossing):
         return flow.reports(y)
     of_flow = flow.reports(y.state)
@@ -184,7 +184,7 @@ def reports(flow: Flow, y: State) -> dict[str, Output]:
     return {**of_flow, "status": status(np.where((reason == NO_RETURN) | (inner == 0), reason, inner))}
 
 
-def drawn_plane(system: System) -> tuple[str, str]:
+def plot_plane(system: System) -> tuple[str, str]:
     """The two coordinates that motions are drawn over: of a section the first pair without the one that it gives."""
     planes = system.flow.labels.planes
     if not isinstance(system, Section):

@@ -26,7 +26,7 @@ class SingleStrobe(ReturnMap):
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Of the map within."""
+        """Trip counts of the inner map."""
         return self.inner.turns
 
     def __call__(self, state: State, p: Parameters) -> State:

@@ -23,7 +23,7 @@ def step_grid(system: Flow, steps: int, span: tuple[float, float]) -> np.ndarray
 
 
 class SmoothGrid:
-    """The same grid as a smooth map from fictitious time τ to t, dt/dτ = 1/density, over all times.
+    """The grid as a smooth map from fictitious time τ to t, dt/dτ = 1/density, over all times.
 
     Steps of equal length in τ are steps of one constant length of an autonomous system, which is what a processed
     method needs: one conjugation then serves all of them.
@@ -63,7 +63,7 @@ class SmoothGrid:
 
 
 def share_of_steps(system: Flow, span: tuple[float, float]) -> float:
-    """What a span has of the steps of a period."""
+    """Share of the steps of a period that lies in a span."""
     if span == (0.0, system.period):
         return 1.0
     first, last, whole = SmoothGrid(system).share(np.array([*span, system.period]))

@@ -1,4 +1,4 @@
-"""What of a field depends on time alone, taken out of the lanes: a table at the times of the stages, shared by all.
+"""Time-dependent part of a field, taken out of the lanes: a table at the times of the stages, shared by all.
 
 A field is traced into its list of equations. Those that reach from t to a number without the state of a lane or its
 own parameters need to be solved once a time, and not in every lane: forcing, a moving constraint, any function of t.
@@ -64,21 +64,21 @@ class TimeSplit:
             return ()
 
         def at(t: Any) -> tuple[Any, ...]:
-            found = dict(zip(self._program.inputs, [t, *jax.tree.leaves(shared)], strict=False))
-            self._program.run(found, lambda step: not self._before.isdisjoint(step.makes))
-            return tuple(found[slot] for slot in self._table)
+            slots = dict(zip(self._program.inputs, [t, *jax.tree.leaves(shared)], strict=False))
+            self._program.run(slots, lambda step: not self._before.isdisjoint(step.makes))
+            return tuple(slots[slot] for slot in self._table)
 
         times = jnp.asarray(t)
         values = jax.vmap(at)(times.ravel())
         return tuple(value.reshape(*times.shape, *value.shape[1:]) for value in values)
 
     def rest(self, values: Sequence[Any], shared: Any, lane: Any) -> Any:
-        """What the function is, with the values of the table at its time."""
+        """Evaluate the function with the values of the table at its time."""
         leaves = [*jax.tree.leaves(shared), *jax.tree.leaves(lane)]
-        found = dict(zip(self._program.inputs[1:], leaves, strict=True))
-        found |= dict(zip(self._table, values, strict=True))
-        self._program.run(found, self._after, _IN_LANES)
-        return self._program.results(found)
+        slots = dict(zip(self._program.inputs[1:], leaves, strict=True))
+        slots |= dict(zip(self._table, values, strict=True))
+        self._program.run(slots, self._after, _IN_LANES)
+        return self._program.results(slots)
 
     def _in_lanes(self, step: Step) -> bool:
         return self._level[step.makes[0]] == _LANE and not self._needed.isdisjoint(step.makes)

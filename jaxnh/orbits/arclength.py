@@ -23,7 +23,7 @@ FINE = 1e-9
 """Step of Newton, in lengths, after which an orbit is known to rounding."""
 
 ROUGH = 1e-6
-"""The same where the square of it is small enough: between the marked points of a branch."""
+"""Step of Newton, in lengths, whose square is small enough: between the marked points of a branch."""
 
 _NEWTON_STEPS = 12
 _CONTRACTION = 0.5  # of successive steps; Newton that contracts less is on its way to another curve
@@ -57,7 +57,7 @@ class Family(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Of the range."""
+        """Width of the parameter's range."""
         return self.high - self.low
 
 
@@ -95,7 +95,7 @@ class CurveOrbits(NamedTuple):
     other_way: PathVector
 
     def take(self, lanes: Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"] | slice) -> CurveOrbits:
-        """Those of some lanes."""
+        """Return the entries of a subset of lanes."""
 
         def some(leaf: np.ndarray) -> np.ndarray:
             return leaf[lanes]
@@ -150,11 +150,11 @@ def correct(
         tolerance: length of a step after which an orbit is known.
         near: lengths of steps that are too short to lead elsewhere, and need not be half of those before.
     """
-    found, last = _guessed(points, value), np.full(len(value), np.inf)
+    orbits, last = _initial_orbits(points, value), np.full(len(value), np.inf)
     open_ = np.arange(len(value))
     for _ in range(_NEWTON_STEPS + 1):
-        missing, blocks, columns = _equations(family, found.points[open_], found.value[open_])
-        found.residual[open_], found.blocks[open_] = np.abs(missing).max(axis=(1, 2)), blocks
+        missing, blocks, columns = _equations(family, orbits.points[open_], orbits.value[open_])
+        orbits.residual[open_], orbits.blocks[open_] = np.abs(missing).max(axis=(1, 2)), blocks
         finite = np.isfinite(missing).all(axis=(1, 2)) & np.isfinite(blocks).all(axis=(1, 2, 3))
         finite &= np.isfinite(columns).all(axis=(1, 2))
         open_, missing, blocks, columns = open_[finite], missing[finite], blocks[finite], columns[finite]
@@ -164,25 +164,25 @@ def correct(
         moved, way, other, crossing = _solutions(family, missing, blocks, columns, here)
         at_rest = last[open_] <= tolerance
         done = open_[at_rest]
-        for leaf, new in zip((*found.way, *found.other_way, found.crossing), (*way, *other, crossing), strict=True):
+        for leaf, new in zip((*orbits.way, *orbits.other_way, orbits.crossing), (*way, *other, crossing), strict=True):
             leaf[done] = new[at_rest]
-        found.converged[done] = True
+        orbits.converged[done] = True
         size = length(family, moved)
         with np.errstate(invalid="ignore"):
             contracts = size <= np.maximum(_CONTRACTION * last[open_], 0.0 if near is None else near[open_])
             going = ~at_rest & contracts & np.isfinite(size)
         open_ = open_[going]
         last[open_] = size[going]
-        found.points[open_] += moved.points[going]
-        found.value[open_] += moved.value[going]
+        orbits.points[open_] += moved.points[going]
+        orbits.value[open_] += moved.value[going]
         if not len(open_):
             break
-    found.missed[:] = length(family, PathVector(found.points - points, found.value - value))
-    return found
+    orbits.missed[:] = length(family, PathVector(orbits.points - points, orbits.value - value))
+    return orbits
 
 
-def _guessed(points: Float[np.ndarray, "lanes n d"], value: Float[np.ndarray, " lanes"]) -> CurveOrbits:
-    """Guesses of which nothing else is known yet."""
+def _initial_orbits(points: Float[np.ndarray, "lanes n d"], value: Float[np.ndarray, " lanes"]) -> CurveOrbits:
+    """Return orbits at guesses, without anything else known yet."""
     lanes, _, d = points.shape
 
     def unknown(*shape: int) -> np.ndarray:

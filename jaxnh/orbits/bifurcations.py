@@ -16,7 +16,7 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from jaxnh.orbits.arclength import FINE, CurveOrbits, Family, PathVector, correct, inner, length, minus, times
 from jaxnh.orbits.branches import COLLAPSED, Branch
-from jaxnh.orbits.kinds import BRANCH_POINT, FOLD, eigenvalues, kinds, tested
+from jaxnh.orbits.kinds import BRANCH_POINT, FOLD, eigenvalues, kinds, test_functions
 
 _NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)  # Chebyshev nodes of [−1, 1]
 _DEGREE = 3  # two less than what would go through all nodes: the rest shows truncation and rounding
@@ -74,20 +74,20 @@ class BifurcationPoints(NamedTuple):
 
 def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
     """All that test functions show on branches of one period; None where they show nothing."""
-    order, found = kinds(family), list[tuple[int, int, int]]()
+    order, changed = kinds(family), list[tuple[int, int, int]]()
     for number, branch in enumerate(branches):
         changes = np.diff(np.signbit(branch.tests), axis=0) & np.isfinite(branch.tests[1:] + branch.tests[:-1])
         # Where both change, the branch turns because another one crosses it there: it is that one's pitchfork.
         changes[:, order.index(FOLD)] &= ~changes[:, order.index(BRANCH_POINT)]
         changes[0] &= branch.ends[0] != COLLAPSED  # there it is the doubling of another branch that shows
         changes[-1] &= branch.ends[1] != COLLAPSED
-        found += [(number, int(i), order[k]) for i, k in zip(*np.nonzero(changes), strict=True)]
-    if not found:
+        changed += [(number, int(i), order[k]) for i, k in zip(*np.nonzero(changes), strict=True)]
+    if not changed:
         return None
-    branch, place, kind = (np.array(column) for column in zip(*found, strict=True))
+    branch, place, kind = (np.array(column) for column in zip(*changed, strict=True))
 
     def at(step: int) -> tuple[PathVector, PathVector]:
-        rows = [(branches[b], i + step) for b, i, _ in found]
+        rows = [(branches[b], i + step) for b, i, _ in changed]
         where = PathVector(np.stack([b.points[i] for b, i in rows]), np.array([b.value[i] for b, i in rows]))
         return where, PathVector(
             np.stack([b.way.points[i] for b, i in rows]), np.array([b.way.value[i] for b, i in rows])
@@ -116,13 +116,13 @@ def locate(
     some = len(stretch.kind)
     centre, widths = np.full(some, 0.5) if centre is None else np.array(centre), np.full(some, half)
     none = np.full(some, np.nan)
-    begun = _at(family, stretch, centre)
+    begun = _orbits(family, stretch, centre)
     best = BifurcationPoints(centre.copy(), none, np.full(some, np.inf), np.zeros(some), begun, np.zeros(some, bool))
     sharp, open_ = np.full(some, np.inf), np.arange(some)
     for _ in range(_ROUNDS):
         part: Brackets = jax.tree.map(lambda leaf, o=open_: leaf[o], stretch)
         shares = centre[open_, None] + widths[open_, None] * _NODES
-        nodes = _at(family, jax.tree.map(lambda leaf: np.repeat(leaf, len(_NODES), axis=0), part), shares.ravel())
+        nodes = _orbits(family, jax.tree.map(lambda leaf: np.repeat(leaf, len(_NODES), axis=0), part), shares.ravel())
         good = nodes.converged.reshape(shares.shape).all(axis=1)
         tests = _own_test(family, nodes, np.repeat(part.kind, len(_NODES))).reshape(shares.shape)
         root, blur, value, error, bend = _roots(tests, nodes.value.reshape(shares.shape))
@@ -142,7 +142,7 @@ def locate(
         if not len(open_):
             break
     at_root = _at_roots(family, stretch, best.share)
-    ways = _told_apart(family, stretch, best.share, at_root)
+    ways = _crossing_directions(family, stretch, best.share, at_root)
     orbits = at_root._replace(value=best.value, way=ways[0], other_way=ways[1])
     return best._replace(orbits=orbits, found=best.found & at_root.converged)
 
@@ -155,7 +155,7 @@ def neutral_pair(family: Family, orbits: CurveOrbits) -> Bool[np.ndarray, " some
 
 
 def critical(family: Family, values: Complex[np.ndarray, "some d"]) -> Complex[np.ndarray, " some"]:
-    """Of each orbit the complex multiplier nearest the unit circle (eigenvalue nearest the axis), above the real line.
+    """Complex multiplier of each orbit nearest the unit circle (eigenvalue nearest the axis), above the real line.
 
     NaN where all are real.
     """
@@ -165,7 +165,7 @@ def critical(family: Family, values: Complex[np.ndarray, "some d"]) -> Complex[n
     return np.where(np.isfinite(away.min(axis=1)), chosen, np.nan)
 
 
-def _at(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> CurveOrbits:
+def _orbits(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> CurveOrbits:
     """The orbits of the curve in the hyperplanes across the chord at shares of it, from a cubic through both ends."""
     begun, chord, (first, second) = stretch.begun, stretch.chord, stretch.ways
     s, left = share, 1.0 - share
@@ -181,25 +181,25 @@ def _at(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) ->
 
 def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> CurveOrbits:
     """The orbits at roots; where another branch crosses, from those beside: there Newton's equations are singular."""
-    found = _at(family, stretch, share)
+    orbits = _orbits(family, stretch, share)
     cross = np.flatnonzero(stretch.kind == BRANCH_POINT)
     if not len(cross):
-        return found
+        return orbits
     part: Brackets = jax.tree.map(lambda leaf: leaf[cross], stretch)
     four: Brackets = jax.tree.map(lambda leaf: np.repeat(leaf, len(_BESIDE), axis=0), part)
-    beside = _at(family, four, (share[cross, None] + _BESIDE).ravel())
+    beside = _orbits(family, four, (share[cross, None] + _BESIDE).ravel())
     points = beside.points.reshape(len(cross), len(_BESIDE), *beside.points.shape[1:])
     middle = np.sum(points * _BETWEEN[:, None, None], axis=1)
     value = np.sum(beside.value.reshape(len(cross), -1) * _BETWEEN, axis=1)
     along = times(1.0 / length(family, part.chord), part.chord)
-    here = correct(family, middle, value, along, np.inf)
-    here = here._replace(converged=here.converged & beside.converged.reshape(len(cross), -1).all(axis=1))
-    for leaf, new in zip(jax.tree.leaves(found), jax.tree.leaves(here), strict=True):
+    crossings = correct(family, middle, value, along, np.inf)
+    crossings = crossings._replace(converged=crossings.converged & beside.converged.reshape(len(cross), -1).all(axis=1))
+    for leaf, new in zip(jax.tree.leaves(orbits), jax.tree.leaves(crossings), strict=True):
         leaf[cross] = new
-    return found
+    return orbits
 
 
-def _told_apart(
+def _crossing_directions(
     family: Family, stretch: Brackets, share: Float[np.ndarray, " some"], orbits: CurveOrbits
 ) -> tuple[PathVector, PathVector]:
     """Directions of the curve itself, and of one that crosses it: linear equations do not know which is which."""
@@ -217,11 +217,11 @@ def _told_apart(
 
 
 def _own_test(family: Family, nodes: CurveOrbits, kind: Int[np.ndarray, " nodes"]) -> Float[np.ndarray, " nodes"]:
-    """Of each node the test function of its kind, not a number where there is no orbit."""
+    """Test function of the kind of each node, NaN where there is no orbit."""
     column = np.array([kinds(family).index(k) for k in kind.tolist()], int)
     with np.errstate(all="ignore"):
         safe = nodes._replace(blocks=np.where(nodes.converged[:, None, None, None], nodes.blocks, 0.0))
-        return np.take_along_axis(tested(family, safe), column[:, None], axis=1)[:, 0]
+        return np.take_along_axis(test_functions(family, safe), column[:, None], axis=1)[:, 0]
 
 
 def _roots(
@@ -232,7 +232,7 @@ def _roots(
     And values there, their errors, and their second derivatives. Not a number where there is no root near.
     """
     reference = values[:, :1]
-    fit, line = _fitted(tests), _fitted(values - reference)
+    fit, line = _fit(tests), _fit(values - reference)
     misfit, off = (
         np.abs(x - _polynomial(c, _NODES)).max(axis=1) for x, c in ((tests, fit), (values - reference, line))
     )
@@ -242,28 +242,28 @@ def _roots(
         real = np.real(all_)[(np.abs(np.imag(all_)) < 1e-6) & (np.abs(np.real(all_)) < _BEYOND)]
         root[k] = real[np.argmin(np.abs(real))] if len(real) else np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope = _polynomial(_derived(fit), root[:, None])[:, 0]
+        slope = _polynomial(_derivative(fit), root[:, None])[:, 0]
         root = root - _polynomial(fit, root[:, None])[:, 0] / slope
         blur = _SAFETY * misfit / np.abs(slope)
-        rise = _polynomial(_derived(line), root[:, None])[:, 0]
-        bend = _polynomial(_derived(_derived(line)), root[:, None])[:, 0]
+        rise = _polynomial(_derivative(line), root[:, None])[:, 0]
+        bend = _polynomial(_derivative(_derivative(line)), root[:, None])[:, 0]
         rounding = np.spacing(np.abs(reference[:, 0]))
         error = _SAFETY * off + np.abs(rise) * blur + 0.5 * np.abs(bend) * blur**2 + rounding
         value = reference[:, 0] + _polynomial(line, root[:, None])[:, 0]
     return root, blur, value, error, bend
 
 
-def _fitted(values: Float[np.ndarray, "some nodes"]) -> Float[np.ndarray, "some terms"]:
+def _fit(values: Float[np.ndarray, "some nodes"]) -> Float[np.ndarray, "some terms"]:
     return np.sum(values[:, None, :] * _FIT, axis=2)
 
 
 def _polynomial(terms: Float[np.ndarray, "some terms"], at: np.ndarray) -> np.ndarray:
     """Values (some, points) at points (points,) or (some, points)."""
-    found = np.zeros(np.broadcast_shapes((len(terms), 1), np.shape(np.atleast_2d(at))))
+    values = np.zeros(np.broadcast_shapes((len(terms), 1), np.shape(np.atleast_2d(at))))
     for k in range(terms.shape[1])[::-1]:
-        found = found * at + terms[:, k, None]
-    return found
+        values = values * at + terms[:, k, None]
+    return values
 
 
-def _derived(terms: Float[np.ndarray, "some terms"]) -> Float[np.ndarray, "some fewer"]:
+def _derivative(terms: Float[np.ndarray, "some terms"]) -> Float[np.ndarray, "some fewer"]:
     return terms[:, 1:] * np.arange(1, terms.shape[1])

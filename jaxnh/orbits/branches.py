@@ -25,7 +25,7 @@ from jaxnh.orbits.arclength import (
     minus,
     times,
 )
-from jaxnh.orbits.kinds import eigenvalues, odd, tested
+from jaxnh.orbits.kinds import eigenvalues, odd, test_functions
 
 ENDS = ("start", "range", "collapsed", "closed", "no_convergence", "most_points", "unbounded")
 """Why a branch ends: it was begun there, as at a bifurcation; the parameter leaves its range; the orbit is one of a
@@ -47,7 +47,7 @@ _LEAST_LOOP = 8  # points of a closed branch
 
 
 class StepControl(NamedTuple):
-    """How branches are followed.
+    """Sizes and numbers of steps along branches.
 
     Attributes:
         largest: step, in sizes of the motion and widths of the range.
@@ -59,7 +59,7 @@ class StepControl(NamedTuple):
 
 
 STEPS = StepControl()
-"""As they are where nothing is said."""
+"""Default steps."""
 
 
 _Leaves = TypeVar("_Leaves", CurveOrbits, PathVector)
@@ -123,7 +123,7 @@ class Branch:
         )
 
 
-def both_ways(
+def follow_both_ways(
     family: Family,
     begun: CurveOrbits,
     steps: StepControl = STEPS,
@@ -146,11 +146,11 @@ def both_ways(
     count = len(begun.value)
     back = begun._replace(way=PathVector(-begun.way.points, -begun.way.value), crossing=-begun.crossing)
     course = _Course(family, jax.tree.map(lambda *leaves: np.concatenate(leaves), begun, back), steps)
-    found, turn, followed = dict[int, Branch](), 0, 0
+    branches, turn, followed = dict[int, Branch](), 0, 0
     while turn < count or len(course.open_):
         more = list[int]()
         while turn < count and (at_once is None or followed < at_once):
-            if wanted is None or wanted(list(found.values()), turn):
+            if wanted is None or wanted(list(branches.values()), turn):
                 more.append(turn)
                 followed += 1
             turn += 1
@@ -162,8 +162,8 @@ def both_ways(
                 followed -= 1
                 ahead, behind = course.branch(k), course.branch(count + k)
                 loop = ahead.ends[1] == CLOSED
-                found[k] = ahead.ending(CLOSED) if loop else behind.reversed(odd(family)).joined(ahead)
-    return {k: found[k] for k in sorted(found)}
+                branches[k] = ahead.ending(CLOSED) if loop else behind.reversed(odd(family)).joined(ahead)
+    return {k: branches[k] for k in sorted(branches)}
 
 
 class _Course:
@@ -187,8 +187,8 @@ class _Course:
         now = self._begun.take(lanes)
         self._keep(lanes, now)
         self.open_ = np.concatenate([self.open_, lanes])
-        self._now = _both(self._now, now)
-        self._bend = _both(self._bend, times(np.zeros(len(lanes)), now.way))
+        self._now = _join(self._now, now)
+        self._bend = _join(self._bend, times(np.zeros(len(lanes)), now.way))
 
     def is_done(self, lane: int) -> bool:
         """Whether a lane has come to its end."""
@@ -197,7 +197,7 @@ class _Course:
     def step(self) -> Int[np.ndarray, " some"]:
         """One step of all lanes on their way; those that have come to their ends by it."""
         family, steps, open_, now, bend = self._family, self._steps, self.open_, self._now, self._bend
-        taken, step, at_end = _stepped(family, now, bend, np.minimum(self._size[open_], _room(family, now)))
+        taken, step, at_end = _step_lanes(family, now, bend, np.minimum(self._size[open_], _room(family, now)))
         with np.errstate(invalid="ignore"):
             share = np.where(step > 0.0, taken.missed / np.maximum(step, _SMALLEST), 0.0)
             good = taken.converged & (inner(family, taken.way, now.way) >= _BENT) & (share <= _MISSED)
@@ -224,12 +224,12 @@ class _Course:
             self._end[open_[which]] = reason
             done |= which
         turned = times(1.0 / np.maximum(step, _SMALLEST), minus(taken.way, np.ones(len(open_)), now.way))
-        bend, now = _chosen(good, turned, bend), _chosen(good, taken, now)
-        self._bend, self._now, self.open_ = _taken(bend, ~done), now.take(~done), open_[~done]
+        bend, now = _select(good, turned, bend), _select(good, taken, now)
+        self._bend, self._now, self.open_ = _take(bend, ~done), now.take(~done), open_[~done]
         return open_[done]
 
     def branch(self, lane: int) -> Branch:
-        """What a lane has come by; nothing of it is kept."""
+        """Return the branch that a lane has followed, and forget it."""
         rows, self._rows[lane] = self._rows[lane], []
         whole: _Points = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
         return Branch(*whole, ends=(START, int(self._end[lane])))
@@ -237,10 +237,10 @@ class _Course:
     def _keep(self, lanes: Int[np.ndarray, " some"], orbits: CurveOrbits) -> None:
         """Have points of lanes in their rows."""
         family = self._family
-        tests, multipliers = tested(family, orbits), eigenvalues(family, orbits)
+        tests, multipliers = test_functions(family, orbits), eigenvalues(family, orbits)
         whole = _Points(orbits.points, orbits.value, orbits.way, tests, multipliers, orbits.residual)
         for i, lane in enumerate(lanes.tolist()):
-            self._rows[lane].append(whole.of_lane(i))
+            self._rows[lane].append(whole.lane(i))
         self._count[lanes] += 1
 
 
@@ -254,17 +254,17 @@ class _Points(NamedTuple):
     multipliers: np.ndarray
     residual: np.ndarray
 
-    def of_lane(self, i: int) -> _Points:
-        """What belongs to one of several lanes."""
+    def lane(self, i: int) -> _Points:
+        """Return the point of one of several lanes."""
         way = PathVector(self.way.points[i], self.way.value[i])
         return _Points(self.points[i], self.value[i], way, self.tests[i], self.multipliers[i], self.residual[i])
 
 
-def _both(one: _Leaves, more: _Leaves) -> _Leaves:
+def _join(one: _Leaves, more: _Leaves) -> _Leaves:
     return jax.tree.map(lambda a, b: np.concatenate([a, b]), one, more)
 
 
-def _stepped(
+def _step_lanes(
     family: Family, now: CurveOrbits, bend: PathVector, size: Float[np.ndarray, " lanes"]
 ) -> tuple[CurveOrbits, Float[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
     """Orbits a step further, the lengths of the steps, and whether they end where the range does.
@@ -290,7 +290,7 @@ def _stepped(
 
 
 def _gap(points: np.ndarray) -> np.ndarray:
-    """From each point (or vector) to the one half a period on."""
+    """Differences from each point (or vector) to the one half a period later."""
     return points - np.roll(points, points.shape[1] // 2, 1)
 
 
@@ -311,30 +311,30 @@ def _collapses(
     That is a doubling that the branch is born in. Beyond it, it has the same orbits again, half a period on.
     """
     n = now.points.shape[1]
-    found, merged = np.zeros((2, len(now.value)), bool)
-    none = np.zeros(len(found))
+    collapsed, merged = np.zeros((2, len(now.value)), bool)
+    none = np.zeros(len(collapsed))
     for m in (n // q for q in range(2, n + 1) if n % q == 0 and all(q % r for r in range(2, q))):
         before, after = (PathVector(family.wrap(o.points - np.roll(o.points, -m, 1)), none) for o in (now, taken))
         merged |= length(family, after) < _SAME
-        found |= merged | (inner(family, before, after) <= 0.0)
-    return found, merged
+        collapsed |= merged | (inner(family, before, after) <= 0.0)
+    return collapsed, merged
 
 
 def _passes(
     family: Family, begun: CurveOrbits, now: CurveOrbits, taken: CurveOrbits, near: Float[np.ndarray, " lanes"]
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether a step passes the orbit that its branch has begun with, whichever of its points comes first."""
-    found = np.zeros(len(now.value), bool)
+    passes = np.zeros(len(now.value), bool)
     for m in range(now.points.shape[1]):
         points, way = np.roll(begun.points, m, 1), PathVector(np.roll(begun.way.points, m, 1), begun.way.value)
         before, after = (PathVector(family.wrap(o.points - points), o.value - begun.value) for o in (now, taken))
         passed = (inner(family, before, way) < 0.0) & (inner(family, after, way) >= 0.0)
-        found |= passed & (length(family, after) <= near)
-    return found
+        passes |= passed & (length(family, after) <= near)
+    return passes
 
 
-def _chosen(which: Bool[np.ndarray, " lanes"], one: _Leaves, other: _Leaves) -> _Leaves:
-    """Of each lane the one, or the other."""
+def _select(which: Bool[np.ndarray, " lanes"], one: _Leaves, other: _Leaves) -> _Leaves:
+    """Select one or the other for each lane."""
 
     def leaf(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
@@ -342,5 +342,5 @@ def _chosen(which: Bool[np.ndarray, " lanes"], one: _Leaves, other: _Leaves) -> 
     return jax.tree.map(leaf, one, other)
 
 
-def _taken(way: PathVector, lanes: Bool[np.ndarray, " lanes"]) -> PathVector:
+def _take(way: PathVector, lanes: Bool[np.ndarray, " lanes"]) -> PathVector:
     return PathVector(way.points[lanes], way.value[lanes])

@@ -16,7 +16,7 @@ from jaxtyping import Complex, Float
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.arclength import CurveOrbits, Family, PathVector
 from jaxnh.orbits.bifurcations import critical
-from jaxnh.orbits.curves import Curve, CurvePoints, ParameterPlane, angle_cosine, correct, known, tested
+from jaxnh.orbits.curves import Curve, CurvePoints, ParameterPlane, angle_cosine, correct, split_unknowns, test_function
 from jaxnh.orbits.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.orbits.multipliers import multipliers
 from jaxnh.orbits.normal_forms import cubic
@@ -61,20 +61,20 @@ class Special(NamedTuple):
 
 def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
     """All that a curve passes through, in its order."""
-    found = list[Special]()
+    points = list[Special]()
     for kind, test in _tests(plane, curve.kind).items():
         values = test(curve.track)
         signs = np.signbit(values)
         changes = (signs[1:] != signs[:-1]) & np.isfinite(values[1:] + values[:-1])
         for place in np.flatnonzero(changes).tolist():
-            if at := _located(plane, curve, test, place, (float(values[place]), float(values[place + 1]))):
-                found.append(_special(plane, kind, place, at))
+            if at := _locate(plane, curve, test, place, (float(values[place]), float(values[place + 1]))):
+                points.append(_special(plane, kind, place, at))
     if curve.kind == NEIMARK_SACKER and len(plane.size) == 2:
         turns = _turning(curve.track)
         for place in np.flatnonzero(turns[1:] * turns[:-1] < 0.0).tolist():
-            if at := _located(plane, curve, _turning, place, (float(turns[place]), float(turns[place + 1]))):
+            if at := _locate(plane, curve, _turning, place, (float(turns[place]), float(turns[place + 1]))):
                 half = angle_cosine(multipliers(at.blocks))[0] < 0.0
-                found.append(_special(plane, ONE_TWO if half else ONE_ONE, place, at))
+                points.append(_special(plane, ONE_TWO if half else ONE_ONE, place, at))
     if curve.kind == FOLD:
         ways = curve.track.way[:, -2:]
         for place in np.flatnonzero(np.sum(ways[1:] * ways[:-1], axis=1) < 0.0).tolist():
@@ -83,13 +83,13 @@ def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
                 return track.way[:, -2:] @ first
 
             ends = float(ways[place] @ ways[place]), float(ways[place + 1] @ ways[place])
-            if at := _located(plane, curve, forward, place, ends):
-                found.append(_special(plane, CUSP, place, at))
-    return sorted(found, key=lambda point: point.place)
+            if at := _locate(plane, curve, forward, place, ends):
+                points.append(_special(plane, CUSP, place, at))
+    return sorted(points, key=lambda point: point.place)
 
 
 def _special(plane: ParameterPlane, kind: int, place: int, at: CurvePoints) -> Special:
-    points, values = known(plane, at.z)
+    points, values = split_unknowns(plane, at.z)
     return Special(kind, values[0], place, points[0], multipliers(at.blocks)[0])
 
 
@@ -100,20 +100,20 @@ def _tests(plane: ParameterPlane, kind: int) -> dict[int, Callable[[CurvePoints]
         def to_cosine(cosine: float) -> Callable[[CurvePoints], np.ndarray]:
             return lambda track: angle_cosine(multipliers(track.blocks)) - cosine
 
-        found = {point: to_cosine(cosine) for point, cosine in _COSINES.items()}
-        return {CHENCINER: lambda track: _cubic(plane, kind, track), **found}
+        tests = {point: to_cosine(cosine) for point, cosine in _COSINES.items()}
+        return {CHENCINER: lambda track: _cubic(plane, kind, track), **tests}
     critical = 1.0 if kind == FOLD else -1.0
     other, resonance = (DOUBLING, ONE_ONE) if kind == FOLD else (FOLD, ONE_TWO)
-    found: dict[int, Callable[[CurvePoints], np.ndarray]] = {
-        FOLD_FLIP: lambda track: tested(other, track.blocks),
-        resonance: lambda track: _others(multipliers(track.blocks), critical),
+    tests: dict[int, Callable[[CurvePoints], np.ndarray]] = {
+        FOLD_FLIP: lambda track: test_function(other, track.blocks),
+        resonance: lambda track: _product_of_others(multipliers(track.blocks), critical),
     }
     if kind == DOUBLING:
-        found[GENERALISED_DOUBLING] = lambda track: _cubic(plane, kind, track)
-    return found
+        tests[GENERALISED_DOUBLING] = lambda track: _cubic(plane, kind, track)
+    return tests
 
 
-def _others(values: Complex[np.ndarray, "lanes d"], critical: float) -> Float[np.ndarray, " lanes"]:
+def _product_of_others(values: Complex[np.ndarray, "lanes d"], critical: float) -> Float[np.ndarray, " lanes"]:
     """∏(μ − μ_c) over all multipliers but the critical one: it is zero where this one is double."""
     nearest = np.argmin(np.abs(values - critical), axis=1)
     apart = values - critical
@@ -122,7 +122,7 @@ def _others(values: Complex[np.ndarray, "lanes d"], critical: float) -> Float[np
 
 
 def _turning(track: CurvePoints) -> Float[np.ndarray, " lanes"]:
-    """In two dimensions, which way M turns: zero where M is ±1, which a symmetry can bring about on a curve.
+    """Sense in which M turns, in two dimensions: zero where M is ±1, which a symmetry can bring about on a curve.
 
     There e^(±iθ) pass −1 or 1 and stay on the circle: cos θ has an extremum, and goes through nothing.
     """
@@ -134,7 +134,7 @@ def _turning(track: CurvePoints) -> Float[np.ndarray, " lanes"]:
 
 def _cubic(plane: ParameterPlane, kind: int, track: CurvePoints) -> Float[np.ndarray, " lanes"]:
     """The cubic coefficient of the normal form of each point, over its own number in place of a parameter."""
-    points, values = known(plane, track.z)
+    points, values = split_unknowns(plane, track.z)
     lanes, n, d = points.shape
 
     def period(u: np.ndarray, number: np.ndarray) -> Derivatives:
@@ -145,15 +145,15 @@ def _cubic(plane: ParameterPlane, kind: int, track: CurvePoints) -> Float[np.nda
         points, np.arange(lanes, dtype=float), way, track.blocks, none, none, none, track.converged, way
     )
     family = Family(period, plane.wrap, plane.size, 0.0, float(max(lanes, 1)))
-    found, some = np.full(lanes, np.nan), np.arange(lanes)
+    coefficients, subset = np.full(lanes, np.nan), np.arange(lanes)
     if kind == NEIMARK_SACKER:  # beyond strong resonances there are no complex multipliers
-        some = np.flatnonzero(np.isfinite(critical(family, multipliers(track.blocks))))
+        subset = np.flatnonzero(np.isfinite(critical(family, multipliers(track.blocks))))
     with np.errstate(divide="ignore", invalid="ignore"):  # at strong resonances it is infinite
-        found[some] = cubic(family, orbits.take(some), np.full(len(some), kind)).coefficient
-    return found
+        coefficients[subset] = cubic(family, orbits.take(subset), np.full(len(subset), kind)).coefficient
+    return coefficients
 
 
-def _located(
+def _locate(
     plane: ParameterPlane,
     curve: Curve,
     test: Callable[[CurvePoints], np.ndarray],

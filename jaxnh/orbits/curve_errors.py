@@ -9,15 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.orbits.codimension_two import Special, special_points
-from jaxnh.orbits.curves import Curve, ParameterPlane, correct, known
+from jaxnh.orbits.curves import Curve, ParameterPlane, correct, split_unknowns
 from jaxnh.orbits.multipliers import multipliers
 
 
-def finer(plane: ParameterPlane, curve: Curve) -> Curve:
+def refine_curve(plane: ParameterPlane, curve: Curve) -> Curve:
     """The curve of a finer map: of each point the one in the hyperplane across the curve, NaN where there is none."""
     track = correct(plane, curve.kind, curve.track.z, curve.track.way)
     track.z[~track.converged] = np.nan
-    points, values = known(plane, track.z)
+    points, values = split_unknowns(plane, track.z)
     exponents = np.full_like(curve.multipliers, np.nan)
     exponents[track.converged] = multipliers(track.blocks[track.converged])
     return replace(curve, points=points, values=values, track=track, multipliers=exponents)
@@ -28,7 +28,7 @@ def errors_of_points(curve: Curve, others: Sequence[Curve]) -> Float[np.ndarray,
 
     Args:
         curve: of the map itself.
-        others: the same of maps with 2 and 4 times the steps (`finer`).
+        others: the same of maps with 2 and 4 times the steps (`refine_curve`).
     """
     return _error(curve.values, *(other.values for other in others))
 
@@ -39,15 +39,15 @@ def errors_of_special(
     """Errors of both parameters at a point of codimension two, NaN where it is not on the curves of finer maps.
 
     Args:
-        planes, others: maps with 2 and 4 times the steps, and the same curve of these (`finer`).
+        planes, others: maps with 2 and 4 times the steps, and the same curve of these (`refine_curve`).
         point: on the curve of the map itself.
     """
     near = slice(max(point.place - 1, 0), point.place + 3)
     values = list[np.ndarray]()
     for plane, curve in zip(planes, others, strict=True):
         part = curve.part(near)
-        found = special_points(plane, part) if part.track.converged.all() else []
-        same = [other.values for other in found if other.kind == point.kind]
+        candidates = special_points(plane, part) if part.track.converged.all() else []
+        same = [other.values for other in candidates if other.kind == point.kind]
         if not same:
             return np.full(2, np.nan)
         away = [np.abs((value - point.values) / (plane.high - plane.low)).max() for value in same]
@@ -58,7 +58,7 @@ def errors_of_special(
 def _error(
     coarse: Float[np.ndarray, " *shape"], fine: Float[np.ndarray, " *shape"], finest: Float[np.ndarray, " *shape"]
 ) -> Float[np.ndarray, " *shape"]:
-    """Of the first; rounding of all three is in it.
+    """Error of the first value; rounding of all three is in it.
 
     What is left beyond the finest is less than how far it is from the one before.
     """

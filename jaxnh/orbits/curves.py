@@ -63,7 +63,7 @@ class ParameterPlane(NamedTuple):
     high: Float[np.ndarray, " 2"]
 
     def unit(self, n: int) -> Float[np.ndarray, " N"]:
-        """What unknowns are measured in, so that squares of lengths are means over the points: N = nd + 2."""
+        """Units of the unknowns, such that squares of lengths are means over the points: N = nd + 2."""
         return np.concatenate([np.tile(self.size, n) * np.sqrt(n), self.high - self.low])
 
 
@@ -85,7 +85,7 @@ class CurvePoints(NamedTuple):
     converged: Bool[np.ndarray, " lanes"]
 
     def take(self, lanes: Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"] | slice) -> CurvePoints:
-        """Those of some lanes."""
+        """Return the entries of a subset of lanes."""
         return CurvePoints(*(leaf[lanes] for leaf in self))
 
 
@@ -125,7 +125,7 @@ class Curve:
         )
 
 
-def tested(kind: int, blocks: Float[np.ndarray, "lanes n d d"]) -> Float[np.ndarray, " lanes"]:
+def test_function(kind: int, blocks: Float[np.ndarray, "lanes n d d"]) -> Float[np.ndarray, " lanes"]:
     """The test function of a kind, which is zero on its curves."""
     if kind == FOLD:
         return closed_determinant(blocks, 1.0)
@@ -134,7 +134,7 @@ def tested(kind: int, blocks: Float[np.ndarray, "lanes n d d"]) -> Float[np.ndar
     return closed_determinant(second_compound(blocks), 1.0)
 
 
-def unknowns(
+def join_unknowns(
     plane: ParameterPlane, points: Float[np.ndarray, "lanes n d"], values: Float[np.ndarray, "lanes 2"]
 ) -> Float[np.ndarray, "lanes N"]:
     """Orbits and parameters as unknowns in their units."""
@@ -142,7 +142,7 @@ def unknowns(
     return np.concatenate([points.reshape(lanes, -1), values], axis=1) / plane.unit(n)
 
 
-def known(plane: ParameterPlane, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray]:
+def split_unknowns(plane: ParameterPlane, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray]:
     """Orbits (lanes, n, d) and parameters (lanes, 2) of unknowns."""
     d = len(plane.size)
     n = (z.shape[1] - 2) // d
@@ -169,7 +169,7 @@ def correct(
     lanes, size = z.shape
     d = len(plane.size)
     n = (size - 2) // d
-    found = CurvePoints(
+    track = CurvePoints(
         z.copy(),
         np.full_like(z, np.nan),
         np.full((lanes, n, d, d), np.nan),
@@ -179,24 +179,24 @@ def correct(
     last, open_ = np.full(lanes, np.inf), np.arange(lanes)
     near = np.broadcast_to(near, lanes)
     for _ in range(_NEWTON_STEPS + 1):
-        missing, slopes, blocks = _equations(plane, kind, found.z[open_])
+        missing, slopes, blocks = _equations(plane, kind, track.z[open_])
         finite = np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(missing).all(axis=1)
         open_, missing, slopes, blocks = open_[finite], missing[finite], slopes[finite], blocks[finite]
         if not len(open_):
             break
-        found.blocks[open_] = blocks
-        moved, way = _solved(missing, slopes, None if across is None else across[open_])
+        track.blocks[open_] = blocks
+        moved, way = _solve(missing, slopes, None if across is None else across[open_])
         at_rest = last[open_] <= _AT_REST
-        found.converged[open_[at_rest]], found.way[open_[at_rest]] = True, way[at_rest]
+        track.converged[open_[at_rest]], track.way[open_[at_rest]] = True, way[at_rest]
         length = np.linalg.norm(moved, axis=1)
         going = ~at_rest & np.isfinite(length) & (length <= np.maximum(_CONTRACTION * last[open_], near[open_]))
         open_ = open_[going]
         last[open_] = length[going]
-        found.z[open_] += moved[going]
+        track.z[open_] += moved[going]
         if not len(open_):
             break
-    found.missed[:] = np.linalg.norm(found.z - z, axis=1)
-    return found
+    track.missed[:] = np.linalg.norm(track.z - z, axis=1)
+    return track
 
 
 def follow(
@@ -215,11 +215,11 @@ def follow(
             good = taken.converged & (np.sum(taken.way * now.way, axis=1) >= _BENT) & (share <= _MISSED)
         outside = good & _outside(plane, taken.z)
         if outside.any():
-            edge = _at_edge(plane, kind, now.take(outside), taken.take(outside))
+            edge = _cut_at_edge(plane, kind, now.take(outside), taken.take(outside))
             for leaf, new in zip(taken, edge, strict=True):
                 leaf[outside] = new
             good[outside] &= edge.converged
-        ended = _ended(plane, kind, [history[k] for k in open_.tolist()], now, taken, step)
+        ended = _endings(plane, kind, [history[k] for k in open_.tolist()], now, taken, step)
         done = good & outside
         end[open_[done]] = RANGE
         for reason, which in ended.items():
@@ -241,7 +241,7 @@ def follow(
     return list(zip(joined, end.tolist(), strict=True))
 
 
-def both_ways(
+def follow_both_ways(
     plane: ParameterPlane,
     kind: int,
     points: Float[np.ndarray, "lanes n d"],
@@ -250,23 +250,23 @@ def both_ways(
     most: int = 500,
 ) -> list[Curve | None]:
     """The curves through bifurcations of a kind, each from end to end; None where Newton does not confirm one."""
-    z = unknowns(plane, points, values)
-    found = correct(plane, kind, z)
-    begun = found.take(found.converged)
+    z = join_unknowns(plane, points, values)
+    corrected = correct(plane, kind, z)
+    begun = corrected.take(corrected.converged)
     lanes = len(begun.z)
     back = begun._replace(way=-begun.way)
     twice = CurvePoints(*(np.concatenate(leaves) for leaves in zip(begun, back, strict=True)))
     halves = follow(plane, kind, twice, largest, most)
     curves = list[Curve | None]([None] * len(z))
     for k, (ahead, end), (behind, start) in zip(
-        np.flatnonzero(found.converged).tolist(), halves[:lanes], halves[lanes:], strict=True
+        np.flatnonzero(corrected.converged).tolist(), halves[:lanes], halves[lanes:], strict=True
     ):
         track = ahead
         if end != CLOSED:
             turned = CurvePoints(*(leaf[:0:-1] for leaf in behind))
             turned = turned._replace(way=-turned.way)
             track = CurvePoints(*(np.concatenate(leaves) for leaves in zip(turned, ahead, strict=True)))
-        orbits, both = known(plane, track.z)
+        orbits, both = split_unknowns(plane, track.z)
         ends = (CLOSED, CLOSED) if end == CLOSED else (start, end)
         curves[k] = Curve(kind, orbits, both, track, multipliers(track.blocks), ends)
     return curves
@@ -287,8 +287,8 @@ def angle_cosine(values: Complex[np.ndarray, "lanes d"]) -> Float[np.ndarray, " 
 def _equations(
     plane: ParameterPlane, kind: int, z: Float[np.ndarray, "lanes N"]
 ) -> tuple[Float[np.ndarray, "lanes rows"], Float[np.ndarray, "lanes rows N"], Float[np.ndarray, "lanes n d d"]]:
-    """What the orbit and the test function miss, derivatives of both in the unknowns, and ∂P/∂u, all in their units."""
-    (points, values), lanes = known(plane, z), len(z)
+    """Residuals of the orbit and the test function, their derivatives in the unknowns, and ∂P/∂u, all in units."""
+    (points, values), lanes = split_unknowns(plane, z), len(z)
     n, d = points.shape[1:]
     width = plane.high - plane.low
     # One call for all: the orbits, and for differences each coordinate of all points and each parameter shifted.
@@ -319,7 +319,7 @@ def _equations(
 
 def _finite_test(kind: int, blocks: np.ndarray) -> np.ndarray:
     finite = np.all(np.isfinite(blocks), axis=(1, 2, 3))
-    return np.where(finite, tested(kind, np.where(finite[:, None, None, None], blocks, 0.0)), np.nan)
+    return np.where(finite, test_function(kind, np.where(finite[:, None, None, None], blocks, 0.0)), np.nan)
 
 
 def _periods(
@@ -335,7 +335,7 @@ def _periods(
     return np.asarray(image).reshape(points.shape), blocks, columns
 
 
-def _solved(missing: np.ndarray, slopes: np.ndarray, across: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def _solve(missing: np.ndarray, slopes: np.ndarray, across: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """The step of Newton across ways, or the least one, and the direction of the curve."""
     way = np.linalg.svd(slopes)[2][:, -1]
     least = -(np.linalg.pinv(slopes) @ missing[..., None])[..., 0]
@@ -360,7 +360,7 @@ def _beyond(plane: ParameterPlane, z: np.ndarray) -> Bool[np.ndarray, "lanes 2"]
     return (z[:, -2:] < plane.low / unit) | (z[:, -2:] > plane.high / unit)
 
 
-def _at_edge(plane: ParameterPlane, kind: int, now: CurvePoints, taken: CurvePoints) -> CurvePoints:
+def _cut_at_edge(plane: ParameterPlane, kind: int, now: CurvePoints, taken: CurvePoints) -> CurvePoints:
     """Points where curves leave the plane of parameters, between two points of theirs."""
     unit = plane.high - plane.low
     gone = taken.z - now.z
@@ -379,7 +379,7 @@ def _at_edge(plane: ParameterPlane, kind: int, now: CurvePoints, taken: CurvePoi
     return correct(plane, kind, z, across)
 
 
-def _ended(
+def _endings(
     plane: ParameterPlane,
     kind: int,
     histories: list[list[CurvePoints]],
@@ -393,14 +393,14 @@ def _ended(
     before, after = (np.sum((z - begun) * first, axis=1) for z in (now.z, taken.z))
     near = np.linalg.norm(taken.z - begun, axis=1) <= 2.0 * step
     long = np.array([len(history) > _LEAST_LOOP for history in histories])
-    found = {CLOSED: long & near & (before < 0.0) & (after >= 0.0)}
-    one, other = known(plane, now.z)[0], known(plane, taken.z)[0]
+    endings = {CLOSED: long & near & (before < 0.0) & (after >= 0.0)}
+    one, other = split_unknowns(plane, now.z)[0], split_unknowns(plane, taken.z)[0]
     n = one.shape[1]
     if n % 2 == 0:
         gaps = [plane.wrap(u - np.roll(u, n // 2, 1)) / plane.size for u in (one, other)]
-        found[COLLAPSED] = np.sum(gaps[0] * gaps[1], axis=(1, 2)) <= 0.0
+        endings[COLLAPSED] = np.sum(gaps[0] * gaps[1], axis=(1, 2)) <= 0.0
     if kind not in (FOLD, DOUBLING):
         finite = np.all(np.isfinite(taken.blocks), axis=(1, 2, 3))
         values = multipliers(np.where(finite[:, None, None, None], taken.blocks, 0.0))
-        found[RESONANCE] = np.abs(angle_cosine(values)) > 1.0
-    return found
+        endings[RESONANCE] = np.abs(angle_cosine(values)) > 1.0
+    return endings

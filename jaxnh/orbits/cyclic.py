@@ -60,8 +60,8 @@ def eliminate(here: Float[np.ndarray, "... n m m"], there: Float[np.ndarray, "..
 
 def solve(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> Float[np.ndarray, "... n m"]:
     """y of r."""
-    carried, known = _carried(cycle, right)
-    return _back(cycle, np.linalg.solve(cycle.closed, carried[..., None])[..., 0], known)
+    carried, known = _eliminated_sides(cycle, right)
+    return _substitute_back(cycle, np.linalg.solve(cycle.closed, carried[..., None])[..., 0], known)
 
 
 class Solutions(NamedTuple):
@@ -87,7 +87,7 @@ def underdetermined(
     cycle: Cyclic, right: Float[np.ndarray, "... n m"], column: Float[np.ndarray, "... n m"]
 ) -> Solutions:
     """The solutions with one unknown more, which all equations know; `closed` itself may be singular, as at a fold."""
-    (last, known), (last_column, known_column) = _carried(cycle, right), _carried(cycle, column)
+    (last, known), (last_column, known_column) = _eliminated_sides(cycle, right), _eliminated_sides(cycle, column)
     wide = np.concatenate([cycle.closed, last_column[..., None]], axis=-1)
     left, singular, rows = np.linalg.svd(wide, full_matrices=True)
     shares = (np.swapaxes(left, -1, -2) @ last[..., None])[..., 0]
@@ -97,7 +97,7 @@ def underdetermined(
 
     def whole(first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:
         x = first[..., -1:]
-        return _back(cycle, first[..., :-1], [k - x * kc for k, kc in zip(known, known_column, strict=True)])
+        return _substitute_back(cycle, first[..., :-1], [k - x * kc for k, kc in zip(known, known_column, strict=True)])
 
     none = [np.zeros_like(k) for k in known]
     square = np.concatenate([wide, null[..., None, :]], axis=-2)
@@ -108,7 +108,7 @@ def underdetermined(
 def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:
     """y of r = 0, of length one at the first point, where there is one; elsewhere that of the nearest `closed`."""
     first = np.linalg.svd(cycle.closed)[2][..., -1, :]
-    return _back(cycle, first, [np.zeros(1)] * len(cycle.rounds))
+    return _substitute_back(cycle, first, [np.zeros(1)] * len(cycle.rounds))
 
 
 def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
@@ -127,7 +127,7 @@ def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
 
 
 def _points_first(each: np.ndarray, axis: int) -> np.ndarray:
-    """In one order in memory: the last bits of products depend on it."""
+    """Return an array in one memory order: the last bits of products depend on it."""
     return np.ascontiguousarray(np.moveaxis(each, axis, 0))
 
 
@@ -136,8 +136,8 @@ def _pairs(each: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return each[: len(each) // 2 * 2 : 2], each[1::2]
 
 
-def _carried(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """What stands on the right of the equation left for y_0, and of those of the points eliminated."""
+def _eliminated_sides(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return the right-hand sides of the equation left for y_0 and of those of the points eliminated."""
     m, known = right.shape[-1], []
     carried = _points_first(right, -2)
     for turns, _, _ in cycle.rounds:
@@ -148,7 +148,7 @@ def _carried(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> tuple[np.nda
     return carried[0], known
 
 
-def _back(cycle: Cyclic, first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:
+def _substitute_back(cycle: Cyclic, first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:
     """All y, from y_0 and from what stands on the right of the points' equations after their elimination."""
     y = np.ascontiguousarray(first)[None]
     for (_, upper, rows), right in zip(cycle.rounds[::-1], known[::-1], strict=True):

@@ -34,7 +34,7 @@ _ROUNDING = 1e-6  # of the test function, which is of order one: what falls no m
 
 
 class DoublingPoint(NamedTuple):
-    """Where a period-n orbit has a multiplier −1.
+    """Point where a period-n orbit has a multiplier −1.
 
     Attributes:
         value: of the parameter.
@@ -91,7 +91,7 @@ def follow_branch(
         end = stop if abs(reach) >= abs(stop - values[-1]) else values[-1] + reach
         ahead = values[-1] + share * (end - values[-1])
         ahead[-1] = end
-        guess = _through(values[-_BEHIND:], known[-_BEHIND:], ahead)
+        guess = _interpolate(values[-_BEHIND:], known[-_BEHIND:], ahead)
         orbits = close_orbits(period, guess, ahead, wrap)
         apart = np.array([_separation(p, wrap) for p in [known[-1], *orbits.points]])
         kept = orbits.converged & (apart[1:] >= _COLLAPSED * apart[:-1])
@@ -119,11 +119,11 @@ def doubling_point(period: Period, branch: DoublingBranch, wrap: Wrap) -> Doubli
         branch: with orbits near the doubling.
         wrap: of differences of section coordinates.
     """
-    found: DoublingPoint | None = None
+    best: DoublingPoint | None = None
     for _ in range(_ROUNDS):
         nearest = np.argsort(np.abs(branch.values - branch.centre), kind="stable")[: len(_NODES)]
         nodes = branch.centre + branch.half * _NODES
-        guess = _through(branch.values[nearest], branch.points[nearest], nodes)
+        guess = _interpolate(branch.values[nearest], branch.points[nearest], nodes)
         orbits = close_orbits(period, guess, nodes, wrap)
         if not orbits.converged.all():
             branch = branch._replace(half=branch.half / _NARROWER)
@@ -133,21 +133,21 @@ def doubling_point(period: Period, branch: DoublingBranch, wrap: Wrap) -> Doubli
         misfit = np.abs(tested - polynomial.polyval(_NODES, fit)).max()
         root = _root_nearest_zero(fit)
         if root is None:
-            return found
+            return best
         value = float(branch.centre + branch.half * root)
-        there = close_orbits(period, _through(nodes, orbits.points, np.array([value])), np.array([value]), wrap)
+        there = close_orbits(period, _interpolate(nodes, orbits.points, np.array([value])), np.array([value]), wrap)
         slope = float(polynomial.polyval(root, polynomial.polyder(fit)) / branch.half)
         missed = misfit + np.abs(doubling_function(there)[0])
         error = float(missed / abs(slope) + np.spacing(abs(value)))
-        if not there.converged[0] or (found is not None and not error < 0.25 * found.error):
-            return found
+        if not there.converged[0] or (best is not None and not error < 0.25 * best.error):
+            return best
         narrower = branch.half / (_NARROWER if abs(root) <= 1.0 else 1.0)
         branch = DoublingBranch(nodes, orbits.points, value, narrower)
-        found = DoublingPoint(value, there.points[0], cyclic.null_vector(_reversed(there))[0], error, slope)
-    return found
+        best = DoublingPoint(value, there.points[0], cyclic.null_vector(_reversed_equations(there))[0], error, slope)
+    return best
 
 
-def moved_doubling(period: Period, point: DoublingPoint, wrap: Wrap) -> DoublingPoint | None:
+def refine_doubling(period: Period, point: DoublingPoint, wrap: Wrap) -> DoublingPoint | None:
     """The doubling of nearly the same map, as of more steps a period, by Newton with the slope of the one known.
 
     None where it is not there. Its error has that of the known one in it.
@@ -161,7 +161,7 @@ def moved_doubling(period: Period, point: DoublingPoint, wrap: Wrap) -> Doubling
         if not there.converged[0]:
             return None
         if abs(shift) <= point.error or (abs(left) < _ROUNDING and abs(shift) >= 0.25 * size):
-            vector = cyclic.null_vector(_reversed(there))[0]
+            vector = cyclic.null_vector(_reversed_equations(there))[0]
             return DoublingPoint(value, there.points[0], vector, point.error + abs(shift), point.slope)
         value, size, orbit = value + shift, abs(shift), there.points
     return None
@@ -169,7 +169,7 @@ def moved_doubling(period: Period, point: DoublingPoint, wrap: Wrap) -> Doubling
 
 def doubling_function(orbits: ShootingOrbits) -> Float[np.ndarray, " nodes"]:
     """det(M + 1) of every orbit, M = M_{n−1}…M_0: positive where it is stable, negative once it has doubled."""
-    return cyclic.determinant(_reversed(orbits))
+    return cyclic.determinant(_reversed_equations(orbits))
 
 
 def halves(points: Float[np.ndarray, "... n d"], wrap: Wrap) -> Float[np.ndarray, "... n d"]:
@@ -177,7 +177,7 @@ def halves(points: Float[np.ndarray, "... n d"], wrap: Wrap) -> Float[np.ndarray
     return wrap(points - np.roll(points, points.shape[-2] // 2, axis=-2))
 
 
-def _reversed(orbits: ShootingOrbits) -> cyclic.Cyclic:
+def _reversed_equations(orbits: ShootingOrbits) -> cyclic.Cyclic:
     """The equations M_i w_i = w_{i+1} around each orbit with w_n = −w_0."""
     there = np.zeros_like(orbits.blocks)
     there[:] = -np.eye(orbits.blocks.shape[-1])
@@ -197,7 +197,7 @@ def _root_nearest_zero(coefficients: np.ndarray) -> float | None:
     return root
 
 
-def _through(values: np.ndarray, leaves: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _interpolate(values: np.ndarray, leaves: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The polynomial through leaves (k, ...) at so many values (k,), at others (m,): (m, ...)."""
     k = len(values)
     apart = values[:, None] - values
@@ -209,7 +209,7 @@ def _through(values: np.ndarray, leaves: np.ndarray, at: np.ndarray) -> np.ndarr
 
 
 def _separation(points: Float[np.ndarray, "n d"], wrap: Wrap) -> float:
-    """How far an orbit of n points is from one of a shorter period, over all divisors of n."""
+    """Distance of an orbit of n points from one of a shorter period, over all divisors of n."""
     n = len(points)
     shorter = [n // q for q in range(2, n + 1) if n % q == 0]
     return min((float(np.abs(wrap(points - np.roll(points, m, 0))).max()) for m in shorter), default=np.inf)

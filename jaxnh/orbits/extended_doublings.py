@@ -46,7 +46,7 @@ class Slopes(Protocol):
 
 
 class ExtendedPeriod(Protocol):
-    """P and ∂P/∂u w of lanes in double-double precision: `maps.extended_precision.carried`."""
+    """P and ∂P/∂u w of lanes in double-double precision: `maps.extended_precision.push_point`."""
 
     def __call__(self, u: Sum, w: Sum, value: tuple[float, float], /) -> tuple[Sum, Sum]:
         """At points (lanes, d) and vectors (lanes, d), at one value of the parameter."""
@@ -69,7 +69,7 @@ class ExtendedPoint(NamedTuple):
     vector: Sum
 
 
-def exactly(value: float, orbit: Float[np.ndarray, "n d"], vector: Float[np.ndarray, "n d"]) -> ExtendedPoint:
+def from_float64(value: float, orbit: Float[np.ndarray, "n d"], vector: Float[np.ndarray, "n d"]) -> ExtendedPoint:
     """A doubling of float64."""
     return ExtendedPoint((value, 0.0), np.inf, (orbit, np.zeros_like(orbit)), (vector, np.zeros_like(vector)))
 
@@ -88,14 +88,14 @@ def extended_doubling(
     """
     (value, last, u, w), linear = start, None
     for _ in range(_STEPS):
-        linear = linear or _linearised(slopes, value[0], u[0], w[0], size)
+        linear = linear or _linearise(slopes, value[0], u[0], w[0], size)
         image, vector = period(u, w, value)
-        of_orbit = difference(_next(u), image, wrap)
-        of_vector = difference(_next(w, -1.0), vector)
+        of_orbit = difference(_following_points(u), image, wrap)
+        of_vector = difference(_following_points(w, -1.0), vector)
         du, dw, step = _step(linear, of_orbit, of_vector)
         if not np.isfinite(step) or not np.isfinite(du).all():
             return None
-        u, w, value = _moved(u, du), _moved(w, dw), _shifted(value, step)
+        u, w, value = _move(u, du), _move(w, dw), _shift(value, step)
         size_of_step, least = abs(step), _SPACING * abs(value[0])
         if size_of_step <= least or (size_of_step >= _FALLING * last and last < np.spacing(abs(value[0]))):
             return ExtendedPoint(value, max(size_of_step, least), u, w)
@@ -123,14 +123,14 @@ def next_doubling(
         moved = 0.5 * share / _SHARES[0] / _WIDTHS * width * along
         orbit = np.concatenate([points + moved, points - moved])
         vector = _null_vector(slopes, value, orbit)
-        guess = exactly(value, orbit, vector)._replace(error=abs(gap))
-        found = extended_doubling(period, slopes, guess, size, wrap)
-        if found is not None and _BEYOND < _distance(last, found) / gap < _UP_TO:
-            return found
+        guess = from_float64(value, orbit, vector)._replace(error=abs(gap))
+        doubling = extended_doubling(period, slopes, guess, size, wrap)
+        if doubling is not None and _BEYOND < _distance(last, doubling) / gap < _UP_TO:
+            return doubling
     return None
 
 
-def of_finer_map(point: ExtendedPoint, coarse: ExtendedPoint, fine: ExtendedPoint, wrap: Wrap) -> ExtendedPoint:
+def predict_on_finer_map(point: ExtendedPoint, coarse: ExtendedPoint, fine: ExtendedPoint, wrap: Wrap) -> ExtendedPoint:
     """About where a finer map has a doubling of a map, from the doubling before of both: points move together.
 
     Args:
@@ -139,8 +139,8 @@ def of_finer_map(point: ExtendedPoint, coarse: ExtendedPoint, fine: ExtendedPoin
         wrap: of differences of section coordinates.
     """
     shift = difference(fine.orbit, coarse.orbit, wrap)
-    orbit = _moved(point.orbit, np.concatenate([shift, shift]))
-    return point._replace(value=_shifted(point.value, _distance(coarse, fine)), error=np.inf, orbit=orbit)
+    orbit = _move(point.orbit, np.concatenate([shift, shift]))
+    return point._replace(value=_shift(point.value, _distance(coarse, fine)), error=np.inf, orbit=orbit)
 
 
 def difference(a: Sum, b: Sum, wrap: Wrap | None = None) -> np.ndarray:
@@ -170,7 +170,7 @@ class _Linear(NamedTuple):
     column: np.ndarray
 
 
-def _linearised(
+def _linearise(
     slopes: Slopes,
     value: float,
     orbit: Float[np.ndarray, "n d"],
@@ -190,10 +190,10 @@ def _linearised(
     closed = cyclic.eliminate(blocks, np.tile(-np.eye(d), (n, 1, 1)))
     by_value = cyclic.solve(closed, -np.asarray(here.by_parameter))
     column = np.einsum("nij,nj->ni", second, by_value) + mixed
-    return _Linear(closed, _reversed(blocks), by_value, second, column)
+    return _Linear(closed, _reversed_equations(blocks), by_value, second, column)
 
 
-def _reversed(blocks: Float[np.ndarray, "n d d"]) -> cyclic.Cyclic:
+def _reversed_equations(blocks: Float[np.ndarray, "n d d"]) -> cyclic.Cyclic:
     """The equations of the vector of −1."""
     there = np.tile(-np.eye(blocks.shape[-1]), (len(blocks), 1, 1))
     there[-1] *= -1.0
@@ -203,7 +203,7 @@ def _reversed(blocks: Float[np.ndarray, "n d d"]) -> cyclic.Cyclic:
 def _null_vector(slopes: Slopes, value: float, orbit: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
     """The vector of −1 nearly, around an orbit that nearly has one, of length one where it is longest."""
     blocks = np.asarray(slopes(orbit, np.full(len(orbit), value)).monodromy)
-    vector = cyclic.null_vector(_reversed(blocks))
+    vector = cyclic.null_vector(_reversed_equations(blocks))
     return vector / np.abs(vector).max()
 
 
@@ -216,7 +216,7 @@ def _step(linear: _Linear, of_orbit: np.ndarray, of_vector: np.ndarray) -> tuple
     return left + step * linear.by_value, solutions.y, step
 
 
-def _next(points: Sum, sign: float = 1.0) -> Sum:
+def _following_points(points: Sum, sign: float = 1.0) -> Sum:
     """The points that follow; before the first stands the last, times a sign."""
     hi, lo = (np.roll(half, -1, axis=0) for half in points)
     hi[-1] *= sign
@@ -224,16 +224,16 @@ def _next(points: Sum, sign: float = 1.0) -> Sum:
     return hi, lo
 
 
-def _moved(points: Sum, step: np.ndarray) -> Sum:
+def _move(points: Sum, step: np.ndarray) -> Sum:
     high, low = two_sum(points[0], step)
     return two_sum(high, low + points[1])
 
 
 def _distance(a: ExtendedPoint, b: ExtendedPoint) -> float:
-    """Of the values of b from a."""
+    """Difference of the values, b minus a."""
     return (b.value[0] - a.value[0]) + (b.value[1] - a.value[1])
 
 
-def _shifted(value: tuple[float, float], step: float) -> tuple[float, float]:
-    hi, lo = _moved((np.array(value[0]), np.array(value[1])), np.array(step))
+def _shift(value: tuple[float, float], step: float) -> tuple[float, float]:
+    hi, lo = _move((np.array(value[0]), np.array(value[1])), np.array(step))
     return float(hi), float(lo)

@@ -36,7 +36,7 @@ def odd(family: Family) -> Bool[np.ndarray, " kinds"]:
     return np.isin(kinds(family), (FOLD, BRANCH_POINT))
 
 
-def tested(family: Family, orbits: CurveOrbits) -> Float[np.ndarray, "lanes kinds"]:
+def test_functions(family: Family, orbits: CurveOrbits) -> Float[np.ndarray, "lanes kinds"]:
     """The test function of every kind, of each orbit."""
     own = {
         FOLD: lambda: orbits.way.value / family.width,

@@ -22,13 +22,13 @@ def multipliers(blocks: Float[np.ndarray, "... n d d"]) -> Complex[np.ndarray, "
     if n == 1:
         values = np.linalg.eigvals(flat[:, 0]).astype(complex)
     else:
-        values = np.array([_of_triangle(*one) for one in zip(*_carried_around(flat), strict=True)]).reshape(-1, d)
+        values = np.array([_block_eigenvalues(*one) for one in zip(*_last_turn(flat), strict=True)]).reshape(-1, d)
     order = np.lexsort((np.imag(values), -np.abs(values)), axis=-1)
     values = np.take_along_axis(values, order, axis=-1)
     return np.where(finite[:, None], values, np.nan).reshape(*blocks.shape[:-3], d)
 
 
-def _carried_around(blocks: Float[np.ndarray, "lanes n d d"]) -> tuple[np.ndarray, np.ndarray]:
+def _last_turn(blocks: Float[np.ndarray, "lanes n d d"]) -> tuple[np.ndarray, np.ndarray]:
     """Q_0ᵀQ_n and R_{n−1}…R_0 of the last turn, each (lanes, d, d)."""
     basis = np.broadcast_to(np.eye(blocks.shape[-1]), blocks[:, 0].shape)
     begun, product = basis, basis
@@ -40,9 +40,9 @@ def _carried_around(blocks: Float[np.ndarray, "lanes n d d"]) -> tuple[np.ndarra
     return np.swapaxes(begun, -1, -2) @ basis, product
 
 
-def _of_triangle(turn: Float[np.ndarray, "d d"], upper: Float[np.ndarray, "d d"]) -> Complex[np.ndarray, " d"]:
+def _block_eigenvalues(turn: Float[np.ndarray, "d d"], upper: Float[np.ndarray, "d d"]) -> Complex[np.ndarray, " d"]:
     """Eigenvalues of turn @ upper, block by block where the turn leaves the first directions among themselves."""
     d = len(turn)
     ends = [k for k in range(1, d) if np.abs(turn[k:, :k]).max() < _APART]
-    found = [np.linalg.eigvals(turn[i:j, i:j] @ upper[i:j, i:j]) for i, j in zip([0, *ends], [*ends, d], strict=True)]
-    return np.concatenate(found).astype(complex)
+    values = [np.linalg.eigvals(turn[i:j, i:j] @ upper[i:j, i:j]) for i, j in zip([0, *ends], [*ends, d], strict=True)]
+    return np.concatenate(values).astype(complex)

@@ -49,7 +49,7 @@ class Orbit(NamedTuple):
 
 
 class NewtonStep(NamedTuple):
-    """What a step of Newton on Pⁿ(u) = u rests on, at a point of one lane.
+    """Newton's step on Pⁿ(u) = u and its residual, at a point of one lane.
 
     Attributes:
         residual: largest component of Pⁿ(u) − u, in sizes of the motion.
@@ -73,8 +73,8 @@ def look(
     wrap, one = strobe.chart.wrap, jnp.eye(strobe.chart.dimension)
     image, monodromy, _ = derivatives(strobe, n, u, p)
     step = solve(monodromy - one, wrap(u - image))
-    step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(_in(size, jnp.abs(step))))
-    return NewtonStep(jnp.max(_in(size, jnp.abs(wrap(image - u)))), monodromy, step)
+    step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(_unscale(size, jnp.abs(step))))
+    return NewtonStep(jnp.max(_unscale(size, jnp.abs(wrap(image - u)))), monodromy, step)
 
 
 def find_orbits(
@@ -138,60 +138,60 @@ def find_doubled(
     """
     chart, d = strobe.chart, strobe.chart.dimension
     one = jnp.eye(d)
-    half = 0.5 * _in(size, chart.wrap(u - derivatives(strobe, n, u, p).image))
+    half = 0.5 * _unscale(size, chart.wrap(u - derivatives(strobe, n, u, p).image))
     first = jnp.sqrt(jnp.sum(half**2))
     normal = half / first
-    _, around = _along(strobe, n, u - _of(size, half), first * normal, p, size)
+    _, around = _images_on_line(strobe, n, u - _scale(size, half), first * normal, p, size)
     bend = (around[-1] - around[0]) / (2.0 * first)
     cubic = (_mean(around) - around[2]) @ normal / first**2
 
     def improve(at: _Branches) -> _Branches:
         m, v, square, steps, last, _ = at
-        image, matrices = _along(strobe, n, m, jnp.sqrt(square) * v, p, size)
+        image, matrices = _images_on_line(strobe, n, m, jnp.sqrt(square) * v, p, size)
         ends, whole = 0.5 * (matrices[0] + matrices[-1]), _mean(matrices)
         rows = [
             jnp.concatenate([ends - one, square * bend, 0.5 * (bend @ v)[:, None]], axis=1),
             jnp.concatenate([bend, whole + one, cubic[:, None]], axis=1),
             jnp.concatenate([jnp.zeros(d), normal, jnp.zeros(1)])[None],
         ]
-        middle = 0.5 * _in(size, chart.wrap(image[0] - m) + chart.wrap(image[-1] - m))
+        middle = 0.5 * _unscale(size, chart.wrap(image[0] - m) + chart.wrap(image[-1] - m))
         missing = jnp.concatenate([middle, whole @ v + v, (normal @ v - 1.0)[None]])
         step = solve(jnp.concatenate(rows), -missing)
         moved = square + step[-1]
         moved = jnp.where(moved > 0.0, moved, square / 16)
-        return _Branches(m + _of(size, step[:d]), v + step[d:-1], moved, steps + 1, jnp.max(jnp.abs(step)), last)
+        return _Branches(m + _scale(size, step[:d]), v + step[d:-1], moved, steps + 1, jnp.max(jnp.abs(step)), last)
 
     def unfinished(at: _Branches) -> Array:
         settled = (at.size < _NEWTON_TOLERANCE) & (at.size >= 0.25 * at.before)
         return (at.steps < _DOUBLED_STEPS) & ~settled & ~jnp.isnan(at.size)
 
     far = jnp.full((), jnp.inf)
-    begun = _Branches(u - _of(size, half), normal, first**2, jnp.int32(0), far, far)
-    found = lax.while_loop(unfinished, improve, as_batched(begun, u[0]))
-    u = found.m + _of(size, jnp.sqrt(found.square) * found.v)
+    begun = _Branches(u - _scale(size, half), normal, first**2, jnp.int32(0), far, far)
+    final = lax.while_loop(unfinished, improve, as_batched(begun, u[0]))
+    u = final.m + _scale(size, jnp.sqrt(final.square) * final.v)
     image, monodromy, _ = derivatives(strobe, 2 * jnp.asarray(n), u, p)
-    residual = jnp.max(_in(size, jnp.abs(chart.wrap(image - u))))
-    return Orbit(u, jnp.where(found.size < _NEWTON_TOLERANCE, residual, jnp.inf), monodromy, found.steps)
+    residual = jnp.max(_unscale(size, jnp.abs(chart.wrap(image - u))))
+    return Orbit(u, jnp.where(final.size < _NEWTON_TOLERANCE, residual, jnp.inf), monodromy, final.steps)
 
 
-def _along(
+def _images_on_line(
     strobe: ReturnMap, n: ArrayLike, m: Array, way: Array, p: Parameters, size: Float[Array, " d"] | float
 ) -> tuple[Array, Array]:
     """Pⁿ and ∂Pⁿ/∂u at the nodes of the line from m − way to m + way: (5, d) and (5, d, d).
 
     The way and the derivatives are in units of the sizes (d,), m and Pⁿ are not.
     """
-    way = _of(size, way)
+    way = _scale(size, way)
     image, matrices = jax.vmap(lambda t: derivatives(strobe, n, m + t * way, p)[:2])(jnp.array(_NODES))
     return image, matrices if isinstance(size, (int, float)) else matrices * jnp.outer(1.0 / size, size)[None]
 
 
-def _in(size: Array | float, difference: Array) -> Array:
+def _unscale(size: Array | float, difference: Array) -> Array:
     """A difference (d,) in units of sizes; as it is where there are none, so that the program is as without."""
     return difference if isinstance(size, (int, float)) else difference / size
 
 
-def _of(size: Array | float, difference: Array) -> Array:
+def _scale(size: Array | float, difference: Array) -> Array:
     """A difference (d,) given in units of sizes."""
     return difference if isinstance(size, (int, float)) else difference * size
 

@@ -49,25 +49,25 @@ class Cubic(NamedTuple):
 def cubic(family: Family, orbits: CurveOrbits, kind: Int[np.ndarray, " some"]) -> Cubic:
     """The cubic coefficient of bifurcations of these kinds (numbers in `KINDS`)."""
     none = np.full(len(kind), np.nan)
-    found = Cubic(none, none.copy(), np.zeros(len(kind), int), np.zeros(orbits.points.shape, complex))
+    result = Cubic(none, none.copy(), np.zeros(len(kind), int), np.zeros(orbits.points.shape, complex))
     for each in set(kind.tolist()) - {FOLD}:
-        some, real = np.flatnonzero(kind == each), each in _REAL
-        here = orbits.take(some)
+        subset, real = np.flatnonzero(kind == each), each in _REAL
+        at_points = orbits.take(subset)
         if real:
-            z = np.full(len(some), _REAL[each], complex)
+            z = np.full(len(subset), _REAL[each], complex)
         else:
-            z = critical(family, eigenvalues(family, here))
+            z = critical(family, eigenvalues(family, at_points))
             z = 1.0 + 1j * np.imag(z) if family.field else z / np.abs(z)
         known = np.isfinite(z)
-        some, here, z = some[known], here.take(known), z[known]
-        q = _normal(family, here, _null(here.blocks, z, real))
-        one, two = (_coefficient(family, here, q, z, real, h) for h in (_SHIFT, 2.0 * _SHIFT))
-        found.coefficient[some], found.error[some] = one, np.abs(two - one)
-        found.vectors[some] = q
+        subset, at_points, z = subset[known], at_points.take(known), z[known]
+        q = _normal(family, at_points, _null(at_points.blocks, z, real))
+        one, two = (_coefficient(family, at_points, q, z, real, h) for h in (_SHIFT, 2.0 * _SHIFT))
+        result.coefficient[subset], result.error[subset] = one, np.abs(two - one)
+        result.vectors[subset] = q
     with np.errstate(invalid="ignore"):
-        sure = np.abs(found.coefficient) > _CERTAIN * found.error
-    found.criticality[sure] = -np.sign(found.coefficient[sure]).astype(int)
-    return found
+        sure = np.abs(result.coefficient) > _CERTAIN * result.error
+    result.criticality[sure] = -np.sign(result.coefficient[sure]).astype(int)
+    return result
 
 
 def _normal(family: Family, orbits: CurveOrbits, q: Complex[np.ndarray, "some n d"]) -> Complex[np.ndarray, "some n d"]:
@@ -152,7 +152,7 @@ def _response(blocks: np.ndarray, force: np.ndarray, z: Complex[np.ndarray, " so
 
 
 def _real_response(blocks: np.ndarray, left: np.ndarray, force: np.ndarray, critical: bool) -> np.ndarray:
-    """The same with z = 1; where a multiplier is one (`critical`), but for what is along its left vector."""
+    """The response with z = 1; where a multiplier is one (`critical`), without the part along its left vector."""
     cycle = _cycle(blocks, np.ones(len(blocks), complex), True)
     if critical:
         return cyclic.underdetermined(cycle, -force, np.real(left)).y

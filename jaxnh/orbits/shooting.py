@@ -71,20 +71,20 @@ def close_orbits(
     """
     nodes, n, d = points.shape
     there = np.broadcast_to(-np.eye(d), (n, d, d))
-    found = ShootingOrbits(
+    orbits = ShootingOrbits(
         np.array(points), np.full((nodes, n, d, d), np.nan), np.full(nodes, np.nan), np.zeros(nodes, np.bool_)
     )
     size, open_ = np.full(nodes, np.inf), np.arange(nodes)
-    begun = np.abs(found.points).max(axis=(1, 2))  # an orbit at zero has no size of its own
+    begun = np.abs(orbits.points).max(axis=(1, 2))  # an orbit at zero has no size of its own
     for step in range(_NEWTON_STEPS + 1):
-        here = found.points[open_]
-        at = period(here.reshape(-1, d), np.repeat(values[open_], n))
-        missing = wrap(np.roll(here, -1, 1) - np.asarray(at.image).reshape(here.shape))
-        blocks = np.asarray(at.monodromy).reshape(*here.shape, d)
-        found.blocks[open_], found.residual[open_] = blocks, np.abs(missing).max(axis=(1, 2))
-        finite = np.isfinite(blocks).all(axis=(1, 2, 3)) & np.isfinite(found.residual[open_])
-        at_rest = size[open_] <= _NEWTON_TOLERANCE * np.maximum(np.abs(here).max(axis=(1, 2)), begun[open_])
-        found.converged[open_] = finite & at_rest
+        points_now = orbits.points[open_]
+        at = period(points_now.reshape(-1, d), np.repeat(values[open_], n))
+        missing = wrap(np.roll(points_now, -1, 1) - np.asarray(at.image).reshape(points_now.shape))
+        blocks = np.asarray(at.monodromy).reshape(*points_now.shape, d)
+        orbits.blocks[open_], orbits.residual[open_] = blocks, np.abs(missing).max(axis=(1, 2))
+        finite = np.isfinite(blocks).all(axis=(1, 2, 3)) & np.isfinite(orbits.residual[open_])
+        at_rest = size[open_] <= _NEWTON_TOLERANCE * np.maximum(np.abs(points_now).max(axis=(1, 2)), begun[open_])
+        orbits.converged[open_] = finite & at_rest
         left = finite & ~at_rest
         if step == _NEWTON_STEPS or not left.any():
             break
@@ -98,8 +98,8 @@ def close_orbits(
         size[open_] = length[contracts]
         if not len(open_):
             break
-        found.points[open_] += moved[contracts]
-    return found
+        orbits.points[open_] += moved[contracts]
+    return orbits
 
 
 def orbits_from_afar(
@@ -141,7 +141,7 @@ def orbits_from_afar(
     whole = ShootingOrbits(points, np.full((nodes, n, d, d), np.nan), np.full(nodes, np.nan), np.zeros(nodes, np.bool_))
     if not near.any():
         return whole
-    found = close_orbits(period, points[near], values[near], wrap)
-    for leaf, new in zip(whole, found, strict=True):
+    orbits = close_orbits(period, points[near], values[near], wrap)
+    for leaf, new in zip(whole, orbits, strict=True):
         leaf[near] = new
     return whole

@@ -14,7 +14,7 @@ _STRAIGHT = 0.99  # cosine of the angle between the curve there and the directio
 _BENT = 0.5  # of that, that Newton may go
 
 
-def doubled(family: Family, orbits: CurveOrbits, vectors: Float[np.ndarray, "some n d"]) -> CurveOrbits:
+def doubled_orbits(family: Family, orbits: CurveOrbits, vectors: Float[np.ndarray, "some n d"]) -> CurveOrbits:
     """Orbits of 2n points at doublings: one side of each, as the other has the same orbits, n points later.
 
     Args:
@@ -24,34 +24,34 @@ def doubled(family: Family, orbits: CurveOrbits, vectors: Float[np.ndarray, "som
     """
     way = PathVector(family.size * np.concatenate([vectors, -vectors], axis=1), np.zeros(len(vectors)))
     twice = PathVector(np.concatenate([orbits.points, orbits.points], axis=1), orbits.value)
-    return _beside(family, twice, way)
+    return _nearby_orbits(family, twice, way)
 
 
-def crossing(family: Family, orbits: CurveOrbits, sign: float) -> CurveOrbits:
+def crossing_orbits(family: Family, orbits: CurveOrbits, sign: float) -> CurveOrbits:
     """Orbits on one side of the branch that crosses the one of these orbits at branch points."""
-    return _beside(
+    return _nearby_orbits(
         family, PathVector(orbits.points, orbits.value), times(np.full(len(orbits.value), sign), orbits.other_way)
     )
 
 
-def _beside(family: Family, at: PathVector, way: PathVector) -> CurveOrbits:
+def _nearby_orbits(family: Family, at: PathVector, way: PathVector) -> CurveOrbits:
     """The nearest orbits that lie along ways from others, where there are some."""
     way = times(1.0 / length(family, way), way)
-    found, left = _at_distance(family, at, way, _AWAY[0]), np.arange(len(at.value))
+    nearby, left = _orbits_at_distance(family, at, way, _AWAY[0]), np.arange(len(at.value))
     for away in _AWAY[1:]:
-        left = left[~found.converged[left]]
+        left = left[~nearby.converged[left]]
         if not len(left):
             break
-        here, there = (PathVector(part.points[left], part.value[left]) for part in (at, way))
-        nearer = _at_distance(family, here, there, away)
-        for leaf, new in zip(jax.tree.leaves(found), jax.tree.leaves(nearer), strict=True):
+        origin, direction = (PathVector(part.points[left], part.value[left]) for part in (at, way))
+        nearer = _orbits_at_distance(family, origin, direction, away)
+        for leaf, new in zip(jax.tree.leaves(nearby), jax.tree.leaves(nearer), strict=True):
             leaf[left] = new
-    return found
+    return nearby
 
 
-def _at_distance(family: Family, at: PathVector, way: PathVector, away: float) -> CurveOrbits:
+def _orbits_at_distance(family: Family, at: PathVector, way: PathVector, away: float) -> CurveOrbits:
     """The orbits so far along ways, converged where the curve still sets out in their directions."""
-    found = correct(family, at.points + away * way.points, at.value + away * way.value, way, FINE)
+    orbits = correct(family, at.points + away * way.points, at.value + away * way.value, way, FINE)
     with np.errstate(invalid="ignore"):
-        good = found.converged & (found.missed <= _BENT * away) & (inner(family, found.way, way) >= _STRAIGHT)
-    return found._replace(converged=good)
+        good = orbits.converged & (orbits.missed <= _BENT * away) & (inner(family, orbits.way, way) >= _STRAIGHT)
+    return orbits._replace(converged=good)

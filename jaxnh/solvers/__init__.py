@@ -12,7 +12,7 @@ from jaxnh.solvers.isokinetic import (
 from jaxnh.solvers.nystrom import NYSTROM, Nystrom, nystrom8
 from jaxnh.solvers.projection import ProjectedSolver
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
-from jaxnh.solvers.tableaus import RUNGE_KUTTA, dopri5, dopri8, tsit5, tsitouras_papakostas8, verner9, written_out
+from jaxnh.solvers.tableaus import RUNGE_KUTTA, dopri5, dopri8, tsit5, tsitouras_papakostas8, verner9, write_out
 
 Solver = IsokineticSplitting | WrittenOutRungeKutta | Nystrom
 
@@ -40,5 +40,5 @@ __all__ = [
     "tsit5",
     "tsitouras_papakostas8",
     "verner9",
-    "written_out",
+    "write_out",
 ]

@@ -18,19 +18,19 @@ def _mirror(half: tuple[float, ...]) -> tuple[float, ...]:
     return (*whole, *whole[::-1])
 
 
-def _to_zero(most: tuple[float, ...]) -> tuple[float, ...]:
+def _with_zero_sum(most: tuple[float, ...]) -> tuple[float, ...]:
     """most, and what makes the sum zero."""
     return (*most, -sum(most))
 
 
-def _of_steps(name: str, order: int, source: str, half: tuple[float, ...]) -> IsokineticSplitting:
+def _strang_composition(name: str, order: int, source: str, half: tuple[float, ...]) -> IsokineticSplitting:
     """A symmetric composition of Strang steps: drift γ/2, kick γ, drift γ/2, for each γ; neighbouring drifts join."""
     gammas = np.array(_palindrome(half))
     drifts = 0.5 * (np.append(gammas, 0.0) + np.append(0.0, gammas))
     return IsokineticSplitting(tuple(drifts.tolist()), tuple(gammas.tolist()), order, name, source)
 
 
-_STRANG_2 = _of_steps("strang2", 2, "Strang, SIAM J. Numer. Anal. 5 (1968) 506", ())
+_STRANG_2 = _strang_composition("strang2", 2, "Strang, SIAM J. Numer. Anal. 5 (1968) 506", ())
 
 _BLANES_MOAN_4 = IsokineticSplitting(
     drifts=_palindrome((0.0792036964311957, 0.353172906049774, -0.0420650803577195)),
@@ -64,7 +64,7 @@ _PROCESSED_6 = IsokineticSplitting(
     name="processed6",
     source="this project, sweeps/studies/compositions.py: processed, its errors of degree seven weighed by this flow",
     processor=(
-        _to_zero(
+        _with_zero_sum(
             (
                 0.1475826646887791,
                 0.474068021771032,
@@ -82,7 +82,7 @@ _PROCESSED_6 = IsokineticSplitting(
                 -0.5507044862565134,
             )
         ),
-        _to_zero(
+        _with_zero_sum(
             (
                 0.26643175261088076,
                 -0.2206137646409321,
@@ -102,7 +102,7 @@ _PROCESSED_6 = IsokineticSplitting(
     ),
 )
 
-_KAHAN_LI_8 = _of_steps(
+_KAHAN_LI_8 = _strang_composition(
     "kahan_li8",
     8,
     "Kahan and Li, Math. Comp. 66 (1997) 1089, s17odr8a",
@@ -118,7 +118,7 @@ _KAHAN_LI_8 = _of_steps(
     ),
 )
 
-_SOFRONIOU_SPALETTA_10 = _of_steps(
+_SOFRONIOU_SPALETTA_10 = _strang_composition(
     "sofroniou_spaletta10",
     10,
     "Sofroniou and Spaletta, Optim. Methods Softw. 20 (2005) 597, 35 stages",

@@ -1,4 +1,4 @@
-"""What explicit methods with stages have in common, of first order and of second."""
+"""Common parts of explicit methods with stages, of first order and of second."""
 
 from __future__ import annotations
 

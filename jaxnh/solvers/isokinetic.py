@@ -59,7 +59,7 @@ def isokinetic_terms(system: IsokineticParticle) -> tuple[DriftTerm, KickTerm]:
 
 
 class Schedule(NamedTuple):
-    """What a step asks of every lane alike, a row a kick.
+    """Coefficients of a step that all lanes share, one row a kick.
 
     Attributes:
         drift: (..., stages + 1) path lengths ∫ s dt before each kick, and after the last.
@@ -150,7 +150,7 @@ class IsokineticSplitting(diffrax.AbstractSolver):
         return steps * self.stages + 2 * len(self.processor[1])
 
     def sequence(self, steps: int) -> tuple[np.ndarray, np.ndarray]:
-        """Where the kicks of a map of so many steps are, and their lengths, both in steps and of shape (kicks,).
+        """Positions of the kicks of a map of so many steps, and their lengths, both in steps and of shape (kicks,).
 
         The processor comes first, its inverse last.
         """

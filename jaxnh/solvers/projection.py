@@ -46,5 +46,5 @@ class ProjectedSolver(diffrax.AbstractSolver):
         return y1, None, {"y0": y0, "y1": y1}, solver_state, result
 
     def rolled_step(self, terms: Any, t0: Any, t1: Any, y0: State, args: Any) -> State:
-        """The same state after one step by a smaller program; see `WrittenOutRungeKutta.rolled_step`."""
+        """State after one step, computed by a smaller program; see `WrittenOutRungeKutta.rolled_step`."""
         return self.system.project(t1, self.solver.rolled_step(terms, t0, t1, y0, args), args)

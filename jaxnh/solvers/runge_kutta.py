@@ -81,7 +81,7 @@ class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
         return self.rolled_stages(lambda i, y: terms.vf(t0 + nodes[i] * (t1 - t0), y, args), terms.contr(t0, t1), y0)
 
     def rolled_stages(self, field: Callable[[Any, Any], Any], h: Any, y0: Any) -> Any:
-        """As `written_stages`, with the stages in a loop: one field in the program where that has them all.
+        """Compute `written_stages` with the stages in a loop: one field in the program where that has them all.
 
         Some twice as slow to run and ten times as fast to compile, as large fields and their derivatives need it. The
         loop carries what every later stage has summed up so far, and each stage adds its share to all of them.

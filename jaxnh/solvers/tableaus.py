@@ -11,7 +11,7 @@ from diffrax import ButcherTableau
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
 
 
-def written_out(tableau: ButcherTableau, order: int, name: str, source: str) -> WrittenOutRungeKutta:
+def write_out(tableau: ButcherTableau, order: int, name: str, source: str) -> WrittenOutRungeKutta:
     """The written-out solver of an explicit diffrax tableau."""
     rows = ((), *(tuple(np.asarray(row).tolist()) for row in tableau.a_lower))
     return WrittenOutRungeKutta(
@@ -25,7 +25,7 @@ def written_out(tableau: ButcherTableau, order: int, name: str, source: str) -> 
     )
 
 
-def _of_rows(
+def _solver_from_rows(
     rows: Sequence[Sequence[float]],
     b: Sequence[float],
     embedded: Sequence[float],
@@ -45,20 +45,20 @@ def _of_rows(
     )
 
 
-dopri8 = written_out(
+dopri8 = write_out(
     diffrax.Dopri8.tableau, 8, "dopri8", "Prince and Dormand, J. Comput. Appl. Math. 7 (1981) 67, via diffrax"
 )
 """Dormand–Prince 8(7), thirteen stages and one more for the error estimate."""
 
-tsit5 = written_out(diffrax.Tsit5.tableau, 5, "tsit5", "Tsitouras, Comput. Math. Appl. 62 (2011) 770, via diffrax")
+tsit5 = write_out(diffrax.Tsit5.tableau, 5, "tsit5", "Tsitouras, Comput. Math. Appl. 62 (2011) 770, via diffrax")
 """Tsitouras 5(4), six stages and one more for the error estimate."""
 
-dopri5 = written_out(
+dopri5 = write_out(
     diffrax.Dopri5.tableau, 5, "dopri5", "Dormand and Prince, J. Comput. Appl. Math. 6 (1980) 19, via diffrax"
 )
 """Dormand–Prince 5(4), six stages and one more for the error estimate."""
 
-tsitouras_papakostas8 = _of_rows(
+tsitouras_papakostas8 = _solver_from_rows(
     rows=(
         (0.06338028169014084,),
         (0.019438980427336498, 0.08334896544902781),
@@ -164,7 +164,7 @@ tsitouras_papakostas8 = _of_rows(
 )
 """Tsitouras–Papakostas 8(7), twelve stages and one more for the error estimate."""
 
-verner9 = _of_rows(
+verner9 = _solver_from_rows(
     rows=(
         (0.03462,),
         (-0.038933543885728734, 0.13595789452450918),

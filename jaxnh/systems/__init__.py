@@ -1,1 +1,1 @@
-"""What moves: equations, parameters and sources."""
+"""Systems: equations of motion, parameters and sources."""

@@ -57,7 +57,9 @@ class Chart(eqx.Module):
 
     def point(self, y: State) -> Float[Array, " dimension"]:
         """Section coordinates of a state, angles in [−π, π)."""
-        return jnp.stack([turned(x) if angle else x for x, angle in zip(self.components(y), self.angles, strict=True)])
+        return jnp.stack(
+            [wrap_angle(x) if angle else x for x, angle in zip(self.components(y), self.angles, strict=True)]
+        )
 
     def host_points(self, y: State) -> Float[np.ndarray, "... dimension"]:
         """Section coordinates of states (...,) on the host, angles as they are."""
@@ -67,14 +69,14 @@ class Chart(eqx.Module):
         """A difference of section coordinates (..., dimension), its angles in [−π, π)."""
         xp = np if isinstance(difference, np.ndarray) else jnp
         columns = [difference[..., i] for i in range(self.dimension)]
-        return xp.stack([turned(x) if angle else x for x, angle in zip(columns, self.angles, strict=True)], axis=-1)
+        return xp.stack([wrap_angle(x) if angle else x for x, angle in zip(columns, self.angles, strict=True)], axis=-1)
 
     def distance(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Largest difference of positions between points (..., dimension): (...,)."""
         return np.max(np.abs(self.wrap(one - other))[..., : self.positions], axis=-1, initial=0.0)
 
     def observable(self, y: State) -> Vector:
-        """What stands for a motion where one number is enough: the first coordinate, or of an angle cosine and sine.
+        """One number that represents a motion: the first coordinate, or of an angle cosine and sine.
 
         An angle itself is no observable: it may grow for ever, and whole turns of it are no motion.
         """
@@ -92,6 +94,6 @@ def general_directions(dimension: int, k: int) -> tuple[Vector, ...]:
     return tuple(tuple(row.tolist()) for row in draws[:k])
 
 
-def turned(angle: Number) -> Number:
+def wrap_angle(angle: Number) -> Number:
     """An angle in [−π, π)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi

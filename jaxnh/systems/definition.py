@@ -1,4 +1,4 @@
-"""What all systems share that a function of their parameters defines: names, time, lanes' own values."""
+"""Common parts of systems defined by a function of their parameters: names, time, lanes' own values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxnh.systems.flow import UNSAID, Flow, Labels, Parameters, unit_of_time
 from jaxnh.systems.tracing import KnownValue, Program
 
 Definition = Mapping[str, Any]
-"""What a system says of itself: its equations of motion, `coordinates`, with a clock its `period`, without one if
+"""Definition of a system: its equations of motion, `coordinates`, with a clock its `period`, without one if
 wanted a `time_unit` that lengths of time are counted in, and where it has some, which of its names are `angles`; what
 parameters and coordinates are called in words, `labels`, and their `units`, by name."""
 
@@ -105,5 +105,5 @@ def _decides_the_clock(define: Callable[..., Definition], values: Mapping[str, A
 
 
 def marked(definition: Definition, kind: str) -> tuple[bool, ...]:
-    """For each coordinate of a definition, whether it is named among those of a kind."""
+    """Flag the coordinates of a definition that are named among those of a kind."""
     return tuple(name in definition.get(kind, ()) for name in definition["coordinates"])

@@ -87,7 +87,7 @@ def minus(x: Number, y: Number) -> Number:
     return -y if is_zero(x) else x - y
 
 
-def definite(mass: list[list[Number]]) -> bool:
+def is_positive_definite(mass: list[list[Number]]) -> bool:
     """Whether a mass matrix is known, and positive definite."""
     if not all(isinstance(entry, float) for row in mass for entry in row):
         return False

@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnh.systems.elimination import definite, eliminate, is_zero, minus, times
-from jaxnh.systems.jourdain import Equations, applied, constraint_functions, matrices, slope
+from jaxnh.systems.elimination import eliminate, is_positive_definite, is_zero, minus, times
+from jaxnh.systems.jourdain import Equations, applied_forces, constraint_functions, matrices, slope
 from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import constants
 
@@ -49,7 +49,7 @@ def explicit_velocities(equations: Equations, k: int) -> Explicit | None:
     if not 0 < m < k <= _MOST:
         return None
     mass, _ = constants(lambda *at: matrices(equations, at, k), *at)
-    if any(entry is None for row in mass for entry in row) or not definite(mass):
+    if any(entry is None for row in mass for entry in row) or not is_positive_definite(mass):
         return None
     columns = constants(lambda *at: [slope(f, at, k + j) for j in range(k)], *at)
     for given in itertools.combinations(range(k), m):
@@ -84,7 +84,7 @@ def free_accelerations(equations: Equations, explicit: Explicit, q: Vector, u: V
 
     v = all_velocities(equations, explicit, q, u, t)
     mass, _ = matrices(equations, (*q, *v, t), k)
-    forces = applied(equations, q, v, t)
+    forces = applied_forces(equations, q, v, t)
     rest = jax.jvp(lambda q, t: given(q, u, t), (q, t), (v, jnp.ones_like(q[0])))[1]
     gamma: list[Any] = [0.0] * k
     for j, rate in zip(explicit.given, rest, strict=True):
@@ -99,8 +99,8 @@ def free_accelerations(equations: Equations, explicit: Explicit, q: Vector, u: V
             way[g] = rate
         ways.append(way)
     small = [[_dot([_dot(row, way) for row in mass], other) for other in ways] for way in ways]
-    (found,), _ = eliminate(small, [[_dot(way, forces) for way in ways]], len(free))
-    return tuple(x + jnp.zeros_like(q[0]) for x in found)
+    (coefficients,), _ = eliminate(small, [[_dot(way, forces) for way in ways]], len(free))
+    return tuple(x + jnp.zeros_like(q[0]) for x in coefficients)
 
 
 def _dot(one: Sequence[Number], other: Sequence[Number]) -> Number:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxnh.systems.chart import Chart, general_directions, turned
+from jaxnh.systems.chart import Chart, general_directions, wrap_angle
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
 from jaxnh.systems.flow import Labels, Output, Parameters, pairs
 from jaxnh.systems.state import Number, Vector
@@ -48,12 +48,12 @@ class FirstOrder(DefinedFlow):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """As the system names them."""
+        """Names of the coordinates in the system."""
         return self.names
 
     @property
     def labels(self) -> Labels:
-        """As the definition says."""
+        """Labels of the definition."""
         kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(self.names, self.angles, strict=True)}
         return self.labelled(kinds, pairs(self.names))
 
@@ -66,7 +66,7 @@ class FirstOrder(DefinedFlow):
 
     @property
     def exponents(self) -> int:
-        """One a coordinate."""
+        """One exponent a coordinate."""
         return len(self.names)
 
     @property
@@ -84,7 +84,7 @@ class FirstOrder(DefinedFlow):
         """The coordinates by name."""
         words = self.labels
         return {
-            name: Output(turned(x) if angle else x, words.long_names[name], {"units": words.units[name]})
+            name: Output(wrap_angle(x) if angle else x, words.long_names[name], {"units": words.units[name]})
             for name, x, angle in zip(self.names, y.y, self.angles, strict=True)
         }
 

@@ -1,4 +1,4 @@
-"""What a system is: the one protocol that the particle, systems of T, Q and f, and any ẏ = rhs(y, t) implement.
+"""The protocol of a system, which the particle, systems of T, Q and f, and any ẏ = rhs(y, t) implement.
 
 A flow says what moves; a lane says with which numbers; a chart (`chart`) on which of them maps act. A lane is a start
 state and a mapping `p` of the parameters that differ between lanes to its own values; all other parameters are the
@@ -26,7 +26,7 @@ Parameters = Mapping[str, ArrayLike]
 
 
 STATUS = ("ok", "singular", "off_constraint", "not_finite", "no_return", "escaped")
-"""What has become of a lane, by number."""
+"""Status of a lane, by number."""
 
 NOT_FINITE, NO_RETURN = STATUS.index("not_finite"), STATUS.index("no_return")
 
@@ -50,7 +50,7 @@ def status(code: Number) -> Output:
 
 
 class Labels(NamedTuple):
-    """What a flow's parameters, coordinates and time are called in results, by name.
+    """Names and units of a flow's parameters, coordinates and time in results.
 
     Attributes:
         long_names: in words, the name included: "coupling b".
@@ -161,7 +161,7 @@ class Flow(eqx.Module):
 
     @property
     def reduction(self) -> Reduction:
-        """What steps carry of a state."""
+        """The part of a state that steps carry."""
         return Reduction(self)
 
     # ---- host: start states and results
@@ -175,21 +175,21 @@ class Flow(eqx.Module):
         """Coordinates of states by name; times t repeat along their last axis."""
 
     def reports(self, y: State) -> dict[str, Output]:
-        """What there is to report of each trajectory, by the last of its states (..., points): its `status`."""
+        """Return the `status` of each trajectory, from the last of its states (..., points)."""
         finite = np.all([np.isfinite(leaf[..., -1]) for leaf in jax.tree.leaves(y)], axis=0)
         return {"status": status(np.where(finite, 0, NOT_FINITE))}
 
     def fault_at(self, t: ArrayLike, y: State, p: Parameters) -> str:
-        """Why one state has no time derivative, in words; "" where nothing is known of that."""
+        """Describe why a state has no time derivative; "" where no reason is known."""
         return ""
 
-    def lost_on_the_way(self, t: ArrayLike, y: State, p: Parameters) -> str:
-        """What a motion nearly loses, in words: states (points,) at times t; "" where that is nothing."""
+    def near_degeneracy(self, t: ArrayLike, y: State, p: Parameters) -> str:
+        """Describe a near degeneracy along a motion, states (points,) at times t; "" where there is none."""
         return ""
 
 
 class Reduction:
-    """What steps carry of the states of a flow: all of them, here; less where constraints give the rest.
+    """The part of a flow's states that steps carry: all of it, or less where constraints give the rest.
 
     Attributes:
         flow: whose states.
@@ -202,7 +202,7 @@ class Reduction:
         self.flow = flow
 
     def reduce(self, y: State) -> State:
-        """What steps carry of a state."""
+        """The part of a state that steps carry."""
         return y
 
     def rhs(self, t: ArrayLike, z: State, p: Parameters) -> State:

@@ -105,8 +105,8 @@ def definition(without: frozenset[str], constrained: bool = False) -> Callable[.
         def speed(q: Number, v: Number, t: Number) -> tuple[Number]:
             return (v[0] ** 2 + v[1] ** 2 - c - d * jnp.sin(t),)
 
-        found = {"T": kinetic, "Q": forces, "coordinates": ("x1", "y1"), "period": 2 * math.pi / omega}
-        return {**found, "f": speed} if constrained else found
+        functions = {"T": kinetic, "Q": forces, "coordinates": ("x1", "y1"), "period": 2 * math.pi / omega}
+        return {**functions, "f": speed} if constrained else functions
 
     return system
 

@@ -26,7 +26,7 @@ _LIBRARIES = tuple(sysconfig.get_paths()[name] for name in ("stdlib", "platstdli
 _ENTRY = "system"  # the function that a file must have
 
 
-def text_of(function: Callable[..., Any]) -> str:
+def source_text(function: Callable[..., Any]) -> str:
     """Return the text of a file whose function `system` is this function.
 
     Raises:
@@ -116,7 +116,7 @@ def _names_of(code: CodeType) -> set[str]:
 
 
 def _defaults(function: FunctionType, known: Mapping[str, Any]) -> dict[str, Any]:
-    """What the head of a function takes from its module: in defaults, annotations and decorators."""
+    """Names that the head of a function takes from its module: in defaults, annotations and decorators."""
     tree = ast.parse(_source(function)).body[0]
     assert isinstance(tree, ast.FunctionDef)
     heads = [*tree.args.defaults, *tree.args.kw_defaults, *tree.decorator_list, tree.returns]

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxnh.systems.elimination import definite, eliminate, known, minus
+from jaxnh.systems.elimination import eliminate, is_positive_definite, known, minus
 from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import constants
 
@@ -31,11 +31,11 @@ Components = Callable[[Vector, Vector, Number], Number]
 """(q, q̇, t) to a sequence of numbers."""
 
 SMALLEST_PIVOT = 64 * np.finfo(float).eps
-"""Of the largest entry of the matrix: a pivot below it is rounding."""
+"""Share of the largest entry of the matrix: a pivot below it is rounding."""
 
 
 class Equations(NamedTuple):
-    """What a system is: kinetic energy, generalised forces, and constraints (none where it is free).
+    """Equations of a system: kinetic energy, generalised forces, and constraints (none where it is free).
 
     Attributes:
         T: kinetic energy, (q, q̇, t) to a number.
@@ -69,7 +69,7 @@ def slope(function: Callable[..., Number], at: Vector, i: int) -> Number:
 
 
 def _flat(function: Callable[[Vector, Vector, Number], Number], k: int) -> Callable[..., Number]:
-    """The same function of its 2k + 1 components."""
+    """Return the function of its 2k + 1 components."""
     return lambda *at: function(at[:k], at[k : 2 * k], at[2 * k])
 
 
@@ -116,15 +116,15 @@ def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Acce
     at = (*q, *v, t)
     f = constraint_functions(equations, k)
     mass, slopes = matrices(equations, at, k)
-    right = applied(equations, q, v, t)
+    right = applied_forces(equations, q, v, t)
     right += [-rate for rate in (_along_motion(f, at, k) if slopes else ())]
-    (solution,), smallest = eliminate(bordered(mass, slopes), [right], k * definite(mass))
+    (solution,), smallest = eliminate(bordered_matrix(mass, slopes), [right], k * is_positive_definite(mass))
     solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
     return Accelerations(tuple(solution[:k]), tuple(solution[k:]), smallest <= SMALLEST_PIVOT)
 
 
-def applied(equations: Equations, q: Vector, v: Vector, t: Number) -> list[Number]:
-    """What accelerates but for the constraints: Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t, k components."""
+def applied_forces(equations: Equations, q: Vector, v: Vector, t: Number) -> list[Number]:
+    """Forces without those of the constraints: Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t, k components."""
     k = len(q)
     energy = _flat(equations.T, k)
 
@@ -150,16 +150,16 @@ def _read(function: Callable[..., Any], at: Vector) -> Any:
     What does not depend on the state is then a number, and no part of the program. Outside of one everything is known,
     and nothing is to be kept of it.
     """
-    found = function(*at)
+    result = function(*at)
     if not isinstance(at[0], Tracer):
-        return found
-    known, leaves = constants(function, *at), jax.tree.leaves(found)
+        return result
+    known, leaves = constants(function, *at), jax.tree.leaves(result)
     kept = jax.tree.leaves(known, is_leaf=lambda leaf: leaf is None)
     values = [leaf if number is None else number for leaf, number in zip(leaves, kept, strict=True)]
-    return jax.tree.unflatten(jax.tree.structure(found), values)
+    return jax.tree.unflatten(jax.tree.structure(result), values)
 
 
-def bordered(mass: list[list[Number]], slopes: list[list[Number]]) -> list[list[Number]]:
+def bordered_matrix(mass: list[list[Number]], slopes: list[list[Number]]) -> list[list[Number]]:
     """[M, −Aᵀ; A, 0]."""
     m = len(slopes)
     top = [[*row, *(minus(0.0, a[i]) for a in slopes)] for i, row in enumerate(mass)]

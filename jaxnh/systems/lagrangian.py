@@ -17,22 +17,22 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
-from jaxnh.systems.chart import Chart, general_directions, turned
+from jaxnh.systems.chart import Chart, general_directions, wrap_angle
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
-from jaxnh.systems.elimination import definite, eliminate, largest_of
+from jaxnh.systems.elimination import eliminate, is_positive_definite, largest_of
 from jaxnh.systems.explicit import Explicit, all_velocities, explicit_velocities, free_accelerations
 from jaxnh.systems.flow import UNSAID, Labels, Output, Parameters, Reduction, status
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
     Equations,
     accelerations,
-    bordered,
+    bordered_matrix,
     constraint_functions,
     constraint_slopes,
     matrices,
 )
 from jaxnh.systems.state import Number, Vector, error_components, masked
-from jaxnh.systems.tracing import once
+from jaxnh.systems.tracing import cached_by_structure
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
@@ -67,7 +67,7 @@ def _(y: Motion, kept: Number) -> Motion:
 
 
 class ReducedMotion(NamedTuple):
-    """What steps carry of a lane whose constraints give some of its velocities.
+    """State that steps carry of a lane whose constraints give some of its velocities.
 
     Attributes:
         q: k coordinates.
@@ -139,12 +139,12 @@ class Lagrangian(DefinedFlow):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Each coordinate and its velocity: x, x_dot, y, y_dot, …"""
+        """Names of each coordinate and its velocity: x, x_dot, y, y_dot, …"""
         return tuple(word for name in self.names for word in (name, f"{name}_dot"))
 
     @property
     def labels(self) -> Labels:
-        """As the definition says; each coordinate of the section is drawn with its velocity, then all others."""
+        """Labels of the definition; each coordinate of the section is drawn with its velocity, then all others."""
         kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(self.names, self.angles, strict=True)}
         rates = {f"{name}_dot": "velocity" for name in self.names}
         order = sorted(range(len(self.names)), key=self.ignorable.__getitem__)
@@ -175,8 +175,8 @@ class Lagrangian(DefinedFlow):
         missing = f": T has no term with the square of {', '.join(without)}" if without else ""
         return f"the mass matrix, the second derivatives of T by the velocities, is singular{missing}"
 
-    def lost_on_the_way(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
-        """Where the constraints come near to losing rank: the smallest singular value of df/dv against its largest."""
+    def near_degeneracy(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
+        """Describe a near loss of rank of the constraints: the smallest singular value of df/dv against its largest."""
         times = np.asarray(t, float)
         slopes = constraint_slopes(self.equations(p), (*y.q, *y.v, times), len(y.q))
         matrix = np.moveaxis(
@@ -221,10 +221,10 @@ class Lagrangian(DefinedFlow):
             at = (*q, *v, t)
             mass, slopes = matrices(equations, at, k)
             ends = [[float(i == k + j) for i in range(k + len(slopes))] for j in range(len(slopes))]
-            ways, smallest = eliminate(bordered(mass, slopes), ends, k * definite(mass))
+            ways, smallest = eliminate(bordered_matrix(mass, slopes), ends, k * is_positive_definite(mass))
             singular |= smallest <= SMALLEST_PIVOT
-            found = largest_of(list(residuals))
-            drift = jnp.where(found > drift, found, drift)
+            largest = largest_of(list(residuals))
+            drift = jnp.where(largest > drift, largest, drift)
             for _ in range(_PROJECTIONS):
                 v = tuple(v[i] - sum(r * way[i] for r, way in zip(residuals, ways, strict=True)) for i in range(k))
                 residuals = f(*q, *v, t)
@@ -287,12 +287,12 @@ class Lagrangian(DefinedFlow):
         outputs: dict[str, Output] = {}
         for name, q, v, is_angle in zip(self.names, y.q, y.v, self.angles, strict=True):
             rate = f"{name}_dot"
-            outputs[name] = Output(turned(q) if is_angle else q, words[name], {"units": units[name]})
+            outputs[name] = Output(wrap_angle(q) if is_angle else q, words[name], {"units": units[name]})
             outputs[rate] = Output(v, f"{words[rate]} = d{name}/dt", {"units": units[rate]})
         return outputs
 
     def reports(self, y: Motion) -> dict[str, Output]:
-        """Of each trajectory, by the last of its states (..., points): largest |f| before a projection, and its end."""
+        """Return the largest |f| before a projection and the status of each trajectory, from states (..., points)."""
         drift, reason = (component[..., -1] for component in y.watch)
         return {
             "drift": Output(drift, "largest |f| that a step left before its projection", {"units": UNSAID}),
@@ -300,18 +300,18 @@ class Lagrangian(DefinedFlow):
         }
 
 
-@once
+@cached_by_structure
 def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit | None:
-    """Of a structure, once: parameters are no numbers then, and decide nothing."""
-    found: list[Explicit | None] = []
+    """Compute the velocities once for a structure: parameters are no numbers then, and decide nothing."""
+    velocities: list[Explicit | None] = []
 
     def look(system: Lagrangian, own: Parameters) -> float:
-        found.append(explicit_velocities(system.equations(own), len(system.names)) if system.constraints else None)
+        velocities.append(explicit_velocities(system.equations(own), len(system.names)) if system.constraints else None)
         return 0.0
 
     system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
     jax.eval_shape(look, system, dict.fromkeys(system.lane_parameters, 0.0))
-    return found[0]
+    return velocities[0]
 
 
 def lagrangian(
@@ -335,6 +335,6 @@ def lagrangian(
     return Lagrangian(define, dict(parameters), of_lanes, names, angles, "period" in definition, m, ignorable)
 
 
-def at_rest(k: int) -> Motion:
+def zero_motion(k: int) -> Motion:
     """All zero: k coordinates and velocities of floats, and nothing to report."""
     return Motion((0.0,) * k, (0.0,) * k, (0.0, 0.0))

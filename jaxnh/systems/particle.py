@@ -39,7 +39,7 @@ _LONG_NAMES = {
     "y2": "velocity y2",
 }
 LABELS = Labels(_LONG_NAMES, dict.fromkeys((*_LONG_NAMES, "t"), "1"), (("x1", "x2"), ("y1", "y2")))
-"""What the paper's parameters and coordinates are called."""
+"""Names of the paper's parameters and coordinates."""
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(12)
 
@@ -252,7 +252,7 @@ class IsokineticParticle(Flow):
         return -(n[0] * f[0] + n[1] * f[1]) / self.speed(t)
 
     def divergence_of(self, rate: Callable[[State], State], y: State) -> Array:
-        """The same of a rate that is this flow's, over (x1, y1, θ)."""
+        """Divergence of a rate that is this flow's, over (x1, y1, θ)."""
         (x1, y1), (n1, n2) = y
         one = jnp.ones_like(x1)
 

@@ -6,7 +6,7 @@ import math
 from fractions import Fraction
 
 EFFECTS = ("forcing", "coupling", "cubic_stiffness", "damping")
-"""What can be left out of a system; the disturbance is left out by d = 0, the constraint by another system."""
+"""Parts that a system may omit; the disturbance is left out by d = 0, the constraint by another system."""
 
 _LARGEST_DENOMINATOR = 64
 

@@ -1,4 +1,4 @@
-"""What states of lanes are: pytrees of numbers, and what of them is compared."""
+"""States of lanes: pytrees of numbers, and the components that errors are measured in."""
 
 from __future__ import annotations
 

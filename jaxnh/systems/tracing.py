@@ -74,45 +74,45 @@ class Program:
         text = str(self._program)
         if "custom_" in text or self.unread:
             return None
-        found = hashlib.sha256(text.encode())
+        digest = hashlib.sha256(text.encode())
         for value in map(np.asarray, self._constants):
-            found.update(f"{value.dtype} {value.shape}".encode() + value.tobytes())
-        return found.hexdigest()
+            digest.update(f"{value.dtype} {value.shape}".encode() + value.tobytes())
+        return digest.hexdigest()
 
     def depends(self, levels: Sequence[int]) -> list[int]:
-        """For each slot the largest of the numbers, above zero, of the arguments that it depends on; 0: on none."""
-        found = [0] * self.size
+        """Return for each slot the largest number, above zero, of an argument that it depends on; 0: none."""
+        numbers = [0] * self.size
         for slot, level in zip(self.inputs, levels, strict=True):
-            found[slot] = level
+            numbers[slot] = level
         for slot in self.unread:
-            found[slot] = max(levels, default=1)
+            numbers[slot] = max(levels, default=1)
         for step in self.steps:
-            level = max((found[slot] for slot in step.reads if not isinstance(slot, KnownValue)), default=0)
+            level = max((numbers[slot] for slot in step.reads if not isinstance(slot, KnownValue)), default=0)
             for slot in step.makes:
-                found[slot] = level
-        return found
+                numbers[slot] = level
+        return numbers
 
     def needed(self, slots: Sequence[Slot | KnownValue]) -> set[Slot]:
         """All slots that these are made of, and they."""
-        found = {slot for slot in slots if not isinstance(slot, KnownValue)}
+        reached = {slot for slot in slots if not isinstance(slot, KnownValue)}
         for step in reversed(self.steps):
-            if not found.isdisjoint(step.makes):
-                found |= {slot for slot in step.reads if not isinstance(slot, KnownValue)}
-        return found
+            if not reached.isdisjoint(step.makes):
+                reached |= {slot for slot in step.reads if not isinstance(slot, KnownValue)}
+        return reached
 
     def run(
         self,
-        found: dict[Slot, Any],
+        slot_values: dict[Slot, Any],
         wanted: Callable[[Step], bool],
         instead: Mapping[Any, Callable[..., Any]] | None = None,
     ) -> None:
-        """Solve the equations that are wanted, in order, from values that are found and into them.
+        """Solve the equations that are wanted, in order, reading known values of slots and adding results to them.
 
         Args:
             instead: functions in place of primitives.
         """
         for step in filter(wanted, self.steps):
-            values = [slot.value if isinstance(slot, KnownValue) else found[slot] for slot in step.reads]
+            values = [slot.value if isinstance(slot, KnownValue) else slot_values[slot] for slot in step.reads]
             primitive = step.equation.primitive
             if instead and primitive in instead:
                 results = [instead[primitive](*values)]
@@ -121,11 +121,11 @@ class Program:
             else:
                 bound = primitive.bind(*values, **step.equation.params)
                 results = bound if primitive.multiple_results else [bound]
-            found |= dict(zip(step.makes, results, strict=True))
+            slot_values |= dict(zip(step.makes, results, strict=True))
 
-    def results(self, found: Mapping[Slot, Any]) -> Any:
-        """What the function returns, from values."""
-        leaves = [slot.value if isinstance(slot, KnownValue) else found[slot] for slot in self.outputs]
+    def results(self, slot_values: Mapping[Slot, Any]) -> Any:
+        """Return the function's results from the values of slots."""
+        leaves = [slot.value if isinstance(slot, KnownValue) else slot_values[slot] for slot in self.outputs]
         return jax.tree.unflatten(self.structure, leaves)
 
     def _slot(self) -> Slot:
@@ -158,16 +158,16 @@ class Program:
 
 
 def constants(function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function returns, a float in place of each result that depends on no argument, and None of others."""
+    """Return a function's results that depend on no argument as floats, and None in place of the others."""
     program = Program(function, *arguments)
     depends = program.depends([1] * len(program.inputs))
     free = [slot for slot in program.outputs if isinstance(slot, KnownValue) or not depends[slot]]
-    needed, found = program.needed(free), dict[Slot, Any]()
+    needed, values = program.needed(free), dict[Slot, Any]()
     with jax.ensure_compile_time_eval():
-        program.run(found, lambda step: not needed.isdisjoint(step.makes))
+        program.run(values, lambda step: not needed.isdisjoint(step.makes))
     leaves = []
     for slot in program.outputs:
-        value = slot.value if isinstance(slot, KnownValue) else found.get(slot)
+        value = slot.value if isinstance(slot, KnownValue) else values.get(slot)
         leaves.append(None if value is None or jnp.ndim(value) else float(value))
     return jax.tree.unflatten(program.structure, leaves)
 
@@ -187,21 +187,21 @@ def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], 
     return sum(slopes[1:], slopes[0])
 
 
-def once(
+def cached_by_structure(
     look: Callable[[Any, tuple[tuple[int, ...], ...]], Found],
 ) -> Callable[[Any, tuple[tuple[int, ...], ...]], Found]:
-    """A look at functions, by tracing, that is taken once for each structure of a pytree and shapes of its leaves.
+    """Cache the result of tracing functions for each structure of a pytree and shapes of its leaves.
 
     What is traced while a program for some devices is made is of that program's devices, unless it is traced apart.
     """
 
     @functools.lru_cache(maxsize=256)
     @functools.wraps(look)
-    def found(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Found:
+    def cached(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Found:
         with jax.sharding.use_abstract_mesh(_NO_DEVICES):
             return look(structure, shapes)
 
-    return found
+    return cached
 
 
 def _alone(equation: Any, program: Any) -> Callable[..., Sequence[Any]]:

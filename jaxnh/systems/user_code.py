@@ -1,4 +1,4 @@
-"""What is wrong with a user's Python, in words for who wrote it: where it failed, and what to write instead.
+"""Explanations of errors in a user's Python: where it failed, and what to write instead.
 
 Functions of a user's system are traced: they run once, with numbers that are not known yet. Python's own functions of
 numbers, and its choices between numbers, need known ones; JAX has others for both.
@@ -24,7 +24,7 @@ _CHANGING = "what changes during the run"
 _OTHER_NAMES = {"fabs": "abs", "pow": "power", "fmod": "fmod", "array": "array"}  # of functions, in jax.numpy
 
 
-def explained(error: Exception, text: str, path: str) -> tuple[int | None, str]:
+def explain_error(error: Exception, text: str, path: str) -> tuple[int | None, str]:
     """Line of a file that an exception came from, None where it did not, and what is wrong in one line.
 
     Args:
@@ -53,19 +53,19 @@ def _plain(error: Exception) -> str:
 
 def _names_at(trace: TracebackType | None, path: str) -> Mapping[str, Any]:
     """Names that the code of a file had where it failed last."""
-    found: Mapping[str, Any] = {}
+    names: Mapping[str, Any] = {}
     while trace is not None:
         if trace.tb_frame.f_code.co_filename == path:
-            found = {**vars(builtins), **trace.tb_frame.f_globals, **trace.tb_frame.f_locals}
+            names = {**vars(builtins), **trace.tb_frame.f_globals, **trace.tb_frame.f_locals}
         trace = trace.tb_next
-    return found
+    return names
 
 
 def _advice(tree: ast.Module, text: str, here: tuple[int, int, int, int], names: Mapping[str, Any]) -> str:
-    """What to write instead of the code at (line, column, last line, last column); "" where nothing is known."""
+    """Advise what to write instead of the code at (line, column, last line, last column); "" without advice."""
     inside = [node for node in ast.walk(tree) if _holds(node, here)]  # outermost first
     for node in reversed(inside):
-        for words in (_of_call(node, names), _of_choice(node, text, here)):
+        for words in (_advice_on_call(node, names), _advice_on_choice(node, text, here)):
             if words:
                 return words
     return ""
@@ -79,8 +79,8 @@ def _holds(node: ast.AST, here: tuple[int, int, int, int]) -> bool:
     return begin <= here[:2] and here[2:] <= end
 
 
-def _of_call(node: ast.AST, names: Mapping[str, Any]) -> str:
-    """Of a call of a function that takes known numbers alone: the function that takes others."""
+def _advice_on_call(node: ast.AST, names: Mapping[str, Any]) -> str:
+    """Name the function to call instead of one that takes known numbers alone."""
     if not isinstance(node, ast.Call):
         return ""
     called, function = ast.unparse(node.func), _value(node.func, names)
@@ -108,7 +108,7 @@ def _module_of(function: Any) -> str:
 
 
 def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
-    """What a name, or a name of a module's, stands for; None where it is something else."""
+    """Return the value of a name, or of a module's name; None for other expressions."""
     if isinstance(node, ast.Name):
         return names.get(node.id)
     if isinstance(node, ast.Attribute):
@@ -116,8 +116,8 @@ def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
     return None
 
 
-def _of_choice(node: ast.AST, text: str, here: tuple[int, int, int, int]) -> str:
-    """Of a choice between numbers the function that chooses, and of an array that is changed in place what to do."""
+def _advice_on_choice(node: ast.AST, text: str, here: tuple[int, int, int, int]) -> str:
+    """Advise on a choice between numbers, and on an array that is changed in place."""
     condition = "(condition, a, b)"
     for statement, one in _conditions(node):
         if _holds(one, here):

@@ -39,7 +39,7 @@ from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.tracing import KnownValue, Program
-from jaxnh.systems.user_code import explained
+from jaxnh.systems.user_code import explain_error
 from jaxnh.systems.user_text import BESIDE_STATES, Names, can_be_states, read_text, with_velocities
 
 _ALWAYS = ("coordinates", "period", "time_unit", "angles", "labels", "units")
@@ -62,7 +62,7 @@ _AS_IN = {"labels": "displacement", "units": "m"}
 
 
 class UserFile:
-    """What a user's file says.
+    """Contents of a user's file.
 
     Attributes:
         path: the file, as the config names it from where the command runs.
@@ -118,11 +118,11 @@ class UserFile:
 
         None where equations do not say all, as of functions that define derivatives of their own.
         """
-        found = [one for one in self._equations if one]
-        return hashlib.sha256("".join(found).encode()).hexdigest() if len(found) == len(self._equations) else None
+        texts = [one for one in self._equations if one]
+        return hashlib.sha256("".join(texts).encode()).hexdigest() if len(texts) == len(self._equations) else None
 
     def define(self, **parameters: Any) -> Mapping[str, Any]:
-        """What the function returns, checked; one name, or one number that a function returns, as a tuple of it.
+        """Return the function's result, checked; one name, or one number that a function returns, as a tuple of it.
 
         Raises:
             UserFileError: it fails, or says what is no definition.
@@ -189,8 +189,8 @@ class UserFile:
         t = draws.uniform(0.0, period, _PROBES)
 
         def rates(t: Any, states: Any) -> list[Any]:
-            found = [definition[name](*map(tuple, states), t) for name in names]
-            return [jnp.stack([one] if name == "T" else list(one)) for name, one in zip(names, found, strict=True)]
+            results = [definition[name](*map(tuple, states), t) for name in names]
+            return [jnp.stack([one] if name == "T" else list(one)) for name, one in zip(names, results, strict=True)]
 
         with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
             now, later = self._guarded(lambda: jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)))(t, states))
@@ -268,8 +268,8 @@ class UserFile:
 
             def evaluate(p: Mapping[str, Any], t: Any, q: Any, v: Any, name: str = name) -> Any:
                 function = self.define(**p).get(name)
-                found = () if function is None else function(q, v, t)
-                return self._numbers(name, (found,) if name == "T" else found)
+                result = () if function is None else function(q, v, t)
+                return self._numbers(name, (result,) if name == "T" else result)
 
             leaves, timed = self._traced(evaluate, 2)
             uses_time |= timed
@@ -306,12 +306,12 @@ class UserFile:
         depends = traced.depends([1, *[0] * (len(traced.inputs) - 1)])
         return traced.shapes, any(not isinstance(slot, KnownValue) and depends[slot] for slot in traced.outputs)
 
-    def _numbers(self, name: str, found: Sequence[Any]) -> tuple[Any, ...]:
-        """What a function has returned as arrays."""
-        if any(one is None or isinstance(one, str | Mapping | tuple | list) for one in found):
-            nothing = ", and returns nothing" if found[0] is None else ""
+    def _numbers(self, name: str, values: Sequence[Any]) -> tuple[Any, ...]:
+        """Convert a function's result to arrays."""
+        if any(one is None or isinstance(one, str | Mapping | tuple | list) for one in values):
+            nothing = ", and returns nothing" if values[0] is None else ""
             raise self._fault(self._line_of(name), f"{name} must return {_RETURNED[name]}{nothing}")
-        return tuple(jnp.asarray(one) for one in found)
+        return tuple(jnp.asarray(one) for one in values)
 
     def _line_of(self, name: str) -> int:
         definition = self.define(**self.parameters)
@@ -325,7 +325,7 @@ class UserFile:
         except UserFileError:
             raise
         except Exception as error:
-            line, what = explained(error, self.text, str(self.path))
+            line, what = explain_error(error, self.text, str(self.path))
             raise self._fault(line or self._define.__code__.co_firstlineno, what) from None
 
     def _fault(self, line: int, message: str) -> UserFileError:
@@ -343,10 +343,10 @@ def _components(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def components(*arguments: Any) -> Any:
-        found = function(*arguments)
-        if isinstance(found, tuple | list):
-            return found
-        return tuple(found) if getattr(found, "ndim", 0) == 1 else (found,)
+        result = function(*arguments)
+        if isinstance(result, tuple | list):
+            return result
+        return tuple(result) if getattr(result, "ndim", 0) == 1 else (result,)
 
     return components
 
@@ -364,7 +364,7 @@ def _pointwise(function: Callable[..., Any]) -> Callable[..., Any]:
         if not shape:
             return function(*arguments)
         each = [jnp.broadcast_to(leaf, shape).ravel() for leaf in leaves]
-        found = jax.vmap(lambda *one: function(*jax.tree.unflatten(structure, one)))(*each)
-        return jax.tree.map(lambda leaf: leaf.reshape(shape), found)
+        result = jax.vmap(lambda *one: function(*jax.tree.unflatten(structure, one)))(*each)
+        return jax.tree.map(lambda leaf: leaf.reshape(shape), result)
 
     return pointwise

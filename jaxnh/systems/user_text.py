@@ -67,7 +67,7 @@ def names_in(text: str, path: Path) -> Names:
 
 
 def with_velocities(names: Sequence[str]) -> tuple[str, ...]:
-    """Each coordinate, and its velocity."""
+    """Return each coordinate and its velocity."""
     return tuple(word for name in names for word in (name, f"{name}_dot"))
 
 

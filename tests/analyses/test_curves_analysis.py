@@ -13,7 +13,7 @@ import jaxnh
 from jaxnh.analyses.continuation import curves
 from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.codimension_two import POINTS
-from jaxnh.orbits.curves import Curve, CurvePoints, ParameterPlane, unknowns
+from jaxnh.orbits.curves import Curve, CurvePoints, ParameterPlane, join_unknowns
 from jaxnh.orbits.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
 
@@ -23,7 +23,7 @@ def test_a_curve_with_a_point_twice_passes_where_it_did():
     plane = ParameterPlane(None, None, np.ones(1), np.zeros(2), np.ones(2))
     values = np.repeat([0.0, 0.5, 0.5, 1.0], 2).reshape(4, 2)
     points = np.zeros((4, 1, 1))
-    track = CurvePoints(unknowns(plane, points, values), *([None] * (len(CurvePoints._fields) - 1)))
+    track = CurvePoints(join_unknowns(plane, points, values), *([None] * (len(CurvePoints._fields) - 1)))
     curve = Curve(0, points, values, track, np.ones((4, 1)), (0, 0))
     for at, there in ((0.25, True), (0.5, True), (0.9, True), (1.5, False)):
         assert curves._passes(plane, curve, curves._Seed(0, np.zeros((1, 1)), np.array([at, at]))) is there

@@ -14,9 +14,9 @@ import jaxnh
 from jaxnh.analyses.cascade.extended_precision import alpha_limit, delta_limit, deltas
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.double_double import Double
-from jaxnh.maps.extended_precision import extended
+from jaxnh.maps.extended_precision import extend_precision
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.extended_doublings import ExtendedPoint, exactly, extended_doubling, next_doubling
+from jaxnh.orbits.extended_doublings import ExtendedPoint, extended_doubling, from_float64, next_doubling
 
 FEIGENBAUM = 4.669201609102990671853  # Briggs, Math. Comp. 57 (1991) 435
 ALPHA = 2.502907875095892822284  # the same
@@ -95,7 +95,7 @@ def test_next_doublings(points):
     def plain(u, w, p):
         return jax.jvp(lambda u: p["a"] * u * (1.0 - u), (u,), (w,))
 
-    compiled = jax.jit(lambda hidden, u, w, p: extended(plain, hidden)(u, w, p))
+    compiled = jax.jit(lambda hidden, u, w, p: extend_precision(plain, hidden)(u, w, p))
 
     def period(u, w, value):
         a = Double(*(np.full_like(u[0], half) for half in value))
@@ -106,7 +106,7 @@ def test_next_doublings(points):
         return Derivatives(a * u * (1.0 - u), (a * (1.0 - 2.0 * u))[:, :, None], u * (1.0 - u))
 
     known = [
-        extended_doubling(period, slopes, exactly(at.value[0], at.orbit[0], at.vector[0]), PLACE, np.asarray)
+        extended_doubling(period, slopes, from_float64(at.value[0], at.orbit[0], at.vector[0]), PLACE, np.asarray)
         for at in points[1:3]
     ]
     while len(known) < LEVELS - 1:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxnh.analyses.cascade import doubled_orbit
-from jaxnh.analyses.cascade.plateaus import PeriodScan, seen, starts
+from jaxnh.analyses.cascade.plateaus import PeriodScan, describe_periods, starts
 
 
 def line(*periods, values=None):
@@ -82,9 +82,12 @@ def test_every_end_of_a_run_is_tried(periods):
 
 def test_what_was_seen_in_words():
     found = line(1, 1, 1, 2, 0, 0, values=[6, 5.9, 5.8, 5.7, 5.6, 5.5])
-    assert seen(found, "b", 16) == "periods seen along b: 1 at 6 to 5.8, 2 at 5.7, none up to 16 at 2 of 6 values"
+    assert (
+        describe_periods(found, "b", 16)
+        == "periods seen along b: 1 at 6 to 5.8, 2 at 5.7, none up to 16 at 2 of 6 values"
+    )
     many = line(*np.tile([1, 2], 9))
-    assert seen(many, "b", 16).endswith("10 shorter runs")
+    assert describe_periods(many, "b", 16).endswith("10 shorter runs")
 
 
 def test_joined_lines_keep_the_direction():

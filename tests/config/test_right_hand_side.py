@@ -8,7 +8,7 @@ from conftest import ROOT, session_of
 
 import jaxnh
 from jaxnh.exceptions import AccuracyError, ConfigError
-from jaxnh.maps.section import Section, drawn_plane
+from jaxnh.maps.section import Section, plot_plane
 
 LORENZ = (ROOT / "configs/flows/lorenz.py").read_text()
 CONFIG = """system: {file: own.py, sigma: 10.0}
@@ -42,7 +42,7 @@ def test_system_and_section(tmp_path):
     assert section.flow == flow
     assert (flow.autonomous, section.chart.dimension, flow.exponents, flow.period) == (True, 2, 3, 1.0)
     assert section.description == "x - y = 0, up"
-    assert drawn_plane(section) == ("y", "z")
+    assert plot_plane(section) == ("y", "z")
     assert dict(flow.parameters) == {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}
     assert flow.lane_parameters == ("rho",)
     assert [float(x[0]) for x in experiment.start({}, 1).state.y] == [1.0, 1.0, 20.0]

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 import jaxnh
-from jaxnh.systems.function_source import text_of
+from jaxnh.systems.function_source import source_text
 
 STEPS = 24
 HALF = 0.5
@@ -110,7 +110,7 @@ def test_the_cell_of_a_notebook():
 def test_what_a_function_takes_from_around_it_goes_with_it():
     """Imports, numbers, arrays, and other functions, in the order that they need one another."""
     scope = {}
-    exec(text_of(oscillator), scope)
+    exec(source_text(oscillator), scope)
     y, t = (0.3, -0.2), 1.7
     ours, theirs = oscillator()["rhs"](y, t), scope["system"]()["rhs"](y, t)
     assert np.array_equal(np.array(ours), np.array(theirs))
@@ -127,7 +127,7 @@ def test_a_module_of_the_user_s_own_goes_with_it(tmp_path, monkeypatch):
         "def flow(a=1.0):\n"
         "    return {'rhs': lambda y, t: (fmean([a, a]) * stiff(y[0]),), 'coordinates': ('x',)}\n"
     )
-    text = text_of(scope["flow"])
+    text = source_text(scope["flow"])
     assert "def stiff(x):" in text
     assert "from statistics import fmean" in text
     assert "springs_of_mine" not in text
@@ -141,7 +141,7 @@ def test_what_is_taken_from_a_function_around_it():
         return system
 
     scope = {}
-    exec(text_of(made(3)), scope)
+    exec(source_text(made(3)), scope)
     assert scope["system"](2.0)["rhs"]((2.0, 1.0), 0.0) == (1.0, -16.0)
 
 
@@ -160,7 +160,7 @@ def test_a_name_that_is_two_things_is_refused():
         return {"rhs": lambda y, t: (y[1], -soft(y[0]) - hard(y[1])), "coordinates": ("x", "v")}
 
     with pytest.raises(jaxnh.InputError, match="force is one thing to system and another"):
-        text_of(system)
+        source_text(system)
 
     def harder(k):
         def pull(x):
@@ -174,7 +174,7 @@ def test_a_name_that_is_two_things_is_refused():
         return {"rhs": lambda y, t: (y[1], -soft(y[0]) - pull(y[1])), "coordinates": ("x", "v")}
 
     with pytest.raises(jaxnh.InputError, match=r"k is one thing to (pull|force) and another"):
-        text_of(two)
+        source_text(two)
 
     def force(x):
         return STEPS * x
@@ -187,7 +187,7 @@ def test_a_name_that_is_two_things_is_refused():
         return {"rhs": lambda y, t: (y[1], -other(y[0])), "coordinates": ("x", "v")}
 
     scope = {}
-    exec(text_of(nested), scope)
+    exec(source_text(nested), scope)
     assert scope["system"]()["rhs"]((2.0, 1.0), 0.0) == (1.0, -3.0 * STEPS * 2.0)
 
 

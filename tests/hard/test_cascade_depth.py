@@ -67,7 +67,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     start = np.tile(constant_speed().chart.host_points(START), (len(b), 1))
     scene = SCENE.at(b)
     found = attractor_survey.survey(scene, lanes, start, 16, "hard", 512)
-    found = attractor_survey.beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
+    found = attractor_survey.polish_beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
     wanted = np.repeat([1, 2], len(edge))
     wrong = int(np.sum(found.period != wanted))
     battery.row("|1 + μ| = 1e-2 … 1e-12 on both sides: periods 1 and 2", wrong, 0, "wrong periods:")

@@ -12,9 +12,9 @@ import pytest
 
 from jaxnh.maps import elementary
 from jaxnh.maps.build import make_return_map
-from jaxnh.maps.double_double import Arithmetic, Double, exactly
+from jaxnh.maps.double_double import Arithmetic, Double, from_float64
 from jaxnh.maps.elementary import PI_160
-from jaxnh.maps.extended_precision import carried, extended
+from jaxnh.maps.extended_precision import extend_precision, push_point
 from jaxnh.maps.iterate import derivatives
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed
@@ -44,7 +44,7 @@ def test_arithmetic():
         return jax.lax.while_loop(lambda at: at[0] < 8, turn, (0, x, y))[1:]
 
     def lane(hidden, x, y):
-        return extended(turns, hidden)(exactly(x), exactly(y))
+        return extend_precision(turns, hidden)(from_float64(x), from_float64(y))
 
     found = jax.jit(jax.vmap(lane, (None, 0, 0)))(HIDDEN, x, y)
     for i in range(len(x)):
@@ -62,7 +62,7 @@ def test_angles():
 
     def lane(hidden, a):
         arithmetic = Arithmetic(hidden)
-        sine, cosine = arithmetic.sin_cos(exactly(a))
+        sine, cosine = arithmetic.sin_cos(from_float64(a))
         return sine, cosine, arithmetic.atan2(sine, cosine)
 
     sine, cosine, back = jax.jit(jax.vmap(lane, (None, 0)))(HIDDEN, angle)
@@ -108,7 +108,7 @@ def test_elementary_functions(name):
     """Within 64 units: four doublings double errors of a few units; a logarithm's are of what is added to it."""
     ours, exact, (low, high) = ELEMENTARY[name]
     x = np.append(np.random.default_rng(3).uniform(low, high, 24), [low, high])
-    found = jax.jit(jax.vmap(lambda hidden, x: extended(ours, hidden)(exactly(x)), (None, 0)))(HIDDEN, x)
+    found = jax.jit(jax.vmap(lambda hidden, x: extend_precision(ours, hidden)(from_float64(x)), (None, 0)))(HIDDEN, x)
     with localcontext(prec=60):
         for i, a in enumerate(map(Decimal, x.tolist())):
             value, wanted = Decimal(float(found.hi[i])) + Decimal(float(found.lo[i])), exact(a)
@@ -128,7 +128,7 @@ def test_loops_choices_and_comparisons():
         return jnp.minimum(total, y), signs.sum(), (x % y) < 0.25
 
     at = Double(np.array([1.0, 1.0]), np.array([small, -small])), Double(np.array([1.0, 0.5]), np.zeros(2))
-    run = jax.jit(jax.vmap(lambda hidden, x, y: extended(function, hidden)(x, y), (None, 0, 0)))
+    run = jax.jit(jax.vmap(lambda hidden, x, y: extend_precision(function, hidden)(x, y), (None, 0, 0)))
     found, signs, rests = run(HIDDEN, *at)
     for i in range(2):
         x, y = (total_of(one, i) for one in at)
@@ -143,7 +143,7 @@ def test_loops_choices_and_comparisons():
 
 def test_unknown_operations_are_named():
     with pytest.raises(NotImplementedError, match="asin is not known in extended precision"):
-        extended(jnp.arcsin, HIDDEN)(exactly(0.5))
+        extend_precision(jnp.arcsin, HIDDEN)(from_float64(0.5))
 
 
 @pytest.mark.slow
@@ -157,7 +157,7 @@ def test_map_of_the_particle():
     rng = np.random.default_rng(0)
     u, w, b = rng.uniform(-0.5, 0.5, (8, 3)), rng.normal(size=(8, 3)), np.full(8, 5.5)
     zero = np.zeros_like(u)
-    run = jax.jit(jax.vmap(carried, (None, None, 0, 0, 0)))
+    run = jax.jit(jax.vmap(push_point, (None, None, 0, 0, 0)))
 
     def at(shift):
         p = {"b": Double(b, np.zeros(8))}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from measure import UNIT
 
-from jaxnh.maps.section import Crossing, Section, begin, drawn_plane, outputs, rates
+from jaxnh.maps.section import Crossing, Section, begin, outputs, plot_plane, rates
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.particle import constant_speed
@@ -33,8 +33,8 @@ def test_names(flow, coordinate, number):
     """It says which flow it is of and where; the plane is of the first position that the section does not fix."""
     system = Section(flow, coordinate, number, 0.0, "up")
     assert system.flow is flow
-    assert drawn_plane(system) == (("y1", "y2") if coordinate == "x1" else ("x1", "x2"))
-    assert drawn_plane(flow) == ("x1", "x2")
+    assert plot_plane(system) == (("y1", "y2") if coordinate == "x1" else ("x1", "x2"))
+    assert plot_plane(flow) == ("x1", "x2")
     assert system.chart.dimension == flow.chart.dimension - 1
     assert system.description == f"{coordinate} = 0, up"
 
@@ -46,8 +46,8 @@ def test_a_flow_of_two_coordinates_is_drawn_by_the_one_that_is_left():
         return {"rhs": lambda y, t: (y[1], -y[0]), "coordinates": ("x", "v")}
 
     flow = first_order(spring, {})
-    assert drawn_plane(Section(flow, "x", 0, 0.0, "up")) == ("v", "x")
-    assert drawn_plane(Section(flow, "v", 1, 0.0, "up")) == ("x", "v")
+    assert plot_plane(Section(flow, "x", 0, 0.0, "up")) == ("v", "x")
+    assert plot_plane(Section(flow, "v", 1, 0.0, "up")) == ("x", "v")
 
 
 @flows

@@ -8,9 +8,9 @@ import pytest
 from measure import scene_of, some_slow
 from test_branches import LOGISTIC, by_scipy, duffing, logistic_orbit
 
-from jaxnh.analyses.continuation.families import equilibria_of, orbits_of
+from jaxnh.analyses.continuation.families import equilibrium_family, orbit_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
-from jaxnh.analyses.periodic.location import refined
+from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.orbits.branches import ENDS, STEPS
 from jaxnh.orbits.kinds import KINDS
 from jaxnh.orbits.multipliers import multipliers
@@ -139,7 +139,7 @@ def test_normal_forms(lanes, name):
     flow = first_order(made(rates, tuple(names)), {"mu": 0.0})
     start = flow.start(dict.fromkeys(names, 0.0))
     scene = scene_of(flow, start, [-0.5, 0.71], verner9, 16, name="mu")
-    families = [orbits_of(scene, lanes, strobe, np.ones(len(names)), (-0.5, 0.71)) for strobe in refined(scene)]
+    families = [orbit_family(scene, lanes, strobe, np.ones(len(names)), (-0.5, 0.71)) for strobe in refined_maps(scene)]
     tree = grow(families, [[SeedOrbit(np.array([u]), value)]], 2, STEPS)
     [point] = tree.bifurcations
     assert KINDS[point.kind] == kind
@@ -170,7 +170,7 @@ def test_hopf(lanes):
 
     flow = first_order(define, {"mu": 0.0})
     scene = scene_of(flow, flow.start({"x": 0.0, "y": 0.0, "w": 0.0}), [-0.5, 0.71], verner9, 16, name="mu")
-    family = equilibria_of(scene, lanes, np.ones(3), (-0.5, 0.71))
+    family = equilibrium_family(scene, lanes, np.ones(3), (-0.5, 0.71))
     tree = grow([family] * 3, [[SeedOrbit(np.zeros((1, 3)), -0.3)]], 1, STEPS)
     [point] = tree.bifurcations
     assert KINDS[point.kind] == "hopf"
@@ -203,7 +203,7 @@ def test_folds_of_duffings_resonance(lanes):
     """Both ends of the bistable range of frequencies, to 1e-8 of scipy's and within their errors; nothing else is there."""
     flow = first_order(duffing, {"omega": 1.0})
     scene = scene_of(flow, flow.start({"x": 0.0, "v": 0.0}), [0.6, 2.0], verner9, 48, name="omega")
-    families = [orbits_of(scene, lanes, strobe, np.ones(2), (0.6, 2.0)) for strobe in refined(scene)]
+    families = [orbit_family(scene, lanes, strobe, np.ones(2), (0.6, 2.0)) for strobe in refined_maps(scene)]
     tree = grow(families, [[SeedOrbit(np.array([[0.22, 0.01]]), 0.6)]], 1, STEPS)
     kinds, points = named(tree)
     assert kinds == [("fold", 1), ("fold", 1)]

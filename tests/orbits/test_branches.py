@@ -8,10 +8,10 @@ import pytest
 import scipy.integrate
 from measure import scene_of
 
-from jaxnh.analyses.continuation.families import orbits_of
+from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
-from jaxnh.orbits.branches import COLLAPSED, ENDS, RANGE, both_ways
+from jaxnh.orbits.branches import COLLAPSED, ENDS, RANGE, follow_both_ways
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 
@@ -46,7 +46,7 @@ def logistic_orbit(n, p):
 
 def test_branch_of_fixed_points():
     """x = 1 − 1/p with the multiplier 2 − p, over the whole range and on where it is unstable."""
-    branch = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(1, 2.8), 2.8))[0]
+    branch = follow_both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(1, 2.8), 2.8))[0]
     assert branch.ends == (RANGE, RANGE)
     assert sorted(branch.value[[0, -1]]) == [2.0, 3.9]
     rounding = 1e-11  # the square of Newton's last step, below 1e-6, and curvature of order one
@@ -56,7 +56,7 @@ def test_branch_of_fixed_points():
 
 def test_branch_turns_at_its_fold():
     """Period 3 is born at p = 1 + √8, and both of its orbits are followed from one; none is below."""
-    branch = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(3, 3.835), 3.835))[0]
+    branch = follow_both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(3, 3.835), 3.835))[0]
     assert branch.ends == (RANGE, RANGE)
     assert np.all(branch.value[[0, -1]] == 3.9)
     fold = 1 + np.sqrt(8)
@@ -69,7 +69,7 @@ def test_branch_turns_at_its_fold():
 
 def test_branch_ends_where_it_was_born_in_a_doubling():
     """Period 2 from p = 3, where its two points (1 + 1/p ± √((1 − 3/p)(1 + 1/p)))/2 are one."""
-    branch = both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(2, 3.3), 3.3))[0]
+    branch = follow_both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(2, 3.3), 3.3))[0]
     assert sorted(branch.ends) == sorted((COLLAPSED, RANGE))
     p = branch.value
     gap = np.sqrt((1 - 3 / p) * (1 + 1 / p))
@@ -96,7 +96,7 @@ def resonance(lanes):
     flow = first_order(duffing, {"omega": 1.0})
     # 96 steps of order nine: an error of some 1e-13 a period, the rounding of its states.
     scene = scene_of(flow, flow.start({"x": 0.0, "v": 0.0}), [0.6, 2.0], verner9, 96, name="omega")
-    return orbits_of(scene, lanes, scene.strobe(), np.ones(2), (0.6, 2.0))
+    return orbit_family(scene, lanes, scene.strobe(), np.ones(2), (0.6, 2.0))
 
 
 def by_scipy(omega, u):
@@ -116,7 +116,7 @@ def by_scipy(omega, u):
 
 def test_resonance_of_duffing(resonance):
     """One branch over the frequency, folded twice; its orbits close and have their multipliers by scipy."""
-    branch = both_ways(resonance, begun(resonance, [[0.0, 0.1]], 0.6))[0]
+    branch = follow_both_ways(resonance, begun(resonance, [[0.0, 0.1]], 0.6))[0]
     assert {ENDS[end] for end in branch.ends} == {"range"}
     turns = np.flatnonzero(np.diff(np.sign(branch.way.value)))
     assert len(turns) == 2

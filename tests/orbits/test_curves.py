@@ -10,11 +10,11 @@ import taylor
 from heyoka_newton import determinant, newton, strobe_map
 from measure import scene_of
 
-from jaxnh.analyses.continuation.families import plane_of
+from jaxnh.analyses.continuation.families import parameter_plane
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.codimension_two import POINTS, special_points
-from jaxnh.orbits.curve_errors import errors_of_special, finer
-from jaxnh.orbits.curves import CLOSED, RANGE, RESONANCE, ParameterPlane, both_ways
+from jaxnh.orbits.curve_errors import errors_of_special, refine_curve
+from jaxnh.orbits.curves import CLOSED, RANGE, RESONANCE, ParameterPlane, follow_both_ways
 from jaxnh.orbits.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
@@ -53,7 +53,7 @@ def test_curves_of_henon():
 
     There the multipliers are e^(±iθ) with cos θ = 1 − √(1 + a).
     """
-    [fold] = both_ways(HENON, FOLD, np.array([fixed(-0.25, 0.0)]), np.array([[-0.25, 0.0]]))
+    [fold] = follow_both_ways(HENON, FOLD, np.array([fixed(-0.25, 0.0)]), np.array([[-0.25, 0.0]]))
     assert fold.ends == (RANGE, RANGE)
     a, b = fold.values.T
     assert np.abs(a + (1 - b) ** 2 / 4).max() < ROUNDING
@@ -62,14 +62,14 @@ def test_curves_of_henon():
     assert name == "resonance_1_1"
     assert at == pytest.approx([-1.0, -1.0], abs=ROUNDING)
 
-    [doubling] = both_ways(HENON, DOUBLING, np.array([fixed(0.75, 0.0)]), np.array([[0.75, 0.0]]))
+    [doubling] = follow_both_ways(HENON, DOUBLING, np.array([fixed(0.75, 0.0)]), np.array([[0.75, 0.0]]))
     a, b = doubling.values.T
     assert np.abs(a - 3 * (1 - b) ** 2 / 4).max() < ROUNDING
     [(name, *at)] = passed(doubling, HENON)
     assert name == "resonance_1_2"
     assert at == pytest.approx([3.0, -1.0], abs=ROUNDING)
 
-    [torus] = both_ways(HENON, NEIMARK_SACKER, np.array([fixed(0.5, -1.0)]), np.array([[0.5, -1.0]]))
+    [torus] = follow_both_ways(HENON, NEIMARK_SACKER, np.array([fixed(0.5, -1.0)]), np.array([[0.5, -1.0]]))
     assert torus.ends == (RESONANCE, RESONANCE)
     assert np.abs(torus.values[:, 1] + 1).max() < ROUNDING
     known = {"resonance_1_1": -1.0, "resonance_1_4": 0.0, "resonance_1_3": 1.25, "resonance_1_2": 3.0}
@@ -88,7 +88,7 @@ def test_curve_of_period_two():
     for _ in range(2000):  # just below the doubling the orbit attracts
         x, y = 1 - (a - 0.01) * x * x + y, b * x
     orbit = np.array([[[x, y], [1 - (a - 0.01) * x * x + y, b * x]]])
-    [curve] = both_ways(HENON, DOUBLING, orbit, np.array([[a - 0.01, b]]))
+    [curve] = follow_both_ways(HENON, DOUBLING, orbit, np.array([[a - 0.01, b]]))
     a, b = curve.values.T
     assert np.abs(a - (5 * b * b - 6 * b + 5) / 4).max() < ROUNDING
 
@@ -104,12 +104,12 @@ def test_cusp_and_generalised_doublings():
     cubics = plane(cubic, 1, (-1.0, -1.5), (1.0, 2.0))
     x = 0.3
     q = 1 + 3 * x * x
-    [fold] = both_ways(cubics, FOLD, np.array([[[x]]]), np.array([[x - q * x + x**3, q]]))
+    [fold] = follow_both_ways(cubics, FOLD, np.array([[[x]]]), np.array([[x - q * x + x**3, q]]))
     [(name, *at)] = passed(fold, cubics)
     assert name == "cusp"
     assert at == pytest.approx([0.0, 1.0], abs=ROUNDING)
     q = -1 + 3 * x * x
-    [doubling] = both_ways(cubics, DOUBLING, np.array([[[x]]]), np.array([[x - q * x + x**3, q]]))
+    [doubling] = follow_both_ways(cubics, DOUBLING, np.array([[[x]]]), np.array([[x - q * x + x**3, q]]))
     both = sorted(passed(doubling, cubics))
     assert [name for name, *_ in both] == ["generalised_doubling"] * 2
     # Cubic coefficients are differences over 1e-3: their error is its square, of the fifth derivative, which is none.
@@ -134,7 +134,7 @@ def swirl(u, values):
 def test_chenciner_point():
     """At μ = 0 a torus is born for every ν; where ν changes sign it changes its side."""
     swirls = plane(swirl, 2, (-0.5, -1.0), (0.5, 1.5))
-    [curve] = both_ways(swirls, NEIMARK_SACKER, np.zeros((1, 1, 2)), np.array([[0.0, 0.5]]))
+    [curve] = follow_both_ways(swirls, NEIMARK_SACKER, np.zeros((1, 1, 2)), np.array([[0.0, 0.5]]))
     assert curve.ends == (RANGE, RANGE)
     [(name, *at)] = passed(curve, swirls)
     assert name == "chenciner"
@@ -192,7 +192,7 @@ def test_torus_boundary_of_van_der_pol(lanes, steps, near):
     scene = scene_of(flow, flow.start({"x": 0.0, "v": 0.0}), [1.0], verner9, steps, name="force")
     low, high = np.array([0.2, 1.05]), np.array([6.0, 4.0])
     forced, *others = (
-        plane_of(scene, lanes, scene.strobe(refinement), np.ones(2), ("force", "omega"), low, high)
+        parameter_plane(scene, lanes, scene.strobe(refinement), np.ones(2), ("force", "omega"), low, high)
         for refinement in (1, 2, 4)
     )
     u, at = np.array([1.0, 0.0]), np.array([1.09, 1.3])
@@ -201,9 +201,9 @@ def test_torus_boundary_of_van_der_pol(lanes, steps, near):
     for _ in range(6):  # Newton, towards where it no longer does
         image, matrix = by_heyoka(at, u)
         u = u - np.linalg.solve((matrix - np.eye(2)).astype(float), (image - u).astype(float))
-    [curve] = both_ways(forced, NEIMARK_SACKER, u[None, None], at[None], 0.05)
+    [curve] = follow_both_ways(forced, NEIMARK_SACKER, u[None, None], at[None], 0.05)
     found = {POINTS[point.kind]: point for point in special_points(forced, curve)}
-    again = [finer(plane, curve) for plane in others]
+    again = [refine_curve(plane, curve) for plane in others]
     for name, half in (("resonance_1_3", np.pi / 3), ("resonance_1_4", np.pi / 4), ("resonance_1_2", np.pi / 2)):
         point = found[name]
         _, matrix = HALF(point.values, point.points[0])  # which turns by θ/2 or by π + θ/2

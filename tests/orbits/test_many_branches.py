@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from measure import scene_of
 
-from jaxnh.analyses.continuation.families import orbits_of
-from jaxnh.analyses.continuation.known_branches import on_branch
+from jaxnh.analyses.continuation.families import orbit_family
+from jaxnh.analyses.continuation.known_branches import is_on_branch
 from jaxnh.analyses.continuation.seeds import random_wave
 from jaxnh.maps.section import Section, begin
 from jaxnh.orbits.arclength import FINE, along_parameter, correct
-from jaxnh.orbits.branches import StepControl, both_ways
+from jaxnh.orbits.branches import StepControl, follow_both_ways
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.particle import constant_speed
@@ -46,7 +46,7 @@ def begun_at(family, orbits, n):
 def agree(family, begun, steps, branches, alone):
     """See that some branches are, bit for bit, what they are where each is followed by itself."""
     for k in list(branches)[::alone]:
-        single, together = both_ways(family, begun.take(slice(k, k + 1)), steps)[0], branches[k]
+        single, together = follow_both_ways(family, begun.take(slice(k, k + 1)), steps)[0], branches[k]
         assert single.ends == together.ends
         whole = (together.points, together.value, together.way, together.tests, together.multipliers)
         one = (single.points, single.value, single.way, single.tests, single.multipliers)
@@ -55,10 +55,10 @@ def agree(family, begun, steps, branches, alone):
 
 def all_agree(scene, lanes, orbits, steps, alone):
     """As `agree`, of the branches through all orbits."""
-    family = orbits_of(scene, lanes, scene.strobe(), np.ones(3), ENDS)
+    family = orbit_family(scene, lanes, scene.strobe(), np.ones(3), ENDS)
     for n in sorted({len(orbit.points) for orbit in orbits}):
         begun = begun_at(family, orbits, n)
-        together = both_ways(family, begun, steps)
+        together = follow_both_ways(family, begun, steps)
         assert len(together) == len(begun.value)
         agree(family, begun, steps, together, alone)
 
@@ -72,7 +72,7 @@ def test_search_finds_what_attracts_and_what_does_not(scene, lanes):
     assert len(set(names)) == len(names)
     strobe = scene.strobe()
     for orbit in found:
-        image = orbits_of(scene, lanes, strobe, np.ones(3), ENDS).period(
+        image = orbit_family(scene, lanes, strobe, np.ones(3), ENDS).period(
             orbit.points, np.full(len(orbit.points), orbit.value)
         )
         gap = scene.chart.wrap(np.asarray(image.image) - np.roll(orbit.points, -1, 0))
@@ -105,7 +105,7 @@ def test_few_lanes_on_a_section(lanes):
     scene = scene_of(
         flow, begin(flow, flow.flow.start({"x": 2.0, "y": 0.0, "z": 0.1})), [2.9, 3.1], dopri8, 24, name="c"
     )
-    family = orbits_of(scene, lanes, scene.strobe(), np.ones(2), (2.0, 4.0))
+    family = orbit_family(scene, lanes, scene.strobe(), np.ones(2), (2.0, 4.0))
     rng = np.random.default_rng(0)
     u, c = np.array([2.0, 0.1]) + 0.1 * rng.uniform(size=(20, 2)), rng.uniform(2.5, 3.5, 20)
     many, few = family.period(u, c), family.period(u[:3], c[:3])
@@ -123,15 +123,15 @@ def test_a_thousand_branches_in_one_run(scene, lanes):
     values = np.array([4.78, 4.85])
     here = replace(scene.take(np.array([0, 1])), p={"b": values}, along=replace(scene.line, values=values))
     orbits = random_wave(here, lanes, 720, 1, {"x1": (-4, 4), "y1": (-4, 4)}, 8, np.ones(3), 64)
-    family = orbits_of(scene, lanes, scene.strobe(), np.ones(3), ENDS)
+    family = orbit_family(scene, lanes, scene.strobe(), np.ones(3), ENDS)
     steps, count = StepControl(0.05, 40), 0
     for n in sorted({len(orbit.points) for orbit in orbits}):
         begun = begun_at(family, orbits, n)
 
         def is_new(known, k, begun=begun):
-            return not on_branch(family, known, begun.points[k], float(begun.value[k]))
+            return not is_on_branch(family, known, begun.points[k], float(begun.value[k]))
 
-        followed, new = both_ways(family, begun, steps, is_new, 32), []
+        followed, new = follow_both_ways(family, begun, steps, is_new, 32), []
         for k, branch in followed.items():
             new += [branch] if is_new(new, k) else []
         count += len(new)

@@ -17,7 +17,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import orbits
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch, moved_doubling
+from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch, refine_doubling
 from jaxnh.orbits.newton import find_doubled, find_orbits, look, solve3
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
@@ -325,9 +325,9 @@ def test_doubling_of_nearly_the_same_map():
     pair = np.array([[0.85], [0.44]])
     known = doubling_point(logistic, follow_branch(logistic, pair, 3.4, 3.5, np.asarray), np.asarray)
     for more in (1e-12, 1e-7, -1e-4):
-        moved = moved_doubling(lambda u, v, more=more: logistic(u, v * (1 + more)), known, np.asarray)
+        moved = refine_doubling(lambda u, v, more=more: logistic(u, v * (1 + more)), known, np.asarray)
         assert abs(moved.value * (1 + more) - LOGISTIC[1]) <= moved.error < 1e-13
-    assert moved_doubling(lambda u, v: logistic(u, 0.0 * v + 2.0), known, np.asarray) is None  # nothing ever doubles
+    assert refine_doubling(lambda u, v: logistic(u, 0.0 * v + 2.0), known, np.asarray) is None  # nothing ever doubles
 
 
 def test_orbit_of_half_the_period_is_not_taken():

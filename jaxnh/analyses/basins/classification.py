@@ -31,7 +31,7 @@ from jaxnh.analyses.basins.volume import keeps_volume
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.analyses.equilibria.search import find_equilibria
 from jaxnh.analyses.exponents.lyapunov import run as exponents_of
-from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
+from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
 from jaxnh.analyses.window_averages import WindowAverages, average_window, maps, points_a_unit, units
@@ -247,7 +247,7 @@ def _confirming_look(batch: LaneBatch, lanes: LaneRunner, lot: Lot) -> tuple[Win
 
 def _orbits(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], limit: int):
     found = survey(batch, lanes, u, limit, "basins", 0)
-    return beyond_doublings(lanes, batch.strobe(), dict(batch.p), found)
+    return polish_beyond_doublings(lanes, batch.strobe(), dict(batch.p), found)
 
 
 # ---- all others

@@ -16,7 +16,13 @@ from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.analyses.cascade.plateaus import PeriodScan
-from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, apart, largest_multiplier, least_period, orbits
+from jaxnh.analyses.periodic.newton_on_lanes import (
+    CONVERGED,
+    largest_multiplier,
+    least_period,
+    orbits,
+    section_distance,
+)
 from jaxnh.orbits.doubling_points import DoublingPoint, doubling_function, halves
 from jaxnh.orbits.shooting import Period, ShootingOrbits, Wrap, close_orbits
 
@@ -27,7 +33,7 @@ _AROUND = np.array([0.4, 0.63, 1.0, 1.6])  # amplitudes of a long orbit, of that
 _RATIO = 2.5  # of amplitudes: that of successive ones in a cascade (2.5029…), and less than Newton's three or four
 
 
-def daughters(
+def doubled_lanes(
     batch: LaneBatch,
     lanes: LaneRunner,
     born: DoublingPoint,
@@ -53,7 +59,7 @@ def daughters(
     at = int(np.argmax(np.linalg.norm(born.vector / size, axis=1)))
     origin, direction = born.orbit[at], born.vector[at] / np.linalg.norm(born.vector[at] / size)
     if n > 1:  # half way to the next point of its own the orbit of twice the period has another neighbour
-        largest = float(np.delete(apart(chart, born.orbit, origin, size), at).min())
+        largest = float(np.delete(section_distance(chart, born.orbit, origin, size), at).min())
     sizes = largest * _RATIO ** -np.arange(_AMPLITUDES)
     growth = np.sqrt(np.abs(distances / distances[-1]))
     amplitude = np.outer(growth, sizes).ravel()
@@ -62,16 +68,16 @@ def daughters(
     each = np.tile(size, (len(value), 1))
     orbit = orbits(lanes, batch.strobe(), origin + amplitude[:, None] * direction, p, 2 * n, each)
     ok = (orbit.residual < CONVERGED) & (largest_multiplier(orbit.monodromy) < 1.0)
-    ok &= apart(chart, orbit.u, origin, size) <= largest
-    found = np.flatnonzero(ok)
-    shortest = least_period(lanes, batch.strobe(), orbit.u[found], picked(p, found), 2 * n, each[found])
-    ok[found[shortest != 2 * n]] = False
+    ok &= section_distance(chart, orbit.u, origin, size) <= largest
+    candidates = np.flatnonzero(ok)
+    shortest = least_period(lanes, batch.strobe(), orbit.u[candidates], picked(p, candidates), 2 * n, each[candidates])
+    ok[candidates[shortest != 2 * n]] = False
     ok = ok.reshape(len(distances), _AMPLITUDES)
     first = np.arange(len(distances)) * _AMPLITUDES + np.argmax(ok, axis=1)
     return PeriodScan(value[first], np.where(ok.any(axis=1), 2 * n, 0), orbit.u[first])
 
 
-def long_daughter(
+def long_doubled_orbit(
     period: Period, born: DoublingPoint, distance: float, gap: float, size: Float[np.ndarray, " d"], wrap: Wrap
 ) -> Float[np.ndarray, "2n d"] | None:
     """The stable orbit of twice the period at a distance beyond a doubling of even period; None where none was found.
@@ -91,9 +97,9 @@ def long_daughter(
     starts = np.concatenate([born.orbit + moved, born.orbit - moved], axis=1)
     orbits = close_orbits(period, starts, np.full(len(starts), born.value + distance), wrap)
     apart = np.linalg.norm(halves(orbits.points, wrap) / size, axis=-1).max(axis=-1)
-    found = orbits.converged & (apart > expected * _AROUND[0]) & (apart < before)
-    found[found] &= doubling_function(ShootingOrbits(*(leaf[found] for leaf in orbits))) > 0.0
-    return orbits.points[np.argmax(found)] if found.any() else None
+    doubled = orbits.converged & (apart > expected * _AROUND[0]) & (apart < before)
+    doubled[doubled] &= doubling_function(ShootingOrbits(*(leaf[doubled] for leaf in orbits))) > 0.0
+    return orbits.points[np.argmax(doubled)] if doubled.any() else None
 
 
 def window(expected: float, number: int, end: float) -> Float[np.ndarray, " distances"]:

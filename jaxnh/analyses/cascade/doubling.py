@@ -15,11 +15,11 @@ from jaxnh.analyses.cascade.extended_precision import (
     FLOAT64_LEVELS,
     ExtendedDoublings,
     alpha_limit,
-    beyond_float64,
+    append_extended,
+    check_operations,
     delta_limit,
     deltas,
     extended_doublings,
-    see_that_it_can,
 )
 from jaxnh.analyses.cascade.follow import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
@@ -48,7 +48,7 @@ def independent(options: DoublingOptions) -> bool:
 
 
 def check(options: DoublingOptions, setting: Setting) -> None:
-    """See that the first axis is a parameter, and one that there is something of between two values of it."""
+    """Check that the first axis is a parameter for which the system exists between grid values."""
     first = setting.axes[0]
     if options.levels > _LEVELS and setting.precision != "extended":
         message = f"float64 tells {_LEVELS} doublings of a cascade apart; more need accuracy.precision: extended"
@@ -75,31 +75,31 @@ def check(options: DoublingOptions, setting: Setting) -> None:
 def run(options: DoublingOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Up to `levels` doublings n → 2n, each with its value of the first axis, the error of that, and δ."""
     if batch.precision == "extended":
-        see_that_it_can(batch)
+        check_operations(batch)
     search = options.search and batch.family is None
     extended, levels = batch.precision == "extended", options.levels
     in_float64 = min(levels, FLOAT64_LEVELS) if extended else levels
-    found = follow(batch, lanes, in_float64, search=search)
+    cascade = follow(batch, lanes, in_float64, search=search)
     if not extended:
-        return _dataset(batch.system, batch.line, levels, found)
-    beyond = extended_doublings(batch, lanes, found, levels)
-    whole = beyond_float64(batch, found, beyond, levels)
-    limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, found.size, batch.chart.wrap)
+        return _dataset(batch.system, batch.line, levels, cascade)
+    beyond = extended_doublings(batch, lanes, cascade, levels)
+    whole = append_extended(batch, cascade, beyond, levels)
+    limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, cascade.size, batch.chart.wrap)
     return _extended(_dataset(batch.system, batch.line, levels, whole), beyond, *limits)
 
 
-def _dataset(system: System, axis: Axis, levels: int, found: Cascade) -> xr.Dataset:
+def _dataset(system: System, axis: Axis, levels: int, cascade: Cascade) -> xr.Dataset:
     """Points as the variables of the contract, NaN where a level was not found."""
-    name, count = axis.name, len(found.found)
+    name, count = axis.name, len(cascade.found)
     refined, rounding, value_error = np.full((3, levels), np.nan), np.full(levels, np.nan), np.full(levels, np.nan)
-    refined[:, :count] = np.reshape([[point.value for point in level.refined] for level in found.found], (count, 3)).T
-    rounding[:count] = [level.point.error for level in found.found]
-    value_error[:count] = [level.error for level in found.found]
+    refined[:, :count] = np.reshape([[point.value for point in level.refined] for level in cascade.found], (count, 3)).T
+    rounding[:count] = [level.point.error for level in cascade.found]
+    value_error[:count] = [level.error for level in cascade.found]
     value = refined[1]
     delta, delta_error = _deltas(value, rounding)
     delta_error += np.abs(np.diff([_deltas(each, rounding)[0] for each in refined], axis=0)).sum(axis=0)
     limit = doublings_limit(value[:count], rounding[:count])
-    widths, width_errors = _widths(system, found)
+    widths, width_errors = _widths(system, cascade)
     alpha = widths_limit(widths, width_errors)
     index = np.arange(1, levels + 1)
     period_words = "period n of the orbit that doubles to 2n"
@@ -107,7 +107,7 @@ def _dataset(system: System, axis: Axis, levels: int, found: Cascade) -> xr.Data
     unit = counted_in(system)
     variables = {
         "level": variable("level", index, "number of the period doubling"),
-        "period": variable("level", found.period * 2 ** (index - 1), period_words, counted_in=unit),
+        "period": variable("level", cascade.period * 2 ** (index - 1), period_words, counted_in=unit),
         name: variable(
             "level", value, f"{axis.long_name} at the doubling", axis.units, ancillary_variables=f"{name}_error"
         ),
@@ -133,21 +133,21 @@ def _dataset(system: System, axis: Axis, levels: int, found: Cascade) -> xr.Data
     }
     attrs = {
         "along": name,
-        **({"warnings": warnings} if (warnings := _warnings(axis, levels, found)) else {}),
+        **({"warnings": warnings} if (warnings := _warnings(axis, levels, cascade)) else {}),
     }
     return xr.Dataset(variables, attrs=attrs)
 
 
 def _extended(
-    data: xr.Dataset, found: ExtendedDoublings, of_delta: tuple[float, float], of_alpha: tuple[float, float]
+    data: xr.Dataset, doublings: ExtendedDoublings, of_delta: tuple[float, float], of_alpha: tuple[float, float]
 ) -> xr.Dataset:
     """The dataset with what double-double precision knows of its doublings: their other digits, δ, and limits."""
     name, levels = str(data.attrs["along"]), data.sizes["level"]
-    count = min(len(found.coarse), len(found.fine))
+    count = min(len(doublings.coarse), len(doublings.fine))
     value, low, delta, error = (np.full(levels, np.nan) for _ in range(4))
-    value[:count], low[:count] = np.reshape([point.value for point in found.fine[:count]], (count, 2)).T
+    value[:count], low[:count] = np.reshape([point.value for point in doublings.fine[:count]], (count, 2)).T
     if count > 2:
-        (coarse, _), (fine, rounding) = deltas(found.coarse[:count]), deltas(found.fine[:count])
+        (coarse, _), (fine, rounding) = deltas(doublings.coarse[:count]), deltas(doublings.fine[:count])
         delta[1 : count - 1], error[1 : count - 1] = fine, np.abs(np.subtract(fine, coarse)) + rounding
     new = {name: np.where(np.isnan(value), data[name], value), "delta": delta, "delta_error": error}
     for limit, numbers in (("delta_limit", of_delta), ("alpha", of_alpha)):
@@ -157,13 +157,13 @@ def _extended(
     return data.assign({f"{name}_low": variable("level", low, words, str(data[name].attrs.get("units", "")))})
 
 
-def _warnings(axis: Axis, levels: int, found: Cascade) -> str:
+def _warnings(axis: Axis, levels: int, cascade: Cascade) -> str:
     """Lines for the user: how many levels are missing, what was searched, and which were found outside the sweep."""
     lines = []
-    if found.end:
-        end, *more = found.end.split("\n")
-        lines = [f"{len(found.points)} of {levels} levels found; {end}", *more]
-    if found.outside:
+    if cascade.end:
+        end, *more = cascade.end.split("\n")
+        lines = [f"{len(cascade.points)} of {levels} levels found; {end}", *more]
+    if cascade.outside:
         ends = f"{axis.values[0]:.6g} to {axis.values[-1]:.6g}"
         lines.append(f"doublings were found beyond the sweep, which is {axis.name} = {ends}")
     return "\n".join(f"doubling: {line}" for line in lines)
@@ -182,17 +182,17 @@ def _deltas(
     return delta, error
 
 
-def _widths(system: System, found: Cascade) -> tuple[Float[np.ndarray, " even"], Float[np.ndarray, " even"]]:
+def _widths(system: System, cascade: Cascade) -> tuple[Float[np.ndarray, " even"], Float[np.ndarray, " even"]]:
     """Widths of the orbits of even period, and their errors, by step refinement and by the rounding of the parameter.
 
     The width is the largest distance of a point from that half a period later, in sizes of the motion: near the
     extremum of the map that the motion contracts to, where it falls by α a level, elsewhere faster.
     """
-    even = [level for level in found.found if len(level.point.orbit) % 2 == 0]
+    even = [level for level in cascade.found if len(level.point.orbit) % 2 == 0]
 
     def width(orbit: Float[np.ndarray, "n d"]) -> float:
         apart = system.chart.wrap(orbit - np.roll(orbit, len(orbit) // 2, axis=0))
-        return float(np.linalg.norm(apart / found.size, axis=1).max())
+        return float(np.linalg.norm(apart / cascade.size, axis=1).max())
 
     widths = np.array([[width(point.orbit) for point in level.refined] for level in even]).reshape(-1, 3)
     errors = np.abs(np.diff(widths, axis=1)).sum(axis=1) + _ROUNDING
@@ -243,10 +243,10 @@ def _cascades(data: xr.Dataset, others: tuple[str, ...]) -> Table:
     rows = []
     for point in (points[i] for i in shown):
         cascade = data.isel(dict(zip(others, point, strict=True)))
-        found = int(cascade["levels_found"])
-        ends = [f"{cascade[name].to_numpy()[k]:.12f}" if found else "–" for k in (0, found - 1)]
+        count = int(cascade["levels_found"])
+        ends = [f"{cascade[name].to_numpy()[k]:.12f}" if count else "–" for k in (0, count - 1)]
         place = [f"{float(cascade[other]):.6g}" for other in others]
-        rows.append((*place, str(found), *ends, _limit_words(cascade) or "–"))
+        rows.append((*place, str(count), *ends, _limit_words(cascade) or "–"))
     caption = f"{len(rows)} of {len(points):,} cascades" if len(rows) < len(points) else None
     return Table("Period doublings", (*others, "found", f"{name}, first", f"{name}, last", "δ"), tuple(rows), caption)
 

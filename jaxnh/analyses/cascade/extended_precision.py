@@ -19,10 +19,10 @@ from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.cascade.follow import Cascade
-from jaxnh.analyses.periodic.location import PERIOD_TILE, REFINEMENTS, LocatedDoubling, refined
+from jaxnh.analyses.periodic.location import PERIOD_TILE, REFINEMENTS, LocatedDoubling, refined_maps
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.double_double import Double
-from jaxnh.maps.extended_precision import carried
+from jaxnh.maps.extended_precision import push_point
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.protocol import ReturnMap
@@ -33,10 +33,10 @@ from jaxnh.orbits.extended_doublings import (
     Slopes,
     Sum,
     difference,
-    exactly,
     extended_doubling,
+    from_float64,
     next_doubling,
-    of_finer_map,
+    predict_on_finer_map,
 )
 from jaxnh.orbits.shooting import Wrap
 
@@ -61,8 +61,8 @@ class ExtendedDoublings(NamedTuple):
     fine: tuple[ExtendedPoint, ...]
 
 
-def see_that_it_can(batch: LaneBatch) -> None:
-    """See that extended precision knows all operations of the batch's map, before anything is computed.
+def check_operations(batch: LaneBatch) -> None:
+    """Check that extended precision has all operations of the batch's map, before anything is computed.
 
     Raises:
         AccuracyError: it does not.
@@ -70,49 +70,49 @@ def see_that_it_can(batch: LaneBatch) -> None:
     number, section = (jax.ShapeDtypeStruct(shape, np.float64) for shape in ((), (batch.chart.dimension,)))
     u, p = Double(section, section), dict.fromkeys(batch.p, Double(number, number))
     try:
-        jax.eval_shape(carried, batch.map().as_loop(), np.int64(0), u, u, p)
+        jax.eval_shape(push_point, batch.map().as_loop(), np.int64(0), u, u, p)
     except NotImplementedError as error:
         raise AccuracyError(f"{error}, and the system has it: leave accuracy.precision out") from None
 
 
-def extended_doublings(batch: LaneBatch, lanes: LaneRunner, found: Cascade, levels: int) -> ExtendedDoublings:
+def extended_doublings(batch: LaneBatch, lanes: LaneRunner, cascade: Cascade, levels: int) -> ExtendedDoublings:
     """So many doublings of a cascade in double-double precision, up to the first where Newton does not settle.
 
     Args:
         batch: lanes along the first axis.
         lanes: runs lanes.
-        found: the first of them in float64.
+        cascade: the first of them in float64.
         levels: how many are looked for.
     """
     maps = _maps(batch, lanes)
     known: list[tuple[ExtendedPoint, ...]] = []
     while len(known) < levels:
-        with lanes.stage(f"doubling: period {found.period << len(known)} in extended precision", 0):
-            located = _located(maps, batch, found, known)
+        with lanes.stage(f"doubling: period {cascade.period << len(known)} in extended precision", 0):
+            located = _locate(maps, batch, cascade, known)
         if located is None:
             break
         known.append(located)
     return ExtendedDoublings(*zip(*known, strict=True)) if known else ExtendedDoublings((), ())
 
 
-def beyond_float64(batch: LaneBatch, found: Cascade, extended: ExtendedDoublings, levels: int) -> Cascade:
+def append_extended(batch: LaneBatch, cascade: Cascade, extended: ExtendedDoublings, levels: int) -> Cascade:
     """The cascade with the doublings, rounded, that extended precision has found beyond those of float64.
 
     How far four times the steps move them is what they move the last one of float64 by: from one doubling to the next
     this changes by as much as they are apart, of which there is less and less.
     """
-    count = len(found.found)
-    pairs = [(_rounded(coarse), _rounded(fine)) for coarse, fine in zip(*extended, strict=True)][count:]
-    shift = found.found[-1].refined[2].value - found.found[-1].refined[1].value if pairs else 0.0
+    count = len(cascade.found)
+    pairs = [(_to_float64(coarse), _to_float64(fine)) for coarse, fine in zip(*extended, strict=True)][count:]
+    shift = cascade.found[-1].refined[2].value - cascade.found[-1].refined[1].value if pairs else 0.0
     more = [LocatedDoubling((coarse, fine, fine._replace(value=fine.value + shift))) for coarse, fine in pairs]
-    end = found.end
+    end = cascade.end
     if len(extended.fine) > count:
-        n, last = found.period << len(extended.fine), extended.fine[-1].value[0]
+        n, last = cascade.period << len(extended.fine), extended.fine[-1].value[0]
         lost = f"{n} → {2 * n} was not located in extended precision beyond {batch.line.name} = {last:.9g}"
         end = lost if len(extended.fine) < levels else ""
     low, high = batch.line.values.min(), batch.line.values.max()
-    outside = found.outside or any(not low <= located.point.value <= high for located in more)
-    return found._replace(found=(*found.found, *more), end=end, outside=outside)
+    outside = cascade.outside or any(not low <= located.point.value <= high for located in more)
+    return cascade._replace(found=(*cascade.found, *more), end=end, outside=outside)
 
 
 class _Map(NamedTuple):
@@ -130,7 +130,7 @@ class _Map(NamedTuple):
 def _maps(batch: LaneBatch, lanes: LaneRunner) -> list[_Map]:
     """The maps, all through one program."""
     plain = [replace(batch, compensated=False).map(refinement).as_loop() for refinement in REFINEMENTS[:_MAPS]]
-    exact = refined(batch)[:_MAPS]
+    exact = refined_maps(batch)[:_MAPS]
     return [_map(batch, lanes, one.padded_like(plain[-1]), same) for one, same in zip(plain, exact, strict=True)]
 
 
@@ -141,7 +141,7 @@ def _map(batch: LaneBatch, lanes: LaneRunner, plain: ReturnMap, exact: Maps) -> 
         n = len(u[0])
         p = {key: Double(np.asarray(own), np.zeros(n)) for key, own in batch.at(np.full(n, value[0])).p.items()}
         p[name] = p[name]._replace(lo=np.full(n, value[1]))
-        moved = lanes(carried, (plain, np.int64(0)), (Double(*u), Double(*w), p), tile=_TILE)
+        moved = lanes(push_point, (plain, np.int64(0)), (Double(*u), Double(*w), p), tile=_TILE)
         return tuple(moved.image), tuple(moved.vector)
 
     def slopes(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
@@ -151,17 +151,17 @@ def _map(batch: LaneBatch, lanes: LaneRunner, plain: ReturnMap, exact: Maps) -> 
     return _Map(period, slopes)
 
 
-def _located(
-    maps: Sequence[_Map], batch: LaneBatch, found: Cascade, known: Sequence[tuple[ExtendedPoint, ...]]
+def _locate(
+    maps: Sequence[_Map], batch: LaneBatch, cascade: Cascade, known: Sequence[tuple[ExtendedPoint, ...]]
 ) -> tuple[ExtendedPoint, ...] | None:
     """The doubling after those known, of each map."""
-    size, wrap, level = found.size, batch.chart.wrap, len(known)
+    size, wrap, level = cascade.size, batch.chart.wrap, len(known)
     points: list[ExtendedPoint | None] = []  # of the first maps, where the others start from them
-    if level < len(found.found):
-        starts = [exactly(at.value, at.orbit, at.vector) for at in found.found[level].refined[:_MAPS]]
+    if level < len(cascade.found):
+        starts = [from_float64(at.value, at.orbit, at.vector) for at in cascade.found[level].refined[:_MAPS]]
     elif level > 1 and (first := next_doubling(*maps[0], [known[0] for known in known], size, wrap)) is not None:
         points.append(first)
-        starts = [of_finer_map(first, known[-1][0], before, wrap) for before in known[-1][1:]]
+        starts = [predict_on_finer_map(first, known[-1][0], before, wrap) for before in known[-1][1:]]
     else:
         return None
     points += [
@@ -171,7 +171,7 @@ def _located(
     return settled if len(settled) == len(maps) else None
 
 
-def _rounded(point: ExtendedPoint) -> DoublingPoint:
+def _to_float64(point: ExtendedPoint) -> DoublingPoint:
     return DoublingPoint(point.value[0], point.orbit[0], point.vector[0], float(np.spacing(point.value[0])), np.nan)
 
 
@@ -203,12 +203,12 @@ def alpha_limit(points: Sequence[ExtendedPoint], size: Float[np.ndarray, " d"], 
     """
     with localcontext(prec=_DIGITS):
         even = [point.orbit for point in points if len(point.orbit[0]) % 2 == 0]
-        apart = [difference((hi, lo), (_half_on(hi), _half_on(lo)), wrap) for hi, lo in even]
+        apart = [difference((hi, lo), (_half_a_period_on(hi), _half_a_period_on(lo)), wrap) for hi, lo in even]
         widths = [Decimal(float(np.linalg.norm(each / size, axis=1).max())) for each in apart]
         return _limit(widths, [_ROUNDING * width for width in widths], _quotients)
 
 
-def _half_on(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
+def _half_a_period_on(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
     return np.roll(points, len(points) // 2, axis=0)
 
 

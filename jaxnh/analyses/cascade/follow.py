@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.cascade.doubled_orbit import daughters, long_daughter, window
-from jaxnh.analyses.cascade.plateaus import PeriodScan, Start, seen, starts
+from jaxnh.analyses.cascade.doubled_orbit import doubled_lanes, long_doubled_orbit, window
+from jaxnh.analyses.cascade.plateaus import PeriodScan, Start, describe_periods, starts
 from jaxnh.analyses.periodic.attractor_survey import first_points, survey
-from jaxnh.analyses.periodic.location import LocatedDoubling, locate, period_map, refined
-from jaxnh.analyses.periodic.newton_on_lanes import apart
+from jaxnh.analyses.periodic.location import LocatedDoubling, locate, period_map, refined_maps
+from jaxnh.analyses.periodic.newton_on_lanes import section_distance
 from jaxnh.orbits.doubling_points import FEIGENBAUM, DoublingPoint
 
 TRANSIENT = 512
@@ -73,19 +73,19 @@ def follow(batch: LaneBatch, lanes: LaneRunner, levels: int, *, search: bool = F
     inside = line = steps.survey(np.unique(batch.line.values), "doubling")
     if batch.line.values[-1] < batch.line.values[0]:
         inside = line = line.take(slice(None, None, -1))
-    found = _best(steps, line, levels)
-    if len(found.points) < levels and search and len(line.value) > 1:
-        line = line.joined(_outside(steps, line))
+    cascade = _best(steps, line, levels)
+    if len(cascade.points) < levels and search and len(line.value) > 1:
+        line = line.joined(_lanes_outside(steps, line))
         wider = _best(steps, line, levels)
-        same = [point.value for point in found.points[:1]] == [point.value for point in wider.points[:1]]
-        found = wider if same or len(wider.points) > len(found.points) else found
+        same = [point.value for point in cascade.points[:1]] == [point.value for point in wider.points[:1]]
+        cascade = wider if same or len(wider.points) > len(cascade.points) else cascade
     low, high = inside.value.min(), inside.value.max()
-    outside = any(not low <= point.value <= high for point in found.points)
-    end = f"{found.end}\n{steps.searched(line)}" if found.end else ""
-    return found._replace(end=end, outside=outside)
+    outside = any(not low <= point.value <= high for point in cascade.points)
+    end = f"{cascade.end}\n{steps.searched(line)}" if cascade.end else ""
+    return cascade._replace(end=end, outside=outside)
 
 
-def along_line(
+def follow_line(
     batch: LaneBatch, lanes: LaneRunner, line: PeriodScan, levels: int, size: Float[np.ndarray, " d"]
 ) -> tuple[LocatedDoubling, ...]:
     """The doublings, at most so many, of the orbit of the first lane of a line and those born from it, along it.
@@ -101,7 +101,7 @@ def along_line(
     steps.size = size
     first = (start for start in starts(line) if start.line.sign == line.sign and start.runs[0].first == 0)
     start = next(first, None)
-    return _along(steps, start, levels).found if start is not None else ()
+    return _follow_run(steps, start, levels).found if start is not None else ()
 
 
 def survey_limit(levels: int) -> int:
@@ -109,7 +109,7 @@ def survey_limit(levels: int) -> int:
     return min(max(_SMALLEST_LIMIT, 2**levels), _LONGEST_SEEN)
 
 
-def _outside(steps: _Steps, line: PeriodScan) -> PeriodScan:
+def _lanes_outside(steps: _Steps, line: PeriodScan) -> PeriodScan:
     """Lanes beyond either end of a line, as far as it is long."""
     low, high = line.value.min(), line.value.max()
     far = (high - low) * np.arange(1, _OUTSIDE + 1) / _OUTSIDE
@@ -125,59 +125,59 @@ def _best(steps: _Steps, line: PeriodScan, levels: int) -> Cascade:
         ends += len(start.runs) == 1
         if ends > _ENDS:
             break
-        found = _along(steps, start, levels)
-        if len(found.points) > len(best.points):
-            best = found
-        if len(found.points) == levels:
+        cascade = _follow_run(steps, start, levels)
+        if len(cascade.points) > len(best.points):
+            best = cascade
+        if len(cascade.points) == levels:
             break
     return best
 
 
-def _along(steps: _Steps, start: Start, levels: int) -> Cascade:
+def _follow_run(steps: _Steps, start: Start, levels: int) -> Cascade:
     """The cascade that begins at the end of a run, one level after the other."""
-    found: list[_Level] = []
-    while len(found) < levels and (level := _next(steps, start, found)) is not None:
-        found.append(level)
-    steps.tried[start.period, start.value, start.line.sign] = len(found)
+    located: list[_Level] = []
+    while len(located) < levels and (level := _next_level(steps, start, located)) is not None:
+        located.append(level)
+    steps.tried[start.period, start.value, start.line.sign] = len(located)
     end = ""
-    if len(found) < levels:
-        n, last = start.period << len(found), found[-1].located.point.value if found else start.value
+    if len(located) < levels:
+        n, last = start.period << len(located), located[-1].located.point.value if located else start.value
         where = f"{steps.batch.line.name} = {last:.9g} and {start.line.value[-1]:.9g}"
         end = f"{n} → {2 * n} was not located between {where}"
-    return Cascade(start.period, tuple(level.located for level in found), steps.size, end)
+    return Cascade(start.period, tuple(level.located for level in located), steps.size, end)
 
 
-def _next(steps: _Steps, start: Start, found: list[_Level]) -> _Level | None:
+def _next_level(steps: _Steps, start: Start, known: list[_Level]) -> _Level | None:
     """The next doubling beyond those found from a start."""
-    n, sign = start.period << len(found), start.line.sign
-    if n > _LONG and len(found) > 1:
-        points = [level.located.point for level in found]
+    n, sign = start.period << len(known), start.line.sign
+    if n > _LONG and len(known) > 1:
+        points = [level.located.point for level in known]
         gap = (points[-1].value - points[-2].value) / FEIGENBAUM
         located = steps.long(points[-1], gap) if sign * (start.line.value[-1] - points[-1].value - gap) > 0 else None
         if located is not None or n > 4 * _LONG:
             return located and _Level(located, abs(gap))
-    for bracket in _brackets(steps, start, found, n):
-        after = found[-1].located.point.value if found else -sign * np.inf
+    for bracket in _brackets(steps, start, known, n):
+        after = known[-1].located.point.value if known else -sign * np.inf
         located = steps.locate(bracket, n) if sign * (bracket.value[0] - after) > 0 else None
         if located is not None and sign * (located.point.value - after) > 0:
             return _Level(located, float(abs(bracket.value[1] - bracket.value[0])))
     return None
 
 
-def _brackets(steps: _Steps, start: Start, found: list[_Level], n: int) -> Iterator[PeriodScan]:
+def _brackets(steps: _Steps, start: Start, known: list[_Level], n: int) -> Iterator[PeriodScan]:
     """Lines of two lanes between which the period-n orbit may double: of the survey, then of the daughter orbit.
 
     The next doubling is expected at the last distance over δ; beyond the first, where the survey has lost the orbit.
     Further out it is looked for where the daughter is stable as far as this was seen, closer where nowhere so.
     """
     yield from start.brackets(n)
-    if not found:
+    if not known:
         return
-    born, end = found[-1].located.point, float(start.line.value[-1]) - found[-1].located.point.value
+    born, end = known[-1].located.point, float(start.line.value[-1]) - known[-1].located.point.value
     expected = (
-        (born.value - found[-2].located.point.value) / FEIGENBAUM
-        if len(found) > 1
-        else start.line.sign * found[0].width
+        (born.value - known[-2].located.point.value) / FEIGENBAUM
+        if len(known) > 1
+        else start.line.sign * known[0].width
     )
     near: PeriodScan | None = None
     for number in (*range(_FURTHER), *range(-1, -_CLOSER, -1)):
@@ -222,10 +222,10 @@ class _Steps:
         """Lanes at these values of the first axis, on their attractors."""
         row = self.batch.at(values)
         start = first_points(row, self._lanes)
-        found = survey(row, self._lanes, start, self.limit, label, TRANSIENT, only_doublings=True)
-        if not found.failed.all():
-            self.size = np.median(found.size[~found.failed], axis=0)
-        return PeriodScan(values, found.period, found.u)
+        attractors = survey(row, self._lanes, start, self.limit, label, TRANSIENT, only_doublings=True)
+        if not attractors.failed.all():
+            self.size = np.median(attractors.size[~attractors.failed], axis=0)
+        return PeriodScan(values, attractors.period, attractors.u)
 
     def locate(self, bracket: PeriodScan, n: int) -> LocatedDoubling | None:
         """The doubling of the period-n orbit between two lanes."""
@@ -245,10 +245,10 @@ class _Steps:
         key = len(born.orbit), born.value, float(distances[0]), float(distances[-1])
         if key not in self._daughters:
             points = np.concatenate([line.u, first_points(self.batch, self._lanes)])
-            largest = float(np.nanmax(apart(self.batch.chart, points, born.orbit[0], self.size)))
+            largest = float(np.nanmax(section_distance(self.batch.chart, points, born.orbit[0], self.size)))
             label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {self.batch.line.name} = {born.value:.9g}"
             with self._lanes.stage(label, 0):
-                self._daughters[key] = daughters(self.batch, self._lanes, born, largest, self.size, distances)
+                self._daughters[key] = doubled_lanes(self.batch, self._lanes, born, largest, self.size, distances)
         return self._daughters[key]
 
     def long(self, born: DoublingPoint, gap: float) -> LocatedDoubling | None:
@@ -258,21 +258,21 @@ class _Steps:
         if (key := (n, born.value, stop)) not in self._located:
             near = _BEYOND * gap
             with self._lanes.stage(f"doubling: period {n} → {2 * n}", 0):
-                period = period_map(self.batch, self._lanes, refined(self.batch)[0])
-                points = long_daughter(period, born, near, gap, self.size, self.batch.chart.wrap)
-                found = points is not None
-                located = locate(self.batch, self._lanes, points, born.value + near, stop, n) if found else None
+                period = period_map(self.batch, self._lanes, refined_maps(self.batch)[0])
+                points = long_doubled_orbit(period, born, near, gap, self.size, self.batch.chart.wrap)
+                has_points = points is not None
+                located = locate(self.batch, self._lanes, points, born.value + near, stop, n) if has_points else None
             beyond = located is not None and (located.point.value - born.value) / gap > _BEYOND
             self._located[key] = located if beyond else None
         return self._located[key]
 
     def searched(self, line: PeriodScan) -> str:
-        """In words, what a survey has seen, and from where cascades were looked for."""
+        """Describe the periods of a survey, and where cascades were looked for."""
         name = self.batch.line.name
         words = [
-            f"{n} → {2 * n} {'up' if sign > 0 else 'down'} from {value:.6g} ({found or 'none'} located)"
-            for (n, value, sign), found in sorted(self.tried.items(), key=lambda item: -item[1])
+            f"{n} → {2 * n} {'up' if sign > 0 else 'down'} from {value:.6g} ({count or 'none'} located)"
+            for (n, value, sign), count in sorted(self.tried.items(), key=lambda item: -item[1])
         ]
         more = [f"{len(words) - _SHOWN} more"] if len(words) > _SHOWN else []
         tried = ", ".join([*words[:_SHOWN], *more]) or f"nothing, as no period ends between two values of {name}"
-        return f"{seen(line, name, self.limit)}; tried: {tried}"
+        return f"{describe_periods(line, name, self.limit)}; tried: {tried}"

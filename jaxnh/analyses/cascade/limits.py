@@ -32,7 +32,7 @@ _SEEN = 10.0  # errors: a step must be so large to count
 
 
 class Limit(NamedTuple):
-    """What a sequence tends to; NaN where it is too short to tell.
+    """Limit of a sequence; NaN where it is too short to tell.
 
     Attributes:
         ratio, ratio_error: of successive distances, or widths, in the limit.
@@ -46,7 +46,7 @@ class Limit(NamedTuple):
 
 
 class _Kind(NamedTuple):
-    """What is known of a sequence beforehand.
+    """Prior knowledge of a sequence.
 
     Attributes:
         tied: ratios of corrections that follow from r = 1/δ or 1/α, (ratios,) each.
@@ -96,8 +96,8 @@ def doublings_limit(values: Float[np.ndarray, " levels"], errors: Float[np.ndarr
     if levels < 4:
         return _UNKNOWN
     from_last = (values - values[levels - 1])[:levels]
-    found = _limit(from_last, errors[:levels], steps[levels - 3] / steps[levels - 2], _DOUBLINGS)
-    return found._replace(value=float(values[levels - 1] + found.value))
+    limit = _limit(from_last, errors[:levels], steps[levels - 3] / steps[levels - 2], _DOUBLINGS)
+    return limit._replace(value=float(values[levels - 1] + limit.value))
 
 
 def widths_limit(widths: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"]) -> Limit:
@@ -117,14 +117,14 @@ def _limit(
     middle = np.log(max(last, _LEAST_RATIO))
     ends = max(middle - kind.reach, np.log(_LEAST_RATIO)), middle + kind.reach
     models = itertools.product(_SIZES, kind.bounds)
-    grids, found = zip(*(_peak(sequence, errors, kind, size, bound, ends) for size, bound in models), strict=True)
-    mass = np.concatenate([p.density + np.log(logs[1] - logs[0]) for logs, p in zip(grids, found, strict=True)])
+    grids, posteriors = zip(*(_peak(sequence, errors, kind, size, bound, ends) for size, bound in models), strict=True)
+    mass = np.concatenate([p.density + np.log(logs[1] - logs[0]) for logs, p in zip(grids, posteriors, strict=True)])
     logs = np.concatenate(grids)
     order = np.argsort(logs)
     weight = np.exp(mass - mass.max())[order]
     weight /= weight.sum()
     ratios = np.exp(logs[order])
-    value, variance = (np.concatenate([getattr(p, name) for p in found])[order] for name in ("value", "variance"))
+    value, variance = (np.concatenate([getattr(p, name) for p in posteriors])[order] for name in ("value", "variance"))
     ratio = float(weight @ ratios)
     interval = np.interp([_TAIL, 1.0 - _TAIL], np.cumsum(weight) - 0.5 * weight, ratios)
     limit = float(weight @ value)
@@ -148,11 +148,11 @@ def _peak(
     low, high = ends
     while True:  # a grid that is not fine enough has its third kept at most
         logs = np.linspace(low, high, _NODES)
-        found = _posterior(sequence, errors, np.exp(-logs), kind, size, bound)
-        kept = np.flatnonzero(found.density > found.density.max() - _NEGLIGIBLE)
+        posterior = _posterior(sequence, errors, np.exp(-logs), kind, size, bound)
+        kept = np.flatnonzero(posterior.density > posterior.density.max() - _NEGLIGIBLE)
         first, final = max(kept[0] - 1, 0), min(kept[-1] + 1, _NODES - 1)
         if final - first > _NODES / _FINE:
-            return logs, found
+            return logs, posterior
         low, high = logs[first], logs[final]
 
 
@@ -164,7 +164,7 @@ def _posterior(
     size: float,
     bound: float,
 ) -> _Posterior:
-    """How likely ratios r = 1/δ or 1/α are, limit and A integrated out (Rasmussen, Williams 2006, 2.7)."""
+    """Posterior of ratios r = 1/δ or 1/α, limit and A integrated out (Rasmussen, Williams 2006, 2.7)."""
     levels = len(sequence)
     k = np.arange(levels)
     power = r[:, None] ** k
@@ -198,7 +198,7 @@ def _covariance(
     size: float,
     bound: float,
 ) -> Float[np.ndarray, "ratios levels levels"]:
-    """Of corrections and errors: E ρᵏ⁺ˡ over |ρ| below a bound, and the ratios that are tied, times the size."""
+    """Covariance of corrections and errors: E ρᵏ⁺ˡ over |ρ| below a bound and the tied ratios, times the size."""
     sums = k[:, None] + k
     others = np.where(sums % 2 == 0, bound**sums / (sums + 1.0), 0.0)
     own = np.sum([ratio[:, None, None] ** sums for ratio in tied], axis=0)

@@ -25,7 +25,7 @@ class Plateau(NamedTuple):
 
     @property
     def lanes(self) -> int:
-        """How many there are."""
+        """Number of lanes."""
         return self.last - self.first + 1
 
 
@@ -67,7 +67,7 @@ class PeriodScan(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Where a cascade may begin.
+    """Possible beginning of a cascade.
 
     Attributes:
         line: in the direction of the cascade.
@@ -101,27 +101,27 @@ class Start(NamedTuple):
 
 
 def starts(line: PeriodScan) -> list[Start]:
-    """Every end of a run in both directions at which a cascade may begin, the most promising first.
+    """Return all ends of runs, in both directions, at which a cascade may begin, the most promising first.
 
     First come those with the longest chains of runs n, 2n, 4n, … (or with steps of 4n and more) beyond them, of equal
     ones those in the direction of the line, then in its order; then runs with no such neighbour, the longest first.
     Where the same period goes on beyond a few other lanes a run has no end.
     """
-    found: list[Start] = []
+    ends: list[Start] = []
     for ordered in (line, line.take(slice(None, None, -1))):
         runs = ordered.runs()
-        following = [_following(runs, i) for i in range(len(runs))]
+        following = [_next_run(runs, i) for i in range(len(runs))]
         for i, run in enumerate(runs):
             chain = [i]
             while (j := following[chain[-1]]) is not None and runs[j].period > runs[chain[-1]].period:
                 chain.append(j)
             goes_on = following[i] is not None and len(chain) == 1
             if run.period and not goes_on and run.last + 1 < len(ordered.value):
-                found.append(Start(ordered, tuple(runs[k] for k in chain)))
-    return sorted(found, key=lambda start: (-len(start.runs), -start.runs[0].lanes if len(start.runs) == 1 else 0))
+                ends.append(Start(ordered, tuple(runs[k] for k in chain)))
+    return sorted(ends, key=lambda start: (-len(start.runs), -start.runs[0].lanes if len(start.runs) == 1 else 0))
 
 
-def _following(runs: list[Plateau], i: int) -> int | None:
+def _next_run(runs: list[Plateau], i: int) -> int | None:
     """The run beyond the i-th that has the same period, or a power of two times it; None where there is none.
 
     Undecided lanes and short runs of other periods, of coexisting attractors or of windows, may lie between the two,
@@ -140,8 +140,8 @@ def _following(runs: list[Plateau], i: int) -> int | None:
     return None
 
 
-def seen(line: PeriodScan, name: str, limit: int) -> str:
-    """In words, which periods a survey up to a limit has found where along the axis of that name."""
+def describe_periods(line: PeriodScan, name: str, limit: int) -> str:
+    """Describe which periods a survey up to a limit has found where along the axis of that name."""
     runs = line.runs()
     decided = [run for run in runs if run.period]
     shown = sorted(sorted(decided, key=lambda run: -run.lanes)[:_SHOWN])

@@ -26,12 +26,12 @@ from jaxnh.analyses.base import (
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.equilibria import equilibria
-from jaxnh.analyses.continuation.families import orbits_of
+from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.family_tree import grow
-from jaxnh.analyses.continuation.seeds import random_wave, settled_waves
+from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
-from jaxnh.analyses.periodic.location import price_of_orbits, refined
+from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.config.options.orbits import BranchesOptions
 from jaxnh.orbits.branches import StepControl
@@ -50,7 +50,7 @@ def numbers(options: BranchesOptions) -> int:
 
 
 def check(options: BranchesOptions, setting: Setting) -> None:
-    """See that there is one axis, a parameter that lanes may differ in, and a box for random starts."""
+    """Check that there is one axis, a parameter that lanes may differ in, and a box for random starts."""
     first, *others = setting.axes
     if first.kind == "start":
         what = f"{first.name} is a coordinate of the start state"
@@ -76,12 +76,12 @@ def check(options: BranchesOptions, setting: Setting) -> None:
 
 def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """The orbit that every lane has settled on: a point of it, its period, and the size of the motion."""
-    found = survey_from_start(batch, lanes, options.limit, "branches", options.transient)
-    size = np.where(found.failed[:, None], np.nan, found.size)
+    attractors = survey_from_start(batch, lanes, options.limit, "branches", options.transient)
+    size = np.where(attractors.failed[:, None], np.nan, attractors.size)
     return xr.Dataset(
         {
-            "lane_period": variable(LANE, found.period, "period of a lane"),
-            "lane_u": variable((LANE, "lane_component"), found.u, "point of the orbit of a lane"),
+            "lane_period": variable(LANE, attractors.period, "period of a lane"),
+            "lane_u": variable((LANE, "lane_component"), attractors.u, "point of the orbit of a lane"),
             "lane_size": variable((LANE, "lane_component"), size, "size of the motion of a lane"),
         }
     )
@@ -95,8 +95,8 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     known = np.isfinite(size).all(axis=1)
     unit = np.median(size[known], axis=0) if known.any() else np.ones(u.shape[1])
     ends = float(axis.values.min()), float(axis.values.max())
-    families = [orbits_of(batch, lanes, strobe, unit, ends) for strobe in refined(batch)]
-    waves = settled_waves(batch, lanes, u, np.where(known, period, 0))
+    families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
+    waves = attractor_waves(batch, lanes, u, np.where(known, period, 0))
     some = np.unique(np.linspace(0, len(order) - 1, min(options.values, len(order))).round().astype(int))
     here = batch.take(np.argsort(batch.line.values, kind="stable")[some])
     if options.starts:

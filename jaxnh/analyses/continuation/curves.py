@@ -27,16 +27,16 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, counted_in
-from jaxnh.analyses.continuation.families import orbits_of, plane_of
+from jaxnh.analyses.continuation.families import orbit_family, parameter_plane
 from jaxnh.analyses.continuation.family_tree import grow
-from jaxnh.analyses.continuation.seeds import settled_waves
+from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
-from jaxnh.analyses.periodic.location import price_of_orbits, refined
+from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.config.options.orbits import CurvesOptions
 from jaxnh.orbits.branches import StepControl
 from jaxnh.orbits.codimension_two import POINTS, Special, special_points
-from jaxnh.orbits.curve_errors import errors_of_points, errors_of_special, finer
-from jaxnh.orbits.curves import ENDS, Curve, ParameterPlane, both_ways, unknowns
+from jaxnh.orbits.curve_errors import errors_of_points, errors_of_special, refine_curve
+from jaxnh.orbits.curves import ENDS, Curve, ParameterPlane, follow_both_ways, join_unknowns
 from jaxnh.orbits.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
 
 _OWN_NAMES = (
@@ -74,7 +74,7 @@ def numbers(options: CurvesOptions) -> int:
 
 
 def check(options: CurvesOptions, setting: Setting) -> None:
-    """See that there are two axes, parameters that lanes may differ in, and of more than one value each."""
+    """Check that there are two axes, parameters that lanes may differ in, of more than one value each."""
     names = [axis.name for axis in setting.axes]
     if len(names) != 2:
         raise OptionError(f"curves are followed over two axes, and the sweep has {' and '.join(names)}")
@@ -102,18 +102,20 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
         np.linspace(0, len(second.values) - 1, min(options.values, len(second.values))).round().astype(int)
     )
     chosen = np.unique(second.values[some])
-    batches = [_along(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
+    batches = [_lanes_at(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
     surveys = [survey_from_start(batch, lanes, options.limit, "curves", options.transient) for batch in batches]
     sizes = np.concatenate([survey.size[~survey.failed] for survey in surveys])
     size = np.median(sizes, axis=0) if len(sizes) else np.ones(batches[0].system.chart.dimension)
     names = (first.name, second.name)
-    plane, *others = (plane_of(batches[0], lanes, strobe, size, names, low, high) for strobe in refined(batches[0]))
+    plane, *others = (
+        parameter_plane(batches[0], lanes, strobe, size, names, low, high) for strobe in refined_maps(batches[0])
+    )
     curves = list[Curve]()
     for batch, survey, value in zip(batches, surveys, chosen.tolist(), strict=True):
         period = np.where(survey.failed, 0, survey.period)
-        waves = settled_waves(batch, lanes, survey.u, period)
-        families = [orbits_of(batch, lanes, strobe, size, (low[0], high[0])) for strobe in refined(batch)]
+        waves = attractor_waves(batch, lanes, survey.u, period)
+        families = [orbit_family(batch, lanes, strobe, size, (low[0], high[0])) for strobe in refined_maps(batch)]
         with lanes.stage(f"curves: bifurcations at {second.name} = {value:g}", 0):
             tree = grow(families, waves, options.limit, StepControl(options.step))
         seeds = [
@@ -122,10 +124,10 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
             if point.kind in (FOLD, DOUBLING, NEIMARK_SACKER)
         ]
         with lanes.stage(f"curves: from {len(seeds)} bifurcations at {second.name} = {value:g}", 0):
-            curves += _followed(plane, curves, seeds, options)
+            curves += _follow_curves(plane, curves, seeds, options)
     curves.sort(key=lambda curve: (curve.period, curve.kind))
     with lanes.stage(f"curves: errors of {len(curves)}", 0):
-        again = [[finer(other, curve) for other in others] for curve in curves]
+        again = [[refine_curve(other, curve) for other in others] for curve in curves]
         errors = [errors_of_points(*both) for both in zip(curves, again, strict=True)]
     with lanes.stage(f"curves: points of codimension two on {len(curves)}", 0):
         special = [
@@ -133,17 +135,17 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
             for k, curve in enumerate(curves)
             for point in special_points(plane, curve)
         ]
-    found = _dataset(batches[0], sweep.axes, curves, errors, special, options.limit)
-    return {"curves": found, "codimension_two": _special(batches[0], sweep.axes, curves, special)}
+    dataset = _dataset(batches[0], sweep.axes, curves, errors, special, options.limit)
+    return {"curves": dataset, "codimension_two": _special(batches[0], sweep.axes, curves, special)}
 
 
-def _along(row: LaneBatch, first: Axis, lanes: np.ndarray) -> LaneBatch:
+def _lanes_at(row: LaneBatch, first: Axis, lanes: np.ndarray) -> LaneBatch:
     """The lanes along the first axis at a value of the second."""
     batch = row.take(lanes)
     return replace(batch, along=replace(first, values=batch.p[first.name]))
 
 
-def _followed(
+def _follow_curves(
     plane: ParameterPlane, there: Sequence[Curve], seeds: Sequence[_Seed], options: CurvesOptions
 ) -> list[Curve]:
     """The curves through bifurcations that are on none yet, each once."""
@@ -154,7 +156,7 @@ def _followed(
         if mine:
             points, values = np.stack([seed.points for seed in mine]), np.stack([seed.values for seed in mine])
             for seed, curve in zip(
-                mine, both_ways(plane, kind, points, values, options.step, options.longest), strict=True
+                mine, follow_both_ways(plane, kind, points, values, options.step, options.longest), strict=True
             ):
                 if curve is not None and not any(_passes(plane, other, seed) for other in new):
                     new.append(curve)
@@ -170,7 +172,7 @@ def _passes(plane: ParameterPlane, curve: Curve, seed: _Seed) -> bool:
     length = np.sum(chord**2, axis=1)
     length = np.where(length > 0, length, 1.0)  # two equal points of a track are one
     for m in range(curve.period):
-        [z] = unknowns(plane, np.roll(seed.points, m, 0)[None], seed.values[None])
+        [z] = join_unknowns(plane, np.roll(seed.points, m, 0)[None], seed.values[None])
         share = np.clip(np.sum((z - begun) * chord, axis=1) / length, 0.0, 1.0)
         if np.linalg.norm(begun + share[:, None] * chord - z, axis=1).min(initial=np.inf) <= _NEAR:
             return True
@@ -192,10 +194,10 @@ def _dataset(
     shape = (len(curves), max((len(curve.values) for curve in curves), default=0))
 
     def table(values: Sequence[np.ndarray], *more: int) -> np.ndarray:
-        found = np.full((*shape, *more), np.nan)
+        filled = np.full((*shape, *more), np.nan)
         for k, one in enumerate(values):
-            found[k, : len(one)] = one
-        return found
+            filled[k, : len(one)] = one
+        return filled
 
     dims, d = ("curve", "point"), batch.chart.dimension
     multipliers = [np.stack([np.real(curve.multipliers), np.imag(curve.multipliers)], axis=-1) for curve in curves]
@@ -206,7 +208,7 @@ def _dataset(
         columns[f"{axis.name}_error"] = variable(dims, table([error[:, k] for error in errors]), words, axis.units)
         words = f"{axis.long_name} at the point of codimension two"
         columns |= _at_special(f"codimension_two_{axis.name}", axis, k, special, words)
-    found = {
+    filled = {
         **columns,
         "kind": flagged("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
         "period": variable(
@@ -226,7 +228,7 @@ def _dataset(
     attrs = {"limit": limit, "over": names}
     if not curves:
         attrs["warnings"] = f"curves: no bifurcation was found to follow over {names.replace(' ', ' and ')}"
-    return xr.Dataset(found, attrs=attrs)
+    return xr.Dataset(filled, attrs=attrs)
 
 
 def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[_Point]) -> xr.Dataset:
@@ -235,7 +237,7 @@ def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], sp
     for k, (_, point, _) in enumerate(special):
         multipliers[k] = np.stack([np.real(point.multipliers), np.imag(point.multipliers)], axis=-1)
     period = np.array([curves[one.curve].period for one in special], np.int32)
-    found = {
+    variables = {
         **_kind_and_curve("", special),
         "period": variable("codimension_two", period, "period of the orbit", counted_in=counted_in(batch.system)),
         "multipliers": variable(
@@ -243,13 +245,13 @@ def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], sp
         ),
     }
     for k, axis in enumerate(axes):
-        found |= _at_special(axis.name, axis, k, special, axis.long_name)
+        variables |= _at_special(axis.name, axis, k, special, axis.long_name)
     names = " ".join(axis.name for axis in axes)
-    return xr.Dataset(found, attrs={"over": names})
+    return xr.Dataset(variables, attrs={"over": names})
 
 
 def _kind_and_curve(before: str, special: Sequence[_Point]) -> dict[str, Entry]:
-    """What points of codimension two are, and the number of the curve that each is on."""
+    """Kinds of points of codimension two, and the number of the curve that each is on."""
     dim, curves = "codimension_two", np.array([one.curve for one in special], np.int32)
     return {
         f"{before}kind": flagged(dim, [one.point.kind for one in special], "point of codimension two", POINTS),

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.continuation.families import equilibria_of
+from jaxnh.analyses.continuation.families import equilibrium_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.continuation.tables import FollowedBranches
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
@@ -45,13 +45,13 @@ def equilibria(
     size = np.ptp(u, axis=0) / 2.0
     size = np.where(size > 0.0, size, size.max())
     with stage(f"equilibria from {starts} points at {batch.count} values of {batch.line.name}"):
-        found = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
+        zeros = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
     with np.errstate(invalid="ignore"):
-        near = found.found & np.all(np.abs(found.u) < _FARTHEST * size, axis=1)
+        near = zeros.found & np.all(np.abs(zeros.u) < _FARTHEST * size, axis=1)
     waves = [
-        [SeedOrbit(found.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
+        [SeedOrbit(zeros.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
         for value in np.unique(values).tolist()
     ]
-    family = equilibria_of(batch, lanes, size, ends)
+    family = equilibrium_family(batch, lanes, size, ends)
     tree = grow([family] * 3, waves, 1, steps, stage)  # a field has no steps that could be refined
     return FollowedBranches(tree, family, still)

@@ -26,7 +26,7 @@ _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and
 _FEW = 4
 
 
-def orbits_of(
+def orbit_family(
     batch: LaneBatch, lanes: LaneRunner, strobe: Maps, size: Float[np.ndarray, " d"], ends: tuple[float, float]
 ) -> Family:
     """Periodic orbits of a map of the batch.
@@ -49,7 +49,7 @@ def orbits_of(
     return Family(period, batch.chart.wrap, size, *ends)
 
 
-def plane_of(
+def parameter_plane(
     batch: LaneBatch,
     lanes: LaneRunner,
     strobe: Maps,
@@ -71,7 +71,7 @@ def plane_of(
     return ParameterPlane(period, batch.chart.wrap, size, low, high)
 
 
-def equilibria_of(
+def equilibrium_family(
     batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]
 ) -> Family:
     """Equilibria of the field of a batch's flow, which has no clock; sizes as of the flow's own coordinates."""

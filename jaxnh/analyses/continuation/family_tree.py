@@ -15,13 +15,13 @@ import jax
 import numpy as np
 from jaxtyping import Complex, Float
 
-from jaxnh.analyses.continuation.known_branches import SAME, on_branch, same_orbit
+from jaxnh.analyses.continuation.known_branches import SAME, is_on_branch, same_orbit
 from jaxnh.orbits.arclength import FINE, CurveOrbits, Family, along_parameter, correct
 from jaxnh.orbits.bifurcations import Brackets, brackets, locate, neutral_pair
-from jaxnh.orbits.branches import COLLAPSED, Branch, StepControl, both_ways
+from jaxnh.orbits.branches import COLLAPSED, Branch, StepControl, follow_both_ways
 from jaxnh.orbits.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKER, eigenvalues
 from jaxnh.orbits.normal_forms import cubic
-from jaxnh.orbits.switching import crossing, doubled
+from jaxnh.orbits.switching import crossing_orbits, doubled_orbits
 
 _AT_ONCE = 32  # branches that are followed side by side: together they fill tiles, and few are followed twice
 _BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it
@@ -97,17 +97,17 @@ def grow(
             n = min([*(len(orbit.points) for orbit in open_), *begun])
             mine = [orbit for orbit in open_ if len(orbit.points) == n]
             open_ = [orbit for orbit in open_ if len(orbit.points) != n]
-            new = _followed(families[0], tree, mine, begun.pop(n, []), steps, stage)
+            new = _follow_branches(families[0], tree, mine, begun.pop(n, []), steps, stage)
             if not new:
                 continue
-            tree, more, parents = _with(families, tree, new, limit, stage)
+            tree, more, parents = _add_branches(families, tree, new, limit, stage)
             open_ += parents
             for orbits in more:
                 begun.setdefault(orbits.points.shape[1], []).append(orbits)
     return tree
 
 
-def _followed(
+def _follow_branches(
     family: Family,
     tree: Tree,
     some: Sequence[SeedOrbit],
@@ -128,10 +128,10 @@ def _followed(
 
     def is_new(others: Sequence[Branch], k: int) -> bool:
         near = _BESIDE if k < beside else SAME
-        return not on_branch(family, others, orbits.points[k], float(orbits.value[k]), near)
+        return not is_on_branch(family, others, orbits.points[k], float(orbits.value[k]), near)
 
     with stage(f"branches of period {n} from {len(orbits.value)} orbits"):  # and back through bifurcations as well
-        followed = both_ways(family, orbits, steps, lambda found, k: is_new([*known, *found], k), _AT_ONCE)
+        followed = follow_both_ways(family, orbits, steps, lambda branches, k: is_new([*known, *branches], k), _AT_ONCE)
     new = list[Branch]()
     for k, branch in followed.items():
         if len(branch.value) > 1 and is_new(new, k) and not (k < beside and _is_known(family, [*known, *new], branch)):
@@ -142,10 +142,10 @@ def _followed(
 def _is_known(family: Family, known: Sequence[Branch], branch: Branch) -> bool:
     """Whether all of a branch, as far as some of its points tell, is on others."""
     some = np.unique(np.linspace(0, len(branch.value) - 1, _LOOKED_AT).round().astype(int)).tolist()
-    return all(on_branch(family, known, branch.points[i], float(branch.value[i])) for i in some)
+    return all(is_on_branch(family, known, branch.points[i], float(branch.value[i])) for i in some)
 
 
-def _with(
+def _add_branches(
     families: Sequence[Family], tree: Tree, new: Sequence[Branch], limit: int, stage: Stage
 ) -> tuple[Tree, list[CurveOrbits], list[SeedOrbit]]:
     """The tree with new branches of one period and their bifurcations; first orbits of the branches that leave there.
@@ -159,7 +159,7 @@ def _with(
     if stretch is None:
         return tree, [], parents
     with stage(f"{len(stretch.kind)} bifurcations of period {n}"):
-        points, first, vectors, lost = _located(families, stretch, count)
+        points, first, vectors, lost = _locate(families, stretch, count)
         tree = tree._replace(lost=tree.lost + lost)
         kept = list[int]()
         for k, point in enumerate(points):
@@ -170,14 +170,14 @@ def _with(
         double, cross = (np.array(kept, int)[kind == which] for which in (DOUBLING, BRANCH_POINT))
         begun = list[CurveOrbits]()
         if len(double) and 2 * n <= limit:
-            begun.append(doubled(families[0], first.take(double), vectors[double]))
+            begun.append(doubled_orbits(families[0], first.take(double), vectors[double]))
         if len(cross):
-            sides = [crossing(families[0], first.take(cross), sign) for sign in (1.0, -1.0)]
+            sides = [crossing_orbits(families[0], first.take(cross), sign) for sign in (1.0, -1.0)]
             begun.append(jax.tree.map(lambda *leaves: np.concatenate(leaves), *sides))
     return tree, begun, parents
 
 
-def _located(
+def _locate(
     families: Sequence[Family], stretch: Brackets, count: int
 ) -> tuple[list[Bifurcation], CurveOrbits, Float[np.ndarray, "some n d"], int]:
     """Bifurcations in brackets, of branches that are numbered from `count` on; orbits of the first map there.
@@ -200,7 +200,7 @@ def _located(
     orbits, kind = second.orbits.take(sure), stretch.kind[sure]
     normal, values = cubic(families[1], orbits, kind), eigenvalues(families[1], orbits)
     coefficient = np.where(kind == FOLD, second.bend[sure], normal.coefficient)
-    found = [
+    bifurcations = [
         Bifurcation(
             int(kind[k]),
             float(orbits.value[k]),
@@ -214,7 +214,7 @@ def _located(
         )
         for k, at in enumerate(sure.tolist())
     ]
-    return found, first.orbits.take(sure), np.real(normal.vectors), lost + len(some) - len(sure)
+    return bifurcations, first.orbits.take(sure), np.real(normal.vectors), lost + len(some) - len(sure)
 
 
 def _parents(family: Family, branch: Branch) -> list[SeedOrbit]:

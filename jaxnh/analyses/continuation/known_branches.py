@@ -15,7 +15,7 @@ SAME = 1e-4
 _HALVINGS = 40
 
 
-def on_branch(
+def is_on_branch(
     family: Family, branches: Sequence[Branch], points: Float[np.ndarray, "n d"], value: float, near: float = SAME
 ) -> bool:
     """Whether an orbit at a value of the parameter is on one of the branches, whichever of its points comes first."""
@@ -25,17 +25,17 @@ def on_branch(
 
 def orbits_at(family: Family, branches: Sequence[Branch], value: float) -> Float[np.ndarray, "some n d"]:
     """The orbits of branches of one period at a value of the parameter, nearly; where one turns, perhaps two."""
-    found, stretches = list[np.ndarray](), list[tuple[Branch, int]]()
+    candidates, stretches = list[np.ndarray](), list[tuple[Branch, int]]()
     for branch in branches:
         above, rate = branch.value - value, branch.way.value
         passes = (above[:-1] <= 0.0) != (above[1:] <= 0.0)
         turns = (rate[:-1] < 0.0) != (rate[1:] < 0.0)
         stretches += [(branch, i) for i in np.flatnonzero(passes | turns).tolist()]
         # where it begins or ends at the value and lies below it
-        found += [branch.points[end][None] for end in (0, -1) if above[end] == 0.0]
+        candidates += [branch.points[end][None] for end in (0, -1) if above[end] == 0.0]
     if stretches:
-        found.append(_between(family, stretches, value))
-    return np.concatenate(found) if found else np.zeros((0, 0, len(family.size)))
+        candidates.append(_on_cubics(family, stretches, value))
+    return np.concatenate(candidates) if candidates else np.zeros((0, 0, len(family.size)))
 
 
 def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"], near: float) -> bool:
@@ -43,7 +43,7 @@ def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.nd
     return len(one) == len(other) and bool(_apart(family, one[None], other)[0] <= near)
 
 
-def _between(family: Family, stretches: Sequence[tuple[Branch, int]], value: float) -> Float[np.ndarray, "some n d"]:
+def _on_cubics(family: Family, stretches: Sequence[tuple[Branch, int]], value: float) -> Float[np.ndarray, "some n d"]:
     """On cubics between a point of a branch and its next the orbits at a value that they pass there."""
     points, values, rates, ways = (
         np.stack([leaf(branch)[i : i + 2] for branch, i in stretches], axis=1)
@@ -62,11 +62,11 @@ def _between(family: Family, stretches: Sequence[tuple[Branch, int]], value: flo
 
     zero, one = np.zeros(len(size)), np.ones(len(size))
     turn = np.where(rise(zero) * rise(one) < 0.0, _zeros(rise, zero, one), 0.0)
-    found = list[np.ndarray]()
+    orbits = list[np.ndarray]()
     for low, high in ((zero, turn), (turn, one)):
         passes = (above(low) <= 0.0) != (above(high) <= 0.0)
-        found.append(_cubic(_zeros(above, low, high)[:, None, None], points, ways)[passes])
-    return np.concatenate(found)
+        orbits.append(_cubic(_zeros(above, low, high)[:, None, None], points, ways)[passes])
+    return np.concatenate(orbits)
 
 
 def _cubic(s: np.ndarray, ends: np.ndarray, slopes: np.ndarray) -> np.ndarray:
@@ -79,7 +79,7 @@ def _cubic(s: np.ndarray, ends: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 def _zeros(
     function: Callable[[np.ndarray], np.ndarray], low: Float[np.ndarray, " some"], high: Float[np.ndarray, " some"]
 ) -> Float[np.ndarray, " some"]:
-    """Where functions change sign, by halving."""
+    """Bisect for the places where functions change sign."""
     positive: Bool[np.ndarray, " some"] = function(high) > 0.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)

@@ -23,13 +23,13 @@ _SAME = 1e-6  # sizes of the motion: orbits this near are one
 _FARTHEST = 100.0  # sizes of the motion: orbits found further out are none of this motion
 
 
-def settled_waves(
+def attractor_waves(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: Int[np.ndarray, " lanes"]
 ) -> list[list[SeedOrbit]]:
     """Orbits of the lanes that have one, in waves: evenly over the axis, then those between them, and so on."""
     order = np.argsort(batch.line.values, kind="stable")
-    found = _whole(batch, lanes, u, period)
-    return [[found[k] for k in order[part] if k in found] for part in _between(len(order))]
+    orbits = _whole(batch, lanes, u, period)
+    return [[orbits[k] for k in order[part] if k in orbits] for part in _waves(len(order))]
 
 
 def random_wave(
@@ -56,7 +56,7 @@ def random_wave(
         for wait in (0, transient)
     ]
     path, period = np.concatenate(paths), period_map(many, lanes, strobe)
-    found = list[SeedOrbit]()
+    seeds = list[SeedOrbit]()
     for n in range(1, limit + 1):
         points, lane = _returns(path, n, wrap, size)
         orbit = orbits_from_afar(period, points, values[lane], size, wrap)
@@ -65,11 +65,11 @@ def random_wave(
         for value in np.unique(values[lane[good]]).tolist():
             here = orbit.points[good & (values[lane] == value)]
             while len(here):  # the first, and all others but those that are it
-                found.append(SeedOrbit(here[0], value))
+                seeds.append(SeedOrbit(here[0], value))
                 turns = [np.roll(here[0], m, 0) for m in range(n)]
                 away = [np.max(np.abs(wrap(here - turn)) / size, axis=(1, 2)) > _SAME for turn in turns]
                 here = here[np.all(away, axis=0)]
-    return found
+    return seeds
 
 
 def _returns(
@@ -116,7 +116,7 @@ def _whole(
     }
 
 
-def _between(count: int) -> Sequence[Int[np.ndarray, " some"]]:
+def _waves(count: int) -> Sequence[Int[np.ndarray, " some"]]:
     """Numbers below a count in waves: evenly spread, then those half way between, until there are no more."""
     waves, seen, size = list[np.ndarray](), np.zeros(count, bool), min(count, _FIRST_WAVE)
     while not seen.all():

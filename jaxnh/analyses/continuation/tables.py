@@ -14,7 +14,7 @@ from jaxnh.analyses.base import Entry, Table, flagged, numbered, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, counted_in
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.section_points import states_at
-from jaxnh.maps.section import drawn_plane, outputs
+from jaxnh.maps.section import outputs, plot_plane
 from jaxnh.orbits.arclength import Family
 from jaxnh.orbits.branches import ENDS, Branch
 from jaxnh.orbits.kinds import KINDS, stable
@@ -64,8 +64,8 @@ def datasets(lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int) -
     all_ = [(of, k) for of, tree in enumerate(trees) for k in range(len(tree.branches))]
     order = sorted(all_, key=lambda pair: (_period(grown[pair[0]], trees[pair[0]].branches[pair[1]].period), pair))
     rank = {pair: place for place, pair in enumerate(order)}
-    found = [(of, point) for of, tree in enumerate(trees) for point in tree.bifurcations]
-    found.sort(key=lambda pair: (pair[1].value, pair[1].kind, len(pair[1].points)))
+    bifurcations = [(of, point) for of, tree in enumerate(trees) for point in tree.bifurcations]
+    bifurcations.sort(key=lambda pair: (pair[1].value, pair[1].kind, len(pair[1].points)))
     branches = _branches(lanes, grown, [(of, trees[of].branches[k]) for of, k in order])
     attrs = {
         "limit": limit,
@@ -74,7 +74,7 @@ def datasets(lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int) -
     }
     lost = sum(tree.lost for tree in trees)
     branches["not_located"] = variable((), np.int64(lost), "number of bifurcations that could not be located")
-    points = _bifurcations(lanes, grown, found, [rank[of, point.branch] for of, point in found])
+    points = _bifurcations(lanes, grown, bifurcations, [rank[of, point.branch] for of, point in bifurcations])
     return {
         "branches": xr.Dataset(branches, attrs=attrs),
         "bifurcations": xr.Dataset(points, attrs={"along": axis.name}),
@@ -116,7 +116,7 @@ def _branches(
         axis.name: variable(dims, table([branch.value for branch in every]), axis.long_name, axis.units),
         "period": _period_variable(("branch",), periods, counted_in(system)),
         **_coordinates(lanes, grown, [(of, branch.points) for of, branch in branches], table, dims),
-        "multipliers": variable((*dims, "multiplier", "part"), values, _of_multipliers(grown)),
+        "multipliers": variable((*dims, "multiplier", "part"), values, _multiplier_words(grown)),
         "stable": flagged(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", "no", "yes"), -1),
         "residual": variable(dims, table([branch.residual for branch in every]), residual),
         "begins": flagged("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),
@@ -127,11 +127,11 @@ def _branches(
 def _bifurcations(
     lanes: LaneRunner,
     grown: Sequence[FollowedBranches],
-    found: Sequence[tuple[int, Bifurcation]],
+    bifurcations: Sequence[tuple[int, Bifurcation]],
     branch: Sequence[int],
 ) -> dict[str, Entry]:
     """Variables over (bifurcation,)."""
-    axis, system, every = grown[0].batch.line, grown[0].batch.system, [point for _, point in found]
+    axis, system, every = grown[0].batch.line, grown[0].batch.system, [point for _, point in bifurcations]
     dim, name = ("bifurcation",), axis.name
 
     def column(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
@@ -143,7 +143,7 @@ def _bifurcations(
     def rows(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
         return column([one[0] for one in values], empty, *more)
 
-    periods = [_period(grown[of], len(point.points)) for of, point in found]
+    periods = [_period(grown[of], len(point.points)) for of, point in bifurcations]
     multipliers = column([_parts(point.multipliers) for point in every], np.nan, _dimension(grown), 2)
     error_words = f"largest error of {name}, from step refinement, interpolation and rounding"
     coefficient = (
@@ -169,8 +169,8 @@ def _bifurcations(
             -1,
         ),
         "coefficient": variable(dim, np.array([point.coefficient for point in every], float), coefficient),
-        **_coordinates(lanes, grown, [(of, point.points[None]) for of, point in found], rows, dim),
-        "multipliers": variable((*dim, "multiplier", "part"), multipliers, _of_multipliers(grown)),
+        **_coordinates(lanes, grown, [(of, point.points[None]) for of, point in bifurcations], rows, dim),
+        "multipliers": variable((*dim, "multiplier", "part"), multipliers, _multiplier_words(grown)),
     }
 
 
@@ -199,7 +199,7 @@ def _period_variable(dim: tuple[str, ...], periods: Sequence[int], counted: str)
     return numbered(dim, np.array(periods, np.int32), words, ("equilibrium",), counted_in=counted)
 
 
-def _of_multipliers(grown: Sequence[FollowedBranches]) -> str:
+def _multiplier_words(grown: Sequence[FollowedBranches]) -> str:
     return _MULTIPLIERS + _EIGENVALUES if len(grown) > 1 else _MULTIPLIERS
 
 
@@ -218,16 +218,16 @@ def _coordinates(
         for name, (output, rows) in _outputs(lanes, part.batch, [points[place][1] for place in mine]).items():
             words.setdefault(name, output)
             columns.setdefault(name, {}).update(zip(mine, rows, strict=True))
-    found: dict[str, Entry] = {}
+    variables: dict[str, Entry] = {}
     for name, rows in columns.items():
         every, said = [rows[place] for place in range(len(points))], words[name]
         first, attrs = [one[:, 0] for one in every], said.attrs
-        found[name] = variable(dims, table(first), f"{said.long_name} of the orbit's first point", **attrs)
+        variables[name] = variable(dims, table(first), f"{said.long_name} of the orbit's first point", **attrs)
         whole = table(every, np.nan, most)
-        found[f"{name}_points"] = variable(
+        variables[f"{name}_points"] = variable(
             (*dims, "iterate"), whole, f"{said.long_name} of the orbit's points", **attrs
         )
-    return found
+    return variables
 
 
 def _outputs(
@@ -239,13 +239,13 @@ def _outputs(
     states = states_at(batch, lanes, whole)
     named = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
     cuts = np.cumsum([len(one) for one in flat])[:-1]
-    found = dict[str, tuple[Output, list[np.ndarray]]]()
-    for name in (drawn_plane(batch.system)[0], *batch.flow.coordinates):
+    coordinates = dict[str, tuple[Output, list[np.ndarray]]]()
+    for name in (plot_plane(batch.system)[0], *batch.flow.coordinates):
         if name in named:
             parts = np.split(np.asarray(named[name].data)[:, 0], cuts) if flat else []
             rows = [part.reshape(one.shape[:2]) for part, one in zip(parts, points, strict=True)]
-            found[name] = named[name], rows
-    return found
+            coordinates[name] = named[name], rows
+    return coordinates
 
 
 def _parts(values: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.analyses.exponents.tangent_growth import TangentState, parts_of, turn
-from jaxnh.analyses.periodic.attractor_survey import Survey, early_look, first_look, survey
+from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey, survey_early
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, orbits
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State
@@ -65,10 +65,10 @@ class Early(NamedTuple):
 
 def settled_early(batch: LaneBatch, lanes: LaneRunner, transient: int) -> Early | None:
     """Lanes that are on stable orbits long before their transient is over, as most are; None where it is too short."""
-    early = early_look(transient)
+    early = early_timing(transient)
     if early is None:
         return None
-    found, ends = first_look(batch, lanes, "lyapunov", early)
+    found, ends = survey_early(batch, lanes, "lyapunov", early)
     return Early(found, lanes(_state_at, (batch.system,), (ends,)), early.periods)
 
 

@@ -22,7 +22,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.smooth_window import windows
 from jaxnh.config.options.base import BLOCKS
 from jaxnh.maps.batching import as_batched
-from jaxnh.maps.build import between, cut_strobe
+from jaxnh.maps.build import cut_strobe, maps_between
 from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.maps.section import rates
@@ -92,7 +92,7 @@ def _nodes(batch: LaneBatch) -> Quadrature:
     edges = np.linspace(*span, panels + 1) if flow.autonomous else step_grid(flow, panels, span)
     half = 0.5 * np.diff(edges)
     t = (edges[:-1, None] + half[:, None] * (1.0 + _PANEL_NODES)).ravel()
-    maps = between(flow, _BETWEEN_NODES, 1, np.append(0.0, t), compensated=batch.compensated)
+    maps = maps_between(flow, _BETWEEN_NODES, 1, np.append(0.0, t), compensated=batch.compensated)
     return Quadrature(flow, in_precision(maps, batch.precision), t, (half[:, None] * _PANEL_WEIGHTS).ravel())
 
 

@@ -21,10 +21,10 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
 from jaxnh.analyses.periodic.newton_on_lanes import (
     CONVERGED,
     ORBIT_TILE,
-    apart,
     largest_multiplier,
     least_period,
     orbits,
+    section_distance,
     sizes,
 )
 from jaxnh.maps.family import Maps
@@ -67,10 +67,10 @@ class Survey(NamedTuple):
 
 def survey_from_start(batch: LaneBatch, lanes: LaneRunner, limit: int, label: str, transient: int) -> Survey:
     """Attractor and period, up to a limit, of every lane of a batch from its start state."""
-    early, *late = _looks(transient, limit)
+    early, *late = _timings(transient, limit)
     if not late:
         return survey(batch, lanes, first_points(batch, lanes), limit, label, transient)
-    return _continued(batch, lanes, first_look(batch, lanes, label, early), late, label)
+    return _survey_late(batch, lanes, survey_early(batch, lanes, label, early), late, label)
 
 
 def survey(
@@ -93,13 +93,13 @@ def survey(
     Args:
         tile: lanes a tile on their way, where they are few.
     """
-    first, *late = _looks(transient, limit)
+    first, *late = _timings(transient, limit)
     how = label, least, only_doublings, tile
-    return _continued(batch, lanes, _look(batch, lanes, u, first, *how), late, *how)
+    return _survey_late(batch, lanes, _survey_at(batch, lanes, u, first, *how), late, *how)
 
 
 class Timing(NamedTuple):
-    """When lanes are looked at, and how closely.
+    """Time and effort of one survey of lanes.
 
     Attributes:
         wait: periods before.
@@ -113,42 +113,42 @@ class Timing(NamedTuple):
 
     @property
     def periods(self) -> int:
-        """That it takes."""
+        """Periods integrated in total."""
         return self.wait + 2 * self.limit
 
 
 class EarlySurvey(NamedTuple):
-    """What was seen of lanes at one time, and their last points, (lanes, d)."""
+    """Survey of lanes at one time, and their last points, (lanes, d)."""
 
     survey: Survey
     ends: Float[np.ndarray, "lanes d"]
 
 
-def _looks(transient: int, limit: int) -> list[Timing]:
-    """When lanes are looked at: the last time after the whole transient.
+def _timings(transient: int, limit: int) -> list[Timing]:
+    """Return the times of surveys, the last after the whole transient.
 
     All lanes are looked at early, since most are on their orbits long before the transient is over: only the least
     period that they recur after is tried, so that the others lose little. Those are looked at again after all of it.
     """
-    if (early := early_look(transient, limit)) is None:
+    if (early := early_timing(transient, limit)) is None:
         return [Timing(transient, limit)]
     return [early, Timing(transient - early.periods, limit)]
 
 
-def early_look(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:
-    """The look before a transient is over; None where it is too short for one."""
+def early_timing(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:
+    """Return the time of a survey before the transient is over; None where it is too short for one."""
     early = Timing(transient // _EARLY, min(limit, _EARLY_LIMIT), 1)
     return early if early.wait and early.periods < transient else None
 
 
-def first_look(batch: LaneBatch, lanes: LaneRunner, label: str, early: Timing) -> EarlySurvey:
-    """What is seen of all lanes from their start states; the same for whichever analyses of a batch ask for it."""
+def survey_early(batch: LaneBatch, lanes: LaneRunner, label: str, early: Timing) -> EarlySurvey:
+    """Survey all lanes from their start states, once for all analyses of a batch."""
     if early not in batch.seen:
-        batch.seen[early] = _look(batch, lanes, first_points(batch, lanes), early, label)
+        batch.seen[early] = _survey_at(batch, lanes, first_points(batch, lanes), early, label)
     return batch.seen[early]
 
 
-def _continued(
+def _survey_late(
     batch: LaneBatch,
     lanes: LaneRunner,
     seen: EarlySurvey,
@@ -158,18 +158,18 @@ def _continued(
     only_doublings: bool = False,
     tile: int | None = None,
 ) -> Survey:
-    """Those lanes whose orbits have not been seen are looked at again."""
-    found = jax.tree.map(np.copy, seen.survey)
+    """Survey again the lanes whose orbits are not known yet."""
+    survey = jax.tree.map(np.copy, seen.survey)
     open_, ends = np.arange(batch.count), seen.ends
     for timing in late:
-        left = np.flatnonzero((found.period[open_] == 0) & ~found.failed[open_])
+        left = np.flatnonzero((survey.period[open_] == 0) & ~survey.failed[open_])
         if not len(left):
             break
         open_ = open_[left]
-        part, ends = _look(batch.take(open_), lanes, ends[left], timing, label, least, only_doublings, tile)
-        for whole, some in zip(found, part, strict=True):
-            whole[open_] = some
-    return found
+        part, ends = _survey_at(batch.take(open_), lanes, ends[left], timing, label, least, only_doublings, tile)
+        for whole, new in zip(survey, part, strict=True):
+            whole[open_] = new
+    return survey
 
 
 def _nothing_found(u: Float[np.ndarray, "lanes d"]) -> Survey:
@@ -180,7 +180,7 @@ def _nothing_found(u: Float[np.ndarray, "lanes d"]) -> Survey:
     return Survey(np.zeros(count, int), u.copy(), nan, nan.copy(), monodromy, none, np.ones_like(u))
 
 
-def _look(
+def _survey_at(
     batch: LaneBatch,
     lanes: LaneRunner,
     u: Float[np.ndarray, "lanes d"],
@@ -190,7 +190,7 @@ def _look(
     only_doublings: bool = False,
     tile: int | None = None,
 ) -> EarlySurvey:
-    """What is seen of lanes some periods on, in 2 limit points of each."""
+    """Survey lanes some periods later, from 2 limit points of each."""
     strobe, count, p = batch.strobe(), batch.count, dict(batch.p)
     (wait, limit, tries), cost = timing, timing.periods
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
@@ -202,7 +202,7 @@ def _look(
             shared = (*shared, batch.flow.period / (2 * np.pi))
             points, size = lanes(_sized_points, shared, (u, p, batch.start), periods=cost, static=static, tile=tile)
     recurs = _recurrences(batch.chart, points, size, limit, least, only_doublings)
-    period, found, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
+    period, point, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
     failed |= ~np.all(np.isfinite(points), axis=(1, 2))
     rank, first, last = np.cumsum(recurs, axis=0), 1, 1
     while first <= tries and np.any(rank[-1, period == 0] >= first):
@@ -210,8 +210,8 @@ def _look(
         n, lane = np.nonzero(recurs & (rank >= first) & (rank <= last) & (period == 0))
         first, last = last + 1, 2 * last + 1
         with lanes.stage(f"{label}: orbits of {len(np.unique(lane))} lanes", 0):
-            orbit = orbits(lanes, strobe, found[lane], picked(p, lane), n, size[lane])
-        near = apart(batch.chart, orbit.u, found[lane], size[lane]) < 2 * _CLOSE
+            orbit = orbits(lanes, strobe, point[lane], picked(p, lane), n, size[lane])
+        near = section_distance(batch.chart, orbit.u, point[lane], size[lane]) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
         here, least_of = np.unique(lane[settled], return_index=True)
@@ -226,11 +226,11 @@ def _look(
             turned = orbits(lanes, strobe, exact.u[shorter], picked(p, some), shortest[shorter], size[some])
             for whole, part in zip(exact, turned, strict=True):
                 whole[shorter] = part
-        period[here], found[here] = shortest, exact.u
+        period[here], point[here] = shortest, exact.u
         residual[here], monodromy[here] = exact.residual, exact.monodromy
         multiplier[here] = largest[settled]
         multiplier[here[shorter]] = largest_multiplier(exact.monodromy[shorter])
-    return EarlySurvey(Survey(period, found, residual, multiplier, monodromy, failed, size), points[:, -1])
+    return EarlySurvey(Survey(period, point, residual, multiplier, monodromy, failed, size), points[:, -1])
 
 
 def _recurrences(
@@ -251,11 +251,12 @@ def _recurrences(
     base, nearest = np.zeros(len(points), int), np.zeros(len(points))
     for n in range(least, limit + 1):
         lanes = np.flatnonzero((base == 0) | (n % np.maximum(base, 1) == 0))
-        lanes = lanes[apart(chart, points[lanes, n], points[lanes, 0], size[lanes]) < _CLOSE]  # most do not recur
+        near = section_distance(chart, points[lanes, n], points[lanes, 0], size[lanes]) < _CLOSE
+        lanes = lanes[near]  # most do not recur
         if not len(lanes):
             continue
         ahead, behind = points[lanes, n : n + limit], points[lanes, :limit]
-        distance = np.max(apart(chart, ahead, behind, size[lanes, None]), axis=1)
+        distance = np.max(section_distance(chart, ahead, behind, size[lanes, None]), axis=1)
         lanes, distance = lanes[distance < _CLOSE], distance[distance < _CLOSE]
         first = base[lanes] == 0
         base[lanes[first]], nearest[lanes[first]] = n, distance[first]
@@ -266,9 +267,9 @@ def _recurrences(
     return possible
 
 
-def beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, found: Survey) -> Survey:
+def polish_beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, survey: Survey) -> Survey:
     """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
-    period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in found)
+    period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in survey)
     chart = strobe.chart
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
     for n in np.unique(period[near]):
@@ -276,7 +277,7 @@ def beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, found: Surv
         arguments = (u[born], picked(p, born), *sizes(chart, size[born]))
         # The bits of this program depend on the shape of a tile.
         orbit = lanes(find_doubled, (strobe, np.int32(n // 2)), arguments, tile=ORBIT_TILE, together=False)
-        settled = (orbit.residual < CONVERGED) & (apart(chart, orbit.u, u[born], size[born]) < 2 * _CLOSE)
+        settled = (orbit.residual < CONVERGED) & (section_distance(chart, orbit.u, u[born], size[born]) < 2 * _CLOSE)
         part = born[settled]
         u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
         multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]

@@ -1,4 +1,4 @@
-"""How a doubling of a batch is located: `orbits.doubling_points` on lanes, with the map in several refinements."""
+"""Location of a doubling of a batch: `orbits.doubling_points` on lanes, with the map in several refinements."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from jaxnh.analyses.price import Price, newton_price
 from jaxnh.config.options.base import Options
 from jaxnh.maps.family import Maps, padded_like
 from jaxnh.maps.iterate import Derivatives, derivatives, section_map
-from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch, moved_doubling
+from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch, refine_doubling
 from jaxnh.orbits.shooting import Period
 
 PERIOD_TILE = 32
 """Lanes a tile of the derivatives of a period: an orbit has few points."""
 
 REFINEMENTS = (1, 2, 4)
-"""Of the steps that the accuracy asks for, in maps that a doubling is located with."""
+"""Share of the steps that the accuracy asks for, in maps that a doubling is located with."""
 
 _SAFETY = 8.0
 _LEAST = 32.0  # 2ᵖ at order 5; methods that are chosen have more
@@ -38,7 +38,7 @@ class LocatedDoubling(NamedTuple):
 
     @property
     def point(self) -> DoublingPoint:
-        """It with twice the steps."""
+        """The doubling of the map with twice the steps."""
         return self.refined[1]
 
     @property
@@ -67,17 +67,17 @@ def locate(
         None where the orbit does not double before `stop`.
     """
     wrap = batch.chart.wrap
-    coarse, fine, finest = (period_map(batch, lanes, strobe) for strobe in refined(batch))
+    coarse, fine, finest = (period_map(batch, lanes, strobe) for strobe in refined_maps(batch))
     branch = follow_branch(coarse, walk(batch, lanes, points, start, n), start, stop, wrap)
     first = branch and doubling_point(coarse, branch, wrap)
-    second = first and moved_doubling(fine, first, wrap)
-    third = second and moved_doubling(finest, second, wrap)
+    second = first and refine_doubling(fine, first, wrap)
+    third = second and refine_doubling(finest, second, wrap)
     if first is None or second is None or third is None:
         return None
     return LocatedDoubling((first, second, third))
 
 
-def refined(batch: LaneBatch) -> tuple[Maps, ...]:
+def refined_maps(batch: LaneBatch) -> tuple[Maps, ...]:
     """The map with 1, 2 and 4 times the steps, all of one shape, so that they run through one program.
 
     Sums are compensated where they can be, whatever the accuracy needs: doublings deep in a cascade are as near to each

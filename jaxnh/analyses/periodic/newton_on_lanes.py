@@ -53,8 +53,8 @@ def orbits(
     order = np.argsort(n, kind="stable")
     short, long = order[n[order] <= _SHORT], order[n[order] > _SHORT]
     groups = [(lane, tile) for lane, tile in ((short, ORBIT_TILE), (long, _LONG_TILE)) if len(lane)]
-    found = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(of(*group) for group in groups))
-    return picked(found, np.argsort(np.concatenate([lane for lane, _ in groups])))
+    orbits_by_group = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(of(*group) for group in groups))
+    return picked(orbits_by_group, np.argsort(np.concatenate([lane for lane, _ in groups])))
 
 
 def sizes(chart: Chart, size: Float[np.ndarray, "lanes d"]) -> tuple[Float[np.ndarray, "lanes d"], ...]:
@@ -62,7 +62,7 @@ def sizes(chart: Chart, size: Float[np.ndarray, "lanes d"]) -> tuple[Float[np.nd
     return () if chart.dimensionless else (size,)
 
 
-def apart(
+def section_distance(
     chart: Chart, one: Float[np.ndarray, "... d"], other: Float[np.ndarray, "... d"], size: Float[np.ndarray, "... d"]
 ) -> np.ndarray:
     """Largest difference (...) between section points in sizes of the motion; without dimensions that of positions."""

@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, named, numbered, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in
-from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey_from_start
+from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey_from_start
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.config.options.orbits import PeriodOptions
@@ -27,17 +27,17 @@ def numbers(options: PeriodOptions) -> int:
 
 def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Least period of every lane with its residual and largest multiplier."""
-    found = survey_from_start(batch, lanes, options.limit, "period", options.transient)
-    found = beyond_doublings(lanes, batch.strobe(), dict(batch.p), found)
+    attractors = survey_from_start(batch, lanes, options.limit, "period", options.transient)
+    attractors = polish_beyond_doublings(lanes, batch.strobe(), dict(batch.p), attractors)
     variables = {
         "period": numbered(
-            LANE, found.period, "least period up to the limit", ("none",), counted_in=counted_in(batch.system)
+            LANE, attractors.period, "least period up to the limit", ("none",), counted_in=counted_in(batch.system)
         ),
         "residual": variable(
-            LANE, found.residual, "largest component of Pⁿ(u) − u of the orbit, in sizes of the motion"
+            LANE, attractors.residual, "largest component of Pⁿ(u) − u of the orbit, in sizes of the motion"
         ),
-        "multiplier": variable(LANE, found.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
-        "status": named(LANE, status(np.where(found.failed, NOT_FINITE, 0))),
+        "multiplier": variable(LANE, attractors.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
+        "status": named(LANE, status(np.where(attractors.failed, NOT_FINITE, 0))),
     }
     return xr.Dataset(variables, attrs={"limit": options.limit, "transient": options.transient})
 

@@ -19,7 +19,7 @@ from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, Starts
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
+from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.trajectories.poincare import recording, strobe_states
@@ -142,7 +142,7 @@ def _side_by_side(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, 
 def _on_orbits(batch: LaneBatch, lanes: LaneRunner, limit: int) -> State:
     """Start states, of lanes near a stable orbit up to a period a point of that: they need not wait to come to it."""
     found = survey(batch, lanes, points_at(batch, lanes, batch.start), limit, "diagram", 0)
-    found = beyond_doublings(lanes, batch.strobe(), dict(batch.p), found)
+    found = polish_beyond_doublings(lanes, batch.strobe(), dict(batch.p), found)
     on_orbit, states = found.period > 0, states_at(batch, lanes, found.u)
     return jax.tree.map(lambda orbit, start: np.where(on_orbit, orbit, start), states, batch.start)
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Entry, OptionError, Setting, named
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
-from jaxnh.maps.section import Section, System, drawn_plane, outputs, reports
+from jaxnh.maps.section import Section, System, outputs, plot_plane, reports
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
@@ -45,7 +45,7 @@ def state_variables(
         attrs: attributes of each variable but the time.
     """
     found = outputs(system.flow, states, t)
-    found = {**{name: found[name] for name in drawn_plane(system)}, **found}
+    found = {**{name: found[name] for name in plot_plane(system)}, **found}
     of = {name: named(dims, output, **(attrs if attrs and name != "t" else {})) for name, output in found.items()}
     return of | {name: named(dims[:-1], output) for name, output in reports(system.flow, states).items()}
 

@@ -17,7 +17,7 @@ from jaxtyping import Complex, Float, Int
 
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.continuation.family_tree import Bifurcation, SeedOrbit, Stage, Tree, grow
-from jaxnh.analyses.continuation.known_branches import on_branch, same_orbit
+from jaxnh.analyses.continuation.known_branches import is_on_branch, same_orbit
 from jaxnh.orbits import branches
 from jaxnh.orbits.arclength import Family, PathVector, length
 from jaxnh.orbits.branches import Branch, StepControl
@@ -170,7 +170,7 @@ def _windows(
             ends = [(stretch[0], outside[0]), (stretch[-1], outside[1])]
             ends = [(_end(family, tree, number, *pair), *pair) for pair in ends]
             (begin, *_), (end, at, beyond) = sorted(ends, key=lambda end: end[0].kind)
-            mine = [k for k, orbit in settled.items() if on_branch(family, [_part(branch, stretch)], *orbit)]
+            mine = [k for k, orbit in settled.items() if is_on_branch(family, [_part(branch, stretch)], *orbit)]
             inside = PeriodScan(branch.value[[at]], np.array([branch.period]), branch.points[at, :1])
             to = float(branch.value[at if beyond is None else beyond])
             found.append(Window(branch.period, np.array(mine, int), begin, end, inside, to))

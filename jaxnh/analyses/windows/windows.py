@@ -15,22 +15,22 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.cascade.follow import along_line
+from jaxnh.analyses.cascade.follow import follow_line
 from jaxnh.analyses.cascade.limits import doublings_limit
 from jaxnh.analyses.cascade.plateaus import PeriodScan
-from jaxnh.analyses.continuation.families import orbits_of
+from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.continuation.known_branches import orbits_at
-from jaxnh.analyses.continuation.seeds import settled_waves
+from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.crises.band_phase import embedded
 from jaxnh.analyses.periodic.attractor_survey import strobe_points, survey_from_start
-from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined, walk
+from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined_maps, walk
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
 from jaxnh.analyses.windows.tables import NOWHERE, OWN_NAMES, LocatedValue, dataset, table
 from jaxnh.config.options.orbits import WindowsOptions
 from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
-from jaxnh.orbits.branches import StepControl, both_ways
+from jaxnh.orbits.branches import StepControl, follow_both_ways
 
 _DOUBLED = 4  # times the limit: lanes of orbits up to this period are seen, as those of doublings are
 _REACH = 3.0  # distances from the first doubling to where they end that a crisis is looked for beyond; it is near one
@@ -77,13 +77,13 @@ def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         return lanes.stage(f"windows: {label}", 0)
 
     def orbits(some: Int[np.ndarray, " some"]) -> list[SeedOrbit]:
-        waves = settled_waves(batch.take(some), lanes, line.u[some], line.period[some])
+        waves = attractor_waves(batch.take(some), lanes, line.u[some], line.period[some])
         return [orbit for wave in waves for orbit in wave]
 
     def families(low: float, high: float) -> list[Family]:
-        return [orbits_of(batch, lanes, strobe, size, (low, high)) for strobe in strobes]
+        return [orbit_family(batch, lanes, strobe, size, (low, high)) for strobe in strobes]
 
-    strobes = refined(batch)
+    strobes = refined_maps(batch)
     windows = search(line, options.limit, orbits, families, stage)
     windows.sort(key=lambda group: float(line.value[all_lanes(group)[0]]))
     doublings = [_doublings(options.levels, batch, lanes, line, group[0], size) for group in windows]
@@ -113,7 +113,7 @@ def _doublings(
     ]
     begun = PeriodScan(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
     with lanes.stage(f"windows: doublings of period {window.period}", 0):
-        return along_line(batch, lanes, begun.joined(others).joined(no_orbit[1]), levels, size)
+        return follow_line(batch, lanes, begun.joined(others).joined(no_orbit[1]), levels, size)
 
 
 def _limit(doublings: Sequence[LocatedDoubling]) -> LocatedValue:
@@ -149,7 +149,7 @@ def _crisis(
         begun = correct(family, points, window.inside.value, along_parameter(family, 1, n), FINE)
         if not begun.converged[0]:
             return NOWHERE
-        branch = both_ways(family, begun, _STEPS)[0]
+        branch = follow_both_ways(family, begun, _STEPS)[0]
 
         def paths(values: Float[np.ndarray, " values"], count: int) -> Float[np.ndarray, "values points k"]:
             found = (orbits_at(family, [branch], value) for value in values.tolist())

@@ -97,7 +97,7 @@ def _lost(flow: Flow, y: State, p: Parameters, length: float) -> str:
         return lax.scan(step, y, jnp.asarray(times))[1]
 
     passed = jax.tree.map(np.asarray, motion(jax.tree.map(jnp.asarray, y), p))
-    return flow.lost_on_the_way(times, passed, p)
+    return flow.near_degeneracy(times, passed, p)
 
 
 def _fastest(flow: Flow, y: State, p: Parameters) -> float:
