@@ -52,8 +52,8 @@ def show(path: Path, file: h5py.File) -> None:
         table.add_row(f"[bold]{name}")
         for key, item in store.variables(group).items():
             if item.ndim and not (item.is_scale and (key in axes or _words(item).startswith("index along"))):
-                found = _range(item)
-                table.add_row(f"  {key}", _sizes(item), _units(item.attrs), found.words, found.note)
+                extent = _range(item)
+                table.add_row(f"  {key}", _sizes(item), _units(item.attrs), extent.words, extent.note)
         notes += [f"{name}: {note}" for note in _notes(group, axes)]
     console.print(table)
     for note in notes:
@@ -66,11 +66,11 @@ def _words(item: h5py.Dataset) -> str:
 
 def _coordinates(file: h5py.File, axes: Sequence[str]) -> dict[str, np.ndarray]:
     """Values of the axes, each from the first group that has them."""
-    found: dict[str, np.ndarray] = {}
+    coordinates: dict[str, np.ndarray] = {}
     for group, axis in itertools.product(store.groups(file).values(), axes):
-        if axis not in found and axis in group and store.dimensions(store.variable(group, axis)) == (axis,):
-            found[axis] = store.read(store.variable(group, axis))
-    return found
+        if axis not in coordinates and axis in group and store.dimensions(store.variable(group, axis)) == (axis,):
+            coordinates[axis] = store.read(store.variable(group, axis))
+    return coordinates
 
 
 def _facts(path: Path, attrs: store.Attributes, axes: dict[str, np.ndarray]) -> Iterator[tuple[str, str]]:
@@ -183,11 +183,11 @@ def _over_lanes(item: h5py.Dataset, axes: Sequence[str]) -> np.ndarray:
     dims = store.dimensions(item)
     own = tuple(k for k, dim in enumerate(dims) if dim not in axes)
     kept = [k for k in range(len(dims)) if k not in own]
-    found = np.zeros([item.shape[k] for k in kept], int)
+    worst = np.zeros([item.shape[k] for k in kept], int)
     for where in item.iter_chunks() if item.chunks else [(slice(None),) * len(dims)]:
         place = tuple(where[k] for k in kept)
-        found[place] = np.maximum(found[place], store.read(item, where).max(axis=own, initial=0))
-    return found.transpose([[dims[k] for k in kept].index(axis) for axis in axes])
+        worst[place] = np.maximum(worst[place], store.read(item, where).max(axis=own, initial=0))
+    return worst.transpose([[dims[k] for k in kept].index(axis) for axis in axes])
 
 
 def _place(axes: Sequence[h5py.Dataset | None], place: Sequence[int]) -> str:

@@ -149,7 +149,7 @@ def _work(bench: PricedExperiment) -> float:
 
 def _studies(bench: PricedExperiment, times: dict[str, float]) -> dict[str, xr.Dataset]:
     """The accuracy of what the config asks for and has a study, by the name of the analysis."""
-    found: dict[str, xr.Dataset] = {}
+    studies: dict[str, xr.Dataset] = {}
     for analysis, _ in bench.experiment.requested():
         study = STUDIES.get(analysis.name)
         if study is None:
@@ -162,8 +162,8 @@ def _studies(bench: PricedExperiment, times: dict[str, float]) -> dict[str, xr.D
         if data is None:
             print(f"warning: {analysis.name}: {absent}; its cost is left out", file=sys.stderr)
         else:
-            found[analysis.name] = data
-    return found
+            studies[analysis.name] = data
+    return studies
 
 
 def _write(bench: PricedExperiment, path: Path, groups: Mapping[str, xr.Dataset]) -> None:

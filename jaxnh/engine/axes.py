@@ -108,11 +108,11 @@ def sampled(axes: Sequence[Axis], most: int | None) -> Iterator[tuple[Int[np.nda
 def _few(axes: Sequence[Axis], wanted: Sequence[bool], most: int | None, *, size: bool = False) -> list:
     """Places evenly along the axes wanted, both ends among them, and one along each other; or how many these are."""
     many = iter(_even([len(axis.values) for axis, want in zip(axes, wanted, strict=True) if want], most))
-    found: list[np.ndarray] = []
+    columns: list[np.ndarray] = []
     for axis, want in zip(axes, wanted, strict=True):
         places = np.linspace(0, len(axis.values) - 1, next(many)) if want else np.zeros(1)
-        found.append(np.unique(places.round().astype(int)))
-    return [len(places) for places in found] if size else found
+        columns.append(np.unique(places.round().astype(int)))
+    return [len(places) for places in columns] if size else columns
 
 
 def _even(sizes: Sequence[int], most: int | None) -> list[int]:
@@ -120,13 +120,13 @@ def _even(sizes: Sequence[int], most: int | None) -> list[int]:
 
     What a short axis does not need is left to the others.
     """
-    found, left = list(sizes), most
+    counts, left = list(sizes), most
     for rank, k in enumerate(sorted(range(len(sizes)), key=sizes.__getitem__) if left is not None else ()):
         assert left is not None
         each = int(left ** (1 / (len(sizes) - rank)) + 1e-9)
-        found[k] = min(sizes[k], max(2, each))
-        left = max(1, left // found[k])
-    return found
+        counts[k] = min(sizes[k], max(2, each))
+        left = max(1, left // counts[k])
+    return counts
 
 
 # ---- back to axes

@@ -71,18 +71,18 @@ def calibrate(
 
 def draws(requested: Requested) -> dict[str, Starts]:
     """Where analyses have lanes start at random, by the analysis and those of its options that decide it."""
-    found = {}
+    starts = {}
     for analysis, options in requested:
         if (draw := analysis.starts(options)) is not None:
-            found[f"{analysis.name} {options.model_dump_json(include={'starts', 'seed', 'box'})}"] = draw
-    return found
+            starts[f"{analysis.name} {options.model_dump_json(include={'starts', 'seed', 'box'})}"] = draw
+    return starts
 
 
 def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:
     """Sample lanes, and so many of their random starts as well."""
     state, lane = draw(LaneBatch(row.system, row.start, row.p, scheme_of(row.system).reference, 1, False, math.inf))
-    some = np.unique(np.linspace(0, len(lane) - 1, most).round().astype(int))
-    drawn = picked(state, some), *picked((dict(row.p), dict(row.where)), lane[some])
+    subset = np.unique(np.linspace(0, len(lane) - 1, most).round().astype(int))
+    drawn = picked(state, subset), *picked((dict(row.p), dict(row.where)), lane[subset])
     own = row.start, dict(row.p), dict(row.where)
     start, p, where = jax.tree.map(lambda *leaves: np.concatenate(leaves), own, drawn)
     return row._replace(start=start, p=p, where=where)
@@ -108,7 +108,7 @@ def choose(
     experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: LaneExecutor
 ) -> dict[str, dict[str, int]]:
     """What analyses choose from a whole sweep: of several values of the shared axes the largest."""
-    found: dict[str, dict[str, int]] = {}
+    choices: dict[str, dict[str, int]] = {}
     choosing = [(a, options) for a, options in requested if a.choose and a.independent(options)]
     most = None if experiment.sweep.lanes <= MOST_LANES else _MOST_CHOOSING
     accuracy, precision = experiment.accuracy, experiment.precision
@@ -117,10 +117,10 @@ def choose(
         lane_batch = replace(batch_of(points(experiment, axes, places), plan, precision), target=target)
         for analysis, options in choosing:
             assert analysis.choose is not None
-            before = found.setdefault(analysis.name, {})
+            before = choices.setdefault(analysis.name, {})
             for key, number in analysis.choose(options, lane_batch, lanes).items():
                 before[key] = max(number, before.get(key, number))
-    return found
+    return choices
 
 
 def job_of(

@@ -284,20 +284,20 @@ class _Run:
             self._over(job, [*missing, *last], cost, lambda: self._on_workers(job, (missing, last), cost))
             return
         lanes = self._make_lanes()
-        found = self._batches(job, missing, len(lanes.devices))
-        cut = [batch for batch in found if batch[0].names == job.independent]
+        tile_batches = self._batches(job, missing, len(lanes.devices))
+        cut = [batch for batch in tile_batches if batch[0].names == job.independent]
         if len(cut) > 1:
-            found = [batch for batch in found if batch[0].names != job.independent]
+            tile_batches = [batch for batch in tile_batches if batch[0].names != job.independent]
             pieces = [piece for batch in cut for piece in batch]
 
             def all_of_them() -> None:
                 if len(lanes.devices) > 1:
-                    side_by_side(lanes, cut, lambda some, runner: self._in_turn(job, some, runner, cost))
+                    side_by_side(lanes, cut, lambda subset, runner: self._in_turn(job, subset, runner, cost))
                 else:
                     self._in_turn(job, cut, lanes, cost)
 
             self._over(job, pieces, cost, all_of_them)
-        self._in_turn(job, found, lanes, {})
+        self._in_turn(job, tile_batches, lanes, {})
         self._in_turn(job, [[piece] for piece in last], lanes, {})  # what they are made of has been written
 
     def _batches(self, job: Job, missing: Sequence[Piece], devices: int) -> list[list[Piece]]:
@@ -321,7 +321,9 @@ class _Run:
             self._progress.shown = self._shown
             self._shown.finish()
 
-    def _in_turn(self, job: Job, found: Iterable[Sequence[Piece]], lanes: LaneExecutor, cost: dict[int, float]) -> None:
+    def _in_turn(
+        self, job: Job, tile_batches: Iterable[Sequence[Piece]], lanes: LaneExecutor, cost: dict[int, float]
+    ) -> None:
         """Compute batches one after the other; each is written while the next is computed."""
         written: list[Future[list[TileRecord]]] = []
         axes = axes_of(self._experiment.axes, job)
@@ -333,7 +335,7 @@ class _Run:
 
         with ThreadPoolExecutor(1) as writer:
             try:
-                for batch in found:
+                for batch in tile_batches:
                     self._check()
                     calls = CallJournal(self._folder, job, batch)
                     if calls.seconds:
@@ -375,12 +377,12 @@ class _Run:
 
     def _spent(self) -> SecondsSpent:
         """What all runs have spent on what is there."""
-        found = [tiles.origin(self._folder).spent, *(receipt.spent for receipt in self._receipts.values())]
+        costs = [tiles.origin(self._folder).spent, *(receipt.spent for receipt in self._receipts.values())]
         return SecondsSpent(
             self._earlier + time.perf_counter() - self._began,
-            sum(one.compile_seconds for one in found),
-            sum(one.lane_periods for one in found),
-            ", ".join(dict.fromkeys(one.device for one in found)),
+            sum(cost.compile_seconds for cost in costs),
+            sum(cost.lane_periods for cost in costs),
+            ", ".join(dict.fromkeys(cost.device for cost in costs)),
         )
 
     def _finish(self, job: Job) -> None:

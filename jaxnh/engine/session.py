@@ -301,7 +301,7 @@ class Session:
                 for name, data in done.groups.items():
                     parts.setdefault((name, job.is_whole(done.piece)), []).append((done.piece, data))
                     counts[name].update(done.counts[name])
-        said = {name: count_warnings(name, found) for name, found in counts.items()}
+        said = {name: count_warnings(name, tally) for name, tally in counts.items()}
         whole = {name: assemble(parts[name, job.is_whole(job.sources(name)[0])], job, said[name]) for name in counts}
         return whole, {**whole, **of_lanes}
 

@@ -74,17 +74,17 @@ def admitted(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> Moti
     _, off = _off_constraint(flow, start, p)
     if not np.any(off):
         return start
-    some = jax.tree.map(lambda leaf: leaf[off], (start, dict(p)))
+    off_constraint = jax.tree.map(lambda leaf: leaf[off], (start, dict(p)))
     if project:
-        moved = jax.vmap(flow.nearest)(*some)
+        moved = jax.vmap(flow.nearest)(*off_constraint)
     else:
-        drift, reason = some[0].watch
-        nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), some[0])
+        drift, reason = off_constraint[0].watch
+        nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), off_constraint[0])
         moved = nowhere._replace(watch=(drift, np.full_like(reason, STATUS.index("off_constraint"))))
-    found = jax.tree.map(np.array, start)
-    for leaf, part in zip(jax.tree.leaves(found), jax.tree.leaves(moved), strict=True):
+    states = jax.tree.map(np.array, start)
+    for leaf, part in zip(jax.tree.leaves(states), jax.tree.leaves(moved), strict=True):
         leaf[off] = part
-    return found
+    return states
 
 
 def _product(axes: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.ndarray, " lanes"]]:

@@ -57,18 +57,18 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     )
     job = job.stages()[int(attrs.get("level", 1)) - 1]
     axes = axes_of(experiment.axes, job)
-    found: dict[str, tuple[int, int]] = {a.name: (0, 0) for a, _ in requested if not a.whole}
+    compared: dict[str, tuple[int, int]] = {a.name: (0, 0) for a, _ in requested if not a.whole}
     lanes = LaneExecutor()
     for piece in _picked(job) if job.independent else ():
         [done] = compute(experiment, axes, requested, job, [piece], lanes, _nothing_gathered)
-        for name in filter(found.__contains__, done.groups):
+        for name in filter(compared.__contains__, done.groups):
             data = done.groups[name]
             computed = _computed(path, name, piece, job)
             differs = np.zeros(piece.lanes, bool)
             for ours, theirs in _pairs(path, name, data, piece, job):
                 differs |= np.any(ours != theirs, axis=1)
-            found[name] = found[name][0] + int(computed.sum()), found[name][1] + int(differs[computed].sum())
-    return found
+            compared[name] = compared[name][0] + int(computed.sum()), compared[name][1] + int(differs[computed].sum())
+    return compared
 
 
 def _nothing_gathered(name: str) -> xr.Dataset:

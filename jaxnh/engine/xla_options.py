@@ -118,8 +118,8 @@ def _processor() -> str:
         words = next(line for line in lines if line.startswith(("flags", "Features"))).split(":", 1)[1].split()
     except (OSError, StopIteration, IndexError):
         words = []  # no Linux: the name has to do
-    found = sorted(filter(_VECTORS.fullmatch, words))
-    return " ".join([platform.machine(), *(found or [platform.processor()])]).strip()
+    extensions = sorted(filter(_VECTORS.fullmatch, words))
+    return " ".join([platform.machine(), *(extensions or [platform.processor()])]).strip()
 
 
 @cache

@@ -32,11 +32,11 @@ def swept(content: Content, grids: Mapping[str, Any], analyses: Mapping[str, Any
     Args:
         grids: name to start, stop and count, or values.
     """
-    found = copy.deepcopy({key: value for key, value in content.items() if key not in ("compare", "levels", "title")})
+    config = copy.deepcopy({key: value for key, value in content.items() if key not in ("compare", "levels", "title")})
     for block in ("system", "initial"):
-        if block in found:
-            found[block] = {key: value for key, value in (found[block] or {}).items() if key not in grids}
-    return {**found, "sweep": dict(grids), "analyses": dict(analyses)}
+        if block in config:
+            config[block] = {key: value for key, value in (config[block] or {}).items() if key not in grids}
+    return {**config, "sweep": dict(grids), "analyses": dict(analyses)}
 
 
 def evenly(low: float, high: float, count: int) -> dict[str, Any]:
@@ -46,11 +46,11 @@ def evenly(low: float, high: float, count: int) -> dict[str, Any]:
 
 def fixed_at(content: Content, values: Mapping[str, float], coordinates: tuple[str, ...]) -> dict[str, Any]:
     """A config with other values of parameters, or of coordinates of the start state."""
-    found = copy.deepcopy(dict(content))
+    config = copy.deepcopy(dict(content))
     for name, value in values.items():
         block = "initial" if name in coordinates else "system"
-        found[block] = {**(found.get(block) or {}), name: value}
-    return found
+        config[block] = {**(config.get(block) or {}), name: value}
+    return config
 
 
 def batch_text(

@@ -90,10 +90,10 @@ class LiveDiagram:
         points, failed = np.full((len(values), view.strobes), np.nan), np.zeros(len(values), bool)
         if coarse + strobes < view.transient + view.strobes:
             rough = self._diagram(known.session, view, values[::every], moved, coarse, strobes)
-            _, found = values_of(rough, dim, view.variable)
-            points[:, :strobes] = np.repeat(found, every, axis=0)[: len(values)]
-            words = f"coarse: {len(found):,} values, {strobes} strobes after {coarse} periods"
-            words += _failures(np.any(~np.isfinite(found), axis=1))
+            _, states = values_of(rough, dim, view.variable)
+            points[:, :strobes] = np.repeat(states, every, axis=0)[: len(values)]
+            words = f"coarse: {len(states):,} values, {strobes} strobes after {coarse} periods"
+            words += _failures(np.any(~np.isfinite(states), axis=1))
             yield Picture(raster(values, points, view.window), None, words, notes)
         parts = []
         for k in range(every):

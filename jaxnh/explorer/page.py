@@ -261,9 +261,9 @@ class Page:
                 known = f"{self._picture.words} · " if self._picture and what == "picture" else ""
                 self._later(lambda: self._say(f"{known}{label}{f' · {share:.0%}' if share else ''}"))
 
-        def answered_by(found: Any) -> None:
+        def answered_by(answer_of_pass: Any) -> None:
             answered[0] = time.monotonic()
-            self._later(lambda: None if request.stale else answer(found))
+            self._later(lambda: None if request.stale else answer(answer_of_pass))
 
         request = Request(
             passes,

@@ -77,6 +77,6 @@ def _cells(values: Float[np.ndarray, " values"]) -> tuple[tuple[float, float], n
 
 def values_of(data: xr.Dataset, axis: str, variable: str) -> tuple[np.ndarray, np.ndarray]:
     """Values of the axis of a diagram in rising order, and those of a variable over it, (columns, points)."""
-    found = data[variable].transpose(axis, ...)
+    values = data[variable].transpose(axis, ...)
     place = np.argsort(data[axis].to_numpy(), kind="stable")
-    return data[axis].to_numpy()[place], found.to_numpy().reshape(len(place), -1)[place]
+    return data[axis].to_numpy()[place], values.to_numpy().reshape(len(place), -1)[place]

@@ -82,12 +82,12 @@ class _Recording:
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """What the file has of the lane that is nearest to values of the axes."""
-        found = {
+        groups = {
             name: _at(data, where).load()
             for name, data in self._groups.items()
             if set(where) <= set(data.dims) or name == "attractors"
         }
-        yield LaneReport(where, found, True)
+        yield LaneReport(where, groups, True)
 
     def batch_text(self, view: View) -> str:
         """There is none: the file has its own config."""

@@ -126,11 +126,11 @@ class Sessions:
         seen = view.ranges
         axes = {name: (min(low, seen[name][0]), max(high, seen[name][1])) for name, (low, high) in self.ends.items()}
         try:
-            found = self._calibrate(view, axes, reach, moved)
+            calibrated = self._calibrate(view, axes, reach, moved)
         except InputError:  # the parameters do not go together over the whole of their ranges
-            found = self._calibrate(view, axes, {name: (value, value) for name, value in moved.items()}, moved)
-        self._calibrated.insert(0, found)
-        return found
+            calibrated = self._calibrate(view, axes, {name: (value, value) for name, value in moved.items()}, moved)
+        self._calibrated.insert(0, calibrated)
+        return calibrated
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """Reports of a lane: portrait, strobe points and period, then spectrum and verdict, as far as there are any."""
@@ -156,16 +156,16 @@ class Sessions:
         """What one has to know of the accuracy of a picture."""
         plan = known.session.plan
         over = ", ".join(f"{name} in {low:g}..{high:g}" for name, (low, high) in known.ends.items())
-        found = [f"{plan.solver.name}, {plan.steps} steps, error of one period {plan.error_estimate:.1g} over {over}"]
+        notes = [f"{plan.solver.name}, {plan.steps} steps, error of one period {plan.error_estimate:.1g} over {over}"]
         for name, (low, high) in view.ranges.items():
             if high - low < _SHIFTED * plan.error_estimate:
-                found.append(
+                notes.append(
                     f"{name} is seen more finely than {_SHIFTED:g} errors of one period: shapes are those of the "
                     "computed map, and their places move with the accuracy"
                 )
         if view.deepest:
-            found.append("lanes are neighbouring doubles: there is nothing between them to zoom into")
-        return tuple(found)
+            notes.append("lanes are neighbouring doubles: there is nothing between them to zoom into")
+        return tuple(notes)
 
     # ---- how
 

@@ -136,23 +136,23 @@ def shares(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 def _named(group: xr.Dataset | None, most: int) -> list[_Attractor]:
     """Attractors up to a number, with what a group says that they are."""
     words = attractor_words(group) if group is not None else {}
-    found = []
+    attractors = []
     for number in range(1, most + 1):
         own = number <= len(_COLOURS)
         colour, points = (_COLOURS[number - 1], _POINTS[number - 1]) if own else (_REST, NONE)
-        found.append(_Attractor(number, colour, points, words.get(number, f"attractor {number}")))
-    return found
+        attractors.append(_Attractor(number, colour, points, words.get(number, f"attractor {number}")))
+    return attractors
 
 
 def attractor_words(group: xr.Dataset) -> dict[int, str]:
     """What each attractor of a group is: its number, its kind, and the period of what is periodic."""
     kind, meaning = group["kind"].to_numpy(), meanings(group["kind"])
     periods = group["period"].to_numpy() if "period" in group else np.zeros(len(kind), int)
-    found = {}
+    descriptions = {}
     for number, one, period in zip(group["attractor"].to_numpy().tolist(), kind.tolist(), periods, strict=True):
         said = meaning.get(one, ("unknown", ""))[0]
-        found[number] = f"{number}, {said}" + (f", period {period}" if period > 0 else "")
-    return found
+        descriptions[number] = f"{number}, {said}" + (f", period {period}" if period > 0 else "")
+    return descriptions
 
 
 def _attractors(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray], named: list[_Attractor], ax: Axes) -> None:

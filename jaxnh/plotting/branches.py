@@ -135,14 +135,14 @@ def _explained(ax: Axes) -> None:
 
 def _turns(marks: Iterable[xr.Dataset], parameter: str, count: int) -> list[list[tuple[float, np.ndarray]]]:
     """Of each branch the bifurcations on it: the parameter there, and the coordinate of the orbit's points."""
-    found: list[list[tuple[float, np.ndarray]]] = [[] for _ in range(count)]
+    turns: list[list[tuple[float, np.ndarray]]] = [[] for _ in range(count)]
     for group in marks:
         if parameter in group and "branch" in group:
             points = shown(group)[0].transpose("bifurcation", "iterate").to_numpy()
             for b, value, row in zip(group["branch"].to_numpy(), group[parameter].to_numpy(), points, strict=True):
                 if 0 <= b < count:
-                    found[int(b)].append((float(value), row[np.isfinite(row)]))
-    return found
+                    turns[int(b)].append((float(value), row[np.isfinite(row)]))
+    return turns
 
 
 def _turned(

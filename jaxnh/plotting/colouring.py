@@ -58,11 +58,11 @@ class Colouring(NamedTuple):
         if not self.named:
             ax.figure.colorbar(self.scale, ax=ax, label=self.words, pad=0.01, fraction=0.04)
             return
-        found = set(np.unique(self.values.to_numpy()).tolist())
+        present = set(np.unique(self.values.to_numpy()).tolist())
         handles = [
             Line2D([], [], color=colour, marker="o", markersize=3, linestyle="", label=words)
             for value, (colour, words) in self.named.items()
-            if value in found
+            if value in present
         ]
         legend_above(ax, handles)
 
@@ -81,10 +81,10 @@ def colouring(name: str, data: xr.Dataset, groups: Iterable[xr.Dataset]) -> Colo
         return _of(_numbers(variable, (name,), name), name)
     if name == START and axes:
         return _of_lanes(data)
-    found = {str(key): item for group in groups for key, item in group.data_vars.items() if _of_a_lane(item, axes)}
-    if name in found:
-        return _of(found[name], axis_label(found[name]))
-    there = [START, *(str(dim) for dim in variable.dims if dim in axes), *found]
+    candidates = {str(key): item for group in groups for key, item in group.data_vars.items() if _of_a_lane(item, axes)}
+    if name in candidates:
+        return _of(candidates[name], axis_label(candidates[name]))
+    there = [START, *(str(dim) for dim in variable.dims if dim in axes), *candidates]
     raise ArgumentError("colour", f"nothing is called {name} to colour by; there are {', '.join(dict.fromkeys(there))}")
 
 

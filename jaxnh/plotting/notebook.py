@@ -81,8 +81,8 @@ def _groups(result: xr.DataTree | xr.Dataset) -> dict[str, xr.Dataset]:
     """Datasets by the name of their group; "" where it stands alone."""
     if isinstance(result, xr.Dataset):
         return {"": described("", result)}
-    found = {str(name): described(str(name), node.to_dataset()) for name, node in result.children.items()}
-    return found or {"": described(result.name or "", result.to_dataset())}
+    groups = {str(name): described(str(name), node.to_dataset()) for name, node in result.children.items()}
+    return groups or {"": described(result.name or "", result.to_dataset())}
 
 
 def _axes(groups: dict[str, xr.Dataset], names: str) -> dict[str, int]:

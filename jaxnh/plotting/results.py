@@ -187,16 +187,16 @@ def _of_groups(groups: _Groups, choice: Choice, more: Mapping[str, _Groups]) -> 
     lines: list[str] = []
     for name, data in groups.items():
         with _of_group(name):
-            together = {label: data if k == 0 else found.get(name) for k, (label, found) in enumerate(more.items())}
+            together = {label: data if k == 0 else other.get(name) for k, (label, other) in enumerate(more.items())}
             if more and kind_of(data) in KINDS and not other_axes(data):
                 there = {label: _chosen(one, choice) for label, one in together.items() if one is not None}
                 draw = partial(_overlaid, name, kind_of(data), there)
                 panels.append(Panel(draw, PANELS[kind_of(data)].height, True))
                 continue
-            found, said = _panels(name, data, groups, choice)
-        panels += found
+            new_panels, said = _panels(name, data, groups, choice)
+        panels += new_panels
         lines += [line for line in said if line not in lines]
-        if more and found:
+        if more and new_panels:
             lines.append(f"{name} is of {next(iter(more))} alone")
     if silent := [name for name, data in groups.items() if not kind_of(data)]:
         hint = "; a group is given by its name, as DataTree.from_dict({'poincare': data})" if len(groups) == 1 else ""

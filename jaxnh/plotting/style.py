@@ -64,12 +64,12 @@ def size_of(text: str) -> Size:
         return named[text]
     width, cross, height = text.partition("x")
     try:
-        found = Size(float(width) / _MM, float(height) / _MM if cross else None)
+        size = Size(float(width) / _MM, float(height) / _MM if cross else None)
     except ValueError:
-        found = Size(0.0)
-    if not all(0 < length < _LONGEST for length in found if length is not None):
+        size = Size(0.0)
+    if not all(0 < length < _LONGEST for length in size if length is not None):
         raise ArgumentError("size", f"it is column, page, or millimetres as 120 or 120x80, not {text}")
-    return found
+    return size
 
 
 def darker(colour: str) -> Colour:

@@ -131,13 +131,13 @@ class CallJournal:
 
 def left(folder: Path, job: Job) -> list[list[int]]:
     """Numbers of the pieces that a stopped run of a job has left results of calls of: those computed together."""
-    found: list[list[int]] = []
+    batches: list[list[int]] = []
     for path in sorted(folder.glob("*.calls")):
         for head, _, _ in _records(path):
             if head["job"] == job.id:
-                found.append(head["pieces"])
+                batches.append(head["pieces"])
             break
-    return found
+    return batches
 
 
 def _record(head: dict[str, Any], parts: Sequence[JournalEntry]) -> bytes:

@@ -168,9 +168,9 @@ def _coordinates(dataset: xr.Dataset, name: str) -> dict[str, str]:
 
 def set_attributes(target: h5py.File | h5py.Group | h5py.Dataset, attrs: Mapping[Any, Any]) -> None:
     """Give a file, group or variable attributes, in their order."""
-    found = target.attrs
+    attributes = target.attrs
     for key, value in attrs.items():
-        found[key] = value
+        attributes[key] = value
 
 
 def create(
@@ -271,14 +271,14 @@ def read_attrs(path: Path, group: str = "/") -> Attributes:
     try:
         with h5py.File(path, "r") as file:
             attrs = dict(file.attrs)
-            found = dict(file[group].attrs) if group in file else None
+            attributes = dict(file[group].attrs) if group in file else None
     except UNREADABLE as error:
         raise ResultError(f"{path} is not a readable HDF5 file") from error
     if "jaxnh_version" not in attrs:
         raise ResultError(f"{path} is an HDF5 file, but not a result of jaxnh")
-    if found is None:
+    if attributes is None:
         raise ResultError(f"{path} has no group {group}")
-    return found
+    return attributes
 
 
 def groups(file: h5py.File) -> dict[str, h5py.Group]:
@@ -365,20 +365,20 @@ def blocks(item: h5py.Dataset) -> Iterator[np.ndarray]:
 
 def checksum(data: np.ndarray, begun: Hash | None = None) -> Hash:
     """SHA-256 of an array, or of those before it and then this one."""
-    found = begun or hashlib.sha256()
+    digest = begun or hashlib.sha256()
     if data.dtype.kind == "U":
-        found.update("".join(f"{word}\0" for word in data.ravel()).encode())
+        digest.update("".join(f"{word}\0" for word in data.ravel()).encode())
     else:
-        found.update(np.ascontiguousarray(data).data)
-    return found
+        digest.update(np.ascontiguousarray(data).data)
+    return digest
 
 
 def checksum_of(item: h5py.Dataset) -> str:
     """SHA-256 of the data of a variable, read in blocks."""
-    found: Hash = hashlib.sha256()
+    digest: Hash = hashlib.sha256()
     for block in blocks(item):
-        found = checksum(block, found)
-    return found.hexdigest()
+        digest = checksum(block, digest)
+    return digest.hexdigest()
 
 
 def verify(path: Path) -> None:
@@ -421,17 +421,17 @@ def digest(file: h5py.File) -> str:
 
 def _seal_of(attrs: Mapping[str, Any], groups: Iterable[tuple[str, Attributes, Sequence[_VariableHeader]]]) -> str:
     """The hash of a file with these root attributes, groups, and their attributes and variables."""
-    found = hashlib.sha256()
+    seal = hashlib.sha256()
 
     def add(*content: Any) -> None:
-        found.update(json.dumps(content, default=plain, sort_keys=True).encode())
+        seal.update(json.dumps(content, default=plain, sort_keys=True).encode())
 
     add({key: value for key, value in attrs.items() if key != SEAL})
     for name, of_group, described in groups:
         add(name, of_group)
         for one in described:
             add(*one)
-    return found.hexdigest()
+    return seal.hexdigest()
 
 
 def plain(value: Any) -> Any:

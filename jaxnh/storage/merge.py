@@ -174,11 +174,11 @@ class _Whole:
             raise DamagedError(f"{self.name} has the shape {values.shape} in place of {expected}")
         if values.dtype != self._dtype and values.dtype.kind != "U":
             raise DamagedError(f"{self.name} has numbers {values.dtype} in place of {self._dtype}")
-        found = digest() if self._repeats else ""
+        value_digest = digest() if self._repeats else ""
         if ends not in self._there:
-            self._there[ends] = found
+            self._there[ends] = value_digest
             return places
-        if self._there[ends] != found:
+        if self._there[ends] != value_digest:
             raise DamagedError(f"{self.name} is not that of the other tiles")
         return None
 

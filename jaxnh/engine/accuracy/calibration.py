@@ -366,15 +366,15 @@ class Calibration:
         """function(*maps, state, p, *static) of every sample, with the maps of its own flow; periods a lane."""
         whole: Any = None
         for k in np.unique(samples.row):
-            here = np.flatnonzero(samples.row == k)
-            part = samples.take(here)
-            found = self._lanes(function, maps(int(k)), (part.states, part.p), periods=periods, static=static)
-            if len(here) == len(samples.row):
-                return found
+            members = np.flatnonzero(samples.row == k)
+            part = samples.take(members)
+            values = self._lanes(function, maps(int(k)), (part.states, part.p), periods=periods, static=static)
+            if len(members) == len(samples.row):
+                return values
             if whole is None:
-                whole = jax.tree.map(lambda leaf: np.empty((len(samples.row), *leaf.shape[1:]), leaf.dtype), found)
-            for leaf, new in zip(jax.tree.leaves(whole), jax.tree.leaves(found), strict=True):
-                leaf[here] = new
+                whole = jax.tree.map(lambda leaf: np.empty((len(samples.row), *leaf.shape[1:]), leaf.dtype), values)
+            for leaf, new in zip(jax.tree.leaves(whole), jax.tree.leaves(values), strict=True):
+                leaf[members] = new
         return whole
 
     def _image(self, strobe: Callable[[int], ReturnMap], samples: _Samples) -> list[np.ndarray]:

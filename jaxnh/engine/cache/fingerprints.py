@@ -24,12 +24,12 @@ class CallFingerprints:
         """A hash of the function and all arguments, numbers bit for bit."""
         leaves, structure = jax.tree.flatten(arguments)
         common, of_shared = jax.tree.flatten(shared)
-        found = hashlib.sha256(_words(function, of_shared, structure))
+        digest = hashlib.sha256(_words(function, of_shared, structure))
         for leaf in common:
-            found.update(self._digest(leaf))
+            digest.update(self._digest(leaf))
         for leaf in leaves:
-            found.update(_content(leaf))
-        return found.hexdigest()
+            digest.update(_content(leaf))
+        return digest.hexdigest()
 
     def _digest(self, leaf: Any) -> bytes:
         """That of the content of an array."""

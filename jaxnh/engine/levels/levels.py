@@ -126,20 +126,20 @@ def _of_some_axes(data: xr.Dataset, names: Sequence[str]) -> bool:
 # ---- a piece of a level
 
 
-def filled(level: Level, name: str, piece: Piece, axes: Sequence[Axis], found: xr.Dataset | None) -> xr.Dataset:
+def filled(level: Level, name: str, piece: Piece, axes: Sequence[Axis], computed: xr.Dataset | None) -> xr.Dataset:
     """The dataset of all lanes of a piece: those that were computed, and the others from the level before.
 
     Args:
-        found: of an analysis, the dataset of the lanes wanted, in their order; None where there are none.
+        computed: of an analysis, the dataset of the lanes wanted, in their order; None where there are none.
     """
     mask = level.wanted_in(piece)
     if level.coarser:
         around = _from_coarser(level.coarser[name], piece, [axis.dim for axis in axes], ANALYSES[name].smooth)
-        found = around if found is None else _placed(found, mask, around)
-    assert found is not None
+        computed = around if computed is None else _placed(computed, mask, around)
+    assert computed is not None
     words = "whether this place was computed; else it is filled from a neighbour on a coarser level"
     known = level.known[_box(piece)].ravel().astype(np.int8)
-    return found.assign({COMPUTED: variable(LANE, known, words, dtype="bool")})
+    return computed.assign({COMPUTED: variable(LANE, known, words, dtype="bool")})
 
 
 def with_computed(group: xr.Dataset, lanes: xr.Dataset) -> xr.Dataset:
@@ -150,16 +150,16 @@ def with_computed(group: xr.Dataset, lanes: xr.Dataset) -> xr.Dataset:
     return group.assign({COMPUTED: (LANE, known.to_numpy().ravel().astype(np.int8), {**known.attrs, "dtype": "bool"})})
 
 
-def _placed(found: xr.Dataset, mask: Bool[np.ndarray, " lanes"], around: xr.Dataset) -> xr.Dataset:
+def _placed(computed: xr.Dataset, mask: Bool[np.ndarray, " lanes"], around: xr.Dataset) -> xr.Dataset:
     """Lanes that were found at their places among others."""
     content = {}
-    for name, item in found.variables.items():
+    for name, item in computed.variables.items():
         values = item.values
         if item.dims[:1] == (LANE,):
             values = around.variables[name].values.astype(np.promote_types(around[name].dtype, values.dtype))
             values[mask] = item.values
         content[name] = (item.dims, values, item.attrs)
-    return xr.Dataset(content, attrs=found.attrs).set_coords([name for name in found.coords if name in content])
+    return xr.Dataset(content, attrs=computed.attrs).set_coords([name for name in computed.coords if name in content])
 
 
 def _from_coarser(data: xr.Dataset, piece: Piece, names: Sequence[str], smooth: Sequence[str]) -> xr.Dataset:
