@@ -110,7 +110,7 @@ class Config(Block):
         for name in dict.fromkeys([*ours, *theirs]):
             here, there = ours.get(name), theirs.get(name)
             if name != first and name not in others and here != there:
-                differences.append(f"{name} is {_said(here)} here, {_said(there)} there")
+                differences.append(f"{name} is {_value_in_words(here)} here, {_value_in_words(there)} there")
         return differences
 
     def _parameters(self) -> dict[str, Any]:
@@ -198,7 +198,7 @@ class UserConfig(Config):
         return {folder / self.system.file: self._user_text}
 
 
-def _said(value: Any) -> str:
+def _value_in_words(value: Any) -> str:
     return "not given" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -22,7 +22,7 @@ _MOST_CHECKED = 100_000  # lanes at which f is looked at
 def check_constraints(flow: Flow, initial: UserInitial, sweep: UserSweep) -> None:
     """Check that the constraints hold at the start: at every point of the sweep, or if it is large at some of them.
 
-    Where the start is swept it is enough that they hold somewhere: lanes that begin elsewhere fail (`admitted`).
+    Where the start is swept it is enough that they hold somewhere: lanes that begin elsewhere fail (`admit_starts`).
 
     Args:
         flow: the system at the first value of every axis.
@@ -67,7 +67,7 @@ def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.
     return residuals, ~np.all(np.abs(residuals) <= limit, axis=0)
 
 
-def admitted(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> Motion:
+def admit_starts(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> Motion:
     """Start states of a mechanical system (lanes,), those off its constraints failed: or moved onto them, if asked."""
     if not isinstance(flow, Lagrangian) or not flow.constraints:
         return start
@@ -93,10 +93,10 @@ def _product(axes: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.
     while np.prod([float(count) for count in counts.values()]) > _MOST_CHECKED:
         largest = max(counts, key=lambda name: counts[name])
         counts[largest] = -(-counts[largest] // 2)
-    picked = [values[evenly(len(values), counts[name])] for name, values in axes.items()]
+    picked = [values[spread_indices(len(values), counts[name])] for name, values in axes.items()]
     return dict(zip(axes, (grid.ravel() for grid in np.meshgrid(*picked, indexing="ij")), strict=True))
 
 
-def evenly(count: int, most: int) -> np.ndarray:
+def spread_indices(count: int, most: int) -> np.ndarray:
     """Numbers below a count, at most so many of them, evenly and with both ends."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

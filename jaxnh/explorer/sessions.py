@@ -200,7 +200,7 @@ class Sessions:
         grids |= {name: {"values": sorted({low, moved[name], high})} for name, (low, high) in reach.items()}
         session = Session(self._experiment(grids, view.target), progress=self._progress)
         _ = session.plan
-        return CalibratedSession({**axes, **reach}, view.target, session, session.of_few(_FEW))
+        return CalibratedSession({**axes, **reach}, view.target, session, session.for_few_lanes(_FEW))
 
 
 def goes_with(experiment: Experiment, name: str, options: Mapping[str, Any] | None) -> bool:

@@ -24,7 +24,7 @@ import h5py
 import numpy as np
 
 from jaxnh.exceptions import DamagedError, ResultError
-from jaxnh.storage.atomic import Sink, replacing
+from jaxnh.storage.atomic import Sink, replace_atomically
 from jaxnh.storage.chunks import row_chunks
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class _VariableHeader(NamedTuple):
 
 
 @contextlib.contextmanager
-def writing(path: Path, *, checked: bool = False) -> Iterator[tuple[h5py.File, Sink]]:
+def write_sealed(path: Path, *, checked: bool = False) -> Iterator[tuple[h5py.File, Sink]]:
     """A new HDF5 file that at the end is sealed, synced and gets its name; or nothing, and what was there stays.
 
     Args:
@@ -91,7 +91,7 @@ def writing(path: Path, *, checked: bool = False) -> Iterator[tuple[h5py.File, S
     Raises:
         ResultError: the folder or the disk refuses.
     """
-    with replacing(path) as sink:
+    with replace_atomically(path) as sink:
         with h5py.File(sink, "w", track_order=True, libver=_VERSION) as file:
             yield file, sink
             if SEAL not in file.attrs:
@@ -114,7 +114,7 @@ def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, xr.Dataset]
     Raises:
         ResultError: the folder or the disk refuses.
     """
-    with writing(path) as (file, _):
+    with write_sealed(path) as (file, _):
         set_attributes(file, attrs)
         axes = str(attrs.get("axes", "")).split()
         written = [_write_group(file.create_group(name, track_order=True), data, axes) for name, data in groups.items()]

@@ -44,20 +44,20 @@ class CallFingerprints:
 
 @functools.lru_cache(_READ)
 def _words(function: Callable[..., Any], *structures: Any) -> bytes:
-    return _without_addresses(" ".join([_said(function), *map(str, structures)]))
+    return _without_addresses(" ".join([_qualified_name(function), *map(str, structures)]))
 
 
 def _content(leaf: Any) -> bytes:
     """A number or array with its kind and shape, a function by its name."""
     if callable(leaf):
-        return _without_addresses(_said(leaf))
+        return _without_addresses(_qualified_name(leaf))
     data = np.asarray(leaf)
     if data.dtype.kind == "U":
         return str(data).encode()
     return f"{data.dtype} {data.shape}".encode() + np.ascontiguousarray(data).tobytes()
 
 
-def _said(function: Any) -> str:
+def _qualified_name(function: Any) -> str:
     return f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', function)}"
 
 
