@@ -168,7 +168,7 @@ def _failed_lanes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:
     items = store.variables(group)
     if "status" not in items or not axes or not set(axes) <= set(store.dimensions(items["status"])):
         return
-    codes = _over_lanes(items["status"], axes)
+    codes = _worst_codes(items["status"], axes)
     for k, why in enumerate(str(items["status"].attrs["flag_meanings"]).split()):
         if k and (lanes := codes == k).any():
             places = np.argwhere(lanes)[:_NAMED]
@@ -178,7 +178,7 @@ def _failed_lanes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:
             yield f"{np.count_nonzero(lanes):,} of {lanes.size:,} lanes failed: {why}, at {head} = {named}{more}"
 
 
-def _over_lanes(item: h5py.Dataset, axes: Sequence[str]) -> np.ndarray:
+def _worst_codes(item: h5py.Dataset, axes: Sequence[str]) -> np.ndarray:
     """The largest code of each lane, 0 or more, (*axes) in their order; read block by block."""
     dims = store.dimensions(item)
     own = tuple(k for k, dim in enumerate(dims) if dim not in axes)
@@ -214,20 +214,22 @@ def write_csv(path: Path, group: str, out: TextIO) -> None:
             data, dims = data.expand_dims("row"), ("row",)
         rows = max(1, _ROWS // max(1, math.prod(data.sizes[dim] for dim in dims[1:])))
         for first in range(0, max(data.sizes[dims[0]], 1), rows):
-            part = data.isel({dims[0]: slice(first, first + rows)}).map(_in_full)
+            part = data.isel({dims[0]: slice(first, first + rows)}).map(_to_full_precision)
             frame = part.to_dataframe(dim_order=list(dims)).reset_index()[keys]
             frame.to_csv(out, header=first == 0, index=False, na_rep="nan", lineterminator="\n")
 
 
-def _in_full(variable: xr.DataArray) -> xr.DataArray:
+def _to_full_precision(variable: xr.DataArray) -> xr.DataArray:
     """Numbers of single precision as doubles, which have the digits that a reader of doubles needs; flags as words."""
     words = str(variable.attrs.get("flag_meanings", "")).split()
     if words and "valid_min" not in variable.attrs:
-        return _in_words(variable, dict(zip(np.atleast_1d(variable.attrs["flag_values"]).tolist(), words, strict=True)))
+        return _flag_words(
+            variable, dict(zip(np.atleast_1d(variable.attrs["flag_values"]).tolist(), words, strict=True))
+        )
     return variable.astype(np.float64) if variable.dtype == np.float32 else variable
 
 
-def _in_words(variable: xr.DataArray, meanings: Mapping[int, str]) -> xr.DataArray:
+def _flag_words(variable: xr.DataArray, meanings: Mapping[int, str]) -> xr.DataArray:
     """Flags as words; a number that has none is kept."""
     numbers, place = np.unique(variable.to_numpy(), return_inverse=True)
     words = np.array([meanings.get(number, str(number)) for number in numbers.tolist()], dtype=object)

@@ -15,7 +15,7 @@ import xarray as xr
 from rich.console import Console
 
 from jaxnh.analyses.batch import LaneBatch
-from jaxnh.cli.arguments import called
+from jaxnh.cli.arguments import command_line
 from jaxnh.cli.terminal import progress, show
 from jaxnh.costs import STUDIES, solvers, tables
 from jaxnh.costs import effects as costs_of_effects
@@ -171,7 +171,7 @@ def _write(bench: PricedExperiment, path: Path, groups: Mapping[str, xr.Dataset]
     experiment = bench.experiment
     job = job_of(experiment, experiment.axes, bench.plan, {}, experiment.requested(), bench.lanes.machine)
     total = spent(bench.lanes, time.perf_counter() - bench.began)
-    attrs = attributes(experiment, job, total, called("jaxnh.cost"))
+    attrs = attributes(experiment, job, total, command_line("jaxnh.cost"))
     attrs = {("cost_of" if name == "config_sha256" else name): value for name, value in attrs.items()}
     hdf5.write(path, attrs, groups)
 

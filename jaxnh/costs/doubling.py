@@ -100,7 +100,7 @@ def _first_doubling(batch: LaneBatch, lanes: LaneRunner) -> DoublingBracket | No
     ):  # then half of what the sweep has on either side, in the direction in which it doubles
         reach = min(first - low, high - first) / 2
         tried = [DoublingBracket(n, (first - ahead, first + ahead)) for ahead in (reach, -reach)]
-        return next((c for c in tried if _narrowed(batch, lanes, n, _settled(batch, lanes, c), c.bracket)), None)
+        return next((c for c in tried if _narrow_bracket(batch, lanes, n, _settle(batch, lanes, c), c.bracket)), None)
     ends = np.clip(first + np.array([-_BEHIND, _AHEAD]) * (doublings.points[1].value - first), low, high)
     return DoublingBracket(n, (float(ends[0]), float(ends[1])))
 
@@ -139,9 +139,9 @@ def by_multiplier(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -
     """Multisection on whether the orbit's smallest real multiplier is below −1, an estimate a round."""
     watch = _Watch()
     estimates = []
-    u, bracket = _settled(batch, lanes, place), place.bracket
+    u, bracket = _settle(batch, lanes, place), place.bracket
     for round_ in range(_ROUNDS):
-        narrowed = _narrowed(batch, lanes, place.n, u, bracket)
+        narrowed = _narrow_bracket(batch, lanes, place.n, u, bracket)
         if narrowed is None:
             break
         width = abs(bracket[1] - bracket[0])
@@ -175,7 +175,7 @@ def by_interpolation(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket
         return look
 
     coarse, fine, finest = refined(batch)
-    points = walk(batch, lanes, _settled(batch, lanes, place)[None], place.bracket[0], place.n)
+    points = walk(batch, lanes, _settle(batch, lanes, place)[None], place.bracket[0], place.n)
     wrap = batch.chart.wrap
     branch = follow_branch(period_map(batch, lanes, coarse), points, *place.bracket, wrap)
     point = branch and doubling_point(watched(coarse), branch, wrap)
@@ -184,14 +184,14 @@ def by_interpolation(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket
     return (list(roots.values()), point.value) if point else ([], math.nan)
 
 
-def _settled(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -> Float[np.ndarray, " d"]:
+def _settle(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -> Float[np.ndarray, " d"]:
     """A point near the orbit at the stable end of the bracket."""
     row = batch.at(np.array(place.bracket[:1]))
     strobe, start = batch.strobe(0.5), (row.chart.host_points(row.start), row.p)
     return lanes(section_map, (strobe, np.int32(_SETTLED)), start, periods=_SETTLED, tile=_TILE)[0]
 
 
-def _narrowed(
+def _narrow_bracket(
     batch: LaneBatch, lanes: LaneRunner, n: int, u: Float[np.ndarray, " d"], bracket: tuple[float, float]
 ) -> tuple[Orbit, tuple[float, float]] | None:
     """The orbit at the stable end of the part of a bracket in which its multiplier passes −1, and that part."""

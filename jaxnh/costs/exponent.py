@@ -46,10 +46,10 @@ def price(batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset | None:
     averaged = np.array([*_AVERAGED, 10 * _AVERAGED[-1]])
     label = f"cost: largest exponent at {batch.line.name} = {value:.6g}"
     with lanes.stage(label, _LANES * float(np.sum(_TRANSIENT + averaged))):
-        return _measured(batch, StagelessRunner(lanes), value, averaged)
+        return _measure(batch, StagelessRunner(lanes), value, averaged)
 
 
-def _measured(batch: LaneBatch, lanes: LaneRunner, value: float, averaged: Int[np.ndarray, " times"]) -> xr.Dataset:
+def _measure(batch: LaneBatch, lanes: LaneRunner, value: float, averaged: Int[np.ndarray, " times"]) -> xr.Dataset:
     """The analysis at every averaging time, the last of which gives the reference."""
     near = batch.at(value + _SPACING * np.arange(_LANES))
     averages = []

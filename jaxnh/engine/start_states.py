@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.config.messages import listed
+from jaxnh.config.messages import join_words
 from jaxnh.config.options.base import rule
 from jaxnh.config.user_system import UserInitial, UserSweep
 from jaxnh.systems.flow import STATUS, Flow, Parameters
@@ -50,7 +50,7 @@ def check_constraints(flow: Flow, initial: UserInitial, sweep: UserSweep) -> Non
     state, p = jax.tree.map(lambda leaf: jnp.asarray(leaf[lane]), (start, parameters))
     near = flow.nearest(state, p)
     keys = [f"{coordinate}_dot" for coordinate in flow.names]
-    where = listed([f"{name} = {values[lane]:g}" for name, values in axes.items()])
+    where = join_words([f"{name} = {values[lane]:g}" for name, values in axes.items()])
     message = f"f[{number}] is {residuals[number, lane]:.3g} at the start with {where}, and must be 0"
     if np.all(np.isfinite(np.array(near.v))):
         nearest = ", ".join(f"{key}: {float(v):.10g}" for key, v in zip(keys, near.v, strict=True))

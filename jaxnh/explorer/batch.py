@@ -26,7 +26,7 @@ def experiment_of(content: Content, user_file: UserFile | None) -> Experiment:
     return Experiment.from_text(text, user_file.text if user_file else None)
 
 
-def swept(content: Content, grids: Mapping[str, Any], analyses: Mapping[str, Any]) -> dict[str, Any]:
+def with_sweep(content: Content, grids: Mapping[str, Any], analyses: Mapping[str, Any]) -> dict[str, Any]:
     """A config with other axes and analyses, and without what belongs to a run of the old ones.
 
     Args:
@@ -39,12 +39,12 @@ def swept(content: Content, grids: Mapping[str, Any], analyses: Mapping[str, Any
     return {**config, "sweep": dict(grids), "analyses": dict(analyses)}
 
 
-def evenly(low: float, high: float, count: int) -> dict[str, Any]:
+def even_axis(low: float, high: float, count: int) -> dict[str, Any]:
     """The block of an axis of evenly spaced values."""
     return {"start": low, "stop": high, "count": count}
 
 
-def fixed_at(content: Content, values: Mapping[str, float], coordinates: tuple[str, ...]) -> dict[str, Any]:
+def with_values(content: Content, values: Mapping[str, float], coordinates: tuple[str, ...]) -> dict[str, Any]:
     """A config with other values of parameters, or of coordinates of the start state."""
     config = copy.deepcopy(dict(content))
     for name, value in values.items():
@@ -70,8 +70,8 @@ def batch_text(
         solver: and its steps a period that the view was computed with; None leaves them to the target.
         title: what it is, in words.
     """
-    grids = {name: evenly(*ends, view.counts[name]) for name, ends in view.ranges.items()}
-    base = fixed_at(swept(content, grids, analyses), view.fixed, coordinates)
+    grids = {name: even_axis(*ends, view.counts[name]) for name, ends in view.ranges.items()}
+    base = with_values(with_sweep(content, grids, analyses), view.fixed, coordinates)
     accuracy = dict(base.get("accuracy") or {})
     if view.target is not None:
         accuracy["target"] = view.target

@@ -18,7 +18,7 @@ from jaxnh.exceptions import InputError
 from jaxnh.explorer.live_plane import LivePlane
 from jaxnh.explorer.raster import raster, values_of
 from jaxnh.explorer.sessions import Sessions
-from jaxnh.explorer.source import LaneReport, Picture, PictureSource, measured
+from jaxnh.explorer.source import LaneReport, Picture, PictureSource, axis_title
 from jaxnh.explorer.view import View
 
 _COARSE_SECONDS = 0.15  # that a coarse picture may be computed in
@@ -73,15 +73,15 @@ class LiveDiagram:
             strobes=options.get("strobes", 128),
             columns=columns,
         )
-        self.axis_words = {axis.name: measured(axis.long_name, axis.units)}
+        self.axis_words = {axis.name: axis_title(axis.long_name, axis.units)}
         self.variables = {
-            name: measured(flow.labels.long_names[name], flow.labels.units[name]) for name in flow.coordinates
+            name: axis_title(flow.labels.long_names[name], flow.labels.units[name]) for name in flow.coordinates
         }
         self._seconds: dict[int, float] = {}  # a lane-period, by session
 
     def passes(self, view: View) -> Iterator[Picture]:
         """Pictures of a view: a coarse one, then its columns in full, some of them at a time."""
-        moved, known = self.sessions.moved(view), self.sessions.of(view)
+        moved, known = self.sessions.changed_parameters(view), self.sessions.of(view)
         values, notes = view.values(), (*self._notes, *self.sessions.notes(view, known))
         dim = self.sessions.dims[view.axis]
         every = max(1, -(-view.columns // (TILE * known.session.devices)))

@@ -75,7 +75,7 @@ class View:
         """Values of every axis, by name."""
         return {name: np.linspace(*ends, self.counts[name]) for name, ends in self.ranges.items()}
 
-    def zoomed(self, low: float, high: float, window: tuple[float, float] | None) -> View:
+    def zoom(self, low: float, high: float, window: tuple[float, float] | None) -> View:
         """The view of other ranges; where doubles do not tell its lanes apart, of the narrowest around them."""
         low, high = _wide(low, high, self.columns)
         if self.second:

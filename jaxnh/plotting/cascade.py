@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import legend_above, narrow, new_axes
-from jaxnh.plotting.groups import fixed_axes, label_of, needed, other_axes, parameter_of
+from jaxnh.plotting.groups import fixed_axes, label_of, other_axes, parameter_of, require_variables
 from jaxnh.plotting.labels import symbol_of, title_of, with_units
 from jaxnh.plotting.style import MARK, POINT
 
@@ -30,7 +30,7 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ResultError: a variable is missing, or another axis has more than one point.
     """
     ax = new_axes(ax)
-    needed(data, _PERIOD, _RATIO, _RATIO_ERROR)
+    require_variables(data, _PERIOD, _RATIO, _RATIO_ERROR)
     located = _doublings(data)
     where = located[parameter_of(data)]
     level = np.arange(1, len(where) + 1) if "level" not in located else located["level"].to_numpy()
@@ -66,7 +66,7 @@ def mark_doublings(data: xr.Dataset, ax: Axes, axis: str) -> None:
     """
     if parameter_of(data) != axis:
         return
-    needed(data, _PERIOD)
+    require_variables(data, _PERIOD)
     doublings = _doublings(data)
     low, high = sorted(ax.get_xlim())
     where, period = doublings[axis].to_numpy(), doublings[_PERIOD].to_numpy()

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from jaxnh.exceptions import ArgumentError
 from jaxnh.plotting.frame import legend_above
-from jaxnh.plotting.groups import axes_of, shown
+from jaxnh.plotting.groups import axes_of, variables_of
 from jaxnh.plotting.labels import axis_label, symbol_of
 from jaxnh.plotting.meanings import NONE, meanings
 from jaxnh.plotting.style import CURVES, MANY, Colour
@@ -73,7 +73,7 @@ def colouring(name: str, data: xr.Dataset, groups: Iterable[xr.Dataset]) -> Colo
     Raises:
         ArgumentError: there is nothing of the name; the message says what there is.
     """
-    variable = shown(data)[0]
+    variable = variables_of(data)[0]
     axes = set(axes_of(data))
     if name in data.coords and set(data[name].dims) <= set(variable.dims):
         return _of(data[name], axis_label(data[name]))
@@ -96,7 +96,7 @@ def _of_a_lane(variable: xr.DataArray, axes: set[str]) -> bool:
 def _of_lanes(data: xr.Dataset) -> Colouring:
     """Of a group without a dimension of starts: every lane is one, with its place as its name."""
     names = axes_of(data)
-    numbers = _numbers(shown(data)[0], names, START)
+    numbers = _numbers(variables_of(data)[0], names, START)
     if numbers.size > _MANY:
         return Colouring(numbers, "number of the start", {})
     palette, named = _palette(numbers.size), {}

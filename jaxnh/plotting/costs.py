@@ -14,7 +14,7 @@ from matplotlib.ticker import NullFormatter
 from jaxnh.plotting.groups import declared_axes
 from jaxnh.plotting.labels import symbol_of, with_units
 from jaxnh.plotting.reading import load_result
-from jaxnh.plotting.style import BLUE, GREEN, ORANGE, PAGE, PURPLE, SKY, VERMILION, YELLOW, styled
+from jaxnh.plotting.style import BLUE, GREEN, ORANGE, PAGE, PURPLE, SKY, VERMILION, YELLOW, package_style
 
 _SIZE = (PAGE.width, 4.2)  # inches
 _MICRO = 1e6
@@ -146,7 +146,7 @@ def figures(path: Path) -> dict[str, Figure]:
     tree = load_result(path)
     axes = {"axes": tree.attrs["axes"]} if "axes" in tree.attrs else {}
     drawn = {}
-    with styled():
+    with package_style():
         for name, (suffix, draw) in DRAWINGS.items():
             if name in tree.children:
                 figure = draw(tree[name].to_dataset().assign_attrs(axes)).get_figure()

@@ -78,7 +78,7 @@ def darker(colour: str) -> Colour:
     return _DARKER * red, _DARKER * green, _DARKER * blue
 
 
-def styled() -> AbstractContextManager[None]:
+def package_style() -> AbstractContextManager[None]:
     """Pictures made inside have the style of the package, whatever a user's own is."""
     return style.context(["default", SHEET])
 
@@ -89,7 +89,7 @@ def save(figure: Figure, path: Path) -> None:
     Raises:
         ArgumentError: there is no room for its panels.
     """
-    with styled(), warnings.catch_warnings():
+    with package_style(), warnings.catch_warnings():
         warnings.filterwarnings("error", message="constrained_layout not applied")
         try:
             figure.savefig(path)
