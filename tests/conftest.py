@@ -85,7 +85,7 @@ def calibrate_once(
     if _uncalibrated and experiment.accuracy.solver:
         return cast(Calibration, SimpleNamespace(error=lambda *_: 1e-6))
     grids = tuple((axis.name, axis.kind, axis.values.tobytes()) for axis in axes)
-    drawn = frozenset(plan.draws(requested or ()))
+    drawn = frozenset(plan.start_samplers(requested or ()))
     key = (experiment.sha256, experiment.sectioned, grids, target, drawn, len(lanes.devices), lanes.tile)
     if key not in _CALIBRATIONS:
         _CALIBRATIONS[key] = _calibrate(experiment, axes, lanes, target, requested)

@@ -22,6 +22,6 @@ def read_config(config: Path | None, overrides: Sequence[str] | None) -> Config:
     return load_config(config, overrides or [])
 
 
-def called(module: str) -> str:
+def command_line(module: str) -> str:
     """The command as it was called, for the history of a result."""
     return shlex.join(["python", "-m", module, *sys.argv[1:]])

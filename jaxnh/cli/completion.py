@@ -40,8 +40,8 @@ def overrides(ctx: typer.Context, incomplete: str) -> list[str]:
     names = _names(ctx.params.get("config"))
     if names is not None:
         del schema["else"], schema["properties"]["system"]
-    found = dict.fromkeys([*_keys(schema, schema, ""), *(_users_keys(names, schema) if names else ())])
-    return [text for text in found if text.startswith(incomplete)]
+    candidates = dict.fromkeys([*_keys(schema, schema, ""), *(_users_keys(names, schema) if names else ())])
+    return [text for text in candidates if text.startswith(incomplete)]
 
 
 ConfigFile = Annotated[Path | None, typer.Argument(help="YAML file of the experiment", show_default=False)]

@@ -22,12 +22,12 @@ def experiment_of(config: Config) -> Experiment:
         InputError: its flow cannot be made, or does not go with the rest of it.
     """
     configure()  # before a user's file is tried out
-    with _told_where(config.label):
+    with _report_user_line(config.label):
         return Experiment.from_config(config)
 
 
 @contextmanager
-def _told_where(label: str) -> Iterator[None]:
+def _report_user_line(label: str) -> Iterator[None]:
     """While something inside takes long, say every some seconds which line of a user's file is being run."""
     over, reader = threading.Event(), threading.get_ident()
 

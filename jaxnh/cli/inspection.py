@@ -52,8 +52,8 @@ def show(path: Path, file: h5py.File) -> None:
         table.add_row(f"[bold]{name}")
         for key, item in store.variables(group).items():
             if item.ndim and not (item.is_scale and (key in axes or _words(item).startswith("index along"))):
-                found = _range(item)
-                table.add_row(f"  {key}", _sizes(item), _units(item.attrs), found.words, found.note)
+                extent = _range(item)
+                table.add_row(f"  {key}", _sizes(item), _units(item.attrs), extent.words, extent.note)
         notes += [f"{name}: {note}" for note in _notes(group, axes)]
     console.print(table)
     for note in notes:
@@ -66,11 +66,11 @@ def _words(item: h5py.Dataset) -> str:
 
 def _coordinates(file: h5py.File, axes: Sequence[str]) -> dict[str, np.ndarray]:
     """Values of the axes, each from the first group that has them."""
-    found: dict[str, np.ndarray] = {}
+    coordinates: dict[str, np.ndarray] = {}
     for group, axis in itertools.product(store.groups(file).values(), axes):
-        if axis not in found and axis in group and store.dimensions(store.variable(group, axis)) == (axis,):
-            found[axis] = store.read(store.variable(group, axis))
-    return found
+        if axis not in coordinates and axis in group and store.dimensions(store.variable(group, axis)) == (axis,):
+            coordinates[axis] = store.read(store.variable(group, axis))
+    return coordinates
 
 
 def _facts(path: Path, attrs: store.Attributes, axes: dict[str, np.ndarray]) -> Iterator[tuple[str, str]]:
@@ -168,7 +168,7 @@ def _failed_lanes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:
     items = store.variables(group)
     if "status" not in items or not axes or not set(axes) <= set(store.dimensions(items["status"])):
         return
-    codes = _over_lanes(items["status"], axes)
+    codes = _worst_codes(items["status"], axes)
     for k, why in enumerate(str(items["status"].attrs["flag_meanings"]).split()):
         if k and (lanes := codes == k).any():
             places = np.argwhere(lanes)[:_NAMED]
@@ -178,16 +178,16 @@ def _failed_lanes(group: h5py.Group, axes: Sequence[str]) -> Iterator[str]:
             yield f"{np.count_nonzero(lanes):,} of {lanes.size:,} lanes failed: {why}, at {head} = {named}{more}"
 
 
-def _over_lanes(item: h5py.Dataset, axes: Sequence[str]) -> np.ndarray:
+def _worst_codes(item: h5py.Dataset, axes: Sequence[str]) -> np.ndarray:
     """The largest code of each lane, 0 or more, (*axes) in their order; read block by block."""
     dims = store.dimensions(item)
     own = tuple(k for k, dim in enumerate(dims) if dim not in axes)
     kept = [k for k in range(len(dims)) if k not in own]
-    found = np.zeros([item.shape[k] for k in kept], int)
+    worst = np.zeros([item.shape[k] for k in kept], int)
     for where in item.iter_chunks() if item.chunks else [(slice(None),) * len(dims)]:
         place = tuple(where[k] for k in kept)
-        found[place] = np.maximum(found[place], store.read(item, where).max(axis=own, initial=0))
-    return found.transpose([[dims[k] for k in kept].index(axis) for axis in axes])
+        worst[place] = np.maximum(worst[place], store.read(item, where).max(axis=own, initial=0))
+    return worst.transpose([[dims[k] for k in kept].index(axis) for axis in axes])
 
 
 def _place(axes: Sequence[h5py.Dataset | None], place: Sequence[int]) -> str:
@@ -214,20 +214,22 @@ def write_csv(path: Path, group: str, out: TextIO) -> None:
             data, dims = data.expand_dims("row"), ("row",)
         rows = max(1, _ROWS // max(1, math.prod(data.sizes[dim] for dim in dims[1:])))
         for first in range(0, max(data.sizes[dims[0]], 1), rows):
-            part = data.isel({dims[0]: slice(first, first + rows)}).map(_in_full)
+            part = data.isel({dims[0]: slice(first, first + rows)}).map(_to_full_precision)
             frame = part.to_dataframe(dim_order=list(dims)).reset_index()[keys]
             frame.to_csv(out, header=first == 0, index=False, na_rep="nan", lineterminator="\n")
 
 
-def _in_full(variable: xr.DataArray) -> xr.DataArray:
+def _to_full_precision(variable: xr.DataArray) -> xr.DataArray:
     """Numbers of single precision as doubles, which have the digits that a reader of doubles needs; flags as words."""
     words = str(variable.attrs.get("flag_meanings", "")).split()
     if words and "valid_min" not in variable.attrs:
-        return _in_words(variable, dict(zip(np.atleast_1d(variable.attrs["flag_values"]).tolist(), words, strict=True)))
+        return _flag_words(
+            variable, dict(zip(np.atleast_1d(variable.attrs["flag_values"]).tolist(), words, strict=True))
+        )
     return variable.astype(np.float64) if variable.dtype == np.float32 else variable
 
 
-def _in_words(variable: xr.DataArray, meanings: Mapping[int, str]) -> xr.DataArray:
+def _flag_words(variable: xr.DataArray, meanings: Mapping[int, str]) -> xr.DataArray:
     """Flags as words; a number that has none is kept."""
     numbers, place = np.unique(variable.to_numpy(), return_inverse=True)
     words = np.array([meanings.get(number, str(number)) for number in numbers.tolist()], dtype=object)

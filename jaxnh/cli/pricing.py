@@ -15,7 +15,7 @@ import xarray as xr
 from rich.console import Console
 
 from jaxnh.analyses.batch import LaneBatch
-from jaxnh.cli.arguments import called
+from jaxnh.cli.arguments import command_line
 from jaxnh.cli.terminal import progress, show
 from jaxnh.costs import STUDIES, solvers, tables
 from jaxnh.costs import effects as costs_of_effects
@@ -149,7 +149,7 @@ def _work(bench: PricedExperiment) -> float:
 
 def _studies(bench: PricedExperiment, times: dict[str, float]) -> dict[str, xr.Dataset]:
     """The accuracy of what the config asks for and has a study, by the name of the analysis."""
-    found: dict[str, xr.Dataset] = {}
+    studies: dict[str, xr.Dataset] = {}
     for analysis, _ in bench.experiment.requested():
         study = STUDIES.get(analysis.name)
         if study is None:
@@ -162,8 +162,8 @@ def _studies(bench: PricedExperiment, times: dict[str, float]) -> dict[str, xr.D
         if data is None:
             print(f"warning: {analysis.name}: {absent}; its cost is left out", file=sys.stderr)
         else:
-            found[analysis.name] = data
-    return found
+            studies[analysis.name] = data
+    return studies
 
 
 def _write(bench: PricedExperiment, path: Path, groups: Mapping[str, xr.Dataset]) -> None:
@@ -171,7 +171,7 @@ def _write(bench: PricedExperiment, path: Path, groups: Mapping[str, xr.Dataset]
     experiment = bench.experiment
     job = job_of(experiment, experiment.axes, bench.plan, {}, experiment.requested(), bench.lanes.machine)
     total = spent(bench.lanes, time.perf_counter() - bench.began)
-    attrs = attributes(experiment, job, total, called("jaxnh.cost"))
+    attrs = attributes(experiment, job, total, command_line("jaxnh.cost"))
     attrs = {("cost_of" if name == "config_sha256" else name): value for name, value in attrs.items()}
     hdf5.write(path, attrs, groups)
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from jaxnh.analyses import GROUPS
 from jaxnh.cli.inspection import failed_in
 from jaxnh.cli.terminal import show
-from jaxnh.config.messages import listed
+from jaxnh.config.messages import join_words
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.run import RunSummary
 from jaxnh.storage.hdf5 import read_attrs, read_group
@@ -64,8 +64,8 @@ def _show_table(experiment: Experiment, path: Path, name: str) -> None:
     if draw is None:
         return
     published = (experiment.compare or {}).get(name)
-    unlike = experiment.unlike(published) if published else []
+    unlike = experiment.differences_from(published) if published else []
     columns, source = (published.columns(), published.source) if published and not unlike else ({}, "")
     console.print(show(draw(read_group(path, name), columns, source)))
     if published and unlike:
-        print(f"no values of {published.source} beside these, which are of another system: {listed(unlike)}")
+        print(f"no values of {published.source} beside these, which are of another system: {join_words(unlike)}")

@@ -31,11 +31,11 @@ def run_again(path: Path, *, trust: bool = False) -> None:
             )
         print(f"{own} {state}; lanes are run again by its text in the result" if state else f"{own} is as it was")
     try:
-        found = verification.sample(path)
+        outcomes = verification.sample(path)
     except (ResultError, ConfigError) as error:
         words = " ".join(str(error).split())[:200]
         raise InputError(f"command line: FILE: {path} cannot be run again: {words}") from None
-    for name, (lanes, differing) in found.items():
+    for name, (lanes, differing) in outcomes.items():
         if differing:
             raise InputError(
                 f"command line: FILE: {path}: {name}: run again, {differing} of {lanes} lanes differ; "

@@ -25,7 +25,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxnh.config.messages import close_match, shown
+from jaxnh.config.messages import close_match, show_value
 from jaxnh.config.options import OPTIONS
 from jaxnh.config.options.base import Block, Options, rule
 from jaxnh.config.solver_names import NYSTROM, SOLVERS, SPLITTINGS
@@ -248,7 +248,7 @@ class Accuracy(Block):
     @classmethod
     def _known(cls, solver: str | None) -> str | None:
         if solver is not None and solver not in SOLVERS:
-            raise rule(f"must be one of {', '.join(SOLVERS)}, not {shown(solver)}{close_match(solver, SOLVERS)}")
+            raise rule(f"must be one of {', '.join(SOLVERS)}, not {show_value(solver)}{close_match(solver, SOLVERS)}")
         return solver
 
     @model_validator(mode="after")

@@ -101,7 +101,7 @@ class Config(Block):
 
     # ---- published values
 
-    def unlike(self, published: PublishedValues) -> list[str]:
+    def differences_from(self, published: PublishedValues) -> list[str]:
         """In words, in what system and start differ from those that published values are of; the first axis may."""
         theirs = {**published.system, **published.initial}
         ours = self._parameters()
@@ -110,7 +110,7 @@ class Config(Block):
         for name in dict.fromkeys([*ours, *theirs]):
             here, there = ours.get(name), theirs.get(name)
             if name != first and name not in others and here != there:
-                differences.append(f"{name} is {_said(here)} here, {_said(there)} there")
+                differences.append(f"{name} is {_value_in_words(here)} here, {_value_in_words(there)} there")
         return differences
 
     def _parameters(self) -> dict[str, Any]:
@@ -198,7 +198,7 @@ class UserConfig(Config):
         return {folder / self.system.file: self._user_text}
 
 
-def _said(value: Any) -> str:
+def _value_in_words(value: Any) -> str:
     return "not given" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -222,7 +222,7 @@ def config_of(
     system, axes = source.data.get("system"), source.data.get("sweep")
     file = system.get("file") if isinstance(system, dict) else None
     if not isinstance(file, str):
-        return _validated(Config, source, layout(Config, Sweep.model_fields))
+        return _validate(Config, source, layout(Config, Sweep.model_fields))
     path = folder / file
     if user_text is None:
         if not path.is_file():
@@ -230,7 +230,7 @@ def config_of(
         user_text = read_text(path)
     names = names or names_in(user_text, path)
     where = layout(UserConfig, axes if isinstance(axes, dict) else ())
-    config = _validated(UserConfig, source, where, names)
+    config = _validate(UserConfig, source, where, names)
     config._names, config._path, config._user_text = names, path, user_text
     return config
 
@@ -249,7 +249,7 @@ def load_config(path: str | Path, overrides: Sequence[str] = (), user_text: str 
 _C = TypeVar("_C", bound=Config)
 
 
-def _validated(model: type[_C], source: ConfigSource, where: Layout, names: Names | None = None) -> _C:
+def _validate(model: type[_C], source: ConfigSource, where: Layout, names: Names | None = None) -> _C:
     try:
         config = model.model_validate(source.data, context=names)
     except ValidationError as error:

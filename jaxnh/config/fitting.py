@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from jaxnh.config.blocks import Accuracy
-from jaxnh.config.messages import listed
+from jaxnh.config.messages import join_words
 from jaxnh.config.options import OPTIONS
 from jaxnh.config.options.base import Options, rule
 from jaxnh.config.solver_names import NYSTROM, PROCESSED, RUNGE_KUTTA, SPLITTINGS
@@ -41,7 +41,7 @@ def check_accuracy(accuracy: Accuracy, requested: Mapping[str, Options], *, pres
     if not clock:
         raise rule(f"{precision} goes with a strobe, and this scene has no clock", "accuracy.precision")
     if precision == "extended" and not any(options.extended for options in requested.values()):
-        known = listed([name for name, options in OPTIONS.items() if options.extended])
+        known = join_words([name for name, options in OPTIONS.items() if options.extended])
         raise rule(f"extended is for {known}; ask for it as well, or leave this out", "accuracy.precision")
     for name, options in requested.items():
         if precision == "float32" and options.newton:

@@ -97,7 +97,7 @@ def fault_of_rule(rule: PydanticCustomError, source: ConfigSource) -> ConfigErro
     return source.error(source.blame(keys), context["message"])
 
 
-def shown(value: Any) -> str:
+def show_value(value: Any) -> str:
     """A value from a config, short, as it would be written there."""
     match value:
         case None:
@@ -120,12 +120,12 @@ def shown(value: Any) -> str:
             return "a list"
 
 
-def listed(words: Sequence[str]) -> str:
+def join_words(words: Sequence[str]) -> str:
     """Words as a sentence lists them: "a", "a and b", "a, b and c"."""
     return " and ".join((*([", ".join(words[:-1])] if len(words) > 1 else []), *words[-1:]))
 
 
-def unknown(key: str, known: Collection[str], others: Collection[str] = ()) -> str:
+def explain_unknown(key: str, known: Collection[str], others: Collection[str] = ()) -> str:
     """What is wrong with a key that is not known; `others` are known where something else has been chosen."""
     return f"unknown key{close_match(key, known) or close_match(key, others)}; {_keys(known)}"
 
@@ -159,10 +159,10 @@ def _finding(detail: ErrorDetails, layout: Layout) -> _Finding:
             known = layout.variants[path]
             selector = layout.selectors[path]
             word = value[selector]
-            message = f"must be one of {', '.join(known)}, not {shown(word)}{close_match(word, known)}"
+            message = f"must be one of {', '.join(known)}, not {show_value(word)}{close_match(word, known)}"
             return _Finding(((*path, selector),), message, "value")
         case "literal_error":
-            return _Finding((path,), f"must be {context['expected']}, not {shown(value)}", "value")
+            return _Finding((path,), f"must be {context['expected']}, not {show_value(value)}", "value")
         case "too_short":
             return _Finding((path,), f"must have at least {context['min_length']} of them, not {len(value)}", "short")
         case "value_error":
@@ -170,13 +170,13 @@ def _finding(detail: ErrorDetails, layout: Layout) -> _Finding:
         case "float_type" if isinstance(value, int) and not isinstance(value, bool):
             return _Finding((path,), "this number is too large", "value")
         case "model_type" | "model_attributes_type" if path[:1] == ("sweep",) and len(path) == 2:
-            message = f"must be {{start: ..., stop: ..., count: ...}} or {{values: [...]}}, not {shown(value)}"
+            message = f"must be {{start: ..., stop: ..., count: ...}} or {{values: [...]}}, not {show_value(value)}"
             return _Finding((path,), message, "value")
         case kind if kind in _KINDS:
-            return _Finding((path,), f"must be {_KINDS[kind]}, not {shown(value)}", "value")
+            return _Finding((path,), f"must be {_KINDS[kind]}, not {show_value(value)}", "value")
         case kind if kind in _BOUNDS:
             words, bound = _BOUNDS[kind]
-            return _Finding((path,), f"must be {words} {context[bound]:.12g}, not {shown(value)}", "value")
+            return _Finding((path,), f"must be {words} {context[bound]:.12g}, not {show_value(value)}", "value")
     return _Finding((path,), detail["msg"], "value")
 
 
@@ -188,7 +188,7 @@ def _unknown(path: KeyPath, tag: str | None, layout: Layout) -> _Finding:
     if key in others:
         selector = (*above, layout.selectors[above])
         return _Finding((path, selector), f"{key} does not go with {tag}; {_keys(known)}", "unknown")
-    return _Finding((path,), unknown(key, known, others), "unknown")
+    return _Finding((path,), explain_unknown(key, known, others), "unknown")
 
 
 def _no_tag(path: KeyPath, value: Any, layout: Layout) -> _Finding:

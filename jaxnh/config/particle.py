@@ -20,7 +20,7 @@ from jaxnh.config.blocks import (
     SystemBlock,
     ValueGrid,
 )
-from jaxnh.config.messages import close_match, listed, shown
+from jaxnh.config.messages import close_match, join_words, show_value
 from jaxnh.config.options.base import rule
 from jaxnh.systems.particle_parameters import EFFECTS, strobe_period
 
@@ -110,7 +110,7 @@ class Particle(SystemBlock):
         for name in without or ():
             if name not in EFFECTS:
                 message = (
-                    f"there are the effects {', '.join(EFFECTS)}, and no {shown(name)}{close_match(name, EFFECTS)}"
+                    f"there are the effects {', '.join(EFFECTS)}, and no {show_value(name)}{close_match(name, EFFECTS)}"
                 )
                 if name in ("disturbance", "constraint"):
                     other = "d: 0 leaves the disturbance" if name == "disturbance" else "constraint: free leaves it"
@@ -163,7 +163,7 @@ class Particle(SystemBlock):
         if not uncoupled and self.b is None and "b" not in sweep.grids:
             names = tuple(sweep.grids)
             verb = "is" if len(names) == 1 else "are"
-            message = f"{listed(names)} {verb} swept, and b must be given (Coupling b)"
+            message = f"{join_words(names)} {verb} swept, and b must be given (Coupling b)"
             raise rule(message, "system.b", *(f"sweep.{name}" for name in names), "system")
 
     def _check_values(self, values: _Values) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
 from jaxnh.config.blocks import EvenGrid, Grid, InitialBlock, SectionBlock, SweepBlock, SystemBlock, ValueGrid
-from jaxnh.config.messages import unknown
+from jaxnh.config.messages import explain_unknown
 from jaxnh.config.options.base import Block, rule
 from jaxnh.systems.user_text import OF_RESULTS, Names
 
@@ -31,7 +31,7 @@ class UserBlock(Block):
         self._names = info.context
         for name in self.model_extra or {}:
             if name not in self.known:
-                raise rule(unknown(name, (*type(self).model_fields, *self.known)), name)
+                raise rule(explain_unknown(name, (*type(self).model_fields, *self.known)), name)
         return self
 
     @property
@@ -102,7 +102,7 @@ class UserSection(SectionBlock):
         for name in self.normal or (self.coordinate,):
             if names and name not in names:
                 key = "coordinate" if self.normal is None else f"normal.{name}"
-                raise rule(unknown(str(name), names), key)
+                raise rule(explain_unknown(str(name), names), key)
         if self.normal is not None and not any(self.normal.values()):
             raise rule("a normal has a length; one number at least must not be 0", "normal")
         return self

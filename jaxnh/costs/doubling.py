@@ -90,16 +90,18 @@ def price(batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset | None:
 
 def _first_doubling(batch: LaneBatch, lanes: LaneRunner) -> DoublingBracket | None:
     """The first doubling that the analysis finds, in a bracket of several times the distance to the next one."""
-    found = follow.follow(batch, lanes, 2)
-    if not found.points:
+    doublings = follow.follow(batch, lanes, 2)
+    if not doublings.points:
         return None
-    n, first = found.period, found.points[0].value
+    n, first = doublings.period, doublings.points[0].value
     low, high = batch.line.values.min(), batch.line.values.max()
-    if len(found.points) == 1:  # then half of what the sweep has on either side, in the direction in which it doubles
+    if (
+        len(doublings.points) == 1
+    ):  # then half of what the sweep has on either side, in the direction in which it doubles
         reach = min(first - low, high - first) / 2
         tried = [DoublingBracket(n, (first - ahead, first + ahead)) for ahead in (reach, -reach)]
-        return next((c for c in tried if _narrowed(batch, lanes, n, _settled(batch, lanes, c), c.bracket)), None)
-    ends = np.clip(first + np.array([-_BEHIND, _AHEAD]) * (found.points[1].value - first), low, high)
+        return next((c for c in tried if _narrow_bracket(batch, lanes, n, _settle(batch, lanes, c), c.bracket)), None)
+    ends = np.clip(first + np.array([-_BEHIND, _AHEAD]) * (doublings.points[1].value - first), low, high)
     return DoublingBracket(n, (float(ends[0]), float(ends[1])))
 
 
@@ -137,13 +139,13 @@ def by_multiplier(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -
     """Multisection on whether the orbit's smallest real multiplier is below −1, an estimate a round."""
     watch = _Watch()
     estimates = []
-    u, bracket = _settled(batch, lanes, place), place.bracket
+    u, bracket = _settle(batch, lanes, place), place.bracket
     for round_ in range(_ROUNDS):
-        found = _narrowed(batch, lanes, place.n, u, bracket)
-        if found is None:
+        narrowed = _narrow_bracket(batch, lanes, place.n, u, bracket)
+        if narrowed is None:
             break
         width = abs(bracket[1] - bracket[0])
-        orbit, bracket = found
+        orbit, bracket = narrowed
         u = orbit.u
         estimates.append(Estimate(MULTISECTION, round_ + 1, 0.5 * (bracket[0] + bracket[1]), *watch.read()))
         if not 0 < abs(bracket[1] - bracket[0]) < width:
@@ -164,16 +166,16 @@ def by_interpolation(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket
         period = period_map(batch, lanes, strobe)
 
         def look(u: np.ndarray, values: np.ndarray) -> Derivatives:
-            found, value = period(u, values), float(values[0])
+            derivatives, value = period(u, values), float(values[0])
             if np.all(values == value):  # all points of one orbit, at the root of a round
                 roots.pop(value, None)  # the next map begins where the one before has ended
                 roots[value] = Estimate(INTERPOLATION, len(roots) + 1, value, *watch.read())
-            return found
+            return derivatives
 
         return look
 
     coarse, fine, finest = refined_maps(batch)
-    points = walk(batch, lanes, _settled(batch, lanes, place)[None], place.bracket[0], place.n)
+    points = walk(batch, lanes, _settle(batch, lanes, place)[None], place.bracket[0], place.n)
     wrap = batch.chart.wrap
     branch = follow_branch(period_map(batch, lanes, coarse), points, *place.bracket, wrap)
     point = branch and doubling_point(watched(coarse), branch, wrap)
@@ -182,14 +184,14 @@ def by_interpolation(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket
     return (list(roots.values()), point.value) if point else ([], math.nan)
 
 
-def _settled(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -> Float[np.ndarray, " d"]:
+def _settle(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -> Float[np.ndarray, " d"]:
     """A point near the orbit at the stable end of the bracket."""
     row = batch.at(np.array(place.bracket[:1]))
     strobe, start = batch.strobe(0.5), (row.chart.host_points(row.start), row.p)
     return lanes(section_map, (strobe, np.int32(_SETTLED)), start, periods=_SETTLED, tile=_TILE)[0]
 
 
-def _narrowed(
+def _narrow_bracket(
     batch: LaneBatch, lanes: LaneRunner, n: int, u: Float[np.ndarray, " d"], bracket: tuple[float, float]
 ) -> tuple[Orbit, tuple[float, float]] | None:
     """The orbit at the stable end of the part of a bracket in which its multiplier passes −1, and that part."""

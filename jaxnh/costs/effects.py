@@ -193,24 +193,24 @@ def _analyses(batch: LaneBatch, requested: Requested, lanes: LaneRunner) -> Iter
     stored = _stored(batch, requested, lanes)
     not_measured = Price(None, map_alone(batch), "not measured")
     for analysis, options in requested:
-        found = analysis.price(options, batch) if analysis.price else not_measured
-        yield EffectRow(analysis.name, "analysis", found.with_it, found.without_it, stored[analysis.name], found.note)
+        cost = analysis.price(options, batch) if analysis.price else not_measured
+        yield EffectRow(analysis.name, "analysis", cost.with_it, cost.without_it, stored[analysis.name], cost.note)
 
 
 def _stored(batch: LaneBatch, requested: Requested, lanes: LaneRunner) -> dict[str, float]:
     """Bytes a lane of each analysis, by running it on two lanes for as short as it can be."""
     two = replace(batch.take(slice(2)), chosen={lyapunov.ANALYSIS.name: {"parts": 1}})
     done: dict[str, xr.Dataset] = {}
-    found: dict[str, float] = {}
+    sizes: dict[str, float] = {}
     for analysis, options in requested:
         if not analysis.independent(options):
-            found[analysis.name] = 0.0  # of the sweep, not of a lane
+            sizes[analysis.name] = 0.0  # of the sweep, not of a lane
             continue
         needed: tuple[Mapping[str, xr.Dataset], ...] = ({n: done[n] for n in analysis.needs},) if analysis.needs else ()
         data = analysis.run(options.model_copy(update=dict(analysis.brief)), two, StagelessRunner(lanes), *needed)
         done[analysis.name] = data
-        found[analysis.name] = sum(v.nbytes for v in data.variables.values() if v.dims[:1] == (LANE,)) / 2
-    return found
+        sizes[analysis.name] = sum(v.nbytes for v in data.variables.values() if v.dims[:1] == (LANE,)) / 2
+    return sizes
 
 
 # ---- measures

@@ -46,20 +46,20 @@ def price(batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset | None:
     averaged = np.array([*_AVERAGED, 10 * _AVERAGED[-1]])
     label = f"cost: largest exponent at {batch.line.name} = {value:.6g}"
     with lanes.stage(label, _LANES * float(np.sum(_TRANSIENT + averaged))):
-        return _measured(batch, StagelessRunner(lanes), value, averaged)
+        return _measure(batch, StagelessRunner(lanes), value, averaged)
 
 
-def _measured(batch: LaneBatch, lanes: LaneRunner, value: float, averaged: Int[np.ndarray, " times"]) -> xr.Dataset:
+def _measure(batch: LaneBatch, lanes: LaneRunner, value: float, averaged: Int[np.ndarray, " times"]) -> xr.Dataset:
     """The analysis at every averaging time, the last of which gives the reference."""
     near = batch.at(value + _SPACING * np.arange(_LANES))
-    found = []
+    averages = []
     _exponents(near, lanes, int(averaged[0]))  # compiles
     for periods in averaged:
         wall, cpu = time.perf_counter(), time.process_time()
         exponent, bar = _exponents(near, lanes, int(periods))
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        found.append(_Average(exponent, bar, wall / _LANES, cpu / _LANES))
-    return _dataset(batch, value, averaged[:-1], found[:-1], float(np.mean(found[-1].exponent)))
+        averages.append(_Average(exponent, bar, wall / _LANES, cpu / _LANES))
+    return _dataset(batch, value, averaged[:-1], averages[:-1], float(np.mean(averages[-1].exponent)))
 
 
 def _most_chaotic(batch: LaneBatch, lanes: LaneRunner) -> float | None:
@@ -75,21 +75,21 @@ def _exponents(
 ) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
     """Largest exponent and its error bar of every lane."""
     options = lyapunov.LyapunovOptions(transient=_TRANSIENT, periods=periods, exponents=1)
-    found = lyapunov.run(options, batch, lanes)
-    return found["exponents"].to_numpy()[:, 0], found["exponents_error"].to_numpy()[:, 0]
+    result = lyapunov.run(options, batch, lanes)
+    return result["exponents"].to_numpy()[:, 0], result["exponents_error"].to_numpy()[:, 0]
 
 
 def _dataset(
-    batch: LaneBatch, value: float, averaged: Int[np.ndarray, " times"], found: list[_Average], reference: float
+    batch: LaneBatch, value: float, averaged: Int[np.ndarray, " times"], averages: list[_Average], reference: float
 ) -> xr.Dataset:
     """Quantiles over the lanes, (averaged, quantile)."""
     name, unit, spread = batch.line.name, per_time(batch.flow), ("averaging_periods", "quantile")
-    errors = np.abs(np.array([average.exponent for average in found]) - reference)
+    errors = np.abs(np.array([average.exponent for average in averages]) - reference)
     errors, bars = (
-        np.quantile(values, _QUANTILES, axis=1).T for values in (errors, [average.bar for average in found])
+        np.quantile(values, _QUANTILES, axis=1).T for values in (errors, [average.bar for average in averages])
     )
     together = f"a value of {name} of {_LANES} together, transient and all"
-    seconds, cpu_seconds = ([getattr(average, kind) for average in found] for kind in ("seconds", "cpu_seconds"))
+    seconds, cpu_seconds = ([getattr(average, kind) for average in averages] for kind in ("seconds", "cpu_seconds"))
     variables = {
         "averaging_periods": variable(
             "averaging_periods", averaged, "averaging time", counted_in=counted_in(batch.in_time().system)

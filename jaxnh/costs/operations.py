@@ -67,8 +67,8 @@ def count(program: str, lanes: int) -> Loop:
         if head := _HEAD.match(line):
             lines = computations.setdefault(head["name"], [])
             entry = head["name"] if head["entry"] else entry
-        elif found := _LINE.match(line):
-            lines.append(found)
+        elif match := _LINE.match(line):
+            lines.append(match)
     return _Counter(computations, lanes).body(entry)
 
 

@@ -188,8 +188,8 @@ def _rows(calibration: Calibration, bench: SolverBench) -> list[SolverRow]:
     if not bench.split:
         for ladder in _explicit(bench.system.flow):
             limit = _limit(rows)
-            found = _measure(ladder, calibration, bench, limit, _FEW_ROWS)
-            rows |= {found[0].setting.method: found} if found else {}
+            measured = _measure(ladder, calibration, bench, limit, _FEW_ROWS)
+            rows |= {measured[0].setting.method: measured} if measured else {}
         return list(chain.from_iterable(rows.values()))
     high = [s for s in SPLITTINGS.values() if s.convergence_order >= 6]
     low = [s for s in SPLITTINGS.values() if s.convergence_order < 6]
@@ -203,8 +203,8 @@ def _rows(calibration: Calibration, bench: SolverBench) -> list[SolverRow]:
     for solver in low:
         rows[solver.name] = _measure(_splitting(solver), calibration, bench, limit)
     for ladder in _explicit(bench.system.flow):
-        found = _measure(ladder, calibration, bench, limit, _FEW_ROWS)
-        rows |= {found[0].setting.method: found} if found else {}
+        measured = _measure(ladder, calibration, bench, limit, _FEW_ROWS)
+        rows |= {measured[0].setting.method: measured} if measured else {}
     order = {name: i for i, name in enumerate(chain.from_iterable((s, f"{s} compensated") for s in SPLITTINGS))}
     return list(chain.from_iterable(rows[name] for name in sorted(rows, key=lambda name: order.get(name, len(order)))))
 

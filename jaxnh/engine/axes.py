@@ -85,17 +85,17 @@ def places_of(piece: Piece) -> tuple[Int[np.ndarray, " lanes"], ...]:
     return tuple(grid.ravel() for grid in np.meshgrid(*ranges, indexing="ij"))
 
 
-def sampled(axes: Sequence[Axis], most: int | None) -> Iterator[tuple[Int[np.ndarray, " lanes"], ...]]:
+def sample_places(axes: Sequence[Axis], most: int | None) -> Iterator[tuple[Int[np.ndarray, " lanes"], ...]]:
     """Places of lanes that stand for a sweep, a row for each of some values of the shared axes, both ends among them.
 
     Args:
         most: lanes of all rows together, evenly along every axis; None for all lanes of the rows.
     """
     shared = [axis.kind == "shared" for axis in axes]
-    rows = math.prod(_few(axes, shared, _MOST_ROWS, size=True))
+    rows = math.prod(_even_places(axes, shared, _MOST_ROWS, size=True))
     lanes = None if most is None else max(1, most // rows)
-    chosen_rows = _few(axes, shared, _MOST_ROWS)
-    chosen_lanes = _few(axes, [not s for s in shared], lanes)
+    chosen_rows = _even_places(axes, shared, _MOST_ROWS)
+    chosen_lanes = _even_places(axes, [not s for s in shared], lanes)
     picked = [row if s else lane for row, lane, s in zip(chosen_rows, chosen_lanes, shared, strict=True)]
     every_row = [places for places, s in zip(picked, shared, strict=True) if s]
     grids = np.meshgrid(*every_row, indexing="ij") if every_row else []
@@ -105,34 +105,34 @@ def sampled(axes: Sequence[Axis], most: int | None) -> Iterator[tuple[Int[np.nda
         yield tuple(grid.ravel() for grid in np.meshgrid(*ranges, indexing="ij"))
 
 
-def _few(axes: Sequence[Axis], wanted: Sequence[bool], most: int | None, *, size: bool = False) -> list:
+def _even_places(axes: Sequence[Axis], wanted: Sequence[bool], most: int | None, *, size: bool = False) -> list:
     """Places evenly along the axes wanted, both ends among them, and one along each other; or how many these are."""
-    many = iter(_even([len(axis.values) for axis, want in zip(axes, wanted, strict=True) if want], most))
-    found: list[np.ndarray] = []
+    many = iter(_even_counts([len(axis.values) for axis, want in zip(axes, wanted, strict=True) if want], most))
+    columns: list[np.ndarray] = []
     for axis, want in zip(axes, wanted, strict=True):
         places = np.linspace(0, len(axis.values) - 1, next(many)) if want else np.zeros(1)
-        found.append(np.unique(places.round().astype(int)))
-    return [len(places) for places in found] if size else found
+        columns.append(np.unique(places.round().astype(int)))
+    return [len(places) for places in columns] if size else columns
 
 
-def _even(sizes: Sequence[int], most: int | None) -> list[int]:
+def _even_counts(sizes: Sequence[int], most: int | None) -> list[int]:
     """How many places to take along axes of these sizes: both ends, and beyond these no more than `most` in all.
 
     What a short axis does not need is left to the others.
     """
-    found, left = list(sizes), most
+    counts, left = list(sizes), most
     for rank, k in enumerate(sorted(range(len(sizes)), key=sizes.__getitem__) if left is not None else ()):
         assert left is not None
         each = int(left ** (1 / (len(sizes) - rank)) + 1e-9)
-        found[k] = min(sizes[k], max(2, each))
-        left = max(1, left // found[k])
-    return found
+        counts[k] = min(sizes[k], max(2, each))
+        left = max(1, left // counts[k])
+    return counts
 
 
 # ---- back to axes
 
 
-def on_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool) -> xr.Dataset:
+def to_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool) -> xr.Dataset:
     """A dataset of the lanes of a piece over the axes of the sweep, with their coordinates.
 
     Args:
@@ -156,7 +156,7 @@ def on_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool)
     return xr.Dataset(_coordinates(axes, cuts, content) | content, attrs=data.attrs)
 
 
-def whole_on_axes(data: xr.Dataset, axes: Sequence[Axis]) -> xr.Dataset:
+def whole_to_axes(data: xr.Dataset, axes: Sequence[Axis]) -> xr.Dataset:
     """A dataset of all lanes of a sweep over its axes, and of what is there once for some of them."""
     names, shape = tuple(axis.dim for axis in axes), tuple(len(axis.values) for axis in axes)
     content = {

@@ -46,10 +46,10 @@ def batches(
     if stackable(experiment, axes, requested, job):
         most_values = max(1, min(GROUPS, len(pieces) // (_BATCHES * devices)))
     alike = _alike(experiment, axes)
-    found: list[list[Piece]] = []
+    groups: list[list[Piece]] = []
     computed, there, places = 0, 0, set[tuple[int, ...]]()  # lanes and shared places of the last batch
     for piece in pieces:
-        last, of_piece = found[-1] if found else [], shared_places(piece, job)
+        last, of_piece = groups[-1] if groups else [], shared_places(piece, job)
         follows = bool(last) and piece.number == last[-1].number + 1
         fits = computed + lanes_of(piece, level) <= most and there + piece.lanes <= held
         near = of_piece <= places
@@ -58,11 +58,11 @@ def batches(
         if follows and fits and near and piece.names == job.independent == last[-1].names:
             last.append(piece)
         else:
-            found.append([piece])
+            groups.append([piece])
             computed, there, places = 0, 0, set()
         computed, there = computed + lanes_of(piece, level), there + piece.lanes
         places |= of_piece
-    return found
+    return groups
 
 
 def stackable(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> bool:

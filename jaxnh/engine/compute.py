@@ -13,11 +13,11 @@ from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, SweepLanes
 from jaxnh.analyses.batch import Axis, LaneBatch
 from jaxnh.engine.accuracy.calibration import Plan
-from jaxnh.engine.axes import SweepPoints, on_axes, places_of, points, points_along, points_together, whole_on_axes
+from jaxnh.engine.axes import SweepPoints, places_of, points, points_along, points_together, to_axes, whole_to_axes
 from jaxnh.engine.batches import Requested, lanes_of, stackable
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
-from jaxnh.engine.levels.levels import Level, filled, with_computed
+from jaxnh.engine.levels.levels import Level, fill_level, mark_computed
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.pieces import Job, Piece
 from jaxnh.storage.tiles import SecondsSpent
@@ -76,7 +76,7 @@ def compute(
     job: Job,
     batch: Sequence[Piece],
     lanes: LaneExecutor,
-    gathered: Callable[[str], xr.Dataset],
+    gather: Callable[[str], xr.Dataset],
     level: Level | None = None,
     earlier: float = 0.0,
 ) -> list[ComputedPiece]:
@@ -84,12 +84,12 @@ def compute(
 
     Args:
         axes: of the sweep, or of a level of it with the values that this has.
-        gathered: name of an analysis to what all its tiles say, for a piece that is made of them.
+        gather: name of an analysis to what all its tiles say, for a piece that is made of them.
         level: of the job of one, which lanes are computed, and what the others are filled with.
         earlier: seconds that a stopped run has spent on them, of which a journal has the results.
     """
     if job.is_whole(batch[0]):
-        return [_of_all_tiles(experiment, axes, requested, job, piece, lanes, gathered, earlier) for piece in batch]
+        return [_combine_tiles(experiment, axes, requested, job, piece, lanes, gather, earlier) for piece in batch]
     began, before = time.perf_counter() - earlier, spent(lanes, 0.0)
     line = batch[0].names != job.independent
     places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
@@ -105,7 +105,7 @@ def compute(
         first += some
         cut = {name: data.isel(rows, missing_dims="ignore") for name, data in groups.items()}
         if level is not None:
-            cut = {name: filled(level, name, piece, axes, cut.get(name) if some else None) for name in piece.names}
+            cut = {name: fill_level(level, name, piece, axes, cut.get(name) if some else None) for name in piece.names}
         counts = {n: {} if ANALYSES[n].whole else dict(ANALYSES[n].count(data)) for n, data in cut.items()}
         share = some / len(places[0]) if len(places[0]) else 1.0 / len(batch)
         cost = SecondsSpent(
@@ -115,7 +115,7 @@ def compute(
             after.device,
         )
         done.append(
-            ComputedPiece(piece, {n: on_axes(data, piece, axes, line=line) for n, data in cut.items()}, counts, cost)
+            ComputedPiece(piece, {n: to_axes(data, piece, axes, line=line) for n, data in cut.items()}, counts, cost)
         )
     return done
 
@@ -149,14 +149,14 @@ def _groups(
     return groups
 
 
-def _of_all_tiles(
+def _combine_tiles(
     experiment: Experiment,
     axes: Sequence[Axis],
     requested: Requested,
     job: Job,
     piece: Piece,
     lanes: LaneExecutor,
-    gathered: Callable[[str], xr.Dataset],
+    gather: Callable[[str], xr.Dataset],
     earlier: float,
 ) -> ComputedPiece:
     """What an analysis makes of all its tiles."""
@@ -173,14 +173,14 @@ def _of_all_tiles(
         at_row = points(experiment, axes, places)
         place = places[0] * job.step
         rows.append((some, batch_of(at_row, plan_of_job(job), experiment.precision, job.chosen, place)))
-    data = gathered(analysis.name)
+    data = gather(analysis.name)
     groups = analysis.whole.run(options, SweepLanes(tuple(axes), tuple(rows)), lanes, data)
     if job.level:
-        groups = {name: with_computed(group, data) for name, group in groups.items()}
+        groups = {name: mark_computed(group, data) for name, group in groups.items()}
     after = spent(lanes, time.perf_counter() - began)
     cost = after._replace(
         compile_seconds=after.compile_seconds - before.compile_seconds,
         lane_periods=after.lane_periods - before.lane_periods,
     )
     counts = {name: dict(analysis.count(data)) if name == analysis.name else {} for name, data in groups.items()}
-    return ComputedPiece(piece, {name: whole_on_axes(data, axes) for name, data in groups.items()}, counts, cost)
+    return ComputedPiece(piece, {name: whole_to_axes(data, axes) for name, data in groups.items()}, counts, cost)

@@ -21,13 +21,13 @@ from jaxnh.engine import xla_options
 from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
-from jaxnh.engine.journal import journaled
+from jaxnh.engine.journal import with_journal
 from jaxnh.engine.levels import files
 from jaxnh.engine.levels.levels import Level, axes_of
 from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
 from jaxnh.storage import tiles
 from jaxnh.storage.calls import CallJournal
-from jaxnh.storage.merge import gathered
+from jaxnh.storage.merge import gather
 from jaxnh.storage.pieces import Job, Piece
 from jaxnh.storage.tiles import TileRecord
 
@@ -108,7 +108,7 @@ def _run_stage(
     try:
         while futures and len(lost) < _MOST_LOST:
             heed()
-            for future in _ended(client, list(futures)):
+            for future in _finished(client, list(futures)):
                 try:
                     receipt = _receipt(future, futures[future])
                 except LostError as error:
@@ -136,7 +136,7 @@ def machine(where: str, lanes: LaneExecutor, heed: Callable[[], None]) -> dict[s
         return xla_options.machine(lanes.devices[0], xla_options.flags_of_a_process())
     with cluster(where) as client:
         future = client.submit(_machine, pure=False)
-        while not _ended(client, [future]):
+        while not _finished(client, [future]):
             heed()
         return future.result()
 
@@ -156,7 +156,7 @@ def _receipt(future: Any, piece: Piece) -> TileRecord | None:
         if status == "finished":
             return future.result(timeout=_CONNECT)
         error = future.exception(timeout=_CONNECT) if status == "error" else None
-    except TimeoutError:  # the worker that had it died just now; one that has no scheduler is told by `_ended`
+    except TimeoutError:  # the worker that had it died just now; one that has no scheduler is told by `_finished`
         return None
     except (OSError, CancelledError):
         raise Stopped("the Dask scheduler is gone") from None
@@ -169,7 +169,7 @@ def _receipt(future: Any, piece: Piece) -> TileRecord | None:
     raise RunError(f"tile {piece.number} failed on a worker: {' '.join(str(error).split())[:500]}") from error
 
 
-def _ended(client: Any, futures: list[Any]) -> list[Any]:
+def _finished(client: Any, futures: list[Any]) -> list[Any]:
     """The futures that have come to an end, after a short wait."""
     from distributed import CancelledError, wait
 
@@ -286,13 +286,13 @@ def _piece(folder: str, job_id: str, number: int) -> TileRecord:
     with _AT_ONCE:
         lanes = _lanes()
         experiment, job, level = _task(Path(folder), job_id)
-        if other := xla_options.differing(job.machine, lanes.machine):
+        if other := xla_options.describe_differences(job.machine, lanes.machine):
             raise RuntimeError(f"the tiles are {other}")
         piece = job.pieces()[number - job.first]
         with contextlib.suppress(FileNotFoundError, DamagedError):
             return tiles.check(Path(folder), job, piece)
         calls = CallJournal(Path(folder), job, [piece])
-        with journaled(lanes, calls) as keeping:
+        with with_journal(lanes, calls) as keeping:
             [done] = compute(
                 experiment,
                 axes_of(experiment.axes, job),
@@ -300,7 +300,7 @@ def _piece(folder: str, job_id: str, number: int) -> TileRecord:
                 job,
                 [piece],
                 keeping,
-                lambda name: gathered(Path(folder), job, name),
+                lambda name: gather(Path(folder), job, name),
                 level,
                 calls.seconds,
             )

@@ -28,7 +28,7 @@ from jaxnh.config.user_system import UserSection
 from jaxnh.config.yaml_source import from_dict, from_text
 from jaxnh.engine.fitting import check_analysis, check_levels
 from jaxnh.engine.flows import particle_flow, section_of
-from jaxnh.engine.start_states import admitted, check_constraints, evenly
+from jaxnh.engine.start_states import admit_starts, check_constraints, spread_indices
 from jaxnh.maps.section import System, begin
 from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.flow import Flow
@@ -224,9 +224,9 @@ class Experiment(Config):
         flow = self.flow(shared)
         given = {**self.system.start(self.initial), **coordinates}
         state = flow.start({name: np.full(count, value, dtype=np.float64) for name, value in given.items()})
-        return begin(self.dynamics(shared), self._admitted(flow, state, own or {}))
+        return begin(self.dynamics(shared), self._admit_starts(flow, state, own or {}))
 
-    def _admitted(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
+    def _admit_starts(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
         """Start states, those that the constraints do not admit failed or moved: here their coordinates see to it."""
         return start
 
@@ -316,14 +316,14 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
 
     def _is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Whether the strobe period depends on a parameter: anywhere near its value, or between these."""
-        picked = values[evenly(len(values), _MOST_CLOCKS)]
+        picked = values[spread_indices(len(values), _MOST_CLOCKS)]
         return (
             flow.is_shared(name)
             or len({self._file.period({**dict(flow.parameters), name: float(value)}) for value in picked}) > 1
         )
 
-    def _admitted(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
-        return admitted(flow, start, own, project=self.initial.project)
+    def _admit_starts(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
+        return admit_starts(flow, start, own, project=self.initial.project)
 
     def _default_section(self) -> UserSection:
         return UserSection.model_validate({"coordinate": self._file.coordinates[0]}, context=self._file.names)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, OptionError, Setting
 from jaxnh.config.blocks import Levels
-from jaxnh.config.messages import listed
+from jaxnh.config.messages import join_words
 from jaxnh.config.options.base import Options, rule
 
 
@@ -48,5 +48,5 @@ def check_levels(levels: Levels, sizes: Mapping[str, int], requested: Sequence[t
             along = f"{analysis.name} runs along all values of {next(iter(sizes))}"
             raise rule(f"{along}, and levels leave some out: run it without them", f"analyses.{analysis.name}")
     if levels.refine == "boundary" and not any(analysis.classes for analysis, _ in requested):
-        known = listed([analysis.name for analysis in ANALYSES.values() if analysis.classes])
+        known = join_words([analysis.name for analysis in ANALYSES.values() if analysis.classes])
         raise rule(f"a boundary is seen in {known}; ask for one of them as well", "levels.refine")

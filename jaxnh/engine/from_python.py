@@ -85,7 +85,7 @@ def _one_lane(file: UserFile, content: dict[str, Any]) -> tuple[str, float]:
 
 def _particle(flow: IsokineticParticle | FreeParticle) -> dict[str, Any]:
     """The block `system` of a config whose flow this is."""
-    p = _numbers(flow.parameters)
+    p = _plain_numbers(flow.parameters)
     names, constraint = ["a", "b", "omega"], "free"
     if isinstance(flow, IsokineticParticle):
         disturbed = "disturbance" not in flow.without
@@ -96,6 +96,6 @@ def _particle(flow: IsokineticParticle | FreeParticle) -> dict[str, Any]:
     return {"constraint": constraint, **block, **({"without": without} if without else {})}
 
 
-def _numbers(values: Parameters) -> dict[str, float]:
+def _plain_numbers(values: Parameters) -> dict[str, float]:
     """Parameters as plain numbers."""
     return {name: float(np.asarray(value)) for name, value in values.items()}

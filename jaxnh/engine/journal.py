@@ -24,7 +24,7 @@ class _JournaledTiles:
     def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
         number, self._calls = self._calls, self._calls + 1
         name = self._fingerprints.of(call.function, call.shared, call.lanes, call.static, call.tile)
-        if entries := self._journal.found(number, name):
+        if entries := self._journal.take_entries(number, name):
             structure = _result_structure(call)
             for entry in entries:
                 yield first, jax.tree.unflatten(structure, entry.leaves)
@@ -43,7 +43,7 @@ def _result_structure(call: Call) -> Any:
 
 
 @contextmanager
-def journaled(lanes: LaneExecutor, journal: CallJournal) -> Iterator[LaneExecutor]:
+def with_journal(lanes: LaneExecutor, journal: CallJournal) -> Iterator[LaneExecutor]:
     """The executor with a journal of its calls, which has to be the same calls in every run.
 
     Where it is left by an exception all that is known is written to the journal.

@@ -15,13 +15,13 @@ from jaxnh.analyses.base import Starts
 from jaxnh.analyses.batch import Axis, LaneBatch, picked
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
-from jaxnh.engine.axes import SweepPoints, points, sampled
+from jaxnh.engine.axes import SweepPoints, points, sample_places
 from jaxnh.engine.batches import Requested, lanes_of, shared_values_a_tile
 from jaxnh.engine.cache import calibrations
 from jaxnh.engine.cache.calibrations import Decision
 from jaxnh.engine.compute import batch_of
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.engine.executor.tiles import turns_of
+from jaxnh.engine.executor.tiles import inner_trip_count
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level
 from jaxnh.exceptions import AccuracyError
@@ -55,8 +55,9 @@ def calibrate(
     Raises:
         AccuracyError: no lane has a period that can be computed, or the solver asked for is not made for the flow.
     """
-    rows, asked = [points(experiment, axes, places) for places in sampled(axes, SAMPLED_LANES)], experiment.accuracy
-    for draw in draws(experiment.requested() if requested is None else requested).values():
+    asked = experiment.accuracy
+    rows = [points(experiment, axes, places) for places in sample_places(axes, SAMPLED_LANES)]
+    for draw in start_samplers(experiment.requested() if requested is None else requested).values():
         rows = [_with_starts(row, draw, SAMPLED_LANES // len(rows)) for row in rows]
     if asked.solver and asked.steps:
         try:
@@ -69,20 +70,20 @@ def calibrate(
         raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
 
 
-def draws(requested: Requested) -> dict[str, Starts]:
+def start_samplers(requested: Requested) -> dict[str, Starts]:
     """Where analyses have lanes start at random, by the analysis and those of its options that decide it."""
-    found = {}
+    starts = {}
     for analysis, options in requested:
         if (draw := analysis.starts(options)) is not None:
-            found[f"{analysis.name} {options.model_dump_json(include={'starts', 'seed', 'box'})}"] = draw
-    return found
+            starts[f"{analysis.name} {options.model_dump_json(include={'starts', 'seed', 'box'})}"] = draw
+    return starts
 
 
 def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:
     """Sample lanes, and so many of their random starts as well."""
     state, lane = draw(LaneBatch(row.system, row.start, row.p, scheme_of(row.system).reference, 1, False, math.inf))
-    some = np.unique(np.linspace(0, len(lane) - 1, most).round().astype(int))
-    drawn = picked(state, some), *picked((dict(row.p), dict(row.where)), lane[some])
+    subset = np.unique(np.linspace(0, len(lane) - 1, most).round().astype(int))
+    drawn = picked(state, subset), *picked((dict(row.p), dict(row.where)), lane[subset])
     own = row.start, dict(row.p), dict(row.where)
     start, p, where = jax.tree.map(lambda *leaves: np.concatenate(leaves), own, drawn)
     return row._replace(start=start, p=p, where=where)
@@ -108,19 +109,19 @@ def choose(
     experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: LaneExecutor
 ) -> dict[str, dict[str, int]]:
     """What analyses choose from a whole sweep: of several values of the shared axes the largest."""
-    found: dict[str, dict[str, int]] = {}
+    choices: dict[str, dict[str, int]] = {}
     choosing = [(a, options) for a, options in requested if a.choose and a.independent(options)]
     most = None if experiment.sweep.lanes <= MOST_LANES else _MOST_CHOOSING
     accuracy, precision = experiment.accuracy, experiment.precision
     target = accuracy.target if precision == "float64" and not accuracy.steps else 0.0
-    for places in sampled(axes, most) if choosing else ():
+    for places in sample_places(axes, most) if choosing else ():
         lane_batch = replace(batch_of(points(experiment, axes, places), plan, precision), target=target)
         for analysis, options in choosing:
             assert analysis.choose is not None
-            before = found.setdefault(analysis.name, {})
+            before = choices.setdefault(analysis.name, {})
             for key, number in analysis.choose(options, lane_batch, lanes).items():
                 before[key] = max(number, before.get(key, number))
-    return found
+    return choices
 
 
 def job_of(
@@ -214,15 +215,15 @@ def check_size(
     count = experiment.sweep.lanes
     work = work_of(requested, count) * count
     first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
-    turns = turns_of((batch_of(first, plan, experiment.precision).strobe(),))
+    turns = inner_trip_count((batch_of(first, plan, experiment.precision).strobe(),))
     seconds = work * turns * lanes.accounts.fastest if math.isfinite(lanes.accounts.fastest) else 0.0
     if count > MOST_LANES or seconds > _LONGEST_RUN:
         size = f", {8e-9 * count:.2g} GB a variable" if count > MOST_LANES else ""
-        would = f"{size}, and about {_rounded(work)} lane-periods, {_said(seconds)} on this machine; --yes goes on"
+        would = f"{size}, and about {_rounded(work)} lane-periods, {_duration(seconds)} on this machine; --yes goes on"
         raise experiment.too_large(would)
 
 
-def _said(seconds: float) -> str:
+def _duration(seconds: float) -> str:
     """A time in words."""
     _, unit, name = next(one for one in _UNITS if seconds >= one[0])
     return f"{float(f'{seconds / unit:.2g}'):,g} {name}"

@@ -37,7 +37,7 @@ def attributes(experiment: Experiment, job: Job, total: SecondsSpent, command: s
 def warnings_of(job: Job, receipts: Mapping[int, TileRecord]) -> dict[str, tuple[str, ...]]:
     """What is to be said of every group of a job as a whole, from the receipts of all pieces by their numbers."""
     counts = {name: Counter[str]() for name in job.groups}
-    for name, found in counts.items():
+    for name, tally in counts.items():
         for piece in job.sources(name):
-            found.update(receipts[piece.number].counts.get(name, {}))
-    return {name: count_warnings(name, found) for name, found in counts.items()}
+            tally.update(receipts[piece.number].counts.get(name, {}))
+    return {name: count_warnings(name, tally) for name, tally in counts.items()}

@@ -17,21 +17,21 @@ from jaxnh.engine import dask_workers
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import ComputedPiece, compute, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.engine.executor.threads import side_by_side
+from jaxnh.engine.executor.threads import run_side_by_side
 from jaxnh.engine.experiment import Experiment
-from jaxnh.engine.journal import journaled
+from jaxnh.engine.journal import with_journal
 from jaxnh.engine.levels import files
 from jaxnh.engine.levels.levels import Level, axes_of
 from jaxnh.engine.output import other_than
 from jaxnh.engine.plan import decide, work_of_pieces
 from jaxnh.engine.progress import InterruptibleProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes, warnings_of
-from jaxnh.engine.xla_options import configure, differing
+from jaxnh.engine.xla_options import configure, describe_differences
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
 from jaxnh.storage import tiles
 from jaxnh.storage.atomic import same_file
-from jaxnh.storage.calls import CallJournal, left
-from jaxnh.storage.merge import DamagedPieceError, gathered, merge
+from jaxnh.storage.calls import CallJournal, interrupted_batches
+from jaxnh.storage.merge import DamagedPieceError, gather, merge
 from jaxnh.storage.pieces import Job, Piece, share
 from jaxnh.storage.provenance import versions
 from jaxnh.storage.tiles import SecondsSpent, TileRecord
@@ -143,7 +143,7 @@ class _Run:
             with self._workers:
                 for stage in stages:
                     self._stage(job, stage)
-            return self._outcome(job, whole=not self._how.part)
+            return self._summary(job, whole=not self._how.part)
         except _Waiting:
             raise
         except Stopped as end:
@@ -188,7 +188,7 @@ class _Run:
             _Waiting: they have not.
         """
         others = [piece for piece in every if piece.number not in self._receipts]
-        there = self._there(stage, others)
+        there = self._sound_pieces(stage, others)
         if len(there) < len(others):
             part, of = self._how.part or (1, 1)
             raise _Waiting(
@@ -196,7 +196,7 @@ class _Run:
                 "tiles of other parts are not"
             )
         last = [piece for piece in stage.pieces() if stage.is_whole(piece)]
-        missing = set(last) - set(self._there(stage, last))
+        missing = set(last) - set(self._sound_pieces(stage, last))
         self._compute(stage, sorted(missing))
 
     def _job(self) -> Job:
@@ -207,7 +207,7 @@ class _Run:
             if job.config_sha256 != self._experiment.sha256:
                 other = f"of {other_than(self._experiment, tiles.origin(self._folder).user_text)}"
             other = other or ("of other versions of the libraries" if dict(job.versions) != versions() else "")
-            other = other or self._elsewhere(job)
+            other = other or self._machine_differences(job)
             if not other:
                 self._earlier = tiles.origin(self._folder).spent.seconds
                 return job
@@ -226,14 +226,14 @@ class _Run:
         own = self._experiment.user_file
         return tiles.publish(self._folder, job, tiles.Origin(self._experiment.text, own and own.text, cost))
 
-    def _elsewhere(self, job: Job) -> str:
+    def _machine_differences(self, job: Job) -> str:
         """How the machines of a job differ from this one, which is to go on with it; "" where they do not.
 
         Joining tiles computes nothing, and Dask workers look for themselves.
         """
         if self._how.dask or (self._how.merge and not job.wholes):
             return ""
-        return differing(job.machine, self._make_lanes().machine)
+        return describe_differences(job.machine, self._make_lanes().machine)
 
     def _make_lanes(self) -> LaneExecutor:
         if self._lanes is None:
@@ -243,14 +243,14 @@ class _Run:
 
     def _find(self, job: Job, pieces: Sequence[Piece]) -> None:
         """Which pieces are done; those that are there and of no use are dropped."""
-        there = self._there(job, pieces)
+        there = self._sound_pieces(job, pieces)
         self._dropped.clear()
         self._earlier += sum(self._receipts[piece.number].spent.seconds for piece in there)
         if there:
             of = f" of level {job.level}" if job.level else ""
             self._progress.note(f"{len(there)} of {len(pieces)} tiles{of} are done; going on")
 
-    def _there(self, job: Job, pieces: Sequence[Piece]) -> list[Piece]:
+    def _sound_pieces(self, job: Job, pieces: Sequence[Piece]) -> list[Piece]:
         """The pieces that are there; those of no use are dropped."""
         for piece in pieces:
             try:
@@ -281,35 +281,35 @@ class _Run:
             )
         cost = work_of_pieces(self._requested, job, [*missing, *last], self._level)
         if self._how.dask:
-            self._over(job, [*missing, *last], cost, lambda: self._on_workers(job, (missing, last), cost))
+            self._run_stage(job, [*missing, *last], cost, lambda: self._on_workers(job, (missing, last), cost))
             return
         lanes = self._make_lanes()
-        found = self._batches(job, missing, len(lanes.devices))
-        cut = [batch for batch in found if batch[0].names == job.independent]
+        tile_batches = self._batches(job, missing, len(lanes.devices))
+        cut = [batch for batch in tile_batches if batch[0].names == job.independent]
         if len(cut) > 1:
-            found = [batch for batch in found if batch[0].names != job.independent]
+            tile_batches = [batch for batch in tile_batches if batch[0].names != job.independent]
             pieces = [piece for batch in cut for piece in batch]
 
             def all_of_them() -> None:
                 if len(lanes.devices) > 1:
-                    side_by_side(lanes, cut, lambda some, runner: self._in_turn(job, some, runner, cost))
+                    run_side_by_side(lanes, cut, lambda subset, runner: self._run_batches(job, subset, runner, cost))
                 else:
-                    self._in_turn(job, cut, lanes, cost)
+                    self._run_batches(job, cut, lanes, cost)
 
-            self._over(job, pieces, cost, all_of_them)
-        self._in_turn(job, found, lanes, {})
-        self._in_turn(job, [[piece] for piece in last], lanes, {})  # what they are made of has been written
+            self._run_stage(job, pieces, cost, all_of_them)
+        self._run_batches(job, tile_batches, lanes, {})
+        self._run_batches(job, [[piece] for piece in last], lanes, {})  # what they are made of has been written
 
     def _batches(self, job: Job, missing: Sequence[Piece], devices: int) -> list[list[Piece]]:
         """Pieces that are computed together, those first that a stopped run has begun together."""
         rest, begun = {piece.number: piece for piece in missing}, list[list[Piece]]()
-        for numbers in left(self._folder, job):
+        for numbers in interrupted_batches(self._folder, job):
             if rest.keys() >= set(numbers):  # those of another part are not ours to go on with
                 begun.append([rest.pop(number) for number in numbers])
         axes = axes_of(self._experiment.axes, job)
         return begun + batches(self._experiment, axes, self._requested, job, list(rest.values()), devices, self._level)
 
-    def _over(self, job: Job, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
+    def _run_stage(self, job: Job, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""
         names = ", ".join(dict.fromkeys(name for piece in pieces for name in piece.names))
         label = f"{names}: {len(pieces)} tiles{f' of level {job.level} of {job.levels}' if job.level else ''}"
@@ -321,7 +321,9 @@ class _Run:
             self._progress.shown = self._shown
             self._shown.finish()
 
-    def _in_turn(self, job: Job, found: Iterable[Sequence[Piece]], lanes: LaneExecutor, cost: dict[int, float]) -> None:
+    def _run_batches(
+        self, job: Job, tile_batches: Iterable[Sequence[Piece]], lanes: LaneExecutor, cost: dict[int, float]
+    ) -> None:
         """Compute batches one after the other; each is written while the next is computed."""
         written: list[Future[list[TileRecord]]] = []
         axes = axes_of(self._experiment.axes, job)
@@ -333,7 +335,7 @@ class _Run:
 
         with ThreadPoolExecutor(1) as writer:
             try:
-                for batch in found:
+                for batch in tile_batches:
                     self._check()
                     calls = CallJournal(self._folder, job, batch)
                     if calls.seconds:
@@ -341,7 +343,7 @@ class _Run:
                             self._earlier += calls.seconds
                         numbers = ", ".join(str(piece.number) for piece in batch)
                         self._progress.note(f"tiles {numbers}: going on after {calls.seconds:.0f} s of work")
-                    with journaled(lanes, calls) as keeping:
+                    with with_journal(lanes, calls) as keeping:
                         computed = compute(
                             self._experiment,
                             axes,
@@ -349,7 +351,7 @@ class _Run:
                             job,
                             batch,
                             keeping,
-                            lambda name: gathered(self._folder, job, name),
+                            lambda name: gather(self._folder, job, name),
                             self._level,
                             calls.seconds,
                         )
@@ -375,12 +377,12 @@ class _Run:
 
     def _spent(self) -> SecondsSpent:
         """What all runs have spent on what is there."""
-        found = [tiles.origin(self._folder).spent, *(receipt.spent for receipt in self._receipts.values())]
+        costs = [tiles.origin(self._folder).spent, *(receipt.spent for receipt in self._receipts.values())]
         return SecondsSpent(
             self._earlier + time.perf_counter() - self._began,
-            sum(one.compile_seconds for one in found),
-            sum(one.lane_periods for one in found),
-            ", ".join(dict.fromkeys(one.device for one in found)),
+            sum(cost.compile_seconds for cost in costs),
+            sum(cost.lane_periods for cost in costs),
+            ", ".join(dict.fromkeys(cost.device for cost in costs)),
         )
 
     def _finish(self, job: Job) -> None:
@@ -400,7 +402,7 @@ class _Run:
         attrs = attributes(self._experiment, job, self._total, self._how.command)
         merge(path, attrs, self._folder, job, warnings_of(job, self._receipts), self._check)
 
-    def _outcome(self, job: Job, *, whole: bool) -> RunSummary:
+    def _summary(self, job: Job, *, whole: bool) -> RunSummary:
         lanes = self._lanes
         return RunSummary(
             job,

@@ -28,7 +28,7 @@ from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.from_python import System, experiment_of
 from jaxnh.engine.levels.levels import Level, axes_of, level_of
 from jaxnh.engine.output import check_output, file_of, is_there
-from jaxnh.engine.plan import calibrate, choose, count_warnings, draws, job_of, plan_of
+from jaxnh.engine.plan import calibrate, choose, count_warnings, job_of, plan_of, start_samplers
 from jaxnh.engine.progress import CallbackProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.run import RunOptions, run_to_file
@@ -90,14 +90,14 @@ class Session:
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: its experiment, and what calibration has chosen so far; nothing is computed."""
-        title, *facts = map(escape, self._said())
+        title, *facts = map(escape, self._describe())
         return "<br>".join([f"<b>{title}</b>", *facts])
 
     def __repr__(self) -> str:
         """The same in one line."""
-        return f"<{', '.join(self._said())}>"
+        return f"<{', '.join(self._describe())}>"
 
-    def _said(self) -> list[str]:
+    def _describe(self) -> list[str]:
         """Title, axes, and what calibration has chosen so far."""
         experiment = self.experiment
         axes = ", ".join(f"{axis.name} ({len(axis.values):,})" for axis in experiment.axes)
@@ -211,12 +211,12 @@ class Session:
         experiment = self._base.variant(analyses, axes)
         if self._base.filler:
             self.experiment = experiment
-        _, groups = self._computed(experiment)
+        _, groups = self._compute(experiment)
         fixed = {name for name, values in axes.items() if np.ndim(values) == 0} | {experiment.filler}
         fixed = [axis.dim for axis in experiment.axes if axis.name in fixed]
         return {name: data.squeeze([d for d in fixed if d in data.dims]) for name, data in groups.items()}
 
-    def of_few(self, tile: int) -> Session:
+    def for_few_lanes(self, tile: int) -> Session:
         """This session for few lanes, with its accuracy and tiles of so many: a lane then waits for no others.
 
         The last digits of chaos are other ones than in a run.
@@ -228,7 +228,7 @@ class Session:
     def tree(self) -> xr.DataTree:
         """All analyses that the experiment asks for, with the root attributes of a result file."""
         began = time.perf_counter()
-        job, groups = self._computed(self.experiment)
+        job, groups = self._compute(self.experiment)
         attrs = attributes(self.experiment, job.stages()[-1], spent(self._lanes, time.perf_counter() - began))
         return xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs), **groups})  # pyright: ignore[reportUnknownMemberType]
 
@@ -252,7 +252,7 @@ class Session:
     def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...]) -> Plan:
         """The plan of a sweep that has these lanes, calibrated if there is none yet."""
         requested = experiment.requested()
-        drawn = frozenset(draws(requested))
+        drawn = frozenset(start_samplers(requested))
         for known, sectioned, starts, plan in self._plans:
             # A return is made of steps in time.
             if _within(axes, known) and sectioned >= experiment.sectioned and starts >= drawn:
@@ -265,7 +265,7 @@ class Session:
         self._plans.append((axes, experiment.sectioned, drawn, plan))
         return plan
 
-    def _computed(self, experiment: Experiment) -> tuple[Job, dict[str, xr.Dataset]]:
+    def _compute(self, experiment: Experiment) -> tuple[Job, dict[str, xr.Dataset]]:
         """The datasets of all analyses that an experiment asks for, this one's or a variant of it."""
         if experiment.sweep.lanes > MOST_LANES:
             raise experiment.too_large(
@@ -292,16 +292,16 @@ class Session:
         of_lanes: dict[str, xr.Dataset] = {}
         counts = {name: Counter[str]() for name in job.groups}
 
-        def gathered(name: str) -> xr.Dataset:
+        def gather(name: str) -> xr.Dataset:
             of_lanes[name] = assemble(parts.pop((name, False)), job)
             return of_lanes[name]
 
         for batch in batches(experiment, axes, requested, job, job.pieces(), len(lanes.devices), level):
-            for done in compute(experiment, axes, requested, job, batch, lanes, gathered, level):
+            for done in compute(experiment, axes, requested, job, batch, lanes, gather, level):
                 for name, data in done.groups.items():
                     parts.setdefault((name, job.is_whole(done.piece)), []).append((done.piece, data))
                     counts[name].update(done.counts[name])
-        said = {name: count_warnings(name, found) for name, found in counts.items()}
+        said = {name: count_warnings(name, tally) for name, tally in counts.items()}
         whole = {name: assemble(parts[name, job.is_whole(job.sources(name)[0])], job, said[name]) for name in counts}
         return whole, {**whole, **of_lanes}
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.config.messages import listed
+from jaxnh.config.messages import join_words
 from jaxnh.config.options.base import rule
 from jaxnh.config.user_system import UserInitial, UserSweep
 from jaxnh.systems.flow import STATUS, Flow, Parameters
@@ -22,7 +22,7 @@ _MOST_CHECKED = 100_000  # lanes at which f is looked at
 def check_constraints(flow: Flow, initial: UserInitial, sweep: UserSweep) -> None:
     """Check that the constraints hold at the start: at every point of the sweep, or if it is large at some of them.
 
-    Where the start is swept it is enough that they hold somewhere: lanes that begin elsewhere fail (`admitted`).
+    Where the start is swept it is enough that they hold somewhere: lanes that begin elsewhere fail (`admit_starts`).
 
     Args:
         flow: the system at the first value of every axis.
@@ -50,7 +50,7 @@ def check_constraints(flow: Flow, initial: UserInitial, sweep: UserSweep) -> Non
     state, p = jax.tree.map(lambda leaf: jnp.asarray(leaf[lane]), (start, parameters))
     near = flow.nearest(state, p)
     keys = [f"{coordinate}_dot" for coordinate in flow.names]
-    where = listed([f"{name} = {values[lane]:g}" for name, values in axes.items()])
+    where = join_words([f"{name} = {values[lane]:g}" for name, values in axes.items()])
     message = f"f[{number}] is {residuals[number, lane]:.3g} at the start with {where}, and must be 0"
     if np.all(np.isfinite(np.array(near.v))):
         nearest = ", ".join(f"{key}: {float(v):.10g}" for key, v in zip(keys, near.v, strict=True))
@@ -67,24 +67,24 @@ def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.
     return residuals, ~np.all(np.abs(residuals) <= limit, axis=0)
 
 
-def admitted(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> Motion:
+def admit_starts(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> Motion:
     """Start states of a mechanical system (lanes,), those off its constraints failed: or moved onto them, if asked."""
     if not isinstance(flow, Lagrangian) or not flow.constraints:
         return start
     _, off = _off_constraint(flow, start, p)
     if not np.any(off):
         return start
-    some = jax.tree.map(lambda leaf: leaf[off], (start, dict(p)))
+    off_constraint = jax.tree.map(lambda leaf: leaf[off], (start, dict(p)))
     if project:
-        moved = jax.vmap(flow.nearest)(*some)
+        moved = jax.vmap(flow.nearest)(*off_constraint)
     else:
-        drift, reason = some[0].watch
-        nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), some[0])
+        drift, reason = off_constraint[0].watch
+        nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), off_constraint[0])
         moved = nowhere._replace(watch=(drift, np.full_like(reason, STATUS.index("off_constraint"))))
-    found = jax.tree.map(np.array, start)
-    for leaf, part in zip(jax.tree.leaves(found), jax.tree.leaves(moved), strict=True):
+    states = jax.tree.map(np.array, start)
+    for leaf, part in zip(jax.tree.leaves(states), jax.tree.leaves(moved), strict=True):
         leaf[off] = part
-    return found
+    return states
 
 
 def _product(axes: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.ndarray, " lanes"]]:
@@ -93,10 +93,10 @@ def _product(axes: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.
     while np.prod([float(count) for count in counts.values()]) > _MOST_CHECKED:
         largest = max(counts, key=lambda name: counts[name])
         counts[largest] = -(-counts[largest] // 2)
-    picked = [values[evenly(len(values), counts[name])] for name, values in axes.items()]
+    picked = [values[spread_indices(len(values), counts[name])] for name, values in axes.items()]
     return dict(zip(axes, (grid.ravel() for grid in np.meshgrid(*picked, indexing="ij")), strict=True))
 
 
-def evenly(count: int, most: int) -> np.ndarray:
+def spread_indices(count: int, most: int) -> np.ndarray:
     """Numbers below a count, at most so many of them, evenly and with both ends."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

@@ -57,25 +57,25 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     )
     job = job.stages()[int(attrs.get("level", 1)) - 1]
     axes = axes_of(experiment.axes, job)
-    found: dict[str, tuple[int, int]] = {a.name: (0, 0) for a, _ in requested if not a.whole}
+    compared: dict[str, tuple[int, int]] = {a.name: (0, 0) for a, _ in requested if not a.whole}
     lanes = LaneExecutor()
-    for piece in _picked(job) if job.independent else ():
+    for piece in _sample_blocks(job) if job.independent else ():
         [done] = compute(experiment, axes, requested, job, [piece], lanes, _nothing_gathered)
-        for name in filter(found.__contains__, done.groups):
+        for name in filter(compared.__contains__, done.groups):
             data = done.groups[name]
-            computed = _computed(path, name, piece, job)
+            computed = _computed_lanes(path, name, piece, job)
             differs = np.zeros(piece.lanes, bool)
             for ours, theirs in _pairs(path, name, data, piece, job):
                 differs |= np.any(ours != theirs, axis=1)
-            found[name] = found[name][0] + int(computed.sum()), found[name][1] + int(differs[computed].sum())
-    return found
+            compared[name] = compared[name][0] + int(computed.sum()), compared[name][1] + int(differs[computed].sum())
+    return compared
 
 
 def _nothing_gathered(name: str) -> xr.Dataset:
     raise RunError(f"no tiles of {name} are kept")
 
 
-def _picked(job: Job) -> list[Piece]:
+def _sample_blocks(job: Job) -> list[Piece]:
     """Blocks at the beginning, in the middle and at the end of all axes."""
     own = [k for k, (_, _, shared) in enumerate(job.axes) if not shared]
     size = np.ones(len(job.axes), int)
@@ -85,7 +85,7 @@ def _picked(job: Job) -> list[Piece]:
     return [Piece(0, job.independent, begin, tuple((np.array(begin) + size).tolist())) for begin in begins]
 
 
-def _computed(path: Path, name: str, piece: Piece, job: Job) -> np.ndarray:
+def _computed_lanes(path: Path, name: str, piece: Piece, job: Job) -> np.ndarray:
     """Which lanes of a piece were computed, and not filled from a coarser level."""
     if not job.level:
         return np.ones(piece.lanes, bool)

@@ -56,12 +56,12 @@ def configure(devices: int | None = None) -> None:
     """
     jax.config.update("jax_enable_x64", True)
     wanted = _flags(os.environ.get("XLA_FLAGS", ""))
-    late = wanted != os.environ.get("XLA_FLAGS") and _started()
+    late = wanted != os.environ.get("XLA_FLAGS") and _has_started()
     if not _in_effect:
         _in_effect.append(os.environ.get("XLA_FLAGS", "") if late else wanted)
     os.environ["XLA_FLAGS"] = wanted
     os.environ.setdefault("EQX_ON_ERROR", "nan")  # no host callbacks: they keep diffrax programs out of the cache
-    if "JAX_NUM_CPU_DEVICES" not in os.environ and not _started():
+    if "JAX_NUM_CPU_DEVICES" not in os.environ and not _has_started():
         jax.config.update("jax_num_cpu_devices", devices or len(cores()))
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
@@ -97,7 +97,7 @@ def machine(device: Any, flags: str | None = None) -> dict[str, str]:
     return {"processor": kind, "xla_options": " ".join(kept)}
 
 
-def differing(made: Mapping[str, str], here: Mapping[str, str]) -> str:
+def describe_differences(made: Mapping[str, str], here: Mapping[str, str]) -> str:
     """In words, how tiles made on one machine differ from those that another would make; "" where they do not."""
     if made == here:
         return ""
@@ -118,8 +118,8 @@ def _processor() -> str:
         words = next(line for line in lines if line.startswith(("flags", "Features"))).split(":", 1)[1].split()
     except (OSError, StopIteration, IndexError):
         words = []  # no Linux: the name has to do
-    found = sorted(filter(_VECTORS.fullmatch, words))
-    return " ".join([platform.machine(), *(found or [platform.processor()])]).strip()
+    extensions = sorted(filter(_VECTORS.fullmatch, words))
+    return " ".join([platform.machine(), *(extensions or [platform.processor()])]).strip()
 
 
 @cache
@@ -153,7 +153,7 @@ def cores() -> list[int]:
     return list(range(os.cpu_count() or 1))
 
 
-def _started() -> bool:
+def _has_started() -> bool:
     """Whether JAX has started its devices. Their number can then be changed no more, which is how this is known."""
     before = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
     try:

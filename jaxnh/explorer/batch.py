@@ -26,31 +26,31 @@ def experiment_of(content: Content, user_file: UserFile | None) -> Experiment:
     return Experiment.from_text(text, user_file.text if user_file else None)
 
 
-def swept(content: Content, grids: Mapping[str, Any], analyses: Mapping[str, Any]) -> dict[str, Any]:
+def with_sweep(content: Content, grids: Mapping[str, Any], analyses: Mapping[str, Any]) -> dict[str, Any]:
     """A config with other axes and analyses, and without what belongs to a run of the old ones.
 
     Args:
         grids: name to start, stop and count, or values.
     """
-    found = copy.deepcopy({key: value for key, value in content.items() if key not in ("compare", "levels", "title")})
+    config = copy.deepcopy({key: value for key, value in content.items() if key not in ("compare", "levels", "title")})
     for block in ("system", "initial"):
-        if block in found:
-            found[block] = {key: value for key, value in (found[block] or {}).items() if key not in grids}
-    return {**found, "sweep": dict(grids), "analyses": dict(analyses)}
+        if block in config:
+            config[block] = {key: value for key, value in (config[block] or {}).items() if key not in grids}
+    return {**config, "sweep": dict(grids), "analyses": dict(analyses)}
 
 
-def evenly(low: float, high: float, count: int) -> dict[str, Any]:
+def even_axis(low: float, high: float, count: int) -> dict[str, Any]:
     """The block of an axis of evenly spaced values."""
     return {"start": low, "stop": high, "count": count}
 
 
-def fixed_at(content: Content, values: Mapping[str, float], coordinates: tuple[str, ...]) -> dict[str, Any]:
+def with_values(content: Content, values: Mapping[str, float], coordinates: tuple[str, ...]) -> dict[str, Any]:
     """A config with other values of parameters, or of coordinates of the start state."""
-    found = copy.deepcopy(dict(content))
+    config = copy.deepcopy(dict(content))
     for name, value in values.items():
         block = "initial" if name in coordinates else "system"
-        found[block] = {**(found.get(block) or {}), name: value}
-    return found
+        config[block] = {**(config.get(block) or {}), name: value}
+    return config
 
 
 def batch_text(
@@ -70,8 +70,8 @@ def batch_text(
         solver: and its steps a period that the view was computed with; None leaves them to the target.
         title: what it is, in words.
     """
-    grids = {name: evenly(*ends, view.counts[name]) for name, ends in view.ranges.items()}
-    base = fixed_at(swept(content, grids, analyses), view.fixed, coordinates)
+    grids = {name: even_axis(*ends, view.counts[name]) for name, ends in view.ranges.items()}
+    base = with_values(with_sweep(content, grids, analyses), view.fixed, coordinates)
     accuracy = dict(base.get("accuracy") or {})
     if view.target is not None:
         accuracy["target"] = view.target

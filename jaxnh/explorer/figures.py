@@ -18,10 +18,10 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from jaxnh.explorer.raster import ROWS
-from jaxnh.explorer.source import LaneReport, Picture, measured
+from jaxnh.explorer.source import LaneReport, Picture, axis_title
 from jaxnh.explorer.view import View
-from jaxnh.plotting.descriptions import described
-from jaxnh.plotting.groups import shown
+from jaxnh.plotting.descriptions import describe
+from jaxnh.plotting.groups import variables_of
 from jaxnh.plotting.style import LINE, MARK, POINT
 
 _MOST_POINTS = 1 << 14
@@ -114,16 +114,16 @@ class Portrait:
 
     def show(self, report: LaneReport) -> None:
         """Draw what a report has: points in the plane of the trajectory where there is one, those of a section too."""
-        groups = {key: described(key, report.groups[key]) for key in ("portrait", "poincare") if key in report.groups}
+        groups = {key: describe(key, report.groups[key]) for key in ("portrait", "poincare") if key in report.groups}
         there = list(groups.values())
-        names = [str(variable.name) for variable in shown(there[0])] if there else ()
+        names = [str(variable.name) for variable in variables_of(there[0])] if there else ()
         for name, source in (("portrait", self._path), ("poincare", self._points)):
             data = groups.get(name)
             across, up = _values(data, names) if data is not None else (np.zeros(0), np.zeros(0))
             source.data = {"x": across, "y": up}
         if there:
             self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = (
-                measured(str(there[0][name].attrs.get("long_name", name)), str(there[0][name].attrs.get("units", "")))
+                axis_title(str(there[0][name].attrs.get("long_name", name)), str(there[0][name].attrs.get("units", "")))
                 for name in names
             )
 

@@ -31,7 +31,7 @@ class Lattice:
     def put(self, part: xr.Dataset, places: tuple[Places, Places], step: int) -> None:
         """Lanes at a product of places along both axes, for all lanes less than half a step away."""
         axes = tuple(self._grid)
-        around = [_around(place, size, step) for place, size in zip(places, self._shape, strict=True)]
+        around = [_nearest_places(place, size, step) for place, size in zip(places, self._shape, strict=True)]
         for key, item in part.data_vars.items():
             if not set(axes) <= set(item.dims):
                 continue
@@ -54,7 +54,7 @@ class Lattice:
         return xr.Dataset(content, coordinates, {**part.attrs, "axes": " ".join(axes)})
 
 
-def _around(places: Places, size: int, step: int) -> tuple[Places, Places]:
+def _nearest_places(places: Places, size: int, step: int) -> tuple[Places, Places]:
     """Places along an axis whose nearest multiple of a step is one of these, and for each of them which."""
     every = np.arange(size)
     nearest = np.minimum((every + step // 2) // step, (size - 1) // step) * step

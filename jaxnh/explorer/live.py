@@ -18,7 +18,7 @@ from jaxnh.exceptions import InputError
 from jaxnh.explorer.live_plane import LivePlane
 from jaxnh.explorer.raster import raster, values_of
 from jaxnh.explorer.sessions import Sessions
-from jaxnh.explorer.source import LaneReport, Picture, PictureSource, measured
+from jaxnh.explorer.source import LaneReport, Picture, PictureSource, axis_title
 from jaxnh.explorer.view import View
 
 _COARSE_SECONDS = 0.15  # that a coarse picture may be computed in
@@ -73,15 +73,15 @@ class LiveDiagram:
             strobes=options.get("strobes", 128),
             columns=columns,
         )
-        self.axis_words = {axis.name: measured(axis.long_name, axis.units)}
+        self.axis_words = {axis.name: axis_title(axis.long_name, axis.units)}
         self.variables = {
-            name: measured(flow.labels.long_names[name], flow.labels.units[name]) for name in flow.coordinates
+            name: axis_title(flow.labels.long_names[name], flow.labels.units[name]) for name in flow.coordinates
         }
         self._seconds: dict[int, float] = {}  # a lane-period, by session
 
     def passes(self, view: View) -> Iterator[Picture]:
         """Pictures of a view: a coarse one, then its columns in full, some of them at a time."""
-        moved, known = self.sessions.moved(view), self.sessions.of(view)
+        moved, known = self.sessions.changed_parameters(view), self.sessions.of(view)
         values, notes = view.values(), (*self._notes, *self.sessions.notes(view, known))
         dim = self.sessions.dims[view.axis]
         every = max(1, -(-view.columns // (TILE * known.session.devices)))
@@ -90,10 +90,10 @@ class LiveDiagram:
         points, failed = np.full((len(values), view.strobes), np.nan), np.zeros(len(values), bool)
         if coarse + strobes < view.transient + view.strobes:
             rough = self._diagram(known.session, view, values[::every], moved, coarse, strobes)
-            _, found = values_of(rough, dim, view.variable)
-            points[:, :strobes] = np.repeat(found, every, axis=0)[: len(values)]
-            words = f"coarse: {len(found):,} values, {strobes} strobes after {coarse} periods"
-            words += _failures(np.any(~np.isfinite(found), axis=1))
+            _, states = values_of(rough, dim, view.variable)
+            points[:, :strobes] = np.repeat(states, every, axis=0)[: len(values)]
+            words = f"coarse: {len(states):,} values, {strobes} strobes after {coarse} periods"
+            words += _failures(np.any(~np.isfinite(states), axis=1))
             yield Picture(raster(values, points, view.window), None, words, notes)
         parts = []
         for k in range(every):

@@ -18,7 +18,7 @@ from jaxnh.explorer.lattice import Lattice, Places, blocks
 from jaxnh.explorer.quantities import BASINS, OF_LANES, Options, analyses_of, shortened
 from jaxnh.explorer.raster import plane_raster
 from jaxnh.explorer.sessions import CalibratedSession, Sessions, goes_with
-from jaxnh.explorer.source import LaneReport, Picture, measured
+from jaxnh.explorer.source import LaneReport, Picture, axis_title
 from jaxnh.explorer.view import View
 from jaxnh.plotting.panels import pixels_of
 
@@ -69,7 +69,7 @@ class LivePlane:
         self.sessions = Sessions(experiment, axes, offered, progress)
         self.parameters = self.sessions.parameters
         self.title = experiment.title or experiment.label
-        self.axis_words = {axis.name: measured(axis.long_name, axis.units) for axis in axes}
+        self.axis_words = {axis.name: axis_title(axis.long_name, axis.units) for axis in axes}
         self.variables = {name: _WORDS[name] for name in offered}
         self._notes = (
             () if asked else (f"the config asks for {', '.join(own)}; over two axes explore shows these quantities",)
@@ -143,7 +143,7 @@ class LivePlane:
     ) -> dict[str, xr.Dataset]:
         """Groups of the lanes at a product of places along both axes."""
         at = {name: values[place] for (name, values), place in zip(view.grid().items(), places, strict=True)}
-        return session.groups(analyses, **at, **self.sessions.moved(view))
+        return session.groups(analyses, **at, **self.sessions.changed_parameters(view))
 
     def _step(self, view: View, known: CalibratedSession) -> int:
         """Places between lanes of a coarse picture: all of these are in one tile a device, which takes least."""

@@ -23,7 +23,7 @@ from jaxnh.explorer.source import LaneReport, Picture, PictureSource
 from jaxnh.explorer.view import History, View, as_query, from_query
 from jaxnh.explorer.worker import Request, Worker
 from jaxnh.plotting.results import figure as drawn
-from jaxnh.plotting.style import styled
+from jaxnh.plotting.style import package_style
 
 _STROBES = (64, 128, 256, 512, 1024, 2048)
 _TRANSIENTS = (64, 256, 512, 1024, 4096, 16384)
@@ -182,7 +182,7 @@ class Page:
             and max(abs(a - b) for a, b in zip(window, shown, strict=True)) < 1e-12 * (shown[1] - shown[0])
         ):
             window = None
-        self._try(lambda: now.zoomed(event.x0, event.x1, window))
+        self._try(lambda: now.zoom(event.x0, event.x1, window))
 
     def _tapped(self, event: Any) -> None:
         if event.x is None:
@@ -218,7 +218,7 @@ class Page:
                 fixed=moved,
             )
             same = (low, high) == (now.low, now.high) and window in (None, now.window)
-            return view if same else view.zoomed(low, high, window)
+            return view if same else view.zoom(low, high, window)
 
         self._try(changed)
 
@@ -261,9 +261,9 @@ class Page:
                 known = f"{self._picture.words} · " if self._picture and what == "picture" else ""
                 self._later(lambda: self._say(f"{known}{label}{f' · {share:.0%}' if share else ''}"))
 
-        def answered_by(found: Any) -> None:
+        def answered_by(answer_of_pass: Any) -> None:
             answered[0] = time.monotonic()
-            self._later(lambda: None if request.stale else answer(found))
+            self._later(lambda: None if request.stale else answer(answer_of_pass))
 
         request = Request(
             passes,
@@ -314,7 +314,7 @@ def picture_file(picture: Picture | None) -> io.BytesIO:
     """A picture as a PNG in the style of all pictures; empty while it is coarse."""
     stream = io.BytesIO()
     if picture is not None and picture.data is not None:
-        with styled():
+        with package_style():
             drawn(picture.data).savefig(stream, format="png")
         stream.seek(0)
     return stream

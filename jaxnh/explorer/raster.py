@@ -35,12 +35,12 @@ class Raster(NamedTuple):
     up: tuple[float, float]
 
 
-def _packed(rgba: np.ndarray) -> UInt32[np.ndarray, ...]:
+def _pack_colours(rgba: np.ndarray) -> UInt32[np.ndarray, ...]:
     """Colours (..., 4) of bytes as one number each."""
     return np.ascontiguousarray(rgba, np.uint8).view(np.uint32)[..., 0]
 
 
-PALETTE = _packed(np.round(255 * to_rgba_array(["#ffffff", *(INK(k) for k in range(LEVELS))])))
+PALETTE = _pack_colours(np.round(255 * to_rgba_array(["#ffffff", *(INK(k) for k in range(LEVELS))])))
 """Colours of shares from few points to many, the first that of an empty cell."""
 
 
@@ -61,7 +61,7 @@ def raster(
 def plane_raster(pixels: Pixels) -> Raster:
     """A plane as cells of one size; where values are uneven, or too many, each has the lane that is there."""
     (across, x), (up, y) = (_cells(np.asarray(axis)) for axis in (pixels.plane.x, pixels.plane.y))
-    return Raster(_packed(pixels.rgba()[np.ix_(y, x)]), across, up)
+    return Raster(_pack_colours(pixels.rgba()[np.ix_(y, x)]), across, up)
 
 
 def _cells(values: Float[np.ndarray, " values"]) -> tuple[tuple[float, float], np.ndarray]:
@@ -77,6 +77,6 @@ def _cells(values: Float[np.ndarray, " values"]) -> tuple[tuple[float, float], n
 
 def values_of(data: xr.Dataset, axis: str, variable: str) -> tuple[np.ndarray, np.ndarray]:
     """Values of the axis of a diagram in rising order, and those of a variable over it, (columns, points)."""
-    found = data[variable].transpose(axis, ...)
+    values = data[variable].transpose(axis, ...)
     place = np.argsort(data[axis].to_numpy(), kind="stable")
-    return data[axis].to_numpy()[place], found.to_numpy().reshape(len(place), -1)[place]
+    return data[axis].to_numpy()[place], values.to_numpy().reshape(len(place), -1)[place]

@@ -11,10 +11,10 @@ import xarray as xr
 
 from jaxnh.exceptions import InputError, JaxnhError, ResultError
 from jaxnh.explorer.raster import plane_raster, raster, values_of
-from jaxnh.explorer.source import LaneReport, Parameter, Picture, PictureSource, measured
+from jaxnh.explorer.source import LaneReport, Parameter, Picture, PictureSource, axis_title
 from jaxnh.explorer.view import View
-from jaxnh.plotting.descriptions import described
-from jaxnh.plotting.groups import label_of, shown
+from jaxnh.plotting.descriptions import describe
+from jaxnh.plotting.groups import label_of, variables_of
 from jaxnh.plotting.labels import words_of
 from jaxnh.plotting.panels import has_pixels, pixels_of
 from jaxnh.storage.hdf5 import open_result
@@ -25,7 +25,7 @@ _Groups = Mapping[str, xr.Dataset]
 _Attrs = Mapping[str, Any]
 
 
-def recorded(path: Path) -> PictureSource:
+def open_recording(path: Path) -> PictureSource:
     """What `source_of` finds in a result file.
 
     Raises:
@@ -50,12 +50,12 @@ def source_of(tree: xr.DataTree, name: str) -> PictureSource:
     """
     groups = {str(key): node.to_dataset() for key, node in tree.children.items()}
     names = str(tree.attrs.get("axes", "")).split()
-    groups = {key: described(key, data.assign_attrs(axes=" ".join(names))) for key, data in groups.items()}
+    groups = {key: describe(key, data.assign_attrs(axes=" ".join(names))) for key, data in groups.items()}
     sizes = {str(axis): size for data in groups.values() for axis, size in data.sizes.items()}
     long = [axis for axis in names if sizes.get(axis, 1) > 1]
     attrs = {**tree.attrs, "title": str(tree.attrs.get("title") or name)}
     planes = [key for key, data in groups.items() if len(long) > 1 and has_pixels(data)]
-    planes = [key for key in planes if set(long[:2]) <= set(map(str, shown(groups[key])[0].dims))]
+    planes = [key for key in planes if set(long[:2]) <= set(map(str, variables_of(groups[key])[0].dims))]
     if planes:
         return RecordedPlane(groups, planes, (long[0], long[1]), attrs, name)
     if "diagram" in groups and long:
@@ -82,12 +82,12 @@ class _Recording:
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """What the file has of the lane that is nearest to values of the axes."""
-        found = {
+        groups = {
             name: _at(data, where).load()
             for name, data in self._groups.items()
             if set(where) <= set(data.dims) or name == "attractors"
         }
-        yield LaneReport(where, found, True)
+        yield LaneReport(where, groups, True)
 
     def batch_text(self, view: View) -> str:
         """There is none: the file has its own config."""
@@ -144,7 +144,7 @@ class RecordedPlane(_Recording):
         super().__init__(groups, groups[planes[0]], axes, attrs, name)
         self._planes = {key: _at(groups[key], {}, keep=axes).sortby(list(axes)).load() for key in planes}
         self._others = {key: groups[key].load() for key in groups.keys() & {"attractors"}}
-        self.variables = {key: label_of(data) or words_of(shown(data)[0]) for key, data in self._planes.items()}
+        self.variables = {key: label_of(data) or words_of(variables_of(data)[0]) for key, data in self._planes.items()}
         first = self._planes[planes[0]]
         across, up = ((float(first[axis].min()), float(first[axis].max())) for axis in axes)
         counts = first.sizes[axes[0]], first.sizes[axes[1]]
@@ -167,7 +167,7 @@ class RecordedPlane(_Recording):
 
 def _words(variable: xr.DataArray) -> str:
     attrs = variable.attrs
-    return measured(str(attrs.get("long_name", variable.name)), str(attrs.get("units", "")))
+    return axis_title(str(attrs.get("long_name", variable.name)), str(attrs.get("units", "")))
 
 
 def _at(data: xr.Dataset, where: Mapping[str, float], keep: tuple[str, ...] = ()) -> xr.Dataset:

@@ -106,7 +106,7 @@ def make_server(source: PictureSource, worker: Worker, address: str, port: int) 
         return made.layout()
 
     try:
-        listening = _listening(address, port)
+        listening = _listen(address, port)
         port = listening[1]
         options: dict[str, Any] = {"auth_provider": TokenAuth(token)} if token else {}
         server = pn.io.server.get_server(
@@ -122,7 +122,7 @@ def make_server(source: PictureSource, worker: Worker, address: str, port: int) 
     return server, f"http://{address}:{port}/{f'?token={token}' if token else ''}"
 
 
-def _listening(address: str, port: int) -> tuple[str, int]:
+def _listen(address: str, port: int) -> tuple[str, int]:
     """An address that can be listened on; a free port in place of 0."""
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     with socket.socket(family) as trial:

@@ -79,11 +79,11 @@ class Sessions:
         self.coordinates = experiment.coordinates
         self.dims = {axis.name: axis.dim for axis in axes}
         self.ends = {axis.name: (float(axis.values.min()), float(axis.values.max())) for axis in axes}
-        grids = {name: batch.evenly(*ends, _CALIBRATED) for name, ends in self.ends.items()}
+        grids = {name: batch.even_axis(*ends, _CALIBRATED) for name, ends in self.ends.items()}
         others = {axis.name: float(axis.values[0]) for axis in experiment.axes if axis.name not in self.ends}
         content = batch.content_of(experiment)
         self.own: Mapping[str, Mapping[str, Any] | None] = content["analyses"] or {}
-        self.content = batch.fixed_at(batch.swept(content, grids, self.own), others, self.coordinates)
+        self.content = batch.with_values(batch.with_sweep(content, grids, self.own), others, self.coordinates)
         self._base = self._experiment(grids, None)
         self.parameters = tuple(self._movable())
         self._calibrated: list[CalibratedSession] = []
@@ -98,7 +98,7 @@ class Sessions:
         """Error of one period of the session that was made last; NaN before the first."""
         return self._calibrated[0].session.plan.error_estimate if self._calibrated else np.nan
 
-    def moved(self, view: View) -> dict[str, float]:
+    def changed_parameters(self, view: View) -> dict[str, float]:
         """Parameters of a view with other values than the config says.
 
         Raises:
@@ -116,7 +116,7 @@ class Sessions:
         Raises:
             InputError: the parameters do not go together.
         """
-        moved = self.moved(view)
+        moved = self.changed_parameters(view)
         for known in self._calibrated:
             if known.holds(view, moved) and set(known.ends) == {*view.ranges, *moved}:
                 return known
@@ -126,28 +126,28 @@ class Sessions:
         seen = view.ranges
         axes = {name: (min(low, seen[name][0]), max(high, seen[name][1])) for name, (low, high) in self.ends.items()}
         try:
-            found = self._calibrate(view, axes, reach, moved)
+            calibrated = self._calibrate(view, axes, reach, moved)
         except InputError:  # the parameters do not go together over the whole of their ranges
-            found = self._calibrate(view, axes, {name: (value, value) for name, value in moved.items()}, moved)
-        self._calibrated.insert(0, found)
-        return found
+            calibrated = self._calibrate(view, axes, {name: (value, value) for name, value in moved.items()}, moved)
+        self._calibrated.insert(0, calibrated)
+        return calibrated
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """Reports of a lane: portrait, strobe points and period, then spectrum and verdict, as far as there are any."""
-        at = {**where, **self.moved(view)}
+        at = {**where, **self.changed_parameters(view)}
         few, groups = self.of(view).few, dict[str, xr.Dataset]()
         for names in (_FIRST_REPORT, _SECOND_REPORT):
-            asked = {name: self.own.get(name) or {} for name in names if self.possible(name)}
+            asked = {name: self.own.get(name) or {} for name in names if self.can_run(name)}
             groups |= few.groups(asked, **at) if asked else {}
             yield LaneReport(at, dict(groups), names is _SECOND_REPORT)
 
-    def possible(self, name: str) -> bool:
+    def can_run(self, name: str) -> bool:
         """Whether an analysis goes with the system, as what is seen on a section does not where none is given."""
         return goes_with(self._base, name, self.own.get(name))
 
     def batch_text(self, view: View, analyses: Mapping[str, Any], title: str) -> str:
         """The YAML of a batch job that computes a view again, bit for bit where its sums are plain ones."""
-        known = next((one for one in self._calibrated if one.holds(view, self.moved(view))), None)
+        known = next((one for one in self._calibrated if one.holds(view, self.changed_parameters(view))), None)
         plan = known.session.plan if known else None
         solver = (plan.solver.name, plan.steps) if plan and not plan.compensated else None
         return batch.batch_text(self.content, view, analyses, self.coordinates, solver, title)
@@ -156,21 +156,21 @@ class Sessions:
         """What one has to know of the accuracy of a picture."""
         plan = known.session.plan
         over = ", ".join(f"{name} in {low:g}..{high:g}" for name, (low, high) in known.ends.items())
-        found = [f"{plan.solver.name}, {plan.steps} steps, error of one period {plan.error_estimate:.1g} over {over}"]
+        notes = [f"{plan.solver.name}, {plan.steps} steps, error of one period {plan.error_estimate:.1g} over {over}"]
         for name, (low, high) in view.ranges.items():
             if high - low < _SHIFTED * plan.error_estimate:
-                found.append(
+                notes.append(
                     f"{name} is seen more finely than {_SHIFTED:g} errors of one period: shapes are those of the "
                     "computed map, and their places move with the accuracy"
                 )
         if view.deepest:
-            found.append("lanes are neighbouring doubles: there is nothing between them to zoom into")
-        return tuple(found)
+            notes.append("lanes are neighbouring doubles: there is nothing between them to zoom into")
+        return tuple(notes)
 
     # ---- how
 
     def _experiment(self, grids: Mapping[str, Any], target: float | None) -> Experiment:
-        content = batch.swept(self.content, grids, {name: {} for name in self._analyses})
+        content = batch.with_sweep(self.content, grids, {name: {} for name in self._analyses})
         if target is not None:
             content["accuracy"] = {**(content.get("accuracy") or {}), "target": target}
             content["accuracy"] = {k: v for k, v in content["accuracy"].items() if k not in ("solver", "steps")}
@@ -196,11 +196,11 @@ class Sessions:
         reach: Mapping[str, tuple[float, float]],
         moved: Mapping[str, float],
     ) -> CalibratedSession:
-        grids = {name: batch.evenly(*ends, _CALIBRATED) for name, ends in axes.items()}
+        grids = {name: batch.even_axis(*ends, _CALIBRATED) for name, ends in axes.items()}
         grids |= {name: {"values": sorted({low, moved[name], high})} for name, (low, high) in reach.items()}
         session = Session(self._experiment(grids, view.target), progress=self._progress)
         _ = session.plan
-        return CalibratedSession({**axes, **reach}, view.target, session, session.of_few(_FEW))
+        return CalibratedSession({**axes, **reach}, view.target, session, session.for_few_lanes(_FEW))
 
 
 def goes_with(experiment: Experiment, name: str, options: Mapping[str, Any] | None) -> bool:

@@ -12,7 +12,7 @@ from jaxnh.explorer.view import View
 from jaxnh.plotting.pixels import Pixels
 
 
-def measured(words: str, units: str) -> str:
+def axis_title(words: str, units: str) -> str:
     """What an axis of a drawing is called: words, and units where there are some and the user has said them."""
     return f"{words} ({units})" if units not in ("", "1") else words
 

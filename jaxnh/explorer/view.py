@@ -59,8 +59,8 @@ class View:
     @property
     def ranges(self) -> Mapping[str, tuple[float, float]]:
         """Both ends of every axis, by name."""
-        found = {self.axis: (self.low, self.high)}
-        return found | {self.second: self.window} if self.second and self.window else found
+        ranges = {self.axis: (self.low, self.high)}
+        return ranges | {self.second: self.window} if self.second and self.window else ranges
 
     def values(self) -> Float[np.ndarray, " columns"]:
         """Values of the axis, as a config of `start`, `stop` and `count` has them."""
@@ -75,7 +75,7 @@ class View:
         """Values of every axis, by name."""
         return {name: np.linspace(*ends, self.counts[name]) for name, ends in self.ranges.items()}
 
-    def zoomed(self, low: float, high: float, window: tuple[float, float] | None) -> View:
+    def zoom(self, low: float, high: float, window: tuple[float, float] | None) -> View:
         """The view of other ranges; where doubles do not tell its lanes apart, of the narrowest around them."""
         low, high = _wide(low, high, self.columns)
         if self.second:
@@ -146,16 +146,16 @@ class History:
 
 def as_query(view: View) -> dict[str, str]:
     """A view as words of a page's address; floats to the last bit."""
-    found = {"axis": view.axis, "low": repr(view.low), "high": repr(view.high), "variable": view.variable}
+    words = {"axis": view.axis, "low": repr(view.low), "high": repr(view.high), "variable": view.variable}
     if view.window is not None:
-        found |= {"bottom": repr(view.window[0]), "top": repr(view.window[1])}
+        words |= {"bottom": repr(view.window[0]), "top": repr(view.window[1])}
     if view.second:
-        found["second"] = view.second
+        words["second"] = view.second
     else:
-        found |= {"transient": str(view.transient), "strobes": str(view.strobes)}
+        words |= {"transient": str(view.transient), "strobes": str(view.strobes)}
     if view.target is not None:
-        found["target"] = repr(view.target)
-    return found | {f"p.{name}": repr(value) for name, value in sorted(view.fixed.items())}
+        words["target"] = repr(view.target)
+    return words | {f"p.{name}": repr(value) for name, value in sorted(view.fixed.items())}
 
 
 def from_query(start: View, query: Mapping[str, str]) -> View:

@@ -124,7 +124,7 @@ class Worker:
     def _pass(self, request: Request[Any]) -> bool:
         """One pass; returns whether it was the last."""
         try:
-            found = next(request.passes)
+            result = next(request.passes)
         except StopIteration:
             if not request.stale:
                 request.done()
@@ -137,7 +137,7 @@ class Worker:
             return True
         request.begun += 1
         if not request.stale:
-            request.answer(found)
+            request.answer(result)
         return False
 
 

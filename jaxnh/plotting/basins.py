@@ -17,12 +17,12 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.patches import Patch
 
 from jaxnh.exceptions import ResultError
-from jaxnh.plotting.charts import framed, image_of
+from jaxnh.plotting.charts import image_of, label_frame
 from jaxnh.plotting.frame import legend_above, new_axes, over_axis
-from jaxnh.plotting.groups import along, needed
+from jaxnh.plotting.groups import along_axis, require_variables
 from jaxnh.plotting.labels import coordinate_of
 from jaxnh.plotting.meanings import FAILED, NONE, meanings
-from jaxnh.plotting.pixels import Entry, Pixels, coloured, plane_of
+from jaxnh.plotting.pixels import Entry, Pixels, colour_pixels, plane_of
 from jaxnh.plotting.style import TINTS, Colour, darker
 
 _COLOURS, _POINTS = TINTS, tuple(darker(tint) for tint in TINTS)
@@ -55,7 +55,7 @@ def basins_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.
     pixels, named = _pixels(data, known)
     image_of(pixels, ax)
     legend_above(ax, [_patch(entry) for entry in pixels.entries], 3)
-    framed(data, pixels.plane, ax)
+    label_frame(data, pixels.plane, ax)
     for group in known:
         _attractors(group, (pixels.plane.x, pixels.plane.y), named, ax)
     return ax
@@ -78,7 +78,7 @@ def _known(over: Iterable[xr.Dataset]) -> list[xr.Dataset]:
 def _pixels(data: xr.Dataset, known: Sequence[xr.Dataset]) -> tuple[Pixels, list[_Attractor]]:
     plane = plane_of(data)
     most = int(max(plane.values.max(initial=0), 1))
-    named = _named(known[0] if known else None, most)
+    named = _name_attractors(known[0] if known else None, most)
     shares = {number: 100 * float(np.mean(plane.values == number)) for number in range(_FAILED, most + 1)}
     entries = [
         Entry(one.colour, f"{one.words}: {_percent(shares[one.number])}", one.points)
@@ -91,7 +91,7 @@ def _pixels(data: xr.Dataset, known: Sequence[xr.Dataset]) -> tuple[Pixels, list
         if shares[number]:
             entries.append(Entry(colour, f"{words}: {_percent(shares[number])}"))
     colours = ListedColormap([FAILED, NONE, *(one.colour for one in named)])
-    return coloured(data, plane, plane.values, colours, Normalize(_FAILED - 0.5, most + 0.5), entries), named
+    return colour_pixels(data, plane, plane.values, colours, Normalize(_FAILED - 0.5, most + 0.5), entries), named
 
 
 def _patch(entry: Entry) -> Patch:
@@ -108,15 +108,15 @@ def shares(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ResultError: a variable is missing, or more than one axis has more than one point.
     """
     ax = new_axes(ax)
-    fraction, low, high = needed(data, "fraction", "fraction_low", "fraction_high")
+    fraction, low, high = require_variables(data, "fraction", "fraction_low", "fraction_high")
     if fraction.ndim < 2:
         raise ResultError("shares are drawn over a parameter, and there is none")
-    axis, whole = along(data, fraction)
+    axis, whole = along_axis(data, fraction)
     order = np.argsort(axis.to_numpy(), kind="stable")
     x, shares = axis.to_numpy()[order], 100.0 * np.nan_to_num(whole.to_numpy().reshape(axis.size, -1)[order])
-    bars = [100.0 * along(data, variable)[1].to_numpy().reshape(axis.size, -1)[order] for variable in (low, high)]
+    bars = [100.0 * along_axis(data, variable)[1].to_numpy().reshape(axis.size, -1)[order] for variable in (low, high)]
     total = np.zeros(len(x))
-    for one in _named(None, shares.shape[1]):
+    for one in _name_attractors(None, shares.shape[1]):
         own = shares[:, one.number - 1]
         below, total = total, total + own
         if not own.any():
@@ -133,26 +133,26 @@ def shares(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _named(group: xr.Dataset | None, most: int) -> list[_Attractor]:
+def _name_attractors(group: xr.Dataset | None, most: int) -> list[_Attractor]:
     """Attractors up to a number, with what a group says that they are."""
     words = attractor_words(group) if group is not None else {}
-    found = []
+    attractors = []
     for number in range(1, most + 1):
         own = number <= len(_COLOURS)
         colour, points = (_COLOURS[number - 1], _POINTS[number - 1]) if own else (_REST, NONE)
-        found.append(_Attractor(number, colour, points, words.get(number, f"attractor {number}")))
-    return found
+        attractors.append(_Attractor(number, colour, points, words.get(number, f"attractor {number}")))
+    return attractors
 
 
 def attractor_words(group: xr.Dataset) -> dict[int, str]:
     """What each attractor of a group is: its number, its kind, and the period of what is periodic."""
     kind, meaning = group["kind"].to_numpy(), meanings(group["kind"])
     periods = group["period"].to_numpy() if "period" in group else np.zeros(len(kind), int)
-    found = {}
+    descriptions = {}
     for number, one, period in zip(group["attractor"].to_numpy().tolist(), kind.tolist(), periods, strict=True):
         said = meaning.get(one, ("unknown", ""))[0]
-        found[number] = f"{number}, {said}" + (f", period {period}" if period > 0 else "")
-    return found
+        descriptions[number] = f"{number}, {said}" + (f", period {period}" if period > 0 else "")
+    return descriptions
 
 
 def _attractors(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray], named: list[_Attractor], ax: Axes) -> None:
@@ -175,11 +175,11 @@ def _points(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray]) -> Itera
         points = points[np.unique((points / unit).round(), axis=0, return_index=True)[1]]
         for k, (axis, one) in enumerate(zip(axes, of_axes, strict=True)):
             if str(one.attrs.get("long_name", "")).startswith("angle "):
-                points = _around(points, k, float(axis.min()), float(axis.max()))
+                points = _repeat_angle(points, k, float(axis.min()), float(axis.max()))
         yield points
 
 
-def _around(points: np.ndarray, k: int, low: float, high: float) -> np.ndarray:
+def _repeat_angle(points: np.ndarray, k: int, low: float, high: float) -> np.ndarray:
     """Points whose coordinate k is an angle from -pi to pi, at all its values from low to high."""
     turns = 2 * np.pi * np.arange(np.floor(low / (2 * np.pi) - 0.5), np.ceil(high / (2 * np.pi) + 0.5) + 1)
     copies = np.repeat(points[None], len(turns), axis=0)

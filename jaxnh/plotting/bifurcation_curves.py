@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 
 from jaxnh.plotting.frame import narrow, new_axes
-from jaxnh.plotting.groups import needed, shown
+from jaxnh.plotting.groups import require_variables, variables_of
 from jaxnh.plotting.labels import axis_label
 from jaxnh.plotting.meanings import meanings
 from jaxnh.plotting.style import CURVES
@@ -37,7 +37,7 @@ def bifurcation_curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ResultError: a variable is missing.
     """
     ax = new_axes(ax)
-    across, up = shown(data)[:2]
+    across, up = variables_of(data)[:2]
     draw_curves(data, ax)
     x, y = across.to_numpy(), up.to_numpy()
     for values, limits in ((x, ax.set_xlim), (y, ax.set_ylim)):
@@ -53,8 +53,8 @@ def draw_curves(data: xr.Dataset, ax: Axes, background: bool = False) -> None:
     Raises:
         ResultError: a variable is missing.
     """
-    across, up = shown(data)[:2]
-    kind, period = needed(data, "kind", "period")
+    across, up = variables_of(data)[:2]
+    kind, period = require_variables(data, "kind", "period")
     named = meanings(kind)
     order, periods = list(named), np.unique(period.to_numpy()).tolist()
     seen: set[tuple[int, int]] = set()
@@ -67,7 +67,7 @@ def draw_curves(data: xr.Dataset, ax: Axes, background: bool = False) -> None:
         if background:
             ax.plot(x, y, color="white", linewidth=2.2)
         ax.plot(x, y, color=CURVES[order.index(what) % len(CURVES)], linestyle=dash, linewidth=1.1, label=words)
-    x, y, what = needed(data, *(f"codimension_two_{name}" for name in (across.name, up.name, "kind")))
+    x, y, what = require_variables(data, *(f"codimension_two_{name}" for name in (across.name, up.name, "kind")))
     _dots(x, y, what, ax)
     if seen:
         columns = 1 if narrow(ax) else min(3, len(seen))
@@ -81,8 +81,8 @@ def special_points(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ResultError: a variable is missing.
     """
     ax = new_axes(ax)
-    across, up = shown(data)[:2]
-    _dots(across, up, needed(data, "kind")[0], ax)
+    across, up = variables_of(data)[:2]
+    _dots(across, up, require_variables(data, "kind")[0], ax)
     ax.set(xlabel=axis_label(across), ylabel=axis_label(up))
     return ax
 

@@ -11,7 +11,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
 from jaxnh.plotting.density import column_shares
 from jaxnh.plotting.frame import narrow, new_axes
-from jaxnh.plotting.groups import along, needed, parameter_of, shown
+from jaxnh.plotting.groups import along_axis, parameter_of, require_variables, variables_of
 from jaxnh.plotting.labels import axis_label, is_symbol, symbol_of, words_of
 from jaxnh.plotting.meanings import meanings
 from jaxnh.plotting.style import CURVES
@@ -40,19 +40,21 @@ def branches(
         ResultError: a variable is missing.
     """
     ax = new_axes(ax)
-    parameter, [drawn] = parameter_of(data), shown(data)
-    stable, period = (variable.to_numpy() for variable in needed(data, "stable", "period"))
+    parameter, [drawn] = parameter_of(data), variables_of(data)
+    stable, period = (variable.to_numpy() for variable in require_variables(data, "stable", "period"))
     edges = [_below(group, str(drawn.name).removesuffix("_points"), parameter, ax) for group in under]
     x, y = data[parameter].to_numpy(), drawn.transpose("branch", "point", "iterate").to_numpy()
     marks = list(marks)
-    turns = _turns(marks, parameter, len(x))
+    turns = _bifurcation_points(marks, parameter, len(x))
     every = np.unique(period).tolist()
     for k, n in enumerate(every):
         colour = CURVES[k % len(CURVES)]
         here = np.flatnonzero(period == n)
         for attracts, style in ((True, "-"), (False, (0, (4, 2)))):
             orbits = [(b, i) for b in here for i in range(max(n, 1))]
-            lines = [_stretches(*_turned(x[b], y[b, :, i], stable[b] == 1, turns[b]), attracts) for b, i in orbits]
+            lines = [
+                _stretches(*_insert_turns(x[b], y[b, :, i], stable[b] == 1, turns[b]), attracts) for b, i in orbits
+            ]
             if lines:
                 points = np.concatenate(lines)
                 words = f"period {n}" if n else "equilibria"
@@ -63,7 +65,7 @@ def branches(
     ends = np.concatenate([x[np.isfinite(x)], *edges])
     low, high = (ends.min(), ends.max()) if ends.size else (0.0, 1.0)
     ax.set(xlabel=axis_label(data[parameter]), ylabel=_label(drawn), xlim=(low, high))
-    _explained(ax)
+    _add_legend(ax)
     return ax
 
 
@@ -74,8 +76,8 @@ def bifurcations(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ResultError: a variable is missing.
     """
     ax = new_axes(ax)
-    parameter, [drawn] = parameter_of(data), shown(data)
-    kind, criticality = needed(data, "kind", "criticality")
+    parameter, [drawn] = parameter_of(data), variables_of(data)
+    kind, criticality = require_variables(data, "kind", "criticality")
     x, y = data[parameter].to_numpy(), drawn.transpose("bifurcation", "iterate").to_numpy()
     for value, (words, _) in meanings(kind).items():
         here = np.flatnonzero(kind.to_numpy() == value)
@@ -104,7 +106,7 @@ def _below(group: xr.Dataset, name: str, parameter: str, ax: Axes) -> np.ndarray
     """Strobe points as a grey density, where they are of the same coordinate over the same axis; its edges."""
     if name not in group:
         return np.zeros(0)
-    coordinate, points = along(group, group[name])
+    coordinate, points = along_axis(group, group[name])
     if coordinate.name != parameter:
         return np.zeros(0)
     axis = coordinate.to_numpy()
@@ -121,7 +123,7 @@ def _label(drawn: xr.DataArray) -> str:
     return axis_label(drawn, words.replace(f" {name} ", f" {symbol_of(name)} ", 1) if is_symbol(name) else words)
 
 
-def _explained(ax: Axes) -> None:
+def _add_legend(ax: Axes) -> None:
     """The legend, beside the axes or in a column above them, and what the lines are."""
     words, said = "solid: stable, dashed: unstable", bool(ax.get_legend_handles_labels()[0])
     if said and narrow(ax):
@@ -133,19 +135,21 @@ def _explained(ax: Axes) -> None:
         ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def _turns(marks: Iterable[xr.Dataset], parameter: str, count: int) -> list[list[tuple[float, np.ndarray]]]:
+def _bifurcation_points(
+    marks: Iterable[xr.Dataset], parameter: str, count: int
+) -> list[list[tuple[float, np.ndarray]]]:
     """Of each branch the bifurcations on it: the parameter there, and the coordinate of the orbit's points."""
-    found: list[list[tuple[float, np.ndarray]]] = [[] for _ in range(count)]
+    turns: list[list[tuple[float, np.ndarray]]] = [[] for _ in range(count)]
     for group in marks:
         if parameter in group and "branch" in group:
-            points = shown(group)[0].transpose("bifurcation", "iterate").to_numpy()
+            points = variables_of(group)[0].transpose("bifurcation", "iterate").to_numpy()
             for b, value, row in zip(group["branch"].to_numpy(), group[parameter].to_numpy(), points, strict=True):
                 if 0 <= b < count:
-                    found[int(b)].append((float(value), row[np.isfinite(row)]))
-    return found
+                    turns[int(b)].append((float(value), row[np.isfinite(row)]))
+    return turns
 
 
-def _turned(
+def _insert_turns(
     x: np.ndarray, y: np.ndarray, attracts: np.ndarray, turns: Iterable[tuple[float, np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A curve with the bifurcations put in between whose neighbours it changes; which points attract, which are new."""

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import legend_above, narrow, new_axes
-from jaxnh.plotting.groups import fixed_axes, label_of, needed, other_axes, parameter_of
+from jaxnh.plotting.groups import fixed_axes, label_of, other_axes, parameter_of, require_variables
 from jaxnh.plotting.labels import symbol_of, title_of, with_units
 from jaxnh.plotting.style import MARK, POINT
 
@@ -30,19 +30,19 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ResultError: a variable is missing, or another axis has more than one point.
     """
     ax = new_axes(ax)
-    needed(data, _PERIOD, _RATIO, _RATIO_ERROR)
-    found = _found(data)
-    where = found[parameter_of(data)]
-    level = np.arange(1, len(where) + 1) if "level" not in found else found["level"].to_numpy()
-    delta, error = found[_RATIO].to_numpy(), found[_RATIO_ERROR].to_numpy()
+    require_variables(data, _PERIOD, _RATIO, _RATIO_ERROR)
+    located = _doublings(data)
+    where = located[parameter_of(data)]
+    level = np.arange(1, len(where) + 1) if "level" not in located else located["level"].to_numpy()
+    delta, error = located[_RATIO].to_numpy(), located[_RATIO_ERROR].to_numpy()
     ax.axhline(FEIGENBAUM, color=MARK, linewidth=0.8, linestyle="--", label=f"δ = {FEIGENBAUM:.6f}… (Feigenbaum)")
     ax.errorbar(level, delta, error, fmt="o", color=POINT, capsize=3, label="δ of three successive doublings")
-    if limits := _limits(found):
+    if limits := _limits(located):
         ax.plot([], [], " ", label=limits)
     for x, y in zip(level, delta, strict=True):
         if np.isfinite(y):
             ax.annotate(f"{y:.4f}", (x, y), (0, -11), textcoords="offset points", ha="center", fontsize="small")
-    doublings = zip(found[_PERIOD].to_numpy(), where.to_numpy(), strict=True)
+    doublings = zip(located[_PERIOD].to_numpy(), where.to_numpy(), strict=True)
     whole = with_units(f"doubling of the period, and its {symbol_of(parameter_of(data))}", where)
     if narrow(ax):
         ax.set_xticks(level, [_doubling(n) for n, _ in doublings])
@@ -50,7 +50,7 @@ def cascade(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ax.set_xticks(level, [f"{_doubling(n)}\n{value:.8f}" for n, value in doublings])
     ax.set(
         xlabel="doubling of the period" if narrow(ax) else whole,
-        ylabel=with_units(label_of(data) or "ratio δ", found[_RATIO]),
+        ylabel=with_units(label_of(data) or "ratio δ", located[_RATIO]),
         xlim=(level.min(initial=1) - 0.5, level.max(initial=1) + 0.5),
     )
     ax.set_title(title_of(data, fixed_axes(data, parameter_of(data))), loc="left")
@@ -66,10 +66,10 @@ def mark_doublings(data: xr.Dataset, ax: Axes, axis: str) -> None:
     """
     if parameter_of(data) != axis:
         return
-    needed(data, _PERIOD)
-    found = _found(data)
+    require_variables(data, _PERIOD)
+    doublings = _doublings(data)
     low, high = sorted(ax.get_xlim())
-    where, period = found[axis].to_numpy(), found[_PERIOD].to_numpy()
+    where, period = doublings[axis].to_numpy(), doublings[_PERIOD].to_numpy()
     inside = (low <= where) & (where <= high)
     where, period = where[inside], period[inside]
     if not len(where):
@@ -94,20 +94,20 @@ def mark_doublings(data: xr.Dataset, ax: Axes, axis: str) -> None:
         ax.legend(handles=[mark], loc="upper right", bbox_to_anchor=(1.0, -0.1))
 
 
-def _found(data: xr.Dataset) -> xr.Dataset:
-    """The doublings that were found, variables (level,)."""
+def _doublings(data: xr.Dataset) -> xr.Dataset:
+    """Return the doublings of one cascade, variables (level,)."""
     if other_axes(data):
         raise ResultError(f"a panel is of one cascade, and there is one for every point of {other_axes(data)[0]}")
     *single, level = data[parameter_of(data)].dims
-    one = data.isel(dict.fromkeys(single, 0))
-    return one.isel({level: np.flatnonzero(np.isfinite(one[parameter_of(data)].to_numpy()))})
+    selected = data.isel(dict.fromkeys(single, 0))
+    return selected.isel({level: np.flatnonzero(np.isfinite(selected[parameter_of(data)].to_numpy()))})
 
 
-def _limits(found: xr.Dataset) -> str:
+def _limits(doublings: xr.Dataset) -> str:
     """The limit of δ, and α, each with its error, of those that there are."""
     words = []
     for symbol, name in (("limit of δ", "delta_limit"), ("α", "alpha")):
-        value, error = (float(found.get(key, np.nan)) for key in (name, f"{name}_error"))
+        value, error = (float(doublings.get(key, np.nan)) for key in (name, f"{name}_error"))
         if np.isfinite([value, error]).all():
             digits = int(np.clip(np.ceil(-np.log10(error)), 2, 12)) if error > 0.0 else 12
             words.append(f"{symbol} = {value:.{digits}f} ± {error:.1g}")

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from jaxnh.plotting.bifurcation_curves import draw_curves
 from jaxnh.plotting.frame import cell_edges, legend_above, new_axes
-from jaxnh.plotting.groups import declared_axes, kind_of, label_of_first, needed, shown
+from jaxnh.plotting.groups import declared_axes, kind_of, label_of_first, require_variables, variables_of
 from jaxnh.plotting.labels import axis_label, symbol_of, title_of, words_of
 from jaxnh.plotting.pixels import Pixels, Plane, flag_pixels, integer_pixels, number_pixels
 
@@ -33,7 +33,7 @@ def numbers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr
     symbol = symbol_of(str(variable.name), "1") if variable.ndim > 2 else ""
     label = axis_label(variable, label_of_first(data) or words_of(variable), symbol)
     ax.figure.colorbar(image, ax=ax, label=label, pad=0.01, fraction=0.04, extend="both")
-    return _with_curves(over, pixels.plane, framed(data, pixels.plane, ax))
+    return _with_curves(over, pixels.plane, label_frame(data, pixels.plane, ax))
 
 
 def integers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.Dataset] = ()) -> Axes:
@@ -53,7 +53,7 @@ def integers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[x
     names = [entry.words for entry in pixels.entries]
     bar.set_ticks(list(range(len(names))), labels=names)
     bar.ax.minorticks_off()
-    return _with_curves(over, pixels.plane, framed(data, pixels.plane, ax))
+    return _with_curves(over, pixels.plane, label_frame(data, pixels.plane, ax))
 
 
 def flags_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.Dataset] = ()) -> Axes:
@@ -70,7 +70,7 @@ def flags_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.D
     pixels = flag_pixels(data)
     image_of(pixels, ax)
     legend_above(ax, [Patch(color=entry.colour, label=entry.words) for entry in pixels.entries])
-    return _with_curves(over, pixels.plane, framed(data, pixels.plane, ax))
+    return _with_curves(over, pixels.plane, label_frame(data, pixels.plane, ax))
 
 
 def image_of(pixels: Pixels, ax: Axes) -> ColorizingArtist:
@@ -79,7 +79,7 @@ def image_of(pixels: Pixels, ax: Axes) -> ColorizingArtist:
     return ax.pcolorfast(*edges, pixels.places, cmap=pixels.colours, norm=pixels.norm)
 
 
-def framed(data: xr.Dataset, plane: Plane, ax: Axes) -> Axes:
+def label_frame(data: xr.Dataset, plane: Plane, ax: Axes) -> Axes:
     """Labels and limits, and in the title the point of other axes that it is at."""
     across, up = (cell_edges(np.asarray(axis)) for axis in (plane.x, plane.y))
     ax.set(xlabel=axis_label(plane.x), ylabel=axis_label(plane.y), xlim=across[[0, -1]], ylim=up[[0, -1]])
@@ -92,7 +92,7 @@ def framed(data: xr.Dataset, plane: Plane, ax: Axes) -> Axes:
 def _with_curves(over: Iterable[xr.Dataset], plane: Plane, ax: Axes) -> Axes:
     for group in over:
         if kind_of(group) == "bifurcation_curves":
-            if [variable.name for variable in shown(group)] == [plane.x.name, plane.y.name]:
+            if [variable.name for variable in variables_of(group)] == [plane.x.name, plane.y.name]:
                 draw_curves(group, ax, background=True)
         else:
             _doublings(group, plane, ax)
@@ -104,6 +104,6 @@ def _doublings(cascade: xr.Dataset, plane: Plane, ax: Axes) -> None:
     name, up = str(plane.x.name), str(plane.y.name)
     if name not in cascade.data_vars or up not in cascade.dims:
         return
-    points, levels = needed(cascade, name)[0].transpose(up, ...), cascade[up].to_numpy()
+    points, levels = require_variables(cascade, name)[0].transpose(up, ...), cascade[up].to_numpy()
     for column in points.to_numpy().reshape(len(levels), -1).T:
         ax.plot(column, levels, color="black", linewidth=0.7)

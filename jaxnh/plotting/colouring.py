@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from jaxnh.exceptions import ArgumentError
 from jaxnh.plotting.frame import legend_above
-from jaxnh.plotting.groups import axes_of, shown
+from jaxnh.plotting.groups import axes_of, variables_of
 from jaxnh.plotting.labels import axis_label, symbol_of
 from jaxnh.plotting.meanings import NONE, meanings
 from jaxnh.plotting.style import CURVES, MANY, Colour
@@ -58,11 +58,11 @@ class Colouring(NamedTuple):
         if not self.named:
             ax.figure.colorbar(self.scale, ax=ax, label=self.words, pad=0.01, fraction=0.04)
             return
-        found = set(np.unique(self.values.to_numpy()).tolist())
+        present = set(np.unique(self.values.to_numpy()).tolist())
         handles = [
             Line2D([], [], color=colour, marker="o", markersize=3, linestyle="", label=words)
             for value, (colour, words) in self.named.items()
-            if value in found
+            if value in present
         ]
         legend_above(ax, handles)
 
@@ -73,7 +73,7 @@ def colouring(name: str, data: xr.Dataset, groups: Iterable[xr.Dataset]) -> Colo
     Raises:
         ArgumentError: there is nothing of the name; the message says what there is.
     """
-    variable = shown(data)[0]
+    variable = variables_of(data)[0]
     axes = set(axes_of(data))
     if name in data.coords and set(data[name].dims) <= set(variable.dims):
         return _of(data[name], axis_label(data[name]))
@@ -81,10 +81,10 @@ def colouring(name: str, data: xr.Dataset, groups: Iterable[xr.Dataset]) -> Colo
         return _of(_numbers(variable, (name,), name), name)
     if name == START and axes:
         return _of_lanes(data)
-    found = {str(key): item for group in groups for key, item in group.data_vars.items() if _of_a_lane(item, axes)}
-    if name in found:
-        return _of(found[name], axis_label(found[name]))
-    there = [START, *(str(dim) for dim in variable.dims if dim in axes), *found]
+    candidates = {str(key): item for group in groups for key, item in group.data_vars.items() if _of_a_lane(item, axes)}
+    if name in candidates:
+        return _of(candidates[name], axis_label(candidates[name]))
+    there = [START, *(str(dim) for dim in variable.dims if dim in axes), *candidates]
     raise ArgumentError("colour", f"nothing is called {name} to colour by; there are {', '.join(dict.fromkeys(there))}")
 
 
@@ -96,7 +96,7 @@ def _of_a_lane(variable: xr.DataArray, axes: set[str]) -> bool:
 def _of_lanes(data: xr.Dataset) -> Colouring:
     """Of a group without a dimension of starts: every lane is one, with its place as its name."""
     names = axes_of(data)
-    numbers = _numbers(shown(data)[0], names, START)
+    numbers = _numbers(variables_of(data)[0], names, START)
     if numbers.size > _MANY:
         return Colouring(numbers, "number of the start", {})
     palette, named = _palette(numbers.size), {}

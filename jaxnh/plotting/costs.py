@@ -14,7 +14,7 @@ from matplotlib.ticker import NullFormatter
 from jaxnh.plotting.groups import declared_axes
 from jaxnh.plotting.labels import symbol_of, with_units
 from jaxnh.plotting.reading import load_result
-from jaxnh.plotting.style import BLUE, GREEN, ORANGE, PAGE, PURPLE, SKY, VERMILION, YELLOW, styled
+from jaxnh.plotting.style import BLUE, GREEN, ORANGE, PAGE, PURPLE, SKY, VERMILION, YELLOW, package_style
 
 _SIZE = (PAGE.width, 4.2)  # inches
 _MICRO = 1e6
@@ -73,7 +73,7 @@ def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """Error of a doubling point against processor time, by period detection, multisection and interpolation."""
     ax = _axes(ax)
     symbol = _parameter(data)
-    found = f"{symbol[:-1]}^*$"
+    located = f"{symbol[:-1]}^*$"
     method, effort = data["method"].to_numpy().astype(str), data["effort"].to_numpy()
     cpu, error = data["cpu_seconds"].to_numpy(), data["error"].to_numpy()
     smallest = np.min(error[error > 0], initial=1e-10) / 2
@@ -89,9 +89,9 @@ def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     n = int(data.attrs["period"])
     ax.set(xscale="log", yscale="log")
     ax.grid(which="major")
-    distance = with_units(f"error of the doubling point $|{symbol[1:-1]} - {found[1:-1]}|$", data["error"])
+    distance = with_units(f"error of the doubling point $|{symbol[1:-1]} - {located[1:-1]}|$", data["error"])
     ax.set(xlabel="processor time $t$ (s)", ylabel=distance)
-    ax.set_title(f"period {n} → {2 * n} at {found} = {float(data.attrs['reference']):.12f}")
+    ax.set_title(f"period {n} → {2 * n} at {located} = {float(data.attrs['reference']):.12f}")
     ax.set_xlim(cpu.min() / 1.3, cpu.max() * 2.5)
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return ax
@@ -146,7 +146,7 @@ def figures(path: Path) -> dict[str, Figure]:
     tree = load_result(path)
     axes = {"axes": tree.attrs["axes"]} if "axes" in tree.attrs else {}
     drawn = {}
-    with styled():
+    with package_style():
         for name, (suffix, draw) in DRAWINGS.items():
             if name in tree.children:
                 figure = draw(tree[name].to_dataset().assign_attrs(axes)).get_figure()

@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import cell_edges, legend_above, new_axes, over_axis
-from jaxnh.plotting.groups import along, label_of, levels_of, shown
+from jaxnh.plotting.groups import along_axis, label_of, levels_of, variables_of
 from jaxnh.plotting.labels import axis_label, is_symbol, symbol_of, words_of
 from jaxnh.plotting.meanings import NONE, meanings
 from jaxnh.plotting.style import BLUE, CURVES
@@ -45,7 +45,7 @@ def curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ResultError: a variable is missing, or more than one axis has more than one point.
     """
     ax = new_axes(ax)
-    variables = shown(data)
+    variables = variables_of(data)
     for level in levels_of(data):
         ax.axhline(level, color="black", linewidth=0.6)
     drawn = [curve for variable in variables for curve in curves_of(data, variable)]
@@ -63,7 +63,7 @@ def curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     handles = [*(lines if len(lines) > 1 else []), *bands.values()]
     if handles:
         legend_above(ax, handles)
-    coordinate, first = along(data, variables[0])
+    coordinate, first = along_axis(data, variables[0])
     return over_axis(data, coordinate, ax, axis_label(first, label_of(data), _common_symbol(first)))
 
 
@@ -123,8 +123,8 @@ def flags(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
 def _only(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
     """The axis (n,) and the one variable (n,) along it."""
-    variable, *more = shown(data)
-    coordinate, variable = along(data, variable)
+    variable, *more = variables_of(data)
+    coordinate, variable = along_axis(data, variable)
     if more or variable.ndim != 1:
         raise ResultError(f"panel_variables has to name one variable over {coordinate.name} alone")
     return coordinate, variable
@@ -132,11 +132,11 @@ def _only(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
 
 def curves_of(data: xr.Dataset, variable: xr.DataArray) -> Iterator[CurveData]:
     """Curves of a variable over rising values of the axis."""
-    coordinate, values = along(data, variable)
+    coordinate, values = along_axis(data, variable)
     error = data.get(f"{variable.name}_error")
     order = np.argsort(coordinate.to_numpy(), kind="stable")
     columns = values.to_numpy()[order].reshape(len(order), -1)
-    errors = None if error is None else along(data, error)[1].to_numpy()[order].reshape(len(order), -1)
+    errors = None if error is None else along_axis(data, error)[1].to_numpy()[order].reshape(len(order), -1)
     meaning = "" if error is None else str(error.attrs.get("long_name", "error"))
     for k, label in enumerate(_curve_labels(values)):
         band = None if errors is None else errors[:, k]

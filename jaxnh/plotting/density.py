@@ -16,7 +16,7 @@ from jaxnh.exceptions import ResultError
 from jaxnh.plotting.cascade import mark_doublings
 from jaxnh.plotting.colouring import Colouring
 from jaxnh.plotting.frame import cell_edges, narrow, new_axes, over_axis
-from jaxnh.plotting.groups import along, label_of, shown
+from jaxnh.plotting.groups import along_axis, label_of, variables_of
 from jaxnh.plotting.labels import axis_label
 from jaxnh.plotting.spans import shade
 from jaxnh.plotting.style import POINT, Colour
@@ -52,16 +52,16 @@ def density(
         ResultError: the variable is missing, or more than one axis has more than one point.
     """
     ax = new_axes(ax)
-    drawn, *more = shown(data)
+    drawn, *more = variables_of(data)
     if more:
         raise ResultError("a density is of one variable, and panel_variables names more")
-    coordinate, drawn = along(data, drawn)
+    coordinate, drawn = along_axis(data, drawn)
     axis = coordinate.to_numpy()
     values = drawn.to_numpy().reshape(len(axis), -1)
     if colours is not None:
         _coloured(coordinate, drawn, colours, ax)
     elif values.size <= _MARKERS:
-        scattered(np.repeat(axis, values.shape[1]), values.ravel(), POINT, ax)
+        scatter_points(np.repeat(axis, values.shape[1]), values.ravel(), POINT, ax)
     else:
         across, up, share = column_shares(axis, values)
         norm = LogNorm(share[share > 0].min(initial=0.5), 1.0)
@@ -114,13 +114,13 @@ def _coloured(coordinate: xr.DataArray, drawn: xr.DataArray, colours: Colouring,
     at, by = (item.broadcast_like(drawn).transpose(*drawn.dims).to_numpy().ravel() for item in (at, by))
     values = drawn.to_numpy().ravel()
     for value in np.unique(by[np.isfinite(by)]) if colours.named else ():
-        scattered(at[by == value], values[by == value], colours.colour(value), ax, of=drawn.size)
+        scatter_points(at[by == value], values[by == value], colours.colour(value), ax, of=drawn.size)
     if not colours.named:
         ax.scatter(at, values, s=0.6, c=colours.scale.to_rgba(by), linewidths=0, rasterized=True)
     colours.explain(ax)
 
 
-def scattered(x: np.ndarray, y: np.ndarray, colour: Colour, ax: Axes, *, of: int | None = None) -> None:
+def scatter_points(x: np.ndarray, y: np.ndarray, colour: Colour, ax: Axes, *, of: int | None = None) -> None:
     """Points one by one, large where they are few and a pixel each where they are many; an image in vector files.
 
     Args:

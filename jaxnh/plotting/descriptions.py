@@ -23,7 +23,7 @@ class _Description(NamedTuple):
     parameters: tuple[str, ...] = ()
 
 
-def described(name: str, data: xr.Dataset, axes: str = "") -> xr.Dataset:
+def describe(name: str, data: xr.Dataset, axes: str = "") -> xr.Dataset:
     """A group with attributes that say how it is drawn; as it is where it has these, or is none of a result.
 
     Args:

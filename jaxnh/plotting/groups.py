@@ -16,7 +16,7 @@ def kind_of(data: xr.Dataset) -> str:
     return str(data.attrs.get("panel", ""))
 
 
-def shown(data: xr.Dataset) -> list[xr.DataArray]:
+def variables_of(data: xr.Dataset) -> list[xr.DataArray]:
     """The variables that the panel is of.
 
     Raises:
@@ -25,15 +25,15 @@ def shown(data: xr.Dataset) -> list[xr.DataArray]:
     names = str(data.attrs.get("panel_variables", "")).split()
     if not names:
         raise ResultError("panel_variables names nothing to draw")
-    return needed(data, *names)
+    return require_variables(data, *names)
 
 
-def showing(data: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+def with_variables(data: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
     """The group as a panel of other variables of its own."""
     return data.assign_attrs(panel_variables=" ".join(names), panel_label="")
 
 
-def needed(data: xr.Dataset, *names: str) -> list[xr.DataArray]:
+def require_variables(data: xr.Dataset, *names: str) -> list[xr.DataArray]:
     """Variables by name.
 
     Raises:
@@ -57,7 +57,7 @@ def levels_of(data: xr.Dataset) -> list[float]:
 
 def label_of_first(data: xr.Dataset) -> str:
     """What the first of the variables is in words, where one alone is shown; "" as of `label_of`."""
-    return label_of(data) if len(shown(data)) == 1 else ""
+    return label_of(data) if len(variables_of(data)) == 1 else ""
 
 
 def declared_axes(data: xr.Dataset) -> tuple[str, ...]:
@@ -72,7 +72,7 @@ def parameter_of(data: xr.Dataset) -> str:
         ResultError: it is no variable of the group.
     """
     name = str(data.attrs.get("along", "")) or next(iter(declared_axes(data)), "")
-    needed(data, name or "of a parameter")
+    require_variables(data, name or "of a parameter")
     return name
 
 
@@ -81,7 +81,7 @@ def axes_of(data: xr.Dataset) -> tuple[str, ...]:
 
     A trajectory, or points, of one lane that has been taken out of a group are over none.
     """
-    first = shown(data)[0]
+    first = variables_of(data)[0]
     if "axes" not in data.attrs:
         alone = first.ndim == 1 and kind_of(data) in ("trajectories", "points")
         return () if alone else tuple(map(str, first.dims[:1]))
@@ -105,7 +105,7 @@ def other_axes(data: xr.Dataset) -> tuple[str, ...]:
     return long[1:]
 
 
-def along(data: xr.Dataset, variable: xr.DataArray) -> tuple[xr.DataArray, xr.DataArray]:
+def along_axis(data: xr.Dataset, variable: xr.DataArray) -> tuple[xr.DataArray, xr.DataArray]:
     """The coordinate (n,) of the one axis that a panel is over, and a variable (n, ...) along it.
 
     Raises:
@@ -152,5 +152,6 @@ def same_plane(points: xr.Dataset, trajectories: xr.Dataset) -> bool:
         "section" not in points.attrs
         and axes == axes_of(trajectories)
         and all(points[name].equals(trajectories[name]) for name in axes)
-        and [variable.name for variable in shown(points)] == [variable.name for variable in shown(trajectories)]
+        and [variable.name for variable in variables_of(points)]
+        == [variable.name for variable in variables_of(trajectories)]
     )

@@ -24,7 +24,7 @@ class Panel(NamedTuple):
     wide: bool
 
 
-def laid_out(panels: Sequence[Panel], title: str, lines: Sequence[str], size: Size = PAGE) -> Figure:
+def lay_out(panels: Sequence[Panel], title: str, lines: Sequence[str], size: Size = PAGE) -> Figure:
     """Wide panels a row each, others two a row; the title above, and the lines below in small letters."""
     single = size.width < NARROW
     below = [part for line in lines for part in textwrap.wrap(line, int(size.width / _LETTER))]

@@ -40,8 +40,8 @@ def labels(variable: xr.DataArray) -> xr.DataArray:
             f"{name} has no words: labels are of a variable with flag_meanings, as tree['verdict']['kind']"
         )
     words = {value: word for value, (word, _) in meanings(variable).items()}
-    found = np.vectorize(lambda value: words.get(int(value), ""), otypes=[object])(variable.to_numpy())
-    return variable.copy(data=found).drop_attrs().assign_attrs(long_name=variable.attrs.get("long_name", ""))
+    text = np.vectorize(lambda value: words.get(int(value), ""), otypes=[object])(variable.to_numpy())
+    return variable.copy(data=text).drop_attrs().assign_attrs(long_name=variable.attrs.get("long_name", ""))
 
 
 def meanings(variable: xr.DataArray) -> dict[int, tuple[str, str]]:

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.exceptions import JaxnhError
-from jaxnh.plotting.descriptions import described
+from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import kind_of
 from jaxnh.storage.provenance import steps_in_words
 
@@ -47,10 +47,10 @@ def register() -> None:
 
 def png(drawing: Figure, dots: int = _DOTS) -> bytes:
     """A figure as a picture of so many dots an inch, in the style of the package."""
-    from jaxnh.plotting.style import styled
+    from jaxnh.plotting.style import package_style
 
     file = io.BytesIO()
-    with styled():
+    with package_style():
         drawing.savefig(file, format="png", dpi=dots)
     return file.getvalue()
 
@@ -80,9 +80,9 @@ def html(result: xr.DataTree | xr.Dataset) -> str:
 def _groups(result: xr.DataTree | xr.Dataset) -> dict[str, xr.Dataset]:
     """Datasets by the name of their group; "" where it stands alone."""
     if isinstance(result, xr.Dataset):
-        return {"": described("", result)}
-    found = {str(name): described(str(name), node.to_dataset()) for name, node in result.children.items()}
-    return found or {"": described(result.name or "", result.to_dataset())}
+        return {"": describe("", result)}
+    groups = {str(name): describe(str(name), node.to_dataset()) for name, node in result.children.items()}
+    return groups or {"": describe(result.name or "", result.to_dataset())}
 
 
 def _axes(groups: dict[str, xr.Dataset], names: str) -> dict[str, int]:

@@ -11,9 +11,9 @@ from matplotlib.lines import Line2D
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.curves import curves_of
-from jaxnh.plotting.density import scattered
+from jaxnh.plotting.density import scatter_points
 from jaxnh.plotting.frame import legend_above, over_axis
-from jaxnh.plotting.groups import along, label_of, shown
+from jaxnh.plotting.groups import along_axis, label_of, variables_of
 from jaxnh.plotting.labels import axis_label
 from jaxnh.plotting.style import CURVES
 
@@ -23,7 +23,7 @@ KINDS = ("density", "curves")
 _DASHES = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (4, 1, 1, 1)))
 
 
-def overlaid(kind: str, results: Mapping[str, xr.Dataset], ax: Axes) -> Axes:
+def draw_overlay(kind: str, results: Mapping[str, xr.Dataset], ax: Axes) -> Axes:
     """The same group of several results over the same axis.
 
     Args:
@@ -33,12 +33,12 @@ def overlaid(kind: str, results: Mapping[str, xr.Dataset], ax: Axes) -> Axes:
     Raises:
         ResultError: a variable is missing, or axes or variables differ.
     """
-    names = [str(variable.name) for variable in shown(next(iter(results.values())))]
+    names = [str(variable.name) for variable in variables_of(next(iter(results.values())))]
     over: list[str] = []
     ends: list[tuple[float, float]] = []
     for k, data in enumerate(results.values()):
-        coordinate, first = along(data, shown(data)[0])
-        if [str(variable.name) for variable in shown(data)] != names:
+        coordinate, first = along_axis(data, variables_of(data)[0])
+        if [str(variable.name) for variable in variables_of(data)] != names:
             raise ResultError("results that are drawn together must show the same variables")
         over.append(str(coordinate.name))
         (_points if kind == "density" else _lines)(data, k, ax)
@@ -52,15 +52,15 @@ def overlaid(kind: str, results: Mapping[str, xr.Dataset], ax: Axes) -> Axes:
 
 
 def _points(data: xr.Dataset, k: int, ax: Axes) -> None:
-    coordinate, variable = along(data, shown(data)[0])
+    coordinate, variable = along_axis(data, variables_of(data)[0])
     values = variable.to_numpy().reshape(coordinate.size, -1)
     at = np.repeat(coordinate.to_numpy(), values.shape[1])
-    scattered(at, values.ravel(), CURVES[k % len(CURVES)], ax)
+    scatter_points(at, values.ravel(), CURVES[k % len(CURVES)], ax)
 
 
 def _lines(data: xr.Dataset, k: int, ax: Axes) -> None:
     """Curves in the colour of the result; several of one result differ in their dashes."""
-    drawn = [curve for variable in shown(data) for curve in curves_of(data, variable)]
+    drawn = [curve for variable in variables_of(data) for curve in curves_of(data, variable)]
     for j, curve in enumerate(drawn):
         ax.plot(curve.x, curve.y, color=CURVES[k % len(CURVES)], linestyle=_DASHES[j % len(_DASHES)])
 

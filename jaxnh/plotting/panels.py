@@ -15,7 +15,7 @@ from jaxnh.plotting.cascade import cascade
 from jaxnh.plotting.charts import flags_chart, integers_chart, numbers_chart
 from jaxnh.plotting.curves import curves, flags, integers
 from jaxnh.plotting.density import density
-from jaxnh.plotting.descriptions import described
+from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import kind_of
 from jaxnh.plotting.pixels import Colourer, Pixels, flag_pixels, integer_pixels, number_pixels
 from jaxnh.plotting.planes import points, trajectories
@@ -73,7 +73,7 @@ def pixels_of(name: str, groups: Mapping[str, xr.Dataset]) -> Pixels:
     Raises:
         ResultError: a variable is missing, or there are not two axes of more than one point.
     """
-    groups = {key: described(key, data) for key, data in groups.items()}
+    groups = {key: describe(key, data) for key, data in groups.items()}
     kind = PANELS[kind_of(groups[name])]
     if kind is PANELS["basins"]:
         return basin_pixels(groups[name], [data for data in groups.values() if kind_of(data) == kind.over])

@@ -15,7 +15,7 @@ from matplotlib import colormaps
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize, TwoSlopeNorm
 
 from jaxnh.exceptions import ResultError
-from jaxnh.plotting.groups import axes_of, label_of_first, levels_of, long_axes, shown
+from jaxnh.plotting.groups import axes_of, label_of_first, levels_of, long_axes, variables_of
 from jaxnh.plotting.labels import with_units, words_of
 from jaxnh.plotting.meanings import FAILED, NONE, meanings
 from jaxnh.plotting.style import MANY, Colour
@@ -96,7 +96,7 @@ def number_pixels(data: xr.Dataset) -> Pixels:
         width = max(abs(at), abs(high - low), 1e-9) * 1e-3
         norm = TwoSlopeNorm(at, min(float(low), at - width), max(float(high), at + width))
         colours = colormaps["RdBu_r"]
-    return coloured(data, plane, plane.values, colours, norm)
+    return colour_pixels(data, plane, plane.values, colours, norm)
 
 
 def integer_pixels(data: xr.Dataset) -> Pixels:
@@ -111,7 +111,7 @@ def integer_pixels(data: xr.Dataset) -> Pixels:
     colours = [NONE, *MANY]
     edges = np.arange(len(_PERIODS) + 2) - 0.5
     entries = tuple(map(Entry, colours, ("none", *_range_names())))
-    return coloured(data, plane, place, ListedColormap(colours), BoundaryNorm(edges, len(colours)), entries)
+    return colour_pixels(data, plane, place, ListedColormap(colours), BoundaryNorm(edges, len(colours)), entries)
 
 
 def flag_pixels(data: xr.Dataset) -> Pixels:
@@ -130,10 +130,10 @@ def flag_pixels(data: xr.Dataset) -> Pixels:
         for value, (words, colour) in meaning.items()
         if np.any(plane.values == value)
     )
-    return coloured(data, plane, place, colours, Normalize(-0.5, len(values) - 0.5), entries)
+    return colour_pixels(data, plane, place, colours, Normalize(-0.5, len(values) - 0.5), entries)
 
 
-def coloured(
+def colour_pixels(
     data: xr.Dataset,
     plane: Plane,
     places: np.ndarray,
@@ -154,7 +154,7 @@ def plane_of(data: xr.Dataset) -> Plane:
     Raises:
         ResultError: it is missing, or there are not two such axes.
     """
-    variable = shown(data)[0]
+    variable = variables_of(data)[0]
     long = long_axes(data)
     if len(long) != 2:
         raise ResultError(f"a chart is over two axes, not over {' and '.join(long) or 'none'}")

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.colouring import Colouring
 from jaxnh.plotting.frame import new_axes
-from jaxnh.plotting.groups import axes_of, kind_of, lane_count, lane_of, shown
+from jaxnh.plotting.groups import axes_of, kind_of, lane_count, lane_of, variables_of
 from jaxnh.plotting.labels import axis_label, title_of
 from jaxnh.plotting.style import LINE, POINT, Colour
 
@@ -53,7 +53,7 @@ def points(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes:
     return _plane(data, lane, ax)
 
 
-def together(
+def draw_lanes(
     data: xr.Dataset,
     ax: Axes | None = None,
     *,
@@ -92,7 +92,7 @@ def together(
 
 
 def _coordinates(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
-    variables = shown(data)
+    variables = variables_of(data)
     if len(variables) != 2:
         raise ResultError(f"a plane has two coordinates, and panel_variables names {len(variables)}")
     return variables[0], variables[1]

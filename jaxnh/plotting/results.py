@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from jaxnh.exceptions import ArgumentError, InputError, ResultError
 from jaxnh.plotting.colouring import colouring
-from jaxnh.plotting.descriptions import described
+from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import (
     at_place,
     axes_of,
@@ -29,15 +29,15 @@ from jaxnh.plotting.groups import (
     other_axes,
     places_of,
     same_plane,
-    showing,
-    shown,
+    variables_of,
+    with_variables,
 )
-from jaxnh.plotting.layout import Panel, laid_out
-from jaxnh.plotting.overlay import KINDS, overlaid
+from jaxnh.plotting.layout import Panel, lay_out
+from jaxnh.plotting.overlay import KINDS, draw_overlay
 from jaxnh.plotting.panels import PANELS, Kind
-from jaxnh.plotting.planes import together
+from jaxnh.plotting.planes import draw_lanes
 from jaxnh.plotting.reading import load_result
-from jaxnh.plotting.style import PAGE, Size, styled
+from jaxnh.plotting.style import PAGE, Size, package_style
 from jaxnh.storage.provenance import steps_in_words
 
 _COORDINATES = {"density": 1, "curves": 1, "trajectories": 2, "points": 2}  # that a panel is of, by its kind
@@ -101,17 +101,17 @@ def figure(
     choice = Choice(tuple(map(tuple, coordinates)), colour, size, names)
     source = str(results[0]) if isinstance(results[0], Path | str) else "the result"
     tree, *others = (load_result(Path(one)) if isinstance(one, Path | str) else one for one in results)
-    with styled():
+    with package_style():
         try:
-            groups = {name: _chosen(data, choice) for name, data in _groups(tree).items()}
+            groups = {name: _choose_coordinates(data, choice) for name, data in _groups(tree).items()}
             _check_chosen(groups, choice)
             more = _named(results, choice, [_groups(one) for one in others])
             panels, lines = _of_groups(groups, choice, more)
             if panels and ax is not None:
-                return _drawn_on(ax, panels)
+                return _draw_on(ax, panels)
             if panels:
                 attrs = {str(key): value for key, value in tree.attrs.items()}
-                return laid_out(
+                return lay_out(
                     panels,
                     str(attrs.get("title", "")),
                     [*_provenance(attrs), *_of_level(attrs, groups), *lines],
@@ -122,7 +122,7 @@ def figure(
     raise ResultError("; ".join((f"{source} has nothing that can be drawn", *lines)))
 
 
-def _drawn_on(ax: Axes, panels: Sequence[Panel]) -> Figure:
+def _draw_on(ax: Axes, panels: Sequence[Panel]) -> Figure:
     """The one panel on axes that are there; returns their figure.
 
     Raises:
@@ -154,12 +154,12 @@ def _named(
     return dict(zip(names, ({}, *others), strict=True))
 
 
-def _chosen(data: xr.Dataset, choice: Choice) -> xr.Dataset:
+def _choose_coordinates(data: xr.Dataset, choice: Choice) -> xr.Dataset:
     """A group as a panel of the coordinates that were chosen, where it has them."""
     wanted = _COORDINATES.get(kind_of(data), 0)
     for names in choice.coordinates:
         if len(names) == wanted and set(names) <= set(data.data_vars):
-            return showing(data, names)
+            return with_variables(data, names)
     return data
 
 
@@ -169,7 +169,7 @@ def _check_chosen(groups: _Groups, choice: Choice) -> None:
     Raises:
         ArgumentError: no group has such coordinates.
     """
-    drawn = [[str(v.name) for v in shown(data)] for data in groups.values() if kind_of(data)]
+    drawn = [[str(v.name) for v in variables_of(data)] for data in groups.values() if kind_of(data)]
     for names in choice.coordinates:
         if list(names) not in drawn:
             of_states = [data for data in groups.values() if kind_of(data) in _COORDINATES]
@@ -187,16 +187,16 @@ def _of_groups(groups: _Groups, choice: Choice, more: Mapping[str, _Groups]) -> 
     lines: list[str] = []
     for name, data in groups.items():
         with _of_group(name):
-            together = {label: data if k == 0 else found.get(name) for k, (label, found) in enumerate(more.items())}
+            together = {label: data if k == 0 else other.get(name) for k, (label, other) in enumerate(more.items())}
             if more and kind_of(data) in KINDS and not other_axes(data):
-                there = {label: _chosen(one, choice) for label, one in together.items() if one is not None}
-                draw = partial(_overlaid, name, kind_of(data), there)
+                there = {label: _choose_coordinates(one, choice) for label, one in together.items() if one is not None}
+                draw = partial(_draw_overlay, name, kind_of(data), there)
                 panels.append(Panel(draw, PANELS[kind_of(data)].height, True))
                 continue
-            found, said = _panels(name, data, groups, choice)
-        panels += found
+            new_panels, said = _panels(name, data, groups, choice)
+        panels += new_panels
         lines += [line for line in said if line not in lines]
-        if more and found:
+        if more and new_panels:
             lines.append(f"{name} is of {next(iter(more))} alone")
     if silent := [name for name, data in groups.items() if not kind_of(data)]:
         hint = "; a group is given by its name, as DataTree.from_dict({'poincare': data})" if len(groups) == 1 else ""
@@ -207,12 +207,12 @@ def _of_groups(groups: _Groups, choice: Choice, more: Mapping[str, _Groups]) -> 
 def _groups(result: xr.DataTree | xr.Dataset) -> _Groups:
     """Datasets of the groups by name, each with attributes that say how it is drawn."""
     if isinstance(result, xr.Dataset):
-        return {"the dataset": described("", result)}
+        return {"the dataset": describe("", result)}
     axes = str(result.root.attrs.get("axes", ""))
     if not result.children:
         name = result.name or ""
-        return {name or "the dataset": described(name, result.to_dataset(), axes)} if result.has_data else {}
-    return {name: described(name, node.to_dataset(), axes) for name, node in result.children.items()}
+        return {name or "the dataset": describe(name, result.to_dataset(), axes)} if result.has_data else {}
+    return {name: describe(name, node.to_dataset(), axes) for name, node in result.children.items()}
 
 
 def _panels(name: str, data: xr.Dataset, groups: _Groups, choice: Choice) -> tuple[list[Panel], list[str]]:
@@ -239,9 +239,9 @@ def _of_lanes(
     lanes = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
     if choice.colour:
         colours = colouring(choice.colour, data, groups.values())
-        panels = [Panel(partial(_together, name, data, colours=colours, lanes=lanes, **over), _CHART_HEIGHT, True)]
+        panels = [Panel(partial(_draw_lanes, name, data, colours=colours, lanes=lanes, **over), _CHART_HEIGHT, True)]
     else:
-        panels = [Panel(partial(_drawn, name, kind, data, lane=lane, **over), kind.height, False) for lane in lanes]
+        panels = [Panel(partial(_draw, name, kind, data, lane=lane, **over), kind.height, False) for lane in lanes]
     points = "values" if len(axes) == 1 else "points"
     left_out = f"{len(lanes)} of the {count:,} {points} of {' and '.join(axes)} are drawn"
     return panels, [left_out] if count > len(lanes) else []
@@ -259,7 +259,7 @@ def _over_an_axis(
         return [], []  # they are drawn on the curves
     if kind in (PANELS["bifurcation_curves"], PANELS["special_points"]):
         drawn = any(PANELS[kind_of(one)].over == "cascade" for one in groups.values() if _has_chart(one))
-        return ([], []) if drawn else ([Panel(partial(_drawn, name, kind, data), kind.height, True)], [])
+        return ([], []) if drawn else ([Panel(partial(_draw, name, kind, data), kind.height, True)], [])
     others = other_axes(data)
     count = math.prod(data.sizes[axis] for axis in others)
     if count > _most_points(kind):
@@ -267,7 +267,7 @@ def _over_an_axis(
             assert kind.chart is not None
             over = _of_kind(kind.over, groups)
             over += _of_kind("bifurcation_curves", groups) if kind.over == "cascade" else []
-            draw = partial(_charted, name, kind.chart, data, over)
+            draw = partial(_draw_chart, name, kind.chart, data, over)
             return [Panel(draw, _CHART_HEIGHT, True)], []
         if kind is PANELS["cascade"] and len(others) == 1 and any(map(_has_chart, groups.values())):
             return [], []  # it is drawn over the charts
@@ -284,7 +284,7 @@ def _over_an_axis(
                 marks["colours"] = colouring(choice.colour, here, [at_place(g, place) for g in groups.values()])
         if kind is PANELS["branches"]:
             marks = {"marks": _of_kind("marks", groups), "under": _of_kind("density", groups)}
-        panels.append(Panel(partial(_drawn, name, kind, here, **marks), kind.height, True))
+        panels.append(Panel(partial(_draw, name, kind, here, **marks), kind.height, True))
     return panels, []
 
 
@@ -305,22 +305,22 @@ def _of_kind(kind: str, groups: _Groups) -> list[xr.Dataset]:
     return [data for data in groups.values() if kind_of(data) == kind]
 
 
-def _drawn(name: str, kind: Kind, data: xr.Dataset, ax: Axes, **options: object) -> Axes:
+def _draw(name: str, kind: Kind, data: xr.Dataset, ax: Axes, **options: object) -> Axes:
     with _of_group(name):
         return kind.draw(data, ax, **options)
 
 
-def _together(name: str, data: xr.Dataset, ax: Axes, **options: Any) -> Axes:
+def _draw_lanes(name: str, data: xr.Dataset, ax: Axes, **options: Any) -> Axes:
     with _of_group(name):
-        return together(data, ax, **options)
+        return draw_lanes(data, ax, **options)
 
 
-def _overlaid(name: str, kind: str, results: Mapping[str, xr.Dataset], ax: Axes) -> Axes:
+def _draw_overlay(name: str, kind: str, results: Mapping[str, xr.Dataset], ax: Axes) -> Axes:
     with _of_group(name):
-        return overlaid(kind, results, ax)
+        return draw_overlay(kind, results, ax)
 
 
-def _charted(name: str, chart: Callable[..., Axes], data: xr.Dataset, over: Sequence[xr.Dataset], ax: Axes) -> Axes:
+def _draw_chart(name: str, chart: Callable[..., Axes], data: xr.Dataset, over: Sequence[xr.Dataset], ax: Axes) -> Axes:
     with _of_group(name):
         return chart(data, ax, over=over)
 

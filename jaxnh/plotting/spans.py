@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from jaxnh.plotting.groups import needed, parameter_of
+from jaxnh.plotting.groups import parameter_of, require_variables
 
 PALE = "#b9cfe4"
 """Colour of a window beyond the doubling of its orbits."""
@@ -30,7 +30,7 @@ def reaches(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
         ResultError: a variable is missing.
     """
     names = "first", "last", "begin", "end", "limit", "crisis"
-    first, last, begin, end, limit, crisis = (variable.to_numpy() for variable in needed(data, *names))
+    first, last, begin, end, limit, crisis = (variable.to_numpy() for variable in require_variables(data, *names))
 
     def or_lane(value: np.ndarray, other: np.ndarray) -> np.ndarray:
         furthest = np.where(np.abs(other - first) > np.abs(other - last), first, last)

@@ -64,12 +64,12 @@ def size_of(text: str) -> Size:
         return named[text]
     width, cross, height = text.partition("x")
     try:
-        found = Size(float(width) / _MM, float(height) / _MM if cross else None)
+        size = Size(float(width) / _MM, float(height) / _MM if cross else None)
     except ValueError:
-        found = Size(0.0)
-    if not all(0 < length < _LONGEST for length in found if length is not None):
+        size = Size(0.0)
+    if not all(0 < length < _LONGEST for length in size if length is not None):
         raise ArgumentError("size", f"it is column, page, or millimetres as 120 or 120x80, not {text}")
-    return found
+    return size
 
 
 def darker(colour: str) -> Colour:
@@ -78,7 +78,7 @@ def darker(colour: str) -> Colour:
     return _DARKER * red, _DARKER * green, _DARKER * blue
 
 
-def styled() -> AbstractContextManager[None]:
+def package_style() -> AbstractContextManager[None]:
     """Pictures made inside have the style of the package, whatever a user's own is."""
     return style.context(["default", SHEET])
 
@@ -89,7 +89,7 @@ def save(figure: Figure, path: Path) -> None:
     Raises:
         ArgumentError: there is no room for its panels.
     """
-    with styled(), warnings.catch_warnings():
+    with package_style(), warnings.catch_warnings():
         warnings.filterwarnings("error", message="constrained_layout not applied")
         try:
             figure.savefig(path)

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from jaxnh.plotting.branches import MARKS
 from jaxnh.plotting.frame import legend_above, new_axes
-from jaxnh.plotting.groups import needed, parameter_of
+from jaxnh.plotting.groups import parameter_of, require_variables
 from jaxnh.plotting.labels import axis_label, with_units
 from jaxnh.plotting.meanings import meanings
 from jaxnh.plotting.spans import PALE, reaches
@@ -32,7 +32,7 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ResultError: a variable is missing.
     """
     ax = new_axes(ax)
-    period, begin, end = needed(data, "period", "begin", "end")
+    period, begin, end = require_variables(data, "period", "begin", "end")
     stable, whole = reaches(data)
     height = period.to_numpy().astype(float)
     for n, inner, outer in zip(height, stable, whole, strict=True):
@@ -43,13 +43,13 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         Patch(color=PALE, label="doubled orbits, bands"),
     ]
     for place in (begin, end):
-        kinds = needed(data, f"{place.name}_kind")[0]
+        kinds = require_variables(data, f"{place.name}_kind")[0]
         for value, (words, _) in meanings(kinds).items():
             here = (kinds.to_numpy() == value) & np.isfinite(place.to_numpy())
             if words in MARKS and np.any(here):
                 mark = {"marker": MARKS[words], "markersize": 3.5, "color": _INK, "linestyle": "none", "label": words}
                 handles += ax.plot(place.to_numpy()[here], height[here], **mark)
-    [crisis] = needed(data, "crisis")
+    [crisis] = require_variables(data, "crisis")
     if np.any(known := np.isfinite(crisis.to_numpy())):
         mark = {"marker": "x", "markersize": 4.0, "color": _INK, "linestyle": "none", "label": "crisis"}
         handles += ax.plot(crisis.to_numpy()[known], height[known], **mark)
@@ -60,6 +60,6 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.set_ylim(ticks[0] * 2.0**-_MARGIN, ticks[-1] * 2.0**_MARGIN)
     once = {str(handle.get_label()): handle for handle in handles}
     legend_above(ax, list(once.values()))
-    [searched] = needed(data, parameter_of(data))
+    [searched] = require_variables(data, parameter_of(data))
     ax.set(xlabel=axis_label(searched), ylabel=with_units("period of windows", period), xlim=searched.to_numpy())
     return ax

@@ -88,7 +88,7 @@ class Sink(io.RawIOBase):
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Sink]:
+def replace_atomically(path: Path) -> Iterator[Sink]:
     """A new file beside `path`, which takes its name where the context ends without an exception.
 
     Killed at any moment, this leaves either what was there before or the whole file under the final name. The caller

@@ -70,7 +70,7 @@ class CallJournal:
             for part in parts:
                 self._parts.setdefault(part.call, {})[part.first] = part
 
-    def found(self, call: int, digest: str) -> list[JournalEntry]:
+    def take_entries(self, call: int, digest: str) -> list[JournalEntry]:
         """The parts of a call that are there, one after the other from its first lane on."""
         parts, last = list[JournalEntry](), 0
         there = self._parts.pop(call, {})
@@ -92,7 +92,7 @@ class CallJournal:
             return
         seconds = time.monotonic() - self._since
         try:
-            handle = self._opened()
+            handle = self._open()
             if handle is not None:
                 with open(handle, "wb", closefd=False) as file:
                     file.write(_record({**self._of, "seconds": seconds}, self._new))
@@ -102,7 +102,7 @@ class CallJournal:
             self._closed = True
         self._new, self._size, self._since = [], 0, time.monotonic()
 
-    def _opened(self) -> int | None:
+    def _open(self) -> int | None:
         """The file, at the end of what is sound in it; None where another process is at the same pieces, and keeps its.
 
         A worker that is thought to be lost may be.
@@ -129,15 +129,15 @@ class CallJournal:
         self._handle = None
 
 
-def left(folder: Path, job: Job) -> list[list[int]]:
+def interrupted_batches(folder: Path, job: Job) -> list[list[int]]:
     """Numbers of the pieces that a stopped run of a job has left results of calls of: those computed together."""
-    found: list[list[int]] = []
+    batches: list[list[int]] = []
     for path in sorted(folder.glob("*.calls")):
         for head, _, _ in _records(path):
             if head["job"] == job.id:
-                found.append(head["pieces"])
+                batches.append(head["pieces"])
             break
-    return found
+    return batches
 
 
 def _record(head: dict[str, Any], parts: Sequence[JournalEntry]) -> bytes:

@@ -24,7 +24,7 @@ import h5py
 import numpy as np
 
 from jaxnh.exceptions import DamagedError, ResultError
-from jaxnh.storage.atomic import Sink, replacing
+from jaxnh.storage.atomic import Sink, replace_atomically
 from jaxnh.storage.chunks import row_chunks
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class _VariableHeader(NamedTuple):
 
 
 @contextlib.contextmanager
-def writing(path: Path, *, checked: bool = False) -> Iterator[tuple[h5py.File, Sink]]:
+def write_sealed(path: Path, *, checked: bool = False) -> Iterator[tuple[h5py.File, Sink]]:
     """A new HDF5 file that at the end is sealed, synced and gets its name; or nothing, and what was there stays.
 
     Args:
@@ -91,7 +91,7 @@ def writing(path: Path, *, checked: bool = False) -> Iterator[tuple[h5py.File, S
     Raises:
         ResultError: the folder or the disk refuses.
     """
-    with replacing(path) as sink:
+    with replace_atomically(path) as sink:
         with h5py.File(sink, "w", track_order=True, libver=_VERSION) as file:
             yield file, sink
             if SEAL not in file.attrs:
@@ -114,7 +114,7 @@ def write(path: Path, attrs: Mapping[str, Any], groups: Mapping[str, xr.Dataset]
     Raises:
         ResultError: the folder or the disk refuses.
     """
-    with writing(path) as (file, _):
+    with write_sealed(path) as (file, _):
         set_attributes(file, attrs)
         axes = str(attrs.get("axes", "")).split()
         written = [_write_group(file.create_group(name, track_order=True), data, axes) for name, data in groups.items()]
@@ -168,9 +168,9 @@ def _coordinates(dataset: xr.Dataset, name: str) -> dict[str, str]:
 
 def set_attributes(target: h5py.File | h5py.Group | h5py.Dataset, attrs: Mapping[Any, Any]) -> None:
     """Give a file, group or variable attributes, in their order."""
-    found = target.attrs
+    attributes = target.attrs
     for key, value in attrs.items():
-        found[key] = value
+        attributes[key] = value
 
 
 def create(
@@ -271,14 +271,14 @@ def read_attrs(path: Path, group: str = "/") -> Attributes:
     try:
         with h5py.File(path, "r") as file:
             attrs = dict(file.attrs)
-            found = dict(file[group].attrs) if group in file else None
+            attributes = dict(file[group].attrs) if group in file else None
     except UNREADABLE as error:
         raise ResultError(f"{path} is not a readable HDF5 file") from error
     if "jaxnh_version" not in attrs:
         raise ResultError(f"{path} is an HDF5 file, but not a result of jaxnh")
-    if found is None:
+    if attributes is None:
         raise ResultError(f"{path} has no group {group}")
-    return found
+    return attributes
 
 
 def groups(file: h5py.File) -> dict[str, h5py.Group]:
@@ -365,20 +365,20 @@ def blocks(item: h5py.Dataset) -> Iterator[np.ndarray]:
 
 def checksum(data: np.ndarray, begun: Hash | None = None) -> Hash:
     """SHA-256 of an array, or of those before it and then this one."""
-    found = begun or hashlib.sha256()
+    digest = begun or hashlib.sha256()
     if data.dtype.kind == "U":
-        found.update("".join(f"{word}\0" for word in data.ravel()).encode())
+        digest.update("".join(f"{word}\0" for word in data.ravel()).encode())
     else:
-        found.update(np.ascontiguousarray(data).data)
-    return found
+        digest.update(np.ascontiguousarray(data).data)
+    return digest
 
 
 def checksum_of(item: h5py.Dataset) -> str:
     """SHA-256 of the data of a variable, read in blocks."""
-    found: Hash = hashlib.sha256()
+    digest: Hash = hashlib.sha256()
     for block in blocks(item):
-        found = checksum(block, found)
-    return found.hexdigest()
+        digest = checksum(block, digest)
+    return digest.hexdigest()
 
 
 def verify(path: Path) -> None:
@@ -421,17 +421,17 @@ def digest(file: h5py.File) -> str:
 
 def _seal_of(attrs: Mapping[str, Any], groups: Iterable[tuple[str, Attributes, Sequence[_VariableHeader]]]) -> str:
     """The hash of a file with these root attributes, groups, and their attributes and variables."""
-    found = hashlib.sha256()
+    seal = hashlib.sha256()
 
     def add(*content: Any) -> None:
-        found.update(json.dumps(content, default=plain, sort_keys=True).encode())
+        seal.update(json.dumps(content, default=plain, sort_keys=True).encode())
 
     add({key: value for key, value in attrs.items() if key != SEAL})
     for name, of_group, described in groups:
         add(name, of_group)
         for one in described:
             add(*one)
-    return found.hexdigest()
+    return seal.hexdigest()
 
 
 def plain(value: Any) -> Any:

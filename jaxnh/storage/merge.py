@@ -60,11 +60,11 @@ def merge(
         DamagedPieceError: a piece is not what its checksums say, or does not fit the others.
         ResultError: the folder or the disk refuses.
     """
-    with store.writing(path, checked=True) as (file, sink):
+    with store.write_sealed(path, checked=True) as (file, sink):
         store.set_attributes(file, attrs)
         for name in job.groups:
             sources = [(piece, piece_path(folder, piece)) for piece in job.sources(name)]
-            merged = _MergedGroup(file.create_group(name, track_order=True), _growing(job, len(sources)))
+            merged = _MergedGroup(file.create_group(name, track_order=True), _growing_axes(job, len(sources)))
             for piece, source in sources:
                 heed()
                 sink.check()
@@ -76,7 +76,7 @@ def merge(
             sink.check()
 
 
-def gathered(folder: Path, job: Job, name: str) -> xr.Dataset:
+def gather(folder: Path, job: Job, name: str) -> xr.Dataset:
     """What the tiles of an analysis say, as one dataset over the whole sweep.
 
     Raises:
@@ -103,7 +103,7 @@ def assemble(parts: Iterable[tuple[Piece, xr.Dataset]], job: Job, warnings: Sequ
     for _, dataset in parts:
         common.add(dataset.attrs)
     try:
-        arrays = _filled(parts, dict(zip(job.names, job.shape, strict=True)))
+        arrays = _fill(parts, dict(zip(job.names, job.shape, strict=True)))
     except DamagedError as error:
         raise RunError(f"results of parts of a sweep do not fit together: {error}") from None
     first = parts[0][1]
@@ -112,7 +112,7 @@ def assemble(parts: Iterable[tuple[Piece, xr.Dataset]], job: Job, warnings: Sequ
     return xr.decode_cf(whole, decode_times=False, mask_and_scale=False)
 
 
-def _filled(parts: Sequence[tuple[Piece, xr.Dataset]], axes: Mapping[str, int]) -> dict[str, np.ndarray]:
+def _fill(parts: Sequence[tuple[Piece, xr.Dataset]], axes: Mapping[str, int]) -> dict[str, np.ndarray]:
     """Data of all variables, put together."""
     arrays: dict[str, np.ndarray] = {}
     wholes: dict[str, _Whole] = {}
@@ -132,7 +132,7 @@ def _filled(parts: Sequence[tuple[Piece, xr.Dataset]], axes: Mapping[str, int]) 
     return arrays
 
 
-def _growing(job: Job, sources: int) -> Mapping[str, int]:
+def _growing_axes(job: Job, sources: int) -> Mapping[str, int]:
     """Axes along which variables of several pieces grow, with their sizes; of a single piece none."""
     return dict(zip(job.names, job.shape, strict=True)) if sources > 1 else {}
 
@@ -174,11 +174,11 @@ class _Whole:
             raise DamagedError(f"{self.name} has the shape {values.shape} in place of {expected}")
         if values.dtype != self._dtype and values.dtype.kind != "U":
             raise DamagedError(f"{self.name} has numbers {values.dtype} in place of {self._dtype}")
-        found = digest() if self._repeats else ""
+        value_digest = digest() if self._repeats else ""
         if ends not in self._there:
-            self._there[ends] = found
+            self._there[ends] = value_digest
             return places
-        if self._there[ends] != found:
+        if self._there[ends] != value_digest:
             raise DamagedError(f"{self.name} is not that of the other tiles")
         return None
 

@@ -110,12 +110,12 @@ class Job:
         """The jobs that this one is done in, one after the other: one a level, on every step-th value of each axis."""
         if self.levels == 1:
             return [self]
-        found: list[Job] = []
+        stages: list[Job] = []
         for level in range(1, self.levels + 1):
-            stage = replace(self, level=level, first=found[-1].end if found else 0)
+            stage = replace(self, level=level, first=stages[-1].end if stages else 0)
             axes = tuple((name, -(-size // stage.step), shared) for name, size, shared in self.axes)
-            found.append(replace(stage, axes=axes))
-        return found
+            stages.append(replace(stage, axes=axes))
+        return stages
 
     @property
     def end(self) -> int:

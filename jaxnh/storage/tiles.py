@@ -138,12 +138,12 @@ def read_job(folder: Path) -> Job | None:
     """The job of a folder; None where there is none, or one that is damaged."""
     try:
         content = json.loads((folder / _JOB).read_text())
-        found = content["job"]
+        fields = content["job"]
         for key in ("order", "independent"):
-            found[key] = tuple(found[key])
-        found["wholes"] = tuple(map(tuple, found["wholes"]))
-        found["axes"] = tuple((name, size, shared) for name, size, shared in found["axes"])
-        job = Job(**found)
+            fields[key] = tuple(fields[key])
+        fields["wholes"] = tuple(map(tuple, fields["wholes"]))
+        fields["axes"] = tuple((name, size, shared) for name, size, shared in fields["axes"])
+        job = Job(**fields)
         return job if content["id"] == job.id else None
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
@@ -278,12 +278,12 @@ def check(folder: Path, job: Job, piece: Piece) -> TileRecord:
     path = piece_path(folder, piece)
     if not path.exists():
         raise FileNotFoundError(path)
-    found = receipt(folder, job, piece)
+    record = receipt(folder, job, piece)
     try:
         store.verify(path)
     except DamagedError as error:
         raise DamagedError(str(error).removeprefix(f"{path}: ")) from None
-    return found
+    return record
 
 
 def clear(folder: Path) -> None:

@@ -51,7 +51,7 @@ def read_cascade(path: Path) -> Cascade:
         raise Missing(f"{path} is no table of doublings: {error}") from None
     compare = (experiment.compare or {}).get("doubling")
     found = np.isfinite(doubling["b"].to_numpy())
-    if compare is None or experiment.unlike(compare) or found.sum() < 3:
+    if compare is None or experiment.differences_from(compare) or found.sum() < 3:
         raise Missing(f"{path} has fewer than three doublings, or no published ones to compare with")
     b = doubling["b"].to_numpy()[found]
     gaps = np.diff(b)

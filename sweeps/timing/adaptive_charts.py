@@ -16,7 +16,7 @@ import numpy as np
 
 import jaxnh
 from jaxnh.analyses import ANALYSES
-from jaxnh.engine.levels.levels import near_changes
+from jaxnh.engine.levels.levels import lanes_near_changes
 
 
 class Refined(NamedTuple):
@@ -50,7 +50,7 @@ def refined(kinds: Sequence[np.ndarray], levels: int) -> Refined:
             seen, known = [kind.copy() for kind in truth], np.ones((n, m), bool)
             continue
         before, lower = known, np.ix_(np.arange(n) // 2, np.arange(m) // 2)
-        known = near_changes(seen, (n, m))
+        known = lanes_near_changes(seen, (n, m))
         known[::2, ::2] |= before
         seen = [np.where(known[..., None], kind, old[lower]) for kind, old in zip(truth, seen, strict=True)]
     other = [np.any(kind != one, axis=-1) for kind, one in zip(kinds, seen, strict=True)]

@@ -52,7 +52,7 @@ def zooms(first: View, count: int, seed: int = 0) -> list[View]:
     random, found = np.random.default_rng(seed), []
     for width in np.geomspace(0.5 * (first.high - first.low), _NARROWEST, count):
         low = random.uniform(first.low, first.high - width)
-        found.append(first.zoomed(low, low + width, None))
+        found.append(first.zoom(low, low + width, None))
     return found
 
 

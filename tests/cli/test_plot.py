@@ -18,7 +18,7 @@ from jaxnh import plot
 from jaxnh.analyses import GROUPS
 from jaxnh.engine.experiment import load
 from jaxnh.plotting import results as figures
-from jaxnh.plotting.descriptions import described
+from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import kind_of
 from jaxnh.plotting.panels import PANELS
 
@@ -67,7 +67,7 @@ def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     path, *_ = result("plot_everything", config)
     groups = xr.open_datatree(path, engine="h5netcdf").children
     assert set(groups) == set(GROUPS) - set(OVER_TWO_AXES)
-    kinds = {kind_of(described(name, group.to_dataset())) for name, group in groups.items()}
+    kinds = {kind_of(describe(name, group.to_dataset())) for name, group in groups.items()}
     assert kinds == set(PANELS) - set(OVER_TWO_AXES.values())
     drawing = figures.figure(path)
     assert len(drawing.axes) == 4 + 10

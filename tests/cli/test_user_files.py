@@ -68,9 +68,9 @@ def test_order_that_refinements_show():
     kicks = [1000 * 1.2**k for k in range(8)]
     for order in (1, 9):
         fall = [(int(n), 1e-2 * (n / 1000.0) ** -order) for n in kicks]
-        assert diagnostics.order_of([(100, np.inf), *fall]) == pytest.approx(order, rel=1e-3)  # of rounded kicks
-    assert diagnostics.order_of([(100, np.inf), (150, 1e-5)]) == np.inf
-    assert diagnostics.order_of([(int(n), 3e-12) for n in kicks]) == np.inf
+        assert diagnostics.observed_order([(100, np.inf), *fall]) == pytest.approx(order, rel=1e-3)  # of rounded kicks
+    assert diagnostics.observed_order([(100, np.inf), (150, 1e-5)]) == np.inf
+    assert diagnostics.observed_order([(int(n), 3e-12) for n in kicks]) == np.inf
 
 
 @pytest.mark.slow

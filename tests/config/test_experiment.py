@@ -167,7 +167,7 @@ compare:
 def test_what_published_values_are_of(tmp_path, overrides, unlike):
     """Equal in all parameters and in the start; the first axis is what they are along, accuracy and sweep are ours."""
     experiment = load(write(tmp_path, EXAMPLE + OF_THE_PAPER), overrides)
-    assert experiment.unlike(experiment.compare["doubling"]) == unlike
+    assert experiment.differences_from(experiment.compare["doubling"]) == unlike
 
 
 def test_records_are_frozen(tmp_path):

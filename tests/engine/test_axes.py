@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from jaxnh.analyses.base import LANE, variable
 from jaxnh.analyses.batch import Axis
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES
-from jaxnh.engine.axes import on_axes, places_of, points, sampled
+from jaxnh.engine.axes import places_of, points, sample_places, to_axes
 from jaxnh.engine.experiment import Experiment
 from jaxnh.storage.pieces import Job, Piece
 
@@ -36,7 +36,7 @@ axes_of_sweeps = st.lists(st.tuples(st.integers(1, 24), st.sampled_from(KINDS)),
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 1000, 1023, 1024, 1025, 3000, 100_000])
 def test_one_axis_is_sampled_evenly_with_both_ends(count):
     """The very lanes that a sweep of one axis has always been calibrated on."""
-    [(places,)] = sampled([axis(0, count, "lane")], SAMPLED_LANES)
+    [(places,)] = sample_places([axis(0, count, "lane")], SAMPLED_LANES)
     expected = np.unique(np.linspace(0, count - 1, min(count, 1024)).round().astype(int))
     np.testing.assert_array_equal(places, expected)
     assert (places[0], places[-1]) == (0, count - 1)
@@ -46,7 +46,7 @@ def test_one_axis_is_sampled_evenly_with_both_ends(count):
 @settings(max_examples=50, deadline=None)
 def test_samples_have_both_ends_of_every_axis(axes, most):
     """Every corner of the sweep is in; no lane twice; values of shared axes are the same throughout a row."""
-    rows = list(sampled(axes, most))
+    rows = list(sample_places(axes, most))
     lanes = [lane for row in rows for lane in zip(*(places.tolist() for places in row), strict=True)]
     assert len(lanes) == len(set(lanes))
     if most is not None:
@@ -68,7 +68,7 @@ def test_samples_have_both_ends_of_every_axis(axes, most):
 def test_large_sweeps_are_sampled_by_as_many_as_there_may_be(kinds, lanes):
     """Or by as many as a grid of equal sides has."""
     axes = [axis(k, 5000, kind) for k, kind in enumerate(kinds)]
-    assert sum(len(row[0]) for row in sampled(axes, SAMPLED_LANES)) == lanes
+    assert sum(len(row[0]) for row in sample_places(axes, SAMPLED_LANES)) == lanes
 
 
 # ---- pieces
@@ -135,7 +135,7 @@ def test_lanes_become_axes():
     """With coordinates of the piece alone, and dimensions of their own behind."""
     piece = Piece(0, ("a",), (1, 2), (3, 3))
     data = xr.Dataset({"x": variable((LANE, "strobe"), np.arange(6).reshape(2, 3), "x")}, attrs={"panel": "density"})
-    found = on_axes(data, piece, AXES, line=False)
+    found = to_axes(data, piece, AXES, line=False)
     assert found["x"].dims == ("q0", "q1", "strobe")
     np.testing.assert_array_equal(found["x"].values, np.arange(6).reshape(2, 1, 3))
     np.testing.assert_array_equal(found["q0"], AXES[0].values[1:])
@@ -152,7 +152,7 @@ def test_what_a_line_leaves(axes):
         {"level": variable("level", [1, 2], "number"), "delta": variable("level", [4.0, 5.0], "δ")}
         | {"found": variable((), 2, "number of them")}
     )
-    found = on_axes(data, piece, axes, line=True)
+    found = to_axes(data, piece, axes, line=True)
     others = ("q1",) if len(axes) == 2 else ()
     assert found["delta"].dims == (*others, "level")
     assert found["level"].dims == ("level",)
@@ -166,7 +166,7 @@ def test_states_over_their_starts():
     axes = (Axis("x1", np.array([1.0, 2.0]), "position x1", "start"),)
     states = {name: variable((LANE, "strobe"), np.full((2, 1), value), name) for name, value in (("x1", 7), ("x2", 8))}
     data = xr.Dataset(states)
-    found = on_axes(data, Piece(0, ("a",), (0,), (2,)), axes, line=False)
+    found = to_axes(data, Piece(0, ("a",), (0,), (2,)), axes, line=False)
     assert found["x1"].dims == ("start_x1", "strobe")
     assert found["x1"].values.tolist() == [[7], [7]]
     assert found["start_x1"].values.tolist() == [1.0, 2.0]

@@ -17,7 +17,7 @@ from jaxnh.analyses.batch import LaneBatch
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import compute
-from jaxnh.engine.executor.grouped_blocks import in_blocks
+from jaxnh.engine.executor.grouped_blocks import group_into_blocks
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.plan import job_of
 from jaxnh.maps.family import ParameterFamily, stack
@@ -34,7 +34,7 @@ SOLVER, STEPS = SPLITTINGS["blanes_moan6"], 40
 def test_blocks_hold_every_lane(rows, tile):
     """Each block has lanes of one group, and each lane has its place."""
     number = np.arange(len(rows))
-    blocks = in_blocks(np.array(rows), (number, {"b": 0.5 * number}), tile)
+    blocks = group_into_blocks(np.array(rows), (number, {"b": 0.5 * number}), tile)
     lane, p = blocks.lanes
     block, size = (16, 64) if tile <= 64 else (32, 256)
     assert lane.shape == (sum(-(-rows.count(row) // block) for row in set(rows)), block)

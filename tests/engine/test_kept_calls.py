@@ -18,7 +18,7 @@ from test_pieces import job
 
 from jaxnh.engine.executor import lanes as engine
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.engine.journal import journaled
+from jaxnh.engine.journal import with_journal
 from jaxnh.exceptions import Stopped
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
@@ -158,13 +158,13 @@ def test_call_stopped_between_tiles(tmp_path):
     x, pair = np.arange(40.0), (np.arange(40.0) % 3, np.arange(80.0).reshape(40, 2))
     expected = LaneExecutor(tile=4)(_grown, (np.float64(1.0),), (x, pair), periods=2)
     lanes = LaneExecutor(StopsAt(30), devices=jax.devices("cpu")[:2], tile=4)
-    with pytest.raises(Stopped), journaled(lanes, CallJournal(tmp_path, job(), pieces)) as keeping:
+    with pytest.raises(Stopped), with_journal(lanes, CallJournal(tmp_path, job(), pieces)) as keeping:
         keeping(_grown, (np.float64(1.0),), (x, pair), periods=2)
     assert lanes.accounts.lane_periods == 32
     lanes = LaneExecutor(devices=jax.devices("cpu")[:1], tile=4)
     with (
         mock.patch.object(CallJournal, "add", autospec=True) as add,
-        journaled(lanes, kept := CallJournal(tmp_path, job(), pieces)) as keeping,
+        with_journal(lanes, kept := CallJournal(tmp_path, job(), pieces)) as keeping,
     ):
         assert kept.seconds > 0
         found = keeping(_grown, (np.float64(1.0),), (x, pair), periods=2)

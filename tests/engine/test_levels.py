@@ -9,7 +9,7 @@ from measure import some_slow
 
 from jaxnh.analyses import ANALYSES as KINDS
 from jaxnh.engine.experiment import Experiment
-from jaxnh.engine.levels.levels import near_changes
+from jaxnh.engine.levels.levels import lanes_near_changes
 from jaxnh.exceptions import ConfigError
 from sweeps.timing.adaptive_charts import refined
 
@@ -84,10 +84,10 @@ def test_what_is_near_a_change():
     halves[4:] = 1
     expected = np.zeros((15, 5), bool)
     expected[5:10] = True  # coarse lanes 3 and 4 are at 6 and 8
-    np.testing.assert_array_equal(near_changes([halves], (15, 5)), expected)
-    np.testing.assert_array_equal(near_changes([0 * halves], (15, 5)), False)
+    np.testing.assert_array_equal(lanes_near_changes([halves], (15, 5)), expected)
+    np.testing.assert_array_equal(lanes_near_changes([0 * halves], (15, 5)), False)
     both = np.stack([0 * halves, halves], axis=-1)
-    np.testing.assert_array_equal(near_changes([0 * halves, both], (15, 5)), expected)
+    np.testing.assert_array_equal(lanes_near_changes([0 * halves, both], (15, 5)), expected)
 
 
 @pytest.mark.parametrize(

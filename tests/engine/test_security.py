@@ -38,7 +38,7 @@ def test_our_own_cluster_is_on_loopback():
     with dask_workers.cluster("local:1") as client:
         client.wait_for_workers(1, timeout=60)
         future = client.submit(abs, -2, pure=False)
-        while not (ended := dask_workers._ended(client, [future])):
+        while not (ended := dask_workers._finished(client, [future])):
             pass
         assert ended == [future]
         assert future.result() == 2

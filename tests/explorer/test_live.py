@@ -40,7 +40,7 @@ def test_a_coarse_picture_comes_before_the_whole_and_a_zoom_compiles_nothing(liv
     first = list(live.passes(live.first))
     assert [picture.data is None for picture in first] == [True, False]
     before = live.sessions.compiled
-    zoomed = live.first.zoomed(5.41, 5.43, None)
+    zoomed = live.first.zoom(5.41, 5.43, None)
     coarse, fine = live.passes(zoomed)
     assert live.sessions.compiled == before
     assert coarse.words.startswith("coarse: 96 values, 32 strobes after ")
@@ -49,7 +49,7 @@ def test_a_coarse_picture_comes_before_the_whole_and_a_zoom_compiles_nothing(liv
 
 
 def test_the_saved_config_gives_the_same_numbers(live):
-    view = live.first.zoomed(5.31, 5.32, (0.0, 3.0))
+    view = live.first.zoom(5.31, 5.32, (0.0, 3.0))
     *_, last = live.passes(view)
     batch = jaxnh.run(jaxnh.Experiment.from_text(live.batch_text(view)))["diagram"]
     for name in ("b", "x1", "y2"):
@@ -57,7 +57,7 @@ def test_the_saved_config_gives_the_same_numbers(live):
 
 
 def test_a_moved_parameter_is_that_of_a_run_with_it(live):
-    view = replace(live.first.zoomed(5.0, 5.1, None), fixed={"a": 0.4})
+    view = replace(live.first.zoom(5.0, 5.1, None), fixed={"a": 0.4})
     *_, last = live.passes(view)
     asked = jaxnh.Experiment.from_text(live.batch_text(view))
     assert asked.system.a == 0.4
@@ -66,7 +66,7 @@ def test_a_moved_parameter_is_that_of_a_run_with_it(live):
 
 
 def test_a_stale_view_is_stopped_and_the_next_one_is_computed(live, stopping):
-    passes = live.passes(live.first.zoomed(4.5, 4.6, None))
+    passes = live.passes(live.first.zoom(4.5, 4.6, None))
     next(passes)
     stopping[0] = True
     with pytest.raises(Stopped):
@@ -76,7 +76,7 @@ def test_a_stale_view_is_stopped_and_the_next_one_is_computed(live, stopping):
 
 
 def test_what_is_below_the_accuracy_is_said(live):
-    *_, last = live.passes(live.first.zoomed(5.4, 5.4 + 1e-13, None))
+    *_, last = live.passes(live.first.zoom(5.4, 5.4 + 1e-13, None))
     assert any("places move with the accuracy" in note for note in last.notes)
     assert any("neighbouring doubles" in note for note in last.notes)
 

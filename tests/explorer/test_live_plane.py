@@ -36,7 +36,7 @@ def test_a_coarse_picture_comes_before_all_lanes_and_a_zoom_compiles_nothing(pla
     assert first[0].words.startswith("coarse: ")  # of how many lanes, depends on the number of devices
     assert [picture.data is None for picture in first] == [True] * (len(first) - 1) + [False]
     before = plane.sessions.compiled
-    zoomed = plane.first.zoomed(4.1, 4.3, (0.52, 0.53))
+    zoomed = plane.first.zoom(4.1, 4.3, (0.52, 0.53))
     *_, last = plane.passes(zoomed)
     assert plane.sessions.compiled == before
     assert last.words == "32 × 24 lanes"
@@ -45,7 +45,7 @@ def test_a_coarse_picture_comes_before_all_lanes_and_a_zoom_compiles_nothing(pla
 
 
 def test_the_saved_config_gives_the_same_numbers(plane):
-    view = plane.first.zoomed(5.31, 5.32, (0.5, 0.51))
+    view = plane.first.zoom(5.31, 5.32, (0.5, 0.51))
     *_, last = plane.passes(view)
     batch = jaxnh.run(jaxnh.Experiment.from_text(plane.batch_text(view)))["lyapunov"]
     for name in ("b", "a", "exponents", "exponents_error"):

@@ -13,7 +13,7 @@ import jaxnh
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.explorer.key import key_html
 from jaxnh.explorer.raster import plane_raster
-from jaxnh.explorer.recording import recorded
+from jaxnh.explorer.recording import open_recording
 from jaxnh.explorer.report import lines
 from jaxnh.plotting.pixels import number_pixels
 from jaxnh.plotting.style import MANY
@@ -54,40 +54,40 @@ def file(tmp_path):
 
 
 def test_planes_are_the_groups_over_two_axes(file):
-    source = recorded(file)
+    source = open_recording(file)
     assert source.variables == {"lyapunov": "label of exponents", "period": "label of period"}
     assert source.first.ranges == {"b": (0.0, 5.0), "d": (1.0, 3.0)}
     assert source.axis_words == {"b": "coupling b", "d": "depth d (m)"}
 
 
 def test_a_zoomed_plane_has_the_lanes_and_colours_of_its_range(file):
-    source = recorded(file)
+    source = open_recording(file)
     [whole] = source.passes(source.first)
     assert np.array_equal(whole.pixels.plane.values, number(B[None, :], np.sort(D)[:, None]))
     assert whole.words == "6 × 3 lanes"
     assert (whole.raster.across, whole.raster.up) == ((-0.5, 5.5), (0.5, 3.5))
-    [part] = source.passes(source.first.zoomed(1.5, 4.5, (1.9, 5.0)))
+    [part] = source.passes(source.first.zoom(1.5, 4.5, (1.9, 5.0)))
     assert np.array_equal(part.pixels.plane.values, number(B[None, 2:5], np.array([2.0, 3.0])[:, None]))
     expected = number_pixels(part.data["lyapunov"].to_dataset()).rgba()
     assert np.array_equal(part.raster.cells.view(np.uint8).reshape(2, 3, 4), expected)
 
 
 def test_a_picture_of_a_part_is_saved_as_any_other(file):
-    source = recorded(file)
-    [part] = source.passes(source.first.zoomed(1.5, 4.5, (1.9, 5.0)))
+    source = open_recording(file)
+    [part] = source.passes(source.first.zoom(1.5, 4.5, (1.9, 5.0)))
     drawn = jaxnh.figure(part.data)
     assert drawn.axes[0].get_xlim() == (1.5, 4.5)
     assert drawn.get_suptitle() == "A plane"
 
 
 def test_a_range_between_two_lanes_shows_those_about_it(file):
-    source = recorded(file)
-    [part] = source.passes(source.first.zoomed(2.1, 2.2, (1.1, 1.2)))
+    source = open_recording(file)
+    [part] = source.passes(source.first.zoom(2.1, 2.2, (1.1, 1.2)))
     assert np.array_equal(part.pixels.plane.values, number(B[None, 2:4], np.array([1.0, 2.0])[:, None]))
 
 
 def test_what_is_said_of_a_lane_is_of_the_nearest_one(file):
-    source = recorded(file)
+    source = open_recording(file)
     [report] = source.lane(source.first, {"b": 3.2, "d": 2.9})
     assert report.where == {"b": 3.0, "d": 3.0}
     said = dict(lines(report))
@@ -104,7 +104,7 @@ def test_uneven_axes_are_drawn_at_their_places():
 
 
 def test_the_key_says_what_colours_stand_for(file):
-    source = recorded(file)
+    source = open_recording(file)
     exponents, periods = (
         key_html(next(source.passes(view)).pixels) for view in (source.first, replace(source.first, variable="period"))
     )
@@ -119,7 +119,7 @@ def test_of_a_file_with_a_diagram_alone_the_diagram_along_the_first_axis_is_show
     dims = {"x": (("b", "d", "strobe"), states)}
     diagram = xr.Dataset(dims, COORDINATES, {"panel": "density", "panel_variables": "x"})
     write(path, {"jaxnh_version": "0", "axes": "b d"}, {"diagram": diagram})
-    source = recorded(path)
+    source = open_recording(path)
     [picture] = source.passes(source.first)
     assert source.first.ranges == {"b": (0.0, 5.0)}
     assert np.array_equal(picture.data["x"], states[:, 0])
@@ -130,7 +130,7 @@ def test_a_file_without_planes_is_refused(tmp_path):
     path = tmp_path / "none.h5"
     write(path, {"jaxnh_version": "0", "axes": "b d"}, {"other": group("exponents", np.zeros((6, 3)), "")})
     with pytest.raises(InputError, match="has other, and no diagram and no plane of two axes"):
-        recorded(path)
+        open_recording(path)
 
 
 def test_a_diagram_as_a_figure_of_bokeh_by_its_group_or_its_coordinate():
@@ -143,7 +143,7 @@ def test_a_figure_of_bokeh_has_the_same_pixels(file):
     tree = jaxnh.open_result(file)
     drawn = jaxnh.bokeh_figure(tree, "period")
     [source] = {glyph.data_source for glyph in drawn.renderers if "image" in glyph.data_source.data}
-    source_of_file = recorded(file)
+    source_of_file = open_recording(file)
     *_, picture = source_of_file.passes(replace(source_of_file.first, variable="period"))
     np.testing.assert_array_equal(source.data["image"][0], picture.raster.cells)
     assert (drawn.xaxis[0].axis_label, drawn.yaxis[0].axis_label) == ("coupling b", "depth d (m)")

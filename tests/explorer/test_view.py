@@ -17,11 +17,11 @@ def test_a_range_is_of_a_config_s_values():
 
 
 def test_a_zoom_ends_where_columns_are_neighbouring_doubles():
-    view = FIRST.zoomed(5.4, np.nextafter(5.4, 6.0), None)
+    view = FIRST.zoom(5.4, np.nextafter(5.4, 6.0), None)
     assert len(np.unique(view.values())) == view.columns
     assert view.deepest
-    assert not FIRST.zoomed(5.4, 5.4 + 1e-9, None).deepest
-    assert FIRST.zoomed(6.0, 5.0, (2.0, 1.0)) == FIRST.zoomed(5.0, 6.0, (1.0, 2.0))
+    assert not FIRST.zoom(5.4, 5.4 + 1e-9, None).deepest
+    assert FIRST.zoom(6.0, 5.0, (2.0, 1.0)) == FIRST.zoom(5.0, 6.0, (1.0, 2.0))
 
 
 def test_a_range_needs_numbers_that_rise():
@@ -32,13 +32,13 @@ def test_a_range_needs_numbers_that_rise():
 
 def test_back_and_forward():
     history = History([FIRST])
-    one, other = FIRST.zoomed(1.0, 2.0, None), FIRST.zoomed(1.2, 1.4, (0.0, 1.0))
+    one, other = FIRST.zoom(1.0, 2.0, None), FIRST.zoom(1.2, 1.4, (0.0, 1.0))
     assert history.go(one)
     assert not history.go(one)
     history.go(other)
     assert [history.move(-1), history.move(-1), history.move(-1)] == [one, FIRST, FIRST]
     assert history.move(1) == one
-    assert history.go(FIRST.zoomed(3.0, 4.0, None))  # what one had gone back from is no longer there
+    assert history.go(FIRST.zoom(3.0, 4.0, None))  # what one had gone back from is no longer there
     assert history.move(1).low == 3.0
 
 
@@ -56,11 +56,11 @@ def test_a_plane_has_a_range_and_lanes_of_both_axes():
         "d": [-1.0, 0.0, 1.0],
     }
     assert plane.lane_at(0.8, -0.4) == {"b": 1.0, "d": 0.0}
-    zoomed = plane.zoomed(0.5, 1.0, (1.0, 0.5))
+    zoomed = plane.zoom(0.5, 1.0, (1.0, 0.5))
     assert zoomed.ranges == {"b": (0.5, 1.0), "d": (0.5, 1.0)}
     assert from_query(plane, as_query(zoomed)) == zoomed
     assert from_query(plane, {}) == plane
-    deepest = plane.zoomed(0.5, 1.0, (0.25, np.nextafter(0.25, 1.0)))
+    deepest = plane.zoom(0.5, 1.0, (0.25, np.nextafter(0.25, 1.0)))
     assert len(np.unique(deepest.grid()["d"])) == 3
     assert deepest.deepest
     with pytest.raises(InputError, match="a range of d goes from a number up to a larger one"):

@@ -130,7 +130,7 @@ def test_words_below_are_within_a_column():
     """What a result is from takes more lines in a narrow figure; none is cut off at its edges."""
     attrs = {"solver": "tsitouras_papakostas8", "section": "y = 0, up", "jaxnh_version": "0.2.0.dev0"}
     drawing = figure(tree({"period": periods(UP)}, **attrs), size=style.COLUMN)
-    with style.styled():
+    with style.package_style():
         drawing.draw_without_rendering()
     [words] = [text for text in drawing.texts if "tsitouras_papakostas8" in text.get_text()]
     assert " ".join(words.get_text().split()).endswith("in a time of 6.283, error of one return 1e-05")

@@ -10,7 +10,7 @@ import pytest
 from test_pieces import job
 
 from jaxnh.storage import calls as storage
-from jaxnh.storage.calls import CallJournal, JournalEntry, left
+from jaxnh.storage.calls import CallJournal, JournalEntry, interrupted_batches
 
 JOB = job(tile=2)
 PIECES = JOB.pieces()[1:3]
@@ -51,22 +51,22 @@ def folder(tmp_path, parts):
 def test_what_is_kept_is_found(folder, parts):
     """From the first lane on without a gap, bit for bit, and of the same call with the same arguments alone."""
     kept = CallJournal(folder, JOB, PIECES)
-    same(kept.found(0, "d"), parts[:2])
-    same(kept.found(1, "d"), parts[2:3])
-    assert kept.found(2, "other") == []
-    assert kept.found(3, "d") == []
+    same(kept.take_entries(0, "d"), parts[:2])
+    same(kept.take_entries(1, "d"), parts[2:3])
+    assert kept.take_entries(2, "other") == []
+    assert kept.take_entries(3, "d") == []
     assert kept.seconds > 0
-    assert left(folder, JOB) == [[piece.number for piece in PIECES]]
+    assert interrupted_batches(folder, JOB) == [[piece.number for piece in PIECES]]
 
 
 def test_of_another_job_or_other_pieces(folder):
-    assert left(folder, job(tile=3)) == []
+    assert interrupted_batches(folder, job(tile=3)) == []
     for kept in (CallJournal(folder, job(tile=3), PIECES), CallJournal(folder, JOB, PIECES[:1])):
-        assert kept.found(0, "d") == []
+        assert kept.take_entries(0, "d") == []
         assert kept.seconds == 0
     kept.add(part(0, 0))  # what is written of others takes its place
     kept.close(remove=False)
-    assert left(folder, JOB) == [[PIECES[0].number]]
+    assert interrupted_batches(folder, JOB) == [[PIECES[0].number]]
 
 
 @pytest.mark.parametrize("damage", ["cut", "bit", "tail"])
@@ -83,12 +83,12 @@ def test_damaged_record(folder, parts, damage):
     path.write_bytes(data)
     kept = CallJournal(folder, JOB, PIECES)
     last = parts[4:] if damage == "tail" else []
-    same(kept.found(2, "d"), last)
+    same(kept.take_entries(2, "d"), last)
     kept.add(parts[4])
     kept.close(remove=False)
     again = CallJournal(folder, JOB, PIECES)
-    same(again.found(0, "d"), parts[:2])
-    same(again.found(2, "d"), parts[4:])
+    same(again.take_entries(0, "d"), parts[:2])
+    same(again.take_entries(2, "d"), parts[4:])
 
 
 def test_written_every_few_seconds(tmp_path, parts):
@@ -121,8 +121,8 @@ def test_two_at_the_same_pieces(tmp_path, parts):
     other.close(remove=False)
     one.close(remove=False)
     found = CallJournal(tmp_path, JOB, PIECES)
-    same(found.found(0, "d"), parts[:2])
-    assert found.found(1, "d") == []
+    same(found.take_entries(0, "d"), parts[:2])
+    assert found.take_entries(1, "d") == []
 
 
 def test_no_room(folder, parts):

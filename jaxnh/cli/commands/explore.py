@@ -54,9 +54,9 @@ def explore(
 
     worker = Worker()
     if content is None:
-        from jaxnh.explorer.recording import recorded
+        from jaxnh.explorer.recording import open_recording
 
-        source = recorded(config)
+        source = open_recording(config)
     else:
         from jaxnh.cli.experiments import experiment_of
         from jaxnh.explorer.live import live

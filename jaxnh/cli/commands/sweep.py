@@ -52,14 +52,14 @@ def sweep(
     share = _part(part)
     if merge_only and (part or dask):
         raise ArgumentError("merge", "it goes without --part and --dask")
-    from jaxnh.cli.arguments import called, read_config
+    from jaxnh.cli.arguments import command_line, read_config
 
     content = read_config(config, overrides)
     # From here on JAX, which takes more than a second to import.
     from jaxnh.cli.running import run
     from jaxnh.engine.run import RunOptions
 
-    how = RunOptions(fresh, share, merge_only, dask, tile, called("jaxnh.sweep"), yes)
+    how = RunOptions(fresh, share, merge_only, dask, tile, command_line("jaxnh.sweep"), yes)
     run(content, output, how, quiet=quiet)
 
 

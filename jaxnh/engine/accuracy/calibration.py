@@ -12,7 +12,13 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnh.engine.accuracy.diagnostics import ROUGH, fault_of, of_long_returns, of_motion, of_slow_convergence
+from jaxnh.engine.accuracy.diagnostics import (
+    ROUGH,
+    explain_long_returns,
+    explain_motion,
+    explain_slow_convergence,
+    fault_of,
+)
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import AccuracyError
@@ -167,9 +173,9 @@ class Calibration:
         what, hint, length = "period", "", system.flow.period
         if system is not system.flow:
             lengths = np.abs(self._reference[-1] - self._samples.states.t)
-            what, hint = "return", of_long_returns(lengths, worst)
+            what, hint = "return", explain_long_returns(lengths, worst)
             length = float(lengths[worst]) if np.isfinite(lengths[worst]) else length
-        hint += of_motion(system, sample.states, sample.p, length) or of_slow_convergence(self._fall)
+        hint += explain_motion(system, sample.states, sample.p, length) or explain_slow_convergence(self._fall)
         return AccuracyError(
             f"no solver has an error of one {what} of {target:g} over this sweep; with up to {self._tried:,} kicks, "
             f"that at {where} comes down to {errors[worst]:.2g}{hint}"
@@ -187,7 +193,7 @@ class Calibration:
             error = self.error(solver, steps, compensated=compensated)
             yield Plan(solver, steps, compensated, error)
             if failed and error > target:
-                order = _order_seen(failed, tried[failed], steps, error, order)
+                order = _effective_order(failed, tried[failed], steps, error, order)
             tried[steps] = error
             if error <= target:
                 met = min(met, steps)
@@ -241,7 +247,7 @@ class Calibration:
         sensitive = np.concatenate(gaps, axis=1)
         sensitive = np.where(np.isfinite(sensitive), sensitive, -1.0)
         sensitive[:, _ALL_LANES_AT] = np.inf
-        escaping = _escaping(whole)
+        escaping = _is_escaping(whole)
         if not np.all(escaping):
             sensitive[escaping] = -1.0
         count = min(_MOST_SENSITIVE + len(number) * len(_ALL_LANES_AT), int(np.sum(~escaping)) or sensitive.size)
@@ -366,15 +372,15 @@ class Calibration:
         """function(*maps, state, p, *static) of every sample, with the maps of its own flow; periods a lane."""
         whole: Any = None
         for k in np.unique(samples.row):
-            here = np.flatnonzero(samples.row == k)
-            part = samples.take(here)
-            found = self._lanes(function, maps(int(k)), (part.states, part.p), periods=periods, static=static)
-            if len(here) == len(samples.row):
-                return found
+            members = np.flatnonzero(samples.row == k)
+            part = samples.take(members)
+            values = self._lanes(function, maps(int(k)), (part.states, part.p), periods=periods, static=static)
+            if len(members) == len(samples.row):
+                return values
             if whole is None:
-                whole = jax.tree.map(lambda leaf: np.empty((len(samples.row), *leaf.shape[1:]), leaf.dtype), found)
-            for leaf, new in zip(jax.tree.leaves(whole), jax.tree.leaves(found), strict=True):
-                leaf[here] = new
+                whole = jax.tree.map(lambda leaf: np.empty((len(samples.row), *leaf.shape[1:]), leaf.dtype), values)
+            for leaf, new in zip(jax.tree.leaves(whole), jax.tree.leaves(values), strict=True):
+                leaf[members] = new
         return whole
 
     def _image(self, strobe: Callable[[int], ReturnMap], samples: _Samples) -> list[np.ndarray]:
@@ -383,7 +389,7 @@ class Calibration:
         return [np.array(leaf) for leaf in jax.tree.leaves(error_components(states))]
 
 
-def _order_seen(few: int, before: float, many: int, after: float, order: float) -> float:
+def _effective_order(few: int, before: float, many: int, after: float, order: float) -> float:
     """With which power of the steps errors fall, from one to the method's: corners of a field cost it its order."""
     if many <= few or not 0.0 < after < before < math.inf:
         return order
@@ -400,7 +406,7 @@ def _crossing_rates(section: Section, states: Crossing, p: Parameters) -> Float[
     return jax.vmap(lambda y: section.rate(y, p))(states.state)
 
 
-def _escaping(states: State) -> Bool[np.ndarray, "lanes periods"]:
+def _is_escaping(states: State) -> Bool[np.ndarray, "lanes periods"]:
     """Where a lane is on its way to infinity: not finite within two periods, as motion that blows up does ever faster.
 
     No number of steps gives such a period an error that means anything; the lane is marked as failed where it is run.

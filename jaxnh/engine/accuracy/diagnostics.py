@@ -29,9 +29,9 @@ def fault_of(system: System, state: State, p: Parameters) -> str:
     """Why the map of a state, floats, has no value; "" where that is not seen."""
     flow = system.flow
     state = state if flow is system else state.state
-    if why := flow.fault_at(0.0, state, p) or _lost(flow, state, p, flow.period):
+    if why := flow.fault_at(0.0, state, p) or _explain_loss(flow, state, p, flow.period):
         return why
-    if (fastest := _fastest(flow, state, p)) > _STIFF:
+    if (fastest := _fastest_rate(flow, state, p)) > _STIFF:
         time_unit = ", or give a smaller time_unit" if flow.autonomous else ""
         unit = "unit of time" if flow.autonomous else "period"
         return (
@@ -43,23 +43,23 @@ def fault_of(system: System, state: State, p: Parameters) -> str:
     return ""
 
 
-def of_motion(system: System, state: State, p: Parameters, length: float) -> str:
+def explain_motion(system: System, state: State, p: Parameters, length: float) -> str:
     """What to say of the sample of the largest error where its motion, so long, nearly loses something; "": nothing."""
     state = state if system.flow is system else state.state
-    why = _lost(system.flow, state, p, length)
+    why = _explain_loss(system.flow, state, p, length)
     return why and f"; {why}"
 
 
-def of_long_returns(lengths: Float[np.ndarray, " samples"], worst: int) -> str:
+def explain_long_returns(lengths: Float[np.ndarray, " samples"], worst: int) -> str:
     """What to say of the sample of the largest error where returns to a section take so long; "": nothing."""
     if lengths[worst] > _LONG * np.nanmedian(lengths):
         return f"; it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
     return ""
 
 
-def of_slow_convergence(fall: Sequence[tuple[int, float]]) -> str:
+def explain_slow_convergence(fall: Sequence[tuple[int, float]]) -> str:
     """What to say where references of more and more kicks come together so slowly; "": nothing."""
-    if order_of(fall) < _NOT_SMOOTH:
+    if observed_order(fall) < _NOT_SMOOTH:
         return (
             "; more steps lessen it so slowly as where the equations jump or have corners (sign, abs, where): "
             "make these smooth, or ask for less"
@@ -67,7 +67,7 @@ def of_slow_convergence(fall: Sequence[tuple[int, float]]) -> str:
     return ""
 
 
-def order_of(fall: Sequence[tuple[int, float]]) -> float:
+def observed_order(fall: Sequence[tuple[int, float]]) -> float:
     """With which power of the kicks distances fall in the last refinements; infinite: unknown, or down to rounding."""
     seen = [(kicks, gap) for kicks, gap in fall if gap < math.inf][-_ORDER_OF_LAST:]
     if len(seen) < _ORDER_OF_LAST or min(gap for _, gap in seen) < ROUGH:
@@ -76,7 +76,7 @@ def order_of(fall: Sequence[tuple[int, float]]) -> float:
     return float(-np.polyfit(kicks, gaps, 1)[0])
 
 
-def _lost(flow: Flow, y: State, p: Parameters, length: float) -> str:
+def _explain_loss(flow: Flow, y: State, p: Parameters, length: float) -> str:
     """What a motion from a state at t = 0 nearly loses in a time, as seen roughly: the classical method of order 4."""
     h = length / _ROUGHLY
     times = h * np.arange(_ROUGHLY)
@@ -100,7 +100,7 @@ def _lost(flow: Flow, y: State, p: Parameters, length: float) -> str:
     return flow.near_degeneracy(times, passed, p)
 
 
-def _fastest(flow: Flow, y: State, p: Parameters) -> float:
+def _fastest_rate(flow: Flow, y: State, p: Parameters) -> float:
     """Largest modulus of the eigenvalues of a flow's linearisation at a state and t = 0, times its unit of time."""
     flat, whole = ravel_pytree(jax.tree.map(jnp.asarray, y))
     jacobian = np.asarray(jax.jacfwd(lambda z: ravel_pytree(flow.rhs(0.0, whole(z), p))[0])(flat))

@@ -43,7 +43,7 @@ def name_of(experiment: Experiment, devices: Sequence[Any], tile: int | None) ->
     said = executables.of_user_file(user) if user else ""
     if store.folder() is None or said is None:
         return None
-    words = ["decision", executables.surroundings(), executables.of_devices(devices)]
+    words = ["decision", executables.environment(), executables.of_devices(devices)]
     return hashlib.sha256("\n".join([*words, str(tile), said, experiment.sha256]).encode()).hexdigest()
 
 

@@ -69,13 +69,13 @@ def name_of(
     if store.folder() is None:
         return None
     try:
-        words = [surroundings(), of_devices(devices), *_constant(function), *_constant(static), *_shapes(arguments)]
+        words = [environment(), of_devices(devices), *_constant(function), *_constant(static), *_shapes(arguments)]
     except _NoNameError:
         return None
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 
-def surroundings() -> str:
+def environment() -> str:
     """What decides every number: versions, the text of this package, settings of JAX."""
     settings = {name: str(getattr(jax.config, name, None)) for name in _SETTINGS}
     return json.dumps([_versions(), settings, os.environ.get("EQX_ON_ERROR")])

@@ -24,12 +24,12 @@ class CallFingerprints:
         """A hash of the function and all arguments, numbers bit for bit."""
         leaves, structure = jax.tree.flatten(arguments)
         common, of_shared = jax.tree.flatten(shared)
-        found = hashlib.sha256(_words(function, of_shared, structure))
+        digest = hashlib.sha256(_words(function, of_shared, structure))
         for leaf in common:
-            found.update(self._digest(leaf))
+            digest.update(self._digest(leaf))
         for leaf in leaves:
-            found.update(_content(leaf))
-        return found.hexdigest()
+            digest.update(_content(leaf))
+        return digest.hexdigest()
 
     def _digest(self, leaf: Any) -> bytes:
         """That of the content of an array."""
@@ -44,20 +44,20 @@ class CallFingerprints:
 
 @functools.lru_cache(_READ)
 def _words(function: Callable[..., Any], *structures: Any) -> bytes:
-    return _without_addresses(" ".join([_said(function), *map(str, structures)]))
+    return _without_addresses(" ".join([_qualified_name(function), *map(str, structures)]))
 
 
 def _content(leaf: Any) -> bytes:
     """A number or array with its kind and shape, a function by its name."""
     if callable(leaf):
-        return _without_addresses(_said(leaf))
+        return _without_addresses(_qualified_name(leaf))
     data = np.asarray(leaf)
     if data.dtype.kind == "U":
         return str(data).encode()
     return f"{data.dtype} {data.shape}".encode() + np.ascontiguousarray(data).tobytes()
 
 
-def _said(function: Any) -> str:
+def _qualified_name(function: Any) -> str:
     return f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', function)}"
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import jax
 
 from jaxnh.exceptions import ResultError
-from jaxnh.storage.atomic import replacing
+from jaxnh.storage.atomic import replace_atomically
 
 _UNUSED_SECONDS = 60 * 24 * 3600.0
 _HEAD = 64 + 1  # of a file: the checksum of what follows
@@ -51,7 +51,7 @@ def keep(name: str, data: bytes) -> None:
         return
     try:
         where.mkdir(parents=True, exist_ok=True)
-        with replacing(where / name) as file:
+        with replace_atomically(where / name) as file:
             file.write(_head(name, data) + data)
             file.settle()
     except (OSError, ResultError):

@@ -35,7 +35,7 @@ class Blocks(NamedTuple):
     a_tile: int
 
 
-def in_blocks(group: Int[np.ndarray, " lanes"], lanes: tuple[Any, ...], tile: int) -> Blocks:
+def group_into_blocks(group: Int[np.ndarray, " lanes"], lanes: tuple[Any, ...], tile: int) -> Blocks:
     """Lanes by their groups, for tiles of about so many.
 
     Blocks come in the order of their first lanes: lanes that take equally long stay together.
@@ -57,7 +57,7 @@ def in_blocks(group: Int[np.ndarray, " lanes"], lanes: tuple[Any, ...], tile: in
     return Blocks(groups[of].astype(np.int32), moved, back, size // block)
 
 
-def of_block(*arguments: Any) -> Any:
+def evaluate_block(*arguments: Any) -> Any:
     """The function of a lane for all lanes of a block: of what is shared, its group, its lanes, (function, static)."""
     *shared, group, lanes, (function, static) = arguments
     own = tuple(part.at(group) if isinstance(part, TreeStack) else part for part in shared)

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jaxnh.engine.executor.accounts import Accounts
-from jaxnh.engine.executor.grouped_blocks import in_blocks, of_block
+from jaxnh.engine.executor.grouped_blocks import evaluate_block, group_into_blocks
 from jaxnh.engine.executor.programs import Programs
 from jaxnh.engine.executor.tiles import Call, DeviceTiles, Tiles, count_of
 from jaxnh.engine.progress import NullProgress, Progress
@@ -179,11 +179,11 @@ class LaneExecutor:
     def _in_blocks(self, call: Call, group: np.ndarray) -> Any:
         """Lanes of several values of a family, block by block through one program."""
         family = next(part for part in call.shared if isinstance(part, ParameterFamily))
-        blocks = in_blocks(group, _without(family, call.lanes), call.tile)
+        blocks = group_into_blocks(group, _without(family, call.lanes), call.tile)
         stacks = tuple(part.stack if isinstance(part, ParameterFamily) else part for part in call.shared)
         result = self._run(
             Call(
-                of_block,
+                evaluate_block,
                 stacks,
                 (blocks.groups, blocks.lanes),
                 ((call.function, call.static),),

@@ -12,7 +12,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 Batch = TypeVar("Batch")
 
 
-def side_by_side(
+def run_side_by_side(
     lanes: LaneExecutor, batches: Sequence[Batch], in_turn: Callable[[Iterator[Batch], LaneExecutor], object]
 ) -> None:
     """Have some batches done by runners side by side, each of which takes the next when it has done one.

@@ -66,9 +66,9 @@ class DeviceTiles:
         """The tiles of a call; see `Tiles`."""
         leaves, chunk, count = jax.tree.leaves(call.lanes), call.tile * len(self._devices), count_of(call.lanes)
         program, placed = self.program(call), self._on_devices(call.shared)
-        turns = call.periods * chunk * turns_of(call.shared)
+        turns = call.periods * chunk * inner_trip_count(call.shared)
         for number in range(first, count, chunk):
-            part = [_padded(leaf[number : number + chunk], chunk) for leaf in leaves]
+            part = [_pad(leaf[number : number + chunk], chunk) for leaf in leaves]
             began = time.perf_counter()
             result = jax.tree.map(np.asarray, program(placed, part))
             seconds = time.perf_counter() - began
@@ -82,7 +82,7 @@ class DeviceTiles:
     def program(self, call: Call) -> Any:
         """The compiled program of a call."""
         chunk = call.tile * len(self._devices)
-        lanes = jax.tree.map(lambda leaf: _padded(leaf[:chunk], chunk), call.lanes)
+        lanes = jax.tree.map(lambda leaf: _pad(leaf[:chunk], chunk), call.lanes)
         return self._programs.find(call.function, call.static, call.shared, lanes, self._devices, self._accounts)
 
     def _on_devices(self, shared: tuple[Any, ...]) -> list[Any]:
@@ -104,13 +104,13 @@ def count_of(lanes: Any) -> int:
     return len(jax.tree.leaves(lanes)[0])
 
 
-def turns_of(shared: tuple[Any, ...]) -> float:
+def inner_trip_count(shared: tuple[Any, ...]) -> float:
     """Turns a period of the innermost loop of the maps among these: of the one that has most."""
     maps = [part.trees if isinstance(part, TreeStack) else part for part in shared]
     return max((math.prod(part.turns) for part in maps if isinstance(part, ReturnMap)), default=0.0)
 
 
-def _padded(leaf: np.ndarray, length: int) -> np.ndarray:
+def _pad(leaf: np.ndarray, length: int) -> np.ndarray:
     """The leaf with its last row repeated up to a length."""
     if len(leaf) == length:
         return leaf

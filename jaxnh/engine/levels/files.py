@@ -7,7 +7,7 @@ from pathlib import Path
 from jaxnh.engine.levels.levels import Level, level_of
 from jaxnh.exceptions import DamagedError, ResultError
 from jaxnh.storage.hdf5 import open_result, verify
-from jaxnh.storage.merge import gathered
+from jaxnh.storage.merge import gather
 from jaxnh.storage.pieces import Job
 
 
@@ -39,5 +39,5 @@ def read(folder: Path, job: Job, stage: Job) -> Level | None:
     before = job.stages()[stage.level - 2]
     tree = open_result(path_of(folder, before))
     results = {name: tree[name].to_dataset() for name in before.groups}
-    of_lanes = {names[0]: gathered(folder, before, names[0]) for names in before.wholes}
+    of_lanes = {names[0]: gather(folder, before, names[0]) for names in before.wholes}
     return level_of(stage, results, {**results, **of_lanes})

@@ -82,15 +82,15 @@ def level_of(job: Job, results: Mapping[str, xr.Dataset], coarser: Mapping[str, 
     else:
         seen = ((ANALYSES[name].classes, data) for name, data in results.items() if name in ANALYSES)
         kinds = [classes(data) for classes, data in seen if classes is not None]
-        wanted = near_changes(kinds, job.shape) & ~known
-    if any(_of_some_axes(data, job.names) for data in coarser.values()):
+        wanted = lanes_near_changes(kinds, job.shape) & ~known
+    if any(_has_partial_axes(data, job.names) for data in coarser.values()):
         for piece in job.pieces():  # what the values of shared axes decide comes with a lane of each
             if piece.names == job.independent and not wanted[_box(piece)].any():
                 wanted[piece.begin] = True
     return Level(wanted, known | wanted, coarser)
 
 
-def near_changes(kinds: Iterable[Int[np.ndarray, ...]], shape: tuple[int, ...]) -> Bool[np.ndarray, ...]:
+def lanes_near_changes(kinds: Iterable[Int[np.ndarray, ...]], shape: tuple[int, ...]) -> Bool[np.ndarray, ...]:
     """Which lanes of a level of this shape lie near a change of any of these kinds in the level before.
 
     Args:
@@ -100,15 +100,15 @@ def near_changes(kinds: Iterable[Int[np.ndarray, ...]], shape: tuple[int, ...]) 
     coarse = near[_every_second(shape)]
     for kind in kinds:
         for one in np.moveaxis(kind.reshape(*coarse.shape, -1), -1, 0):
-            coarse |= _over_neighbours(one, np.maximum) != _over_neighbours(one, np.minimum)
-    return _over_neighbours(near, np.maximum)
+            coarse |= _reduce_neighbours(one, np.maximum) != _reduce_neighbours(one, np.minimum)
+    return _reduce_neighbours(near, np.maximum)
 
 
 def _every_second(shape: tuple[int, ...]) -> tuple[slice, ...]:
     return (slice(None, None, 2),) * len(shape)
 
 
-def _over_neighbours(values: np.ndarray, pick: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+def _reduce_neighbours(values: np.ndarray, pick: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
     """The largest or least of every value and its neighbours along all axes, those across a corner among them."""
     for k in range(values.ndim):
         wide = np.pad(values, [(1, 1) if k == axis else (0, 0) for axis in range(values.ndim)], mode="edge")
@@ -117,7 +117,7 @@ def _over_neighbours(values: np.ndarray, pick: Callable[[np.ndarray, np.ndarray]
     return values
 
 
-def _of_some_axes(data: xr.Dataset, names: Sequence[str]) -> bool:
+def _has_partial_axes(data: xr.Dataset, names: Sequence[str]) -> bool:
     """Whether a variable has some of the axes, but not all."""
     met = [set(map(str, item.dims)) & set(names) for name, item in data.variables.items() if name not in names]
     return any(0 < len(axes) < len(names) for axes in met)
@@ -126,23 +126,23 @@ def _of_some_axes(data: xr.Dataset, names: Sequence[str]) -> bool:
 # ---- a piece of a level
 
 
-def filled(level: Level, name: str, piece: Piece, axes: Sequence[Axis], found: xr.Dataset | None) -> xr.Dataset:
+def fill_level(level: Level, name: str, piece: Piece, axes: Sequence[Axis], computed: xr.Dataset | None) -> xr.Dataset:
     """The dataset of all lanes of a piece: those that were computed, and the others from the level before.
 
     Args:
-        found: of an analysis, the dataset of the lanes wanted, in their order; None where there are none.
+        computed: of an analysis, the dataset of the lanes wanted, in their order; None where there are none.
     """
     mask = level.wanted_in(piece)
     if level.coarser:
         around = _from_coarser(level.coarser[name], piece, [axis.dim for axis in axes], ANALYSES[name].smooth)
-        found = around if found is None else _placed(found, mask, around)
-    assert found is not None
+        computed = around if computed is None else _insert_lanes(computed, mask, around)
+    assert computed is not None
     words = "whether this place was computed; else it is filled from a neighbour on a coarser level"
     known = level.known[_box(piece)].ravel().astype(np.int8)
-    return found.assign({COMPUTED: variable(LANE, known, words, dtype="bool")})
+    return computed.assign({COMPUTED: variable(LANE, known, words, dtype="bool")})
 
 
-def with_computed(group: xr.Dataset, lanes: xr.Dataset) -> xr.Dataset:
+def mark_computed(group: xr.Dataset, lanes: xr.Dataset) -> xr.Dataset:
     """A group that is made of all lanes, with what these say of which of them were computed."""
     if not any(item.dims[:1] == (LANE,) for item in group.variables.values()):
         return group
@@ -150,16 +150,16 @@ def with_computed(group: xr.Dataset, lanes: xr.Dataset) -> xr.Dataset:
     return group.assign({COMPUTED: (LANE, known.to_numpy().ravel().astype(np.int8), {**known.attrs, "dtype": "bool"})})
 
 
-def _placed(found: xr.Dataset, mask: Bool[np.ndarray, " lanes"], around: xr.Dataset) -> xr.Dataset:
+def _insert_lanes(computed: xr.Dataset, mask: Bool[np.ndarray, " lanes"], around: xr.Dataset) -> xr.Dataset:
     """Lanes that were found at their places among others."""
     content = {}
-    for name, item in found.variables.items():
+    for name, item in computed.variables.items():
         values = item.values
         if item.dims[:1] == (LANE,):
             values = around.variables[name].values.astype(np.promote_types(around[name].dtype, values.dtype))
             values[mask] = item.values
         content[name] = (item.dims, values, item.attrs)
-    return xr.Dataset(content, attrs=found.attrs).set_coords([name for name in found.coords if name in content])
+    return xr.Dataset(content, attrs=computed.attrs).set_coords([name for name in computed.coords if name in content])
 
 
 def _from_coarser(data: xr.Dataset, piece: Piece, names: Sequence[str], smooth: Sequence[str]) -> xr.Dataset:
@@ -181,7 +181,7 @@ def _from_coarser(data: xr.Dataset, piece: Piece, names: Sequence[str], smooth: 
             lower = [place // 2 - low for place, low in zip(places, first, strict=True)]
             values = block[np.ix_(*lower)]
             if name in smooth:
-                values = _between(block, values, lower, places)
+                values = _neighbour_means(block, values, lower, places)
             values = values.reshape(piece.lanes, *values.shape[len(names) :])
             content[str(name)] = ((LANE, *dims[len(names) :]), values, attrs)
         else:
@@ -190,7 +190,7 @@ def _from_coarser(data: xr.Dataset, piece: Piece, names: Sequence[str], smooth: 
     return xr.Dataset(content, attrs=attrs)
 
 
-def _between(
+def _neighbour_means(
     block: np.ndarray, copied: np.ndarray, lower: Sequence[np.ndarray], places: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Means of the neighbours on the coarser level, where all of these are finite; else as they were copied."""
