@@ -74,7 +74,7 @@ def draws(requested: Requested) -> dict[str, Starts]:
     found = {}
     for analysis, options in requested:
         if (draw := analysis.starts(options)) is not None:
-            found[f"{analysis.name} {options.model_dump_json(include={'starts', 'seed', 'box'})}"] = draw
+            found[f"{analysis.name} {options.model_dump_json(include={'n_starts', 'seed', 'box'})}"] = draw
     return found
 
 
