@@ -29,7 +29,7 @@ CONTENT = {
     "sweep": {"b": {"start": 5.2, "stop": 5.45, "count": 40}},
     "accuracy": {"solver": "blanes_moan6", "steps": 40},
     "analyses": {
-        "diagram": {"transient": 130, "strobes": 3, "start": "random", "starts": 2},
+        "diagram": {"transient": 130, "strobes": 3, "start": "random", "n_starts": 2},
         "poincare": {"transient": 130, "strobes": 2},
     },
 }

@@ -39,15 +39,15 @@ OPTIONS = {
     "portrait": {"transient": 4, "periods": 1, "samples": 4},
     "poincare": {"transient": 4, "strobes": 4},
     "diagram": {"transient": 4, "strobes": 4},
-    "period": {"limit": 2, "transient": 64},
+    "period": {"max_period": 2, "transient": 64},
     "lyapunov": {"transient": 32, "periods": 32},
     "chaos01": {"transient": 64, "periods": 100},
-    "verdict": {"longer": 0},
+    "verdict": {"confirmation_factor": 0},
     "doubling": {"levels": 1},
-    "windows": {"limit": 2, "levels": 1, "crisis": 0, "transient": 64},
-    "branches": {"limit": 2, "transient": 64},
-    "curves": {"limit": 2, "transient": 64},
-    "basins": {"transient": 32, "longest": 256, "limit": 2},
+    "windows": {"max_period": 2, "levels": 1, "crisis": 0, "transient": 64},
+    "branches": {"max_period": 2, "transient": 64},
+    "curves": {"max_period": 2, "transient": 64},
+    "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
 }
 
 
@@ -431,7 +431,7 @@ KINDS = {
             "basins": one_attractor,
         },
         known_flows.CYCLE,
-        {"branches": {"limit": 1, "transient": 64, "starts": 3, "values": 1, "box": {"x_dot": (0.05, 0.4)}}},
+        {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}},
     ),
     "the free particle": Kind(
         "system: {constraint: free}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1, y2: 0.9}\n"

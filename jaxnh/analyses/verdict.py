@@ -78,7 +78,7 @@ _SHARE, _USUAL = 0.2, 1536  # of lanes that look chaotic, and how long their cri
 
 def periods(options: VerdictOptions, lanes: int) -> float:
     """Lane-periods of a run, beyond the analyses that it needs: of a usual share of lanes that look chaotic."""
-    return _SHARE * lanes * (options.longer * _USUAL + 3 * _LONGEST)
+    return _SHARE * lanes * (options.confirmation_factor * _USUAL + 3 * _LONGEST)
 
 
 def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapping[str, xr.Dataset]) -> xr.Dataset:
@@ -111,13 +111,15 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
     tori = np.flatnonzero(kind == _QUASIPERIODIC)
     if len(tori):
         taken = math.ceil(span[tori].max()) + transient
-        unsteady[tori] = unsteadiness(batch.take(tori).in_time(), lanes, taken, max(options.longer, 1) * taken)
+        unsteady[tori] = unsteadiness(
+            batch.take(tori).in_time(), lanes, taken, max(options.confirmation_factor, 1) * taken
+        )
         kind[tori[~(unsteady[tori] <= _STEADY)]] = _UNDECIDED
     again = np.full(batch.count, -1)
     chaotic = np.flatnonzero(kind == _CHAOTIC)
-    if options.longer and len(chaotic):
+    if options.confirmation_factor and len(chaotic):
         taken = (span if clock else np.full(batch.count, math.ceil(iterates[chaotic].max())))[chaotic] + transient
-        again[chaotic] = _followed(batch.take(chaotic), lanes, options.longer * taken)
+        again[chaotic] = _followed(batch.take(chaotic), lanes, options.confirmation_factor * taken)
         kind[chaotic[again[chaotic] != 0]] = _UNDECIDED
     codes = np.max([done[name]["status"].to_numpy() for name in ANALYSIS.needs], axis=0)
     codes = np.where(kind == _FAILED, np.where(codes > 0, codes, NOT_FINITE), 0)
@@ -131,7 +133,7 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
         ),
         "unsteadiness": variable(LANE, unsteady, steady_words),
     }
-    return xr.Dataset(variables, attrs={"longer": options.longer})
+    return xr.Dataset(variables, attrs={"confirmation_factor": options.confirmation_factor})
 
 
 def across(

@@ -75,7 +75,7 @@ def start_samplers(requested: Requested) -> dict[str, Starts]:
     starts = {}
     for analysis, options in requested:
         if (draw := analysis.starts(options)) is not None:
-            starts[f"{analysis.name} {options.model_dump_json(include={'starts', 'seed', 'box'})}"] = draw
+            starts[f"{analysis.name} {options.model_dump_json(include={'n_starts', 'seed', 'box'})}"] = draw
     return starts
 
 

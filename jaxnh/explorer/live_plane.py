@@ -54,7 +54,7 @@ class LivePlane:
         axes = [axis for axis in experiment.axes if len(axis.values) > 1][:2]
         own = batch.content_of(experiment)["analyses"] or {}
         asked = [name for name in (*OF_LANES, BASINS) if name in own]
-        if (own.get(BASINS) or {}).get("starts"):
+        if (own.get(BASINS) or {}).get("n_starts"):
             asked.remove(BASINS)
             if not asked:
                 raise InputError(

@@ -14,10 +14,10 @@ BASINS = "basins"
 """The one whose lanes are numbered by what all of them come to."""
 
 _SHORT: Mapping[str, Mapping[str, Any]] = {
-    "lyapunov": {"transient": 16, "periods": BLOCKS, "error": 0.0, "plain": True},
-    "period": {"transient": 16, "limit": 8},
+    "lyapunov": {"transient": 16, "periods": BLOCKS, "error": 0.0, "method": "averages"},
+    "period": {"transient": 16, "max_period": 8},
     "chaos01": {"transient": 16, "periods": 128},
-    "verdict": {"longer": 0},
+    "verdict": {"confirmation_factor": 0},
 }
 
 Options = Mapping[str, Mapping[str, Any]]

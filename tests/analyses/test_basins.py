@@ -169,7 +169,7 @@ def test_twins_and_a_saddle(tmp_path):
     """x'' = x − x³ − x'/5: foci at ±1, exponents −1/10, as many starts each; a start on the saddle is on neither."""
     sweep = {"x": {"values": [-1.5, -0.7, -1e-9, 0.0, 1e-9, 0.7, 1.5]}, "v": {"values": [0.0]}}
     rates = "v, x - x**3 - 0.2 * v"
-    tree = session_of(experiment(tmp_path, ("x", "v"), rates, sweep, {"longest": 512}, **STEPS)).tree()
+    tree = session_of(experiment(tmp_path, ("x", "v"), rates, sweep, {"max_periods": 512}, **STEPS)).tree()
     number = tree["basins"]["attractor"].values.ravel()
     assert number[3] == 0
     assert kinds(tree["attractors"]) == ["equilibrium", "equilibrium"]
@@ -188,7 +188,7 @@ def turning(folder, rate, options):
 
 def test_a_bottleneck_is_no_attractor(tmp_path):
     """θ' = 1 + ε − sin θ turns once in 2π/√(2ε + ε²): in 4443 units of time it lingers near π/2, where nothing stays."""
-    tree = session_of(turning(tmp_path, 1.000001, {"longest": 256})).tree()
+    tree = session_of(turning(tmp_path, 1.000001, {"max_periods": 256})).tree()
     assert kinds(tree["attractors"]) == []
     assert np.all(tree["basins"]["attractor"].values == 0)
 
@@ -204,7 +204,7 @@ def test_the_ghost_of_a_cycle_is_no_attractor(tmp_path, mu):
     growth = "(mu - (jnp.sqrt(x**2 + y**2) - 1.0)**2)"
     more = {"system": {"file": str(tmp_path / "flow.py"), "mu": mu}, **STEPS}
     sweep, rates = {"x": {"values": [1.2, 2.0]}, "y": {"values": [0.0]}}, f"x * {growth} - y, y * {growth} + x"
-    tree = session_of(experiment(tmp_path, ("x", "y"), rates, sweep, {"longest": 256}, "", "mu=0.0", **more)).tree()
+    tree = session_of(experiment(tmp_path, ("x", "y"), rates, sweep, {"max_periods": 256}, "", "mu=0.0", **more)).tree()
     assert np.all(tree["basins"]["attractor"].values == (1 if mu > 0 else 0))
     assert kinds(tree["attractors"]) == ["limit_cycle"] * (mu > 0)
     if mu > 0:
@@ -220,7 +220,7 @@ def test_the_ghost_of_a_cycle_in_space_is_no_attractor(tmp_path, mu):
     growth = "(mu - (jnp.sqrt(x**2 + y**2) - 1.0)**2)"
     more = {"system": {"file": str(tmp_path / "flow.py"), "mu": mu}, **STEPS}
     sweep, rates = {"x": {"values": [1.2, 2.0]}}, f"x * {growth} - y, y * {growth} + x, x - z"
-    asked = experiment(tmp_path, ("x", "y", "z"), rates, sweep, {"longest": 512}, "", "mu=0.0", **more)
+    asked = experiment(tmp_path, ("x", "y", "z"), rates, sweep, {"max_periods": 512}, "", "mu=0.0", **more)
     tree = session_of(asked).tree()
     assert kinds(tree["attractors"]) == []
     assert np.all(tree["basins"]["attractor"].values == 0)
@@ -252,7 +252,7 @@ def test_a_bottleneck_beside_an_attractor(tmp_path):
     """
     sweep = {"x": {"values": [-1.5, -0.9, 0.5, 1.5]}, "v": {"values": [0.0]}}
     push = 2 / (3 * math.sqrt(3)) + 1e-6
-    asked = oscillator(tmp_path, sweep, {"longest": 256}, 1e-9, linear=1.0, damping=2.0, push=push)
+    asked = oscillator(tmp_path, sweep, {"max_periods": 256}, 1e-9, linear=1.0, damping=2.0, push=push)
     tree = session_of(asked).tree()
     assert tree["basins"]["attractor"].values.ravel().tolist() == [0, 0, 1, 1]
     assert kinds(tree["attractors"].to_dataset().isel(drive=0)) == ["periodic"]
@@ -283,7 +283,7 @@ def test_escape_in_proportion_to_time(tmp_path):
     """y' = 1 never ends in a number that is not finite, and is seen to leave."""
     sweep = {"x": line(0.1, 1.0, 3)}
     rates = "-x, 1.0 + 0.0 * y"
-    tree = session_of(experiment(tmp_path, ("x", "y"), rates, sweep, {"longest": 512}, **STEPS)).tree()
+    tree = session_of(experiment(tmp_path, ("x", "y"), rates, sweep, {"max_periods": 512}, **STEPS)).tree()
     assert tree["basins"]["attractor"].values.tolist() == [-1, -1, -1]
     assert {STATUS[k] for k in tree["basins"]["status"].values} == {"escaped"}
 
@@ -348,7 +348,7 @@ def test_planes_of_starts_at_each_value(tmp_path):
         assert np.all(rest == 0.0)
 
 
-BOX = {"starts": 40, "seed": 7, "box": {"x": [-1.0, 1.0], "v": [-0.5, 1.0]}}
+BOX = {"n_starts": 40, "seed": 7, "box": {"x": [-1.0, 1.0], "v": [-0.5, 1.0]}}
 
 
 @pytest.mark.slow
@@ -379,13 +379,13 @@ def test_random_starts(tmp_path):
 @pytest.mark.parametrize(
     ("options", "sweep", "message"),
     [
-        ({"starts": 4}, {}, "needs a box to draw from"),
+        ({"n_starts": 4}, {}, "needs a box to draw from"),
         ({"box": {"x": [0.0, 1.0]}}, {}, "needs starts, their number"),
-        ({"starts": 4, "box": {"x": [1.0, 0.0]}}, {}, "the first number must be the lower one, not 1 and 0"),
-        ({"starts": 4, "box": {"z": [0.0, 1.0]}}, {}, "there is no coordinate z; known are x, v"),
-        ({"starts": 4, "box": {"x": [0.0, 1.0]}}, {"v": {"values": [0.0]}}, "random starts and the axis v of start"),
+        ({"n_starts": 4, "box": {"x": [1.0, 0.0]}}, {}, "the first number must be the lower one, not 1 and 0"),
+        ({"n_starts": 4, "box": {"z": [0.0, 1.0]}}, {}, "there is no coordinate z; known are x, v"),
+        ({"n_starts": 4, "box": {"x": [0.0, 1.0]}}, {"v": {"values": [0.0]}}, "random starts and the axis v of start"),
         ({"seed": 4}, {}, "goes with starts, and there are none"),
-        ({"transient": 64, "longest": 100}, {}, "must be at least twice the transient, 128"),
+        ({"transient": 64, "max_periods": 100}, {}, "must be at least twice the transient, 128"),
     ],
 )
 def test_what_does_not_go_together(tmp_path, options, sweep, message):
@@ -397,7 +397,7 @@ def test_a_coordinate_that_the_constraint_decides():
     content = {
         "system": {"constraint": "constant_speed"},
         "sweep": {"b": {"values": [5.3]}},
-        "analyses": {"basins": {"starts": 4, "box": {"y2": [0.0, 1.0]}}},
+        "analyses": {"basins": {"n_starts": 4, "box": {"y2": [0.0, 1.0]}}},
     }
     with pytest.raises(ConfigError, match="the constraint decides y2; leave it out"):
         Experiment.from_dict(content)

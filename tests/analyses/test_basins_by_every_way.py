@@ -27,7 +27,7 @@ def double_well(tmp_path_factory):
     """Chaos beside periodic orbits: x'' = x − x³ − x'/5 + 0.3 cos t."""
     folder = tmp_path_factory.mktemp("double_well")
     sweep = {"x": line(-1.5, 1.5, 8), "v": line(-1.0, 1.0, 6)}
-    options = {"transient": 32, "longest": 128, "limit": 8}
+    options = {"transient": 32, "max_periods": 128, "max_period": 8}
     return oscillator(folder, sweep, options, 0.3, linear=1.0, damping=0.2)
 
 
@@ -119,14 +119,14 @@ def particle(sweep, options):
         "system": {"constraint": "constant_speed"},
         "sweep": sweep,
         "accuracy": {"solver": "blanes_moan6", "steps": 40},
-        "analyses": {"basins": {"transient": 32, "longest": 64, "limit": 1, **options}},
+        "analyses": {"basins": {"transient": 32, "max_periods": 64, "max_period": 1, **options}},
     }
     return Experiment.from_dict(content)
 
 
 def test_random_starts_off_the_constraint():
     """|x2| above the speed, 1: these lanes have failed, with the reason, and the others have not."""
-    box = {"starts": 6, "seed": 1, "box": {"x2": [-2.0, 2.0]}}
+    box = {"n_starts": 6, "seed": 1, "box": {"x2": [-2.0, 2.0]}}
     basins = session_of(particle({"b": {"values": [5.6]}}, box)).tree()["basins"]
     off = np.abs(basins["x2"].values) > 1.0
     assert 0 < off.sum() < 6

@@ -44,7 +44,7 @@ def test_two_phases(tmp_path, coupling, apart):
     more = {"system": {"file": str(tmp_path / "flow.py"), "k": coupling}, **STEPS}
     rest = '"angles": ("phi", "psi")'
     tree = session_of(
-        experiment(tmp_path, ("phi", "psi"), rates, sweep, {"longest": 512}, rest, "k=0.3", **more)
+        experiment(tmp_path, ("phi", "psi"), rates, sweep, {"max_periods": 512}, rest, "k=0.3", **more)
     ).tree()
     phi, psi = grid(tree, "phi", "psi")
     # Starts with φ = ψ stay on that cycle, which for k > 0 repels: they are on neither.
@@ -67,7 +67,7 @@ def test_two_phases_with_a_clock(tmp_path):
     rest = '"angles": ("phi", "psi"), "period": 2 * jnp.pi'
     accuracy = {"accuracy": {"solver": "tsit5", "steps": 64}}
     tree = session_of(
-        experiment(tmp_path, ("phi", "psi"), rates, sweep, {"longest": 512, "limit": 4}, rest, **accuracy)
+        experiment(tmp_path, ("phi", "psi"), rates, sweep, {"max_periods": 512, "max_period": 4}, rest, **accuracy)
     ).tree()
     phi, psi = grid(tree, "phi", "psi")
     assert same_partition(labels(tree).tolist(), (np.cos(phi) * np.cos(psi) > 0).tolist())
@@ -80,7 +80,7 @@ def test_circles_left_and_right(tmp_path):
     sweep = {"x": line(-1.5, 1.5, 6), "v": line(-1.3, 1.2, 6)}
     rates = "u, v, (1.0 - u**2 - v**2) * u - x, (1.0 - u**2 - v**2) * v - z"
     more = {"initial": {"z": 0.4, "u": 0.3}, **STEPS}
-    tree = session_of(experiment(tmp_path, ("x", "z", "u", "v"), rates, sweep, {"longest": 1024}, **more)).tree()
+    tree = session_of(experiment(tmp_path, ("x", "z", "u", "v"), rates, sweep, {"max_periods": 1024}, **more)).tree()
     x, v = grid(tree, "x", "v")
     assert same_partition(labels(tree).tolist(), (x * v - 0.4 * 0.3 > 0).tolist())
     assert kinds(tree["attractors"]) == ["limit_cycle"] * 2
@@ -105,7 +105,7 @@ def test_no_attractor_of_a_conservative_flow(tmp_path, coordinates, rates, rest,
     first, second = coordinates
     sweep = {first: line(0.1, 1.9, 6), second: line(-0.9, 0.8, 6)}
     accuracy = {"accuracy": {"solver": "tsit5", "steps": 48 if "period" in rest else 24}}
-    options = {"longest": 512, "limit": 4}
+    options = {"max_periods": 512, "max_period": 4}
     tree = session_of(experiment(tmp_path, coordinates, rates, sweep, options, rest, **accuracy)).tree()
     assert np.all(labels(tree) == 0)
     assert kinds(tree["attractors"]) == []

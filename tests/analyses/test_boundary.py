@@ -106,7 +106,7 @@ def test_undecided_and_failed():
 def test_planes_of_a_sweep(tmp_path):
     """At each value of a parameter the measures of its plane; without them none is stored."""
     plane = {"x": line(-1.5, 1.5, 33), "v": line(-1.0, 1.0, 32)}
-    options = {"transient": 32, "longest": 64, "limit": 2}
+    options = {"transient": 32, "max_periods": 64, "max_period": 2}
     sweep = {"linear": {"values": [0.9, 1.0]}, **plane}
     tree = session_of(oscillator(tmp_path, sweep, {**options, "boundary": True}, 0.01, damping=0.4)).tree()
     basins = tree["basins"]

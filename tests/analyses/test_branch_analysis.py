@@ -19,7 +19,7 @@ from jaxnh.orbits.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
 
 
-def pitchfork(folder, sweep="mu: {start: -0.5, stop: 0.7, count: 12}", options="{limit: 2, transient: 64}"):
+def pitchfork(folder, sweep="mu: {start: -0.5, stop: 0.7, count: 12}", options="{max_period: 2, transient: 64}"):
     initial = f"{{x: 0.3{'' if 'z:' in sweep else ', z: 0.1'}}}"
     return normal_form(folder, "mu * x - x**3", "mu=0.0", initial, sweep, f"branches: {options}")
 
@@ -72,7 +72,7 @@ def test_pitchfork_from_lanes_that_have_settled(tmp_path):
 @pytest.mark.slow
 def test_random_starts_find_what_no_lane_settles_on(tmp_path):
     """Far beyond the pitchfork x = 0 repels; Newton finds it all the same, and x = −√μ, where no lane goes."""
-    options = "{limit: 1, transient: 64, starts: 16, values: 2, seed: 3, box: {x: [-1.5, 1.5], z: [-1, 1]}}"
+    options = "{max_period: 1, transient: 64, n_starts: 16, n_values: 2, seed: 3, box: {x: [-1.5, 1.5], z: [-1, 1]}}"
     sweep = "mu: {start: 0.3, stop: 0.7, count: 3}"
     data = session_of(pitchfork(tmp_path, sweep, options)).tree()["branches"]
     middle = [float(np.nanmedian(row)) for row in data["x"].values]
@@ -87,9 +87,9 @@ def test_random_starts_find_what_no_lane_settles_on(tmp_path):
         ("z: {start: 0.1, stop: 0.5, count: 3}", "{}", "z is a coordinate of the start state"),
         ("mu: {start: 0.1, stop: 0.5, count: 3}, z: {values: [0.1, 0.2]}", "{}", "along one axis; leave out z"),
         ("mu: {values: [0.1]}", "{}", "the sweep has one value of it"),
-        ("mu: {values: [0.1, 0.2]}", "{starts: 4}", "needs a box to draw from"),
+        ("mu: {values: [0.1, 0.2]}", "{n_starts: 4}", "needs a box to draw from"),
         ("mu: {values: [0.1, 0.2]}", "{seed: 4}", "goes with starts, and there are none"),
-        ("mu: {values: [0.1, 0.2]}", "{starts: 4, box: {w: [0, 1]}}", "there is no coordinate w"),
+        ("mu: {values: [0.1, 0.2]}", "{n_starts: 4, box: {w: [0, 1]}}", "there is no coordinate w"),
     ],
 )
 def test_what_branches_cannot_do_is_said(tmp_path, sweep, options, message):
@@ -102,7 +102,7 @@ def test_doublings_of_the_particle():
     """Three, found from one orbit of period 1, against the Taylor reference: to 1e-8, and within their errors."""
     settings = [
         "sweep={b: {start: 5.45, stop: 5.6, count: 4}}",
-        "analyses={branches: {limit: 4, transient: 256}}",
+        "analyses={branches: {max_period: 4, transient: 256}}",
     ]
     found = session_of(jaxnh.load(ROOT / "configs/branches.yaml", settings)).tree()["bifurcations"]
     kinds = [KINDS[kind] for kind in found["kind"].values.tolist()]
@@ -121,7 +121,7 @@ def test_doublings_of_the_particle():
 def test_doublings_of_roessler_on_a_section():
     """The first two over c, to 1e-8 of heyoka's events and variational equations, from lanes on a section."""
     settings = [
-        "analyses={branches: {limit: 2, transient: 256}}",
+        "analyses={branches: {max_period: 2, transient: 256}}",
         "sweep={c: {start: 2.6, stop: 4.0, count: 8}}",
         "accuracy.target=1e-10",
     ]

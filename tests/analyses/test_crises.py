@@ -21,7 +21,7 @@ def lorenz(folder, rho, longest):
     """Attractors over ρ from four starts each, by steps of 1/40: one program serves all tests."""
     sweep = {"rho": {"values": rho}, "x": {"values": [-12.0, -3.0, 4.0, 11.0]}}
     more = {"initial": {"y_": 1.0, "z": 20.0}, "accuracy": {"solver": "verner9", "steps": 40}}
-    asked = experiment(folder, ("x", "y_", "z"), RATES, sweep, {"longest": longest}, "", "rho=28.0", **more)
+    asked = experiment(folder, ("x", "y_", "z"), RATES, sweep, {"max_periods": longest}, "", "rho=28.0", **more)
     tree = session_of(asked).tree()
     return tree["attractors"].to_dataset(), tree["basins"].to_dataset()
 

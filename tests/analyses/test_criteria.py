@@ -44,7 +44,7 @@ def case(request, lanes):
     system, twin, periods = CASES[request.param]
     # The map of one period is right to about 1e-10 with these steps, and so are exponents of periodic orbits.
     scene = scene_of(system, START, list(periods), SPLITTINGS["kahan_li8"], 240, error=1e-10)
-    found = period.run(period.PeriodOptions(limit=16), scene, lanes)
+    found = period.run(period.PeriodOptions(max_period=16), scene, lanes)
     options = lyapunov.LyapunovOptions(transient=256, periods=512)
     return scene, twin, np.array(list(periods.values())), found, lyapunov.run(options, scene, lanes)
 

@@ -32,7 +32,7 @@ def test_a_curve_with_a_point_twice_passes_where_it_did():
 BOTH = "p: {start: -0.6, stop: 0.6, count: 13}, q: {start: -0.5, stop: 1.0, count: 4}"
 
 
-def cusp(folder, sweep=BOTH, options="{limit: 1, transient: 64, values: 2}"):
+def cusp(folder, sweep=BOTH, options="{max_period: 1, transient: 64, n_values: 2}"):
     parameters, initial = "p=0.0, q=0.5", "{x: 1.0, z: 0.1}"
     return normal_form(folder, "p + q * x - x**3", parameters, initial, sweep, f"curves: {options}")
 
@@ -74,7 +74,7 @@ def test_doublings_of_the_particle_over_two_parameters(target):
     """
     settings = [
         "sweep={b: {start: 5.4, stop: 5.7, count: 5}, a: {start: 0.48, stop: 0.52, count: 3}}",
-        "analyses={curves: {limit: 2, transient: 256, values: 1, step: 0.05}}",
+        "analyses={curves: {max_period: 2, transient: 256, n_values: 1, step: 0.05}}",
         f"accuracy.target={target}",
     ]
     experiment = jaxnh.load(ROOT / "configs/chart_b_a.yaml", settings)

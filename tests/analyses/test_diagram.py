@@ -112,7 +112,7 @@ def test_up_and_down_part_where_two_attractors_live():
 
 
 def test_random_starts_fill_the_box_evenly_and_never_change():
-    options = DiagramOptions(start="random", starts=64, box=2.5, seed=3)
+    options = DiagramOptions(start="random", n_starts=64, box=2.5, seed=3)
     ((x, y), (n1, n2)), _ = random_starts(options, coarse(np.zeros(100)))
     count = 64 * 100
     assert np.abs(n1**2 + n2**2 - 1).max() < 1e-15
@@ -127,7 +127,7 @@ def test_random_starts_fill_the_box_evenly_and_never_change():
 
 
 def test_random_starts_are_the_same_in_any_tiles():
-    options = DiagramOptions(transient=0, strobes=2, start="random", starts=6)
+    options = DiagramOptions(transient=0, strobes=2, start="random", n_starts=6)
     one, other = (run(options, coarse(), LaneExecutor(tile=tile)) for tile in (8, 32))
     assert one["x1"].dims == (LANE, "start", "strobe")
     assert one["x1"].to_numpy().shape == (5, 6, 2)
@@ -137,7 +137,7 @@ def test_random_starts_are_the_same_in_any_tiles():
 
 
 def test_each_b_has_starts_of_its_own():
-    x1 = run(DiagramOptions(transient=0, strobes=1, start="random", starts=6), coarse(), LaneExecutor())[
+    x1 = run(DiagramOptions(transient=0, strobes=1, start="random", n_starts=6), coarse(), LaneExecutor())[
         "x1"
     ].to_numpy()
     assert len(np.unique(x1)) == 5 * 6
@@ -166,7 +166,7 @@ def test_options_of_random_starts_go_with_them_alone(tmp_path):
     config = tmp_path / "config.yaml"
     config.write_text(
         "system: {constraint: constant_speed}\nsweep: {b: {values: [1]}}\n"
-        "analyses:\n  diagram: {start: up, starts: 3}\n"
+        "analyses:\n  diagram: {start: up, n_starts: 3}\n"
     )
     with pytest.raises(ConfigError, match=r":4: analyses\.diagram\.starts: starts goes with start: random"):
         load(config)
@@ -196,7 +196,7 @@ def test_lanes_near_a_doubling_are_drawn_on_their_orbit(b, n):
     options = {"transient": 64, "strobes": 8}
     here = scene(SYSTEMS["constant"], np.array([b]), steps=60)
     waiting, drawn = (
-        sections(run(DiagramOptions(**options, orbits=orbits), here, LaneExecutor()))[0] for orbits in (None, 4)
+        sections(run(DiagramOptions(**options, snap_to_period=orbits), here, LaneExecutor()))[0] for orbits in (None, 4)
     )
     assert np.abs(waiting[n:] - waiting[:-n]).max() > 1e-4
     assert np.abs(drawn[n:] - drawn[:-n]).max() < 1e-10
@@ -206,13 +206,13 @@ def test_lanes_near_a_doubling_are_drawn_on_their_orbit(b, n):
 def test_orbits_go_with_starts_side_by_side():
     for other in ({"start": "up"}, {"phase": 0.5}):
         with pytest.raises(InputError, match="side by side and strobes at phase 0"):
-            DiagramOptions(orbits=4, **other)
+            DiagramOptions(snap_to_period=4, **other)
 
 
 @pytest.mark.parametrize("start", ["fixed", "random", "down"])
 def test_statistics_are_those_of_the_strobes(start):
     """Of every trajectory, to the bit of NumPy's over the strobes that a diagram without them keeps."""
-    options = {"transient": 5, "strobes": 9, "start": start, **({"starts": 3} if start == "random" else {})}
+    options = {"transient": 5, "strobes": 9, "start": start, **({"n_starts": 3} if start == "random" else {})}
     lanes = LaneExecutor()
     whole = run(DiagramOptions(**options), coarse(), lanes)
     ours = run(DiagramOptions(**options, statistics=True), coarse(), lanes)

@@ -137,7 +137,7 @@ def test_equilibria_beside_orbits():
     """Through the whole package: Hopf points with period 0, and orbits of the Lorenz flow beside them."""
     settings = [
         "sweep={rho: {start: 20.0, stop: 30.0, count: 4}}",
-        "analyses={branches: {limit: 1, transient: 16, equilibria: 8, box: {x: [-10, 10], y: [-10, 10], z: [0, 30]}}}",
+        "analyses={branches: {max_period: 1, transient: 16, equilibria: 8, box: {x: [-10, 10], y: [-10, 10], z: [0, 30]}}}",
     ]
     tree = session_of(jaxnh.load(ROOT / "configs/flows/lorenz.yaml", settings)).tree()
     marks, branches = tree["bifurcations"], tree["branches"]

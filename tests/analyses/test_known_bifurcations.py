@@ -76,7 +76,7 @@ def test_folds_of_duffings_oscillator_in_both_wells():
     found, data = found_in(
         "configs/flows/duffing_double_well.yaml",
         "gamma: {start: 0.2, stop: 0.3, count: 9}",
-        "{limit: 1, transient: 256, starts: 8, values: 2, seed: 1, box: {x: [-1.5, 1.5], v: [-0.5, 0.5]}}",
+        "{max_period: 1, transient: 256, n_starts: 8, n_values: 2, seed: 1, box: {x: [-1.5, 1.5], v: [-0.5, 0.5]}}",
     )
     folds = [point for point in found if point[:2] == ("fold", 1)]
     assert len(folds) == len({float(np.sign(data["x"][k])) for *_, k in folds}) == 2
@@ -93,7 +93,7 @@ def test_cascade_of_duffings_oscillator():
     found, data = found_in(
         "configs/flows/duffing_double_well.yaml",
         "gamma: {start: 0.182, stop: 0.206, count: 9}",
-        "{limit: 4, transient: 256}",
+        "{max_period: 4, transient: 256}",
         f"system={{file: {ROOT / 'configs/flows/duffing.py'}, alpha: -0.7, beta: 0.7, delta: 0.25}}",
     )
     doublings = [point for point in found if point[0] == "period_doubling" and int(data["criticality"][point[4]]) == 1]
@@ -112,7 +112,7 @@ def test_torus_is_born_in_van_der_pols_oscillator():
     found, data = found_in(
         "configs/flows/van_der_pol.yaml",
         "force: {start: 0.8, stop: 1.6, count: 5}",
-        "{limit: 1, transient: 128}",
+        "{max_period: 1, transient: 128}",
         f"system={{file: {file}, mu: 0.5, omega: 1.3}}",
     )
     [(kind, n, value, error, _)] = found
@@ -131,7 +131,7 @@ def test_pitchfork_of_the_particle():
 
     The map of two periods and the mirror has it as a fixed point, and there a multiplier −1: a doubling.
     """
-    found, data = found_in("configs/branches.yaml", "b: {start: 4.15, stop: 4.25, count: 4}", "{limit: 4}")
+    found, data = found_in("configs/branches.yaml", "b: {start: 4.15, stop: 4.25, count: 4}", "{max_period: 4}")
     [(_, n, value, error, k)] = [point for point in found if point[0] == "branch_point"]
     assert n == 4
     assert int(data["criticality"][k]) == 1
@@ -163,7 +163,7 @@ def test_fold_and_torus_of_the_peroxidase_reaction():
     found, data = found_in(
         "configs/flows/peroxidase.yaml",
         "k8: {start: 0.79, stop: 0.86, count: 8}",
-        "{limit: 1, transient: 64}",
+        "{max_period: 1, transient: 64}",
     )
     assert [point[:2] for point in found] == [("neimark_sacker", 1), ("fold", 1)]
     returns = section_map(peroxidase, 4, 0, 5.9, -1)
@@ -183,7 +183,7 @@ def test_cycles_of_the_circuit():
     collocation is good for six digits.
     """
     found, data = found_in(
-        "configs/flows/circuit.yaml", "nu: {start: -0.65, stop: -0.58, count: 8}", "{limit: 1, transient: 256}"
+        "configs/flows/circuit.yaml", "nu: {start: -0.65, stop: -0.58, count: 8}", "{max_period: 1, transient: 256}"
     )
     assert [point[:2] for point in found] == [("period_doubling", 1), ("neimark_sacker", 1), ("fold", 1)]
     returns = section_map(circuit(0.001, 0.32858, 0.93358), 3, 2, 0.02, 1)
@@ -205,7 +205,7 @@ def test_symmetric_cycles_of_the_circuit():
     found, data = found_in(
         "configs/flows/circuit.yaml",
         "nu: {start: -0.63, stop: -0.58, count: 6}",
-        "{limit: 1, transient: 128, starts: 32, values: 3, seed: 1, "
+        "{max_period: 1, transient: 128, n_starts: 32, n_values: 3, seed: 1, "
         "box: {x: [-1.2, 1.2], y: [-0.8, 0.8], z: [-0.1, 0.1]}}",
         f"system={{file: {ROOT / 'configs/flows/circuit.py'}, epsilon: 0.0}}",
         "initial={x: 0.1, y: 0.1, z: 0.0}",

@@ -85,7 +85,7 @@ analyses: {{portrait: {{}}}}
     return made
 
 
-LOOK = {"limit": 4, "transient": 256}
+LOOK = {"max_period": 4, "transient": 256}
 
 
 def found(flow, analysis, plane=False, **options):

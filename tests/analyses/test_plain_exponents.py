@@ -30,7 +30,7 @@ def test_a_linear_oscillator_s_exponents_are_minus_half_its_damping():
     text += "accuracy: {solver: dopri8, steps: 32}\n"
     session = jaxnh.Session(jaxnh.Experiment.from_text(text, OSCILLATOR))
     options = {"transient": 16, "periods": BLOCKS, "exponents": 1}
-    plain, usual = (session.run("lyapunov", {**options, "plain": plain}) for plain in (True, None))
+    plain, usual = (session.run("lyapunov", {**options, "method": plain}) for plain in ("averages", "orbits"))
     expected = -0.5 * plain["damping"].to_numpy()
     assert np.all(plain["exponents_method"] == SOURCES.index("average"))
     assert np.all(usual["exponents_method"] == SOURCES.index("orbit"))
@@ -58,7 +58,7 @@ def test_steps_resolve_what_tangents_do(target):
     With steps for the state alone the second is off by two, and only its bar, which the sum rule widens, knows of it.
     """
     text = "system: {file: contracting.py}\nsweep: {drive: {values: [1.0]}}\n"
-    text += "analyses: {lyapunov: {transient: 16, periods: 64, exponents: 2, plain: true}}\n"
+    text += "analyses: {lyapunov: {transient: 16, periods: 64, exponents: 2, method: averages}}\n"
     text += f"accuracy: {{target: {target}}}\n"
     session = jaxnh.Session(jaxnh.Experiment.from_text(text, STRONGLY_CONTRACTING))
     found = session.run("lyapunov")

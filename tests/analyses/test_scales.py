@@ -96,7 +96,7 @@ def test_periods_of_duffing_in_any_units():
     found = []
     for units in UNITS:
         here = scene(duffing, (1.0, 0.0), values, units, 48)
-        found.append(period.run(period.PeriodOptions(limit=16, transient=40), here, LANES))
+        found.append(period.run(period.PeriodOptions(max_period=16, transient=40), here, LANES))
     first, *others = found
     assert set(first["period"].to_numpy().tolist()) >= {0, 1, 3}
     for other in others:
@@ -117,7 +117,7 @@ def test_verdicts_of_duffing_in_any_units():
             "lyapunov": lyapunov.run(lyapunov.LyapunovOptions(exponents=2), here, LANES),
             "chaos01": chaos01.run(chaos01.Chaos01Options(), here, LANES),
         }
-        kinds.append(verdict.run(verdict.VerdictOptions(longer=0), here, LANES, done)["kind"].to_numpy())
+        kinds.append(verdict.run(verdict.VerdictOptions(confirmation_factor=0), here, LANES, done)["kind"].to_numpy())
         exponents.append(done["lyapunov"]["exponents"].to_numpy()[:, 0] * units[1])
     decided = [set(column) - {3} for column in np.array(kinds).T]  # undecided may be on the edge of a bar
     assert all(len(kind) <= 1 for kind in decided)

@@ -46,7 +46,7 @@ def test_a_parameter_of_the_lanes_is_one_of_the_flow(lanes, twins):
     """Strobe points and periods are the same where a comes from the lane, to the rounding of a chaotic few."""
     maps = [poincare.run(poincare.PoincareOptions(transient=4, strobes=4), scene, lanes) for scene in twins]
     np.testing.assert_allclose(maps[0]["x1"], maps[1]["x1"], rtol=1e-9)
-    found = [period.run(period.PeriodOptions(limit=4), scene, lanes)["period"].to_numpy() for scene in twins]
+    found = [period.run(period.PeriodOptions(max_period=4), scene, lanes)["period"].to_numpy() for scene in twins]
     np.testing.assert_array_equal(*found)
 
 
@@ -69,7 +69,7 @@ def test_a_carried_state_keeps_the_other_parameters(lanes, twins):
 
 def test_random_starts_go_by_the_place_along_the_first_axis():
     """Lanes at one place have the same states, whatever lanes they are computed with, in whatever order."""
-    options = diagram.DiagramOptions(start="random", starts=3, seed=5)
+    options = diagram.DiagramOptions(start="random", n_starts=3, seed=5)
     scene = scene_of(disturbed_speed(), START, B, *STEPS)
     ((x, _), _), p = diagram.random_starts(options, scene)
     x = x.reshape(-1, 3)

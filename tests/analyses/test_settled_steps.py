@@ -80,7 +80,7 @@ def test_basins_are_those_of_all_steps(tmp_path, random):
     content = {"system": {**system, "b": B}, "initial": {"x2": 0.1}, "sweep": {"x1": axis, "y1": axis}}
     content |= {"accuracy": {"target": TARGET}, "analyses": {"basins": {}}}
     if random:
-        basins = {"starts": 129**2, "box": {"x1": [-4.0, 4.0], "y1": [-4.0, 4.0]}}
+        basins = {"n_starts": 129**2, "box": {"x1": [-4.0, 4.0], "y1": [-4.0, 4.0]}}
         content |= {"sweep": {"b": {"values": [B]}}, "system": system, "analyses": {"basins": basins}}
         content |= {"initial": {"x1": 0.0, "x2": 0.1, "y1": 0.0}}
     tree = session_of(Experiment.from_dict(content)).tree()

@@ -59,7 +59,7 @@ def test_twins_change_together(tmp_path):
     By heyoka eight motions of 12,000 strobes stay above x = −0.17 at 0.3822, and come down to −1.15 at 0.3825.
     """
     sweep = {"F": {"start": 0.368, "stop": 0.384, "count": 9}}
-    drawn = {"starts": 40, "box": {"x": [-2.0, 2.0], "v": [-2.0, 2.0]}}
+    drawn = {"n_starts": 40, "box": {"x": [-2.0, 2.0], "v": [-2.0, 2.0]}}
     rates = "v, -0.5 * v + x - x**3 + F * jnp.cos(t)"
     asked = experiment(tmp_path, ("x", "v"), rates, sweep, drawn, '"period": 2 * jnp.pi', "F=0.37")
     found = changes(session_of(asked).tree()["attractors"].to_dataset(), "F")

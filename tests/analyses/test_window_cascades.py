@@ -34,7 +34,7 @@ initial: {{x: 0.0, v: 0.0}}
 sweep: {{drive: {{start: 1.0625, stop: 1.08265625, count: 130}}}}
 accuracy: {{target: 1.0e-8}}
 analyses:
-  windows: {{limit: 4, levels: 3, crisis: 0}}
+  windows: {{max_period: 4, levels: 3, crisis: 0}}
 """
     data = session_of(Experiment.from_text(text)).run("windows")
     assert data["period"].values.tolist() == [1, 3]

@@ -24,7 +24,7 @@ system: {constraint: disturbed_speed, d: 0.1}
 sweep: {b: {start: 5.2, stop: 5.45, count: 50}}
 accuracy: {solver: blanes_moan6, steps: 40}
 analyses:
-  diagram: {transient: 30, strobes: 3, start: random, starts: 2}
+  diagram: {transient: 30, strobes: 3, start: random, n_starts: 2}
   lyapunov: {transient: 16, periods: 16, exponents: 2}
   doubling: {levels: 1}
 """

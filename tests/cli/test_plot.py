@@ -34,12 +34,12 @@ analyses:
   diagram: {transient: 30, strobes: 16}
   doubling: {levels: 1}
   lyapunov: {transient: 8, periods: 16, exponents: 1}
-  period: {transient: 16, limit: 4}
+  period: {transient: 16, max_period: 4}
   chaos01: {transient: 4, periods: 100}
   verdict: {}
-  basins: {transient: 32, longest: 64}
-  branches: {limit: 1, transient: 30, step: 0.1}
-  windows: {limit: 1, transient: 30, levels: 0, crisis: 0}
+  basins: {transient: 32, max_periods: 64}
+  branches: {max_period: 1, transient: 30, step: 0.1}
+  windows: {max_period: 1, transient: 30, levels: 0, crisis: 0}
 """
 OVER_TWO_AXES = {"curves": "bifurcation_curves", "codimension_two": "special_points"}
 """Groups of analyses that need two, and their panels."""

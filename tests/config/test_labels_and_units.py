@@ -55,7 +55,7 @@ def test_units_of_attractors_and_of_time(tmp_path, more, time):
         "system": {"file": str(tmp_path / "own.py")},
         "sweep": {"rate": {"values": [1.0]}},
         "accuracy": {"solver": "dopri8", "steps": 10},
-        "analyses": {"portrait": {"periods": 1, "samples": 2}, "basins": {"starts": 4, "seed": 1, "box": box}},
+        "analyses": {"portrait": {"periods": 1, "samples": 2}, "basins": {"n_starts": 4, "seed": 1, "box": box}},
     }
     tree = jaxnh.run(jaxnh.Experiment.from_dict(config))
     assert tree["portrait"]["t"].attrs.get("units") == time

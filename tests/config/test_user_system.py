@@ -507,7 +507,7 @@ analyses:
   poincare: {transient: 200, strobes: 64}
   diagram: {transient: 200, strobes: 32}
   lyapunov: {transient: 64, periods: 200, exponents: 3}
-  period: {limit: 8, transient: 400}
+  period: {max_period: 8, transient: 400}
   chaos01: {transient: 100, periods: 400}
   verdict: {}
   doubling: {levels: 1}

@@ -175,7 +175,7 @@ def test_other_analyses_on_a_section(lanes, spectrum):
     k = chaos01.run(chaos01.Chaos01Options(transient=16, periods=600), scene, lanes)["k_median"].to_numpy()
     assert k[np.argmax(largest)] > 0.8
     assert k[np.argmin(largest)] < 0.2
-    found = period.run(period.PeriodOptions(limit=2, transient=16), scene, lanes)
+    found = period.run(period.PeriodOptions(max_period=2, transient=16), scene, lanes)
     np.testing.assert_array_equal(found["period"].to_numpy(), 0)
     assert found["period"].attrs["counted_in"] == "crossings"
 
@@ -184,7 +184,7 @@ def test_other_analyses_on_a_section(lanes, spectrum):
 def test_diagram_from_random_starts(lanes, spectrum):
     """Crossings with their times, rising, in each of the dimensions of the diagram."""
     scene, _ = spectrum
-    options = diagram.DiagramOptions(transient=2, strobes=8, start="random", starts=3)
+    options = diagram.DiagramOptions(transient=2, strobes=8, start="random", n_starts=3)
     group = diagram.run(options, scene, lanes)
     assert group["t"].dims == (LANE, "start", "strobe")
     assert np.all(np.diff(group["t"].to_numpy(), axis=-1) > 0)

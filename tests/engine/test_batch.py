@@ -35,7 +35,7 @@ system: {constraint: constant_speed}
 sweep: {b: {start: 5.2, stop: 5.45, count: 3000}}
 accuracy: {solver: blanes_moan6, steps: 40}
 analyses:
-  diagram: {transient: 30, strobes: 3, start: random, starts: 2, seed: 7}
+  diagram: {transient: 30, strobes: 3, start: random, n_starts: 2, seed: 7}
   chaos01: {transient: 0, periods: 100}
 """
 TILES = 12

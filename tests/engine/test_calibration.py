@@ -165,9 +165,9 @@ def test_random_starts_are_among_the_samples(analysis):
     most. Of 500 that is 8.5, and 16 or more have a probability of 1.4 %.
     """
     box, b, target = 3.0, 5.475, 1e-6
-    options = {"start": "random", "starts": 8, "box": box, "transient": 0, "strobes": 1}
+    options = {"start": "random", "n_starts": 8, "box": box, "transient": 0, "strobes": 1}
     if analysis == "basins":
-        options = {"starts": 8, "transient": 32, "box": {"x1": [-box, box], "y1": [-box, box]}}
+        options = {"n_starts": 8, "transient": 32, "box": {"x1": [-box, box], "y1": [-box, box]}}
     content = {"system": {"constraint": "constant_speed"}, "accuracy": {"target": target}, "analyses": {"poincare": {}}}
     session = session_of(Experiment.from_dict({**content, "sweep": {"b": {"start": b, "stop": b + 0.01, "count": 64}}}))
     still = session.plan

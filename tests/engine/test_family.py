@@ -55,7 +55,7 @@ BORN = 5.351778
 D, CUTS = (0.05, 0.2, 0.3), (0, 30, 37, 60)
 OPTIONS = {
     "lyapunov": {"transient": 16, "periods": 32},
-    "period": {"transient": 64, "limit": 8},
+    "period": {"transient": 64, "max_period": 8},
 }
 
 
@@ -124,7 +124,7 @@ def test_what_is_computed_together():
 
 def test_tiles_of_several_rows():
     """The bits of tiles of one value of d each, wherever a tile ends; an axis of periods that differ has no such tiles."""
-    options = {"lyapunov": {"transient": 16, "periods": 16}, "period": {"transient": 16, "limit": 4}}
+    options = {"lyapunov": {"transient": 16, "periods": 16}, "period": {"transient": 16, "max_period": 4}}
     content = {"system": {"constraint": "disturbed_speed"}, "accuracy": {"solver": "blanes_moan6", "steps": 40}}
     sweep = {"b": {"start": 5.2, "stop": 5.6, "count": 20}, "d": {"start": 0.1, "stop": 0.2, "count": 5}}
     experiment = Experiment.from_dict({**content, "sweep": sweep, "analyses": options})

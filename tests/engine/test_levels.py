@@ -17,7 +17,7 @@ UNCALIBRATED = True
 LANE_AXES = {"b": {"start": 4.6, "stop": 5.6, "count": 20}, "a": {"start": 0.45, "stop": 0.55, "count": 9}}
 ROWS = {"b": {"start": 5.2, "stop": 6.0, "count": 9}, "d": {"start": 0.05, "stop": 0.4, "count": 5}}
 WIDE = {"b": {"start": 5.4, "stop": 5.7, "count": 33}, "a": {"start": 0.49, "stop": 0.51, "count": 9}}
-ANALYSES = {"lyapunov": {"transient": 16, "periods": 32, "exponents": 1}, "period": {"transient": 16, "limit": 4}}
+ANALYSES = {"lyapunov": {"transient": 16, "periods": 32, "exponents": 1}, "period": {"transient": 16, "max_period": 4}}
 
 
 def said(sweep, levels=None, analyses=ANALYSES):

@@ -26,9 +26,9 @@ analyses:
 # With the system, solver, steps and criteria of test_two_axes and test_session, whose programs these are as well.
 # Each with few periods, but enough for chaos to show a bit that differs; `verdict` brings the criteria it needs.
 OPTIONS = {
-    "verdict": "{}\n  lyapunov: {transient: 8, periods: 16, exponents: 1}\n  period: {limit: 4, transient: 16}\n  chaos01: {transient: 4, periods: 100}",
+    "verdict": "{}\n  lyapunov: {transient: 8, periods: 16, exponents: 1}\n  period: {max_period: 4, transient: 16}\n  chaos01: {transient: 4, periods: 100}",
     "lyapunov": "{transient: 8, periods: 32, error: 0.05, exponents: 2}",
-    "diagram": "{transient: 30, strobes: 3, start: random, starts: 3, seed: 5, phase: 0.25}",
+    "diagram": "{transient: 30, strobes: 3, start: random, n_starts: 3, seed: 5, phase: 0.25}",
     "poincare": "{transient: 30, strobes: 4}",
     "portrait": "{transient: 30, periods: 1, samples: 4}",
 }

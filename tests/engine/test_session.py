@@ -108,7 +108,7 @@ def test_analysis_that_needs_others():
     """They run with it, and it alone is given back; those the experiment asks for have its options."""
     analyses = {
         "lyapunov": {"transient": 8, "periods": 16, "exponents": 1},
-        "period": {"limit": 4, "transient": 16},
+        "period": {"max_period": 4, "transient": 16},
         "chaos01": {"transient": 4, "periods": 100},
         "verdict": {},
     }
@@ -196,7 +196,7 @@ REFUSED = {
     "option": (("poincare", {"strobe": 3}), {}, "analyses.poincare.strobe: unknown key"),
     "option's value": (("poincare", {"strobes": 0}), {}, "analyses.poincare.strobes: "),
     "option's type": (("poincare", {"strobes": "many"}), {}, "analyses.poincare.strobes: "),
-    "options together": (("diagram", {"starts": 3}), {}, "diagram"),
+    "options together": (("diagram", {"n_starts": 3}), {}, "diagram"),
     "name": (("poincare",), {"e": [1.0]}, "sweep.e: unknown key"),
     "derived coordinate": (("poincare",), {"y2": [0.5]}, "sweep.y2: y2 follows from the constraint"),
     "two dimensions": (("poincare",), {"b": [[1.0, 2.0]]}, "sweep.b.values"),

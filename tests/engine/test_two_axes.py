@@ -84,7 +84,7 @@ CASES = {
     "a and b": content({"a": {"start": 0.4, "stop": 0.6, "count": 5}, "b": {"values": [5.2, 5.3]}}),
     "b and omega": content(
         {"b": {"start": 0.9, "stop": 1.2, "count": 4}, "omega": {"values": [0.5, 2.0]}},
-        {"diagram": {"transient": 10, "strobes": 2, "start": "random", "starts": 2, "seed": 3, "phase": 0.25}},
+        {"diagram": {"transient": 10, "strobes": 2, "start": "random", "n_starts": 2, "seed": 3, "phase": 0.25}},
         {"constraint": "constant_speed"},
     ),
     "b and c": content({"b": B, "c": {"values": [0.9, 1.1]}}, system={"constraint": "constant_speed"}),
@@ -123,7 +123,7 @@ CRITERIA = {
     "portrait": {"transient": 20, "periods": 1, "samples": 4},
     "verdict": {},
     "lyapunov": {"transient": 8, "periods": 16, "exponents": 1},
-    "period": {"limit": 4, "transient": 16},
+    "period": {"max_period": 4, "transient": 16},
     "chaos01": {"transient": 4, "periods": 100},
 }
 

@@ -33,10 +33,10 @@ analyses:
   diagram: {transient: 48, strobes: 64}
   portrait: {transient: 16, periods: 2, samples: 16}
   poincare: {transient: 16, strobes: 16}
-  period: {transient: 64, limit: 4}
+  period: {transient: 64, max_period: 4}
   lyapunov: {transient: 32, periods: 64}
   chaos01: {transient: 32, periods: 128}
-  verdict: {longer: 0}
+  verdict: {confirmation_factor: 0}
 """
 CHART = """
 title: The page's own chart
@@ -46,7 +46,7 @@ sweep:
   a: {start: 0.4, stop: 0.6, count: 8}
 accuracy: {solver: blanes_moan6, steps: 60}
 analyses:
-  period: {transient: 32, limit: 2}
+  period: {transient: 32, max_period: 2}
 """
 SHOTS = os.environ.get("JAXNH_SCREENSHOTS")  # a folder to keep pictures of the page in, for people to look at
 
@@ -219,7 +219,9 @@ def test_an_error_is_said_on_the_page(tab, address):
 @pytest.mark.slow
 def test_a_result_opens_without_computing_and_a_stopped_server_is_said(tab, config, tmp_path):
     result = tmp_path / "page.h5"
-    jaxnh.run(jaxnh.load(config, ["sweep.b.count=16", "analyses={diagram: {strobes: 64}, period: {limit: 2}}"]), result)
+    jaxnh.run(
+        jaxnh.load(config, ["sweep.b.count=16", "analyses={diagram: {strobes: 64}, period: {max_period: 2}}"]), result
+    )
     process, address = started(result)
     try:
         page = tab(address)

@@ -176,7 +176,7 @@ def test_long_chaos_in_tiles(battery, tmp_path):
         "system: {constraint: constant_speed}\n"
         f"sweep: {{b: {{start: 5.25, stop: 5.35, count: {count}}}}}\n"
         "accuracy: {solver: blanes_moan6, steps: 40}\n"
-        f"analyses: {{diagram: {{transient: {transient}, strobes: 8, start: random, starts: 1}}}}\n"
+        f"analyses: {{diagram: {{transient: {transient}, strobes: 8, start: random, n_starts: 1}}}}\n"
     )
     jobs = []
     for name, tile in (("whole", None), ("stopped", 256)):
@@ -346,7 +346,7 @@ def test_poisoned_lane(battery, lanes, tmp_path):
 
 def everything(scene, lanes):
     """Groups of five analyses of a scene."""
-    groups = {"period": period.run(period.PeriodOptions(limit=4, transient=64), scene, lanes)}
+    groups = {"period": period.run(period.PeriodOptions(max_period=4, transient=64), scene, lanes)}
     groups["lyapunov"] = lyapunov.run(lyapunov.LyapunovOptions(transient=16, periods=16), scene, lanes)
     groups["chaos01"] = chaos01.run(chaos01.Chaos01Options(transient=16, periods=100), scene, lanes)
     groups["verdict"] = verdict.run(verdict.VerdictOptions(), scene, lanes, groups)

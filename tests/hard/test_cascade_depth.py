@@ -97,7 +97,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     battery.picture(picture, "edge", "Multipliers on both sides of a doubling")
     if battery.full:
         scene = SCENE.at(b)
-        done = {"period": period.run(period.PeriodOptions(limit=16), scene, lanes)}
+        done = {"period": period.run(period.PeriodOptions(max_period=16), scene, lanes)}
         done["lyapunov"] = lyapunov.run(lyapunov.LyapunovOptions(transient=512, periods=1024), scene, lanes)
         done["chaos01"] = chaos01.run(chaos01.Chaos01Options(transient=512), scene, lanes)
         kind = verdict.run(verdict.VerdictOptions(), scene, lanes, done)["kind"].to_numpy()

@@ -51,7 +51,7 @@ def van_der_pol(stiffness=1.0):
 def judged(scene, lanes, transient, averaged, times=1):
     """The dataset `verdict` of a scene, its criteria taken over so many times as long."""
     options = {"transient": times * transient}
-    done = {"period": period.run(period.PeriodOptions(limit=16, **options), scene, lanes)}
+    done = {"period": period.run(period.PeriodOptions(max_period=16, **options), scene, lanes)}
     spectrum = lyapunov.LyapunovOptions(periods=times * averaged, exponents=2, **options)
     done["lyapunov"] = lyapunov.run(spectrum, scene, lanes)
     done["chaos01"] = chaos01.run(chaos01.Chaos01Options(periods=times * averaged, **options), scene, lanes)

@@ -41,17 +41,17 @@ _USUAL = 2.0  # looks as long as the transient that most lanes take, the transie
 
 def periods(options: BasinsOptions, lanes: int) -> float:
     """Lane-periods of a run."""
-    return _USUAL * options.transient * lanes * max(1, options.starts)
+    return _USUAL * options.transient * lanes * max(1, options.n_starts)
 
 
 def numbers(options: BasinsOptions) -> int:
     """Numbers that a lane leaves, the blocks of a look among them."""
-    return 12 * BLOCKS * max(1, options.starts)
+    return 12 * BLOCKS * max(1, options.n_starts)
 
 
 def check(options: BasinsOptions, setting: Setting) -> None:
     """See that there is a box for random starts and nothing else that says where lanes start, and a plane if needed."""
-    if options.starts:
+    if options.n_starts:
         check_box(options.box, setting, "box")
     if options.boundary:
         check_plane(setting, "boundary")
@@ -60,7 +60,7 @@ def check(options: BasinsOptions, setting: Setting) -> None:
 def choose(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:
     """Steps of a period after the first look, the same for all lanes of a sweep: fewer where that is worth it."""
     batch = batch.in_time()
-    if batch.count * max(1, options.starts) < _MANY:
+    if batch.count * max(1, options.n_starts) < _MANY:
         return {"steps": batch.steps}
     some = np.unique(np.linspace(0, batch.count - 1, min(batch.count, _SAMPLED)).round().astype(int))
     here = _started(options, batch.take(some))[0]
@@ -75,10 +75,10 @@ def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
     With random starts `start` is a dimension after the lanes.
     """
     batch = batch.in_time()
-    rows = (batch.count, options.starts) if options.starts else (batch.count,)
+    rows = (batch.count, options.n_starts) if options.n_starts else (batch.count,)
     with lanes.stage(f"basins: {math.prod(rows):,} lanes to their attractors", periods(options, batch.count)):
         starting, steps = _started(options, batch)[0], _settled(batch).steps
-        lot = settle(starting, lanes, options.transient, options.longest, steps)
+        lot = settle(starting, lanes, options.transient, options.max_periods, steps)
     dims = (LANE, "start")[: len(rows)]
     second = {
         "means": "lane_mean",
@@ -102,7 +102,7 @@ def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
 def whole(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `basins` and `attractors`, from what all lanes have come to by themselves."""
     shape = tuple(len(axis.values) for axis in sweep.axes)
-    starts = (options.starts,) if options.starts else ()
+    starts = (options.n_starts,) if options.n_starts else ()
     each = math.prod(starts)
     count = math.prod(shape) * each
     left = (data[f"lane_{name}"].to_numpy() for name in Lot._fields)
@@ -119,7 +119,7 @@ def whole(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
         part = picked(lot, some)
         for name, values in here.items():
             drawn[name][some] = values
-        found = find(batch, lanes, part, point[some], options.limit, options.longest)
+        found = find(batch, lanes, part, point[some], options.max_period, options.max_periods)
         for leaf, changed in zip(lot, part, strict=True):
             leaf[some] = changed
         judged += found.judged
@@ -135,7 +135,7 @@ def whole(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     number = np.where(lot.known == FAILED, -1, 0).astype(np.int32)
     table = SweepAttractors(at, np.zeros(0, np.int32), None, {}, ())
     if every is not None:
-        tracked = continue_attractors(grid, lanes, every, at, options.transient, options.longest)
+        tracked = continue_attractors(grid, lanes, every, at, options.transient, options.max_periods)
         table, of = _known(grid, lanes, every, at, tracked, on)
         number[on >= 0] = of[on[on >= 0]]
     flow = sweep.rows[0][1].flow
@@ -158,14 +158,14 @@ def _settled(batch: LaneBatch) -> LaneBatch:
 
 def _started(options: BasinsOptions, batch: LaneBatch) -> tuple[LaneBatch, dict[str, np.ndarray]]:
     """The lanes with their random starts, and what was drawn, where there are some."""
-    return started(batch, options.starts, options.seed, options.box) if options.starts else (batch, {})
+    return started(batch, options.n_starts, options.seed, options.box) if options.n_starts else (batch, {})
 
 
 def starts(options: BasinsOptions) -> Starts | None:
     """Where lanes start at random, if they do."""
-    if not options.starts:
+    if not options.n_starts:
         return None
-    return lambda batch: (_started(options, batch)[0].start, np.repeat(np.arange(batch.count), options.starts))
+    return lambda batch: (_started(options, batch)[0].start, np.repeat(np.arange(batch.count), options.n_starts))
 
 
 def _grid(sweep: SweepLanes, own: Sequence[int], point: Int[np.ndarray, " lanes"]) -> Grid:

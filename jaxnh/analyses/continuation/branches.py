@@ -41,12 +41,12 @@ _WORK = 3.0  # of a run, in those of settling: a guess
 
 def periods(options: BranchesOptions, lanes: int) -> float:
     """Lane-periods of a run: a guess, as nobody knows how many branches there are."""
-    return _WORK * lanes * (options.transient + 2 * options.limit)
+    return _WORK * lanes * (options.transient + 2 * options.max_period)
 
 
 def numbers(options: BranchesOptions) -> int:
     """Numbers that a lane needs: the points it is judged by."""
-    return 6 * options.limit
+    return 6 * options.max_period
 
 
 def check(options: BranchesOptions, setting: Setting) -> None:
@@ -76,7 +76,7 @@ def check(options: BranchesOptions, setting: Setting) -> None:
 
 def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """The orbit that every lane has settled on: a point of it, its period, and the size of the motion."""
-    attractors = survey_from_start(batch, lanes, options.limit, "branches", options.transient)
+    attractors = survey_from_start(batch, lanes, options.max_period, "branches", options.transient)
     size = np.where(attractors.failed[:, None], np.nan, attractors.size)
     return xr.Dataset(
         {
@@ -97,24 +97,31 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     ends = float(axis.values.min()), float(axis.values.max())
     families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
     waves = attractor_waves(batch, lanes, u, np.where(known, period, 0))
-    some = np.unique(np.linspace(0, len(order) - 1, min(options.values, len(order))).round().astype(int))
+    some = np.unique(np.linspace(0, len(order) - 1, min(options.n_values, len(order))).round().astype(int))
     here = batch.take(np.argsort(batch.line.values, kind="stable")[some])
-    if options.starts:
-        with lanes.stage(f"branches: {options.starts} random starts at {len(some)} values of {axis.name}", 0):
+    if options.n_starts:
+        with lanes.stage(f"branches: {options.n_starts} random starts at {len(some)} values of {axis.name}", 0):
             waves.append(
                 random_wave(
-                    here, lanes, options.starts, options.seed, options.box, options.limit, unit, options.transient
+                    here,
+                    lanes,
+                    options.n_starts,
+                    options.seed,
+                    options.box,
+                    options.max_period,
+                    unit,
+                    options.transient,
                 )
             )
 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"branches: {label}", 0)
 
-    steps = StepControl(options.step, options.longest)
-    grown = [FollowedBranches(grow(families, waves, options.limit, steps, stage), families[0], batch)]
+    steps = StepControl(options.step, options.max_points)
+    grown = [FollowedBranches(grow(families, waves, options.max_period, steps, stage), families[0], batch)]
     if options.equilibria:
         grown.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
-    return datasets(lanes, grown, options.limit)
+    return datasets(lanes, grown, options.max_period)
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
@@ -141,6 +148,6 @@ ANALYSIS = Analysis(
     table=table,
     other_tables={"bifurcations": bifurcations_table},
     price=price_of_orbits,
-    brief={"transient": 1, "limit": 1},
+    brief={"transient": 1, "max_period": 1},
 )
 """The entry of this analysis in the table."""

@@ -65,7 +65,7 @@ class _Point(NamedTuple):
 
 def periods(options: CurvesOptions, lanes: int) -> float:
     """Lane-periods of a run: a guess, as nobody knows how many curves there are."""
-    return _WORK * options.values * lanes**0.5 * (options.transient + 2 * options.limit)
+    return _WORK * options.n_values * lanes**0.5 * (options.transient + 2 * options.max_period)
 
 
 def numbers(options: CurvesOptions) -> int:
@@ -99,12 +99,12 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     """The groups `curves` and `codimension_two`."""
     (first, second), [(_, row)] = sweep.axes, sweep.rows
     some = np.unique(
-        np.linspace(0, len(second.values) - 1, min(options.values, len(second.values))).round().astype(int)
+        np.linspace(0, len(second.values) - 1, min(options.n_values, len(second.values))).round().astype(int)
     )
     chosen = np.unique(second.values[some])
     batches = [_lanes_at(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
-    surveys = [survey_from_start(batch, lanes, options.limit, "curves", options.transient) for batch in batches]
+    surveys = [survey_from_start(batch, lanes, options.max_period, "curves", options.transient) for batch in batches]
     sizes = np.concatenate([survey.size[~survey.failed] for survey in surveys])
     size = np.median(sizes, axis=0) if len(sizes) else np.ones(batches[0].system.chart.dimension)
     names = (first.name, second.name)
@@ -117,7 +117,7 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
         waves = attractor_waves(batch, lanes, survey.u, period)
         families = [orbit_family(batch, lanes, strobe, size, (low[0], high[0])) for strobe in refined_maps(batch)]
         with lanes.stage(f"curves: bifurcations at {second.name} = {value:g}", 0):
-            tree = grow(families, waves, options.limit, StepControl(options.step))
+            tree = grow(families, waves, options.max_period, StepControl(options.step))
         seeds = [
             _Seed(point.kind, point.points, np.array([point.value, value]))
             for point in tree.bifurcations
@@ -135,7 +135,7 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
             for k, curve in enumerate(curves)
             for point in special_points(plane, curve)
         ]
-    dataset = _dataset(batches[0], sweep.axes, curves, errors, special, options.limit)
+    dataset = _dataset(batches[0], sweep.axes, curves, errors, special, options.max_period)
     return {"curves": dataset, "codimension_two": _special(batches[0], sweep.axes, curves, special)}
 
 
@@ -156,7 +156,7 @@ def _follow_curves(
         if mine:
             points, values = np.stack([seed.points for seed in mine]), np.stack([seed.values for seed in mine])
             for seed, curve in zip(
-                mine, follow_both_ways(plane, kind, points, values, options.step, options.longest), strict=True
+                mine, follow_both_ways(plane, kind, points, values, options.step, options.max_points), strict=True
             ):
                 if curve is not None and not any(_passes(plane, other, seed) for other in new):
                     new.append(curve)
@@ -296,6 +296,6 @@ ANALYSIS = Analysis(
     check=check,
     table=table,
     price=price_of_orbits,
-    brief={"transient": 1, "limit": 1, "values": 1},
+    brief={"transient": 1, "max_period": 1, "n_values": 1},
 )
 """The entry of this analysis in the table."""

@@ -214,7 +214,7 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, foun
         plain = of_blocks(found.rates[chosen, :blocks, : lead + k])
         mean[chosen], error[chosen] = nearly_neutral(plain, aligned, blocks * block)
     source = np.zeros(batch.count, np.int8)
-    if options.plain:
+    if options.method == "averages":
         return Spectrum(mean, error, source)
     number = np.arange(BLOCKS)
     late = (number < found.blocks[:, None]) & (number >= (found.blocks - np.maximum(found.blocks // 4, 1))[:, None])
@@ -252,7 +252,7 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, foun
 
 def _have_orbits(options: LyapunovOptions, batch: LaneBatch) -> bool:
     """Whether orbits of lanes are looked for: of a strobe map, whose multipliers are right to rounding."""
-    return not options.plain and not batch.flow.autonomous and batch.precision == "float64"
+    return options.method != "averages" and not batch.flow.autonomous and batch.precision == "float64"
 
 
 def _of_steps(

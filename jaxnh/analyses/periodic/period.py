@@ -17,17 +17,17 @@ from jaxnh.systems.flow import NOT_FINITE, status
 
 def periods(options: PeriodOptions, lanes: int) -> float:
     """Lane-periods of a run: the transient, the points looked at, and as much again for Newton."""
-    return 2.0 * lanes * (options.transient + 2 * options.limit)
+    return 2.0 * lanes * (options.transient + 2 * options.max_period)
 
 
 def numbers(options: PeriodOptions) -> int:
     """Numbers that a lane needs: the strobe points it is judged by."""
-    return 6 * options.limit
+    return 6 * options.max_period
 
 
 def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Least period of every lane with its residual and largest multiplier."""
-    attractors = survey_from_start(batch, lanes, options.limit, "period", options.transient)
+    attractors = survey_from_start(batch, lanes, options.max_period, "period", options.transient)
     attractors = polish_beyond_doublings(lanes, batch.strobe(), dict(batch.p), attractors)
     variables = {
         "period": numbered(
@@ -39,7 +39,7 @@ def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
         "multiplier": variable(LANE, attractors.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
         "status": named(LANE, status(np.where(attractors.failed, NOT_FINITE, 0))),
     }
-    return xr.Dataset(variables, attrs={"limit": options.limit, "transient": options.transient})
+    return xr.Dataset(variables, attrs={"max_period": options.max_period, "transient": options.transient})
 
 
 def price(options: PeriodOptions, batch: LaneBatch) -> Price:
@@ -61,6 +61,6 @@ ANALYSIS = Analysis(
     numbers=numbers,
     classes=classes,
     price=price,
-    brief={"transient": 1, "limit": 1},
+    brief={"transient": 1, "max_period": 1},
 )
 """The entry of this analysis in the table."""

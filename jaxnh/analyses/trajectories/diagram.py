@@ -49,7 +49,7 @@ _PRICED = 4, 17  # values and strobes of the program of a carried state that is 
 def periods(options: DiagramOptions, lanes: int) -> float:
     """Lane-periods of a run."""
     each = options.transient + options.strobes - 1 + options.phase
-    return lanes * each * (options.starts if options.start == "random" else 1)
+    return lanes * each * (options.n_starts if options.start == "random" else 1)
 
 
 def independent(options: DiagramOptions) -> bool:
@@ -59,7 +59,7 @@ def independent(options: DiagramOptions) -> bool:
 
 def numbers(options: DiagramOptions) -> int:
     """Numbers that a lane leaves."""
-    return 4 * options.strobes * (options.starts if options.start == "random" else 1)
+    return 4 * options.strobes * (options.n_starts if options.start == "random" else 1)
 
 
 def check(options: DiagramOptions, setting: Setting) -> None:
@@ -91,7 +91,7 @@ def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         if options.start == "random":
             dims = (LANE, "start", "strobe")
             states = _side_by_side(options, batch, lanes, *random_starts(options, batch))
-            states = jax.tree.map(lambda leaf: leaf.reshape(batch.count, options.starts, -1), states)
+            states = jax.tree.map(lambda leaf: leaf.reshape(batch.count, options.n_starts, -1), states)
         elif options.start == "fixed":
             states = _side_by_side(options, batch, lanes, *batch.lanes)
         else:
@@ -114,10 +114,10 @@ def random_starts(options: DiagramOptions, batch: LaneBatch) -> tuple[State, Par
     first, place = int(batch.places.min()), batch.places
     bits = np.random.PCG64(options.seed)
     d = batch.flow.chart.dimension
-    bits.advance(first * options.starts * d)  # a draw of 64 bits a number
-    shape = int(place.max()) - first + 1, options.starts, d
+    bits.advance(first * options.n_starts * d)  # a draw of 64 bits a number
+    shape = int(place.max()) - first + 1, options.n_starts, d
     draws = np.random.Generator(bits).uniform(-1.0, 1.0, shape)[place - first]
-    p = {name: np.repeat(values, options.starts) for name, values in batch.p.items()}
+    p = {name: np.repeat(values, options.n_starts) for name, values in batch.p.items()}
     states = batch.flow.chart.state((draws.reshape(-1, d) * batch.flow.chart.scales(options.box)).T)
     states = jax.tree.map(np.asarray, jax.vmap(batch.flow.nearest)(states, p))
     return begin(batch.system, states), p
@@ -127,15 +127,15 @@ def starts(options: DiagramOptions) -> Starts | None:
     """Where lanes start at random, if they do."""
     if options.start != "random":
         return None
-    return lambda batch: (random_starts(options, batch)[0], np.repeat(np.arange(batch.count), options.starts))
+    return lambda batch: (random_starts(options, batch)[0], np.repeat(np.arange(batch.count), options.n_starts))
 
 
 def _side_by_side(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, start: State, p: Parameters) -> State:
     """A lane for each start state and its parameters: components (lanes, strobes)."""
     state, strobe = _at_phase(options, batch, lanes, start, p)
     state = settled(lanes, strobe, options.transient, state, p)
-    if options.orbits:
-        state = _on_orbits(replace(batch, start=state, p=p, place=None, along=None), lanes, options.orbits)
+    if options.snap_to_period:
+        state = _on_orbits(replace(batch, start=state, p=p, place=None, along=None), lanes, options.snap_to_period)
     return lanes(strobe_states, (strobe,), (state, p), periods=options.strobes - 1, static=(options.strobes,))
 
 

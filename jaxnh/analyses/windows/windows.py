@@ -43,7 +43,7 @@ _WORK = 3.0  # of a run, in those of settling: a guess
 
 def periods(options: WindowsOptions, lanes: int) -> float:
     """Lane-periods of a run: a guess, as nobody knows how many windows there are."""
-    return _WORK * lanes * (options.transient + 2 * _DOUBLED * options.limit)
+    return _WORK * lanes * (options.transient + 2 * _DOUBLED * options.max_period)
 
 
 def check(options: WindowsOptions, setting: Setting) -> None:
@@ -69,7 +69,7 @@ def independent(options: WindowsOptions) -> bool:
 def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """The windows that lanes along the first axis have settled in, in the order of the axis."""
     batch = batch.take(np.unique(batch.line.values, return_index=True)[1])
-    found = survey_from_start(batch, lanes, _DOUBLED * options.limit, "windows", options.transient)
+    found = survey_from_start(batch, lanes, _DOUBLED * options.max_period, "windows", options.transient)
     size = np.median(found.size[~found.failed], axis=0) if not found.failed.all() else found.size[0]
     line = PeriodScan(batch.line.values, np.where(found.failed, 0, found.period), found.u)
 
@@ -84,7 +84,7 @@ def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         return [orbit_family(batch, lanes, strobe, size, (low, high)) for strobe in strobes]
 
     strobes = refined_maps(batch)
-    windows = search(line, options.limit, orbits, families, stage)
+    windows = search(line, options.max_period, orbits, families, stage)
     windows.sort(key=lambda group: float(line.value[all_lanes(group)[0]]))
     doublings = [_doublings(options.levels, batch, lanes, line, group[0], size) for group in windows]
     limits = [_limit(located) for located in doublings]
@@ -92,7 +92,7 @@ def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         _crisis(options.crisis, batch, lanes, families, group[0], limit, size)
         for group, limit in zip(windows, limits, strict=True)
     ]
-    return dataset(options.limit, options.levels, batch, line, windows, doublings, limits, crises)
+    return dataset(options.max_period, options.levels, batch, line, windows, doublings, limits, crises)
 
 
 def _doublings(
@@ -183,6 +183,6 @@ ANALYSIS = Analysis(
     check=check,
     table=table,
     price=price_of_orbits,
-    brief={"transient": 1, "limit": 1, "crisis": 64},
+    brief={"transient": 1, "max_period": 1, "crisis": 64},
 )
 """The entry of this analysis in the table."""

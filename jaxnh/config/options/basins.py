@@ -21,11 +21,11 @@ class BasinsOptions(Options):
         multiple_of=2 * BLOCKS,
         description="Periods, or units of time, before the first look, which is as long; the next take twice as long",
     )
-    longest: int = Field(
+    max_periods: int = Field(
         default=8192, ge=4 * BLOCKS, description="Periods after which a lane that has not settled is undecided"
     )
-    limit: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
-    starts: int = Field(default=0, ge=0, description="Random start states at each value of the parameters; needs a box")
+    max_period: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
+    n_starts: int = Field(default=0, ge=0, description="Random start states at each value of parameters; needs a box")
     seed: int = Field(default=0, ge=0, description="Seed of the random start states")
     box: dict[str, Side] = Field(
         default_factory=dict, description="Coordinates of random start states, each with its lowest and highest value"
@@ -38,13 +38,15 @@ class BasinsOptions(Options):
 
     @model_validator(mode="after")
     def _check(self) -> BasinsOptions:
-        if bool(self.starts) != bool(self.box):
-            raise rule(*(("needs starts, their number", "box") if self.box else ("needs a box to draw from", "starts")))
+        if bool(self.n_starts) != bool(self.box):
+            raise rule(
+                *(("needs n_starts, their number", "box") if self.box else ("needs a box to draw from", "n_starts"))
+            )
         for name, (low, high) in self.box.items():
             if not low < high:
                 raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
-        if "seed" in self.model_fields_set and not self.starts:
+        if "seed" in self.model_fields_set and not self.n_starts:
             raise rule("goes with starts, and there are none", "seed")
-        if self.longest < 2 * self.transient:
-            raise rule(f"must be at least twice the transient, {2 * self.transient}", "longest", "transient")
+        if self.max_periods < 2 * self.transient:
+            raise rule(f"must be at least twice the transient, {2 * self.transient}", "max_periods", "transient")
         return self

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -18,8 +18,9 @@ class LyapunovOptions(Options):
     periods: int = Field(default=1024, ge=BLOCKS, description="Periods averaged over, at most")
     error: float = Field(default=0.0, ge=0.0, description="Stop a lane whose error bars, 1/time, are below this")
     exponents: int = Field(default=3, ge=1, description="How many of the largest exponents are wanted")
-    plain: bool | None = Field(
-        default=None, description="Whether plain averages are enough, of lanes on orbits too: quick and less exact"
+    method: Literal["orbits", "averages"] = Field(
+        default="orbits",
+        description="orbits: of lanes on a stable orbit its exponents; averages: time averages (faster, less exact)",
     )
 
 
@@ -35,7 +36,7 @@ class VerdictOptions(Options):
 
     needs: ClassVar[tuple[str, ...]] = ("period", "lyapunov", "chaos01")
 
-    longer: int = Field(
+    confirmation_factor: int = Field(
         default=10,
         ge=0,
         description="Lanes that look chaotic or quasiperiodic are followed for so many times as long; 0: chaotic ones"

@@ -14,7 +14,7 @@ class PeriodOptions(Options):
 
     newton: ClassVar[bool] = True
 
-    limit: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
+    max_period: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
     transient: int = Field(default=512, ge=0, description="Periods before the last look at the strobe points")
 
 
@@ -35,19 +35,19 @@ class BranchesOptions(Options):
 
     newton: ClassVar[bool] = True
 
-    limit: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
+    max_period: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
     step: float = Field(
         default=0.02, gt=0, le=0.25, description="Largest step along a branch, in widths of the sweep and in sizes"
     )
-    longest: int = Field(default=2000, ge=2, description="Points of a branch to either side of its first, at most")
-    starts: int = Field(
+    max_points: int = Field(default=2000, ge=2, description="Points of a branch to either side of its first, at most")
+    n_starts: int = Field(
         default=0, ge=0, description="Random starts of Newton for orbits at each of the values searched; needs a box"
     )
     equilibria: int = Field(
         default=0, ge=0, description="The same for equilibria of a flow without a clock, which are followed as well"
     )
-    values: int = Field(default=5, ge=1, description="Number of values searched, evenly over the lanes of the sweep")
+    n_values: int = Field(default=5, ge=1, description="Number of values searched, evenly over the lanes of the sweep")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
     box: dict[str, Side] = Field(
         default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
@@ -55,13 +55,13 @@ class BranchesOptions(Options):
 
     @model_validator(mode="after")
     def _check(self) -> BranchesOptions:
-        asked = "starts" if self.starts else "equilibria"
-        if bool(self.starts or self.equilibria) != bool(self.box):
-            raise rule(*(("needs starts, their number", "box") if self.box else ("needs a box to draw from", asked)))
+        asked = "n_starts" if self.n_starts else "equilibria"
+        if bool(self.n_starts or self.equilibria) != bool(self.box):
+            raise rule(*(("needs n_starts, their number", "box") if self.box else ("needs a box to draw from", asked)))
         for name, (low, high) in self.box.items():
             if not low < high:
                 raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
-        for name in ("seed", "values"):
+        for name in ("seed", "n_values"):
             if name in self.model_fields_set and not self.box:
                 raise rule("goes with starts, and there are none", name)
         return self
@@ -72,17 +72,17 @@ class CurvesOptions(Options):
 
     newton: ClassVar[bool] = True
 
-    limit: int = Field(
+    max_period: int = Field(
         default=2, ge=1, le=64, description="Largest period of the orbits whose bifurcations are followed"
     )
     transient: int = Field(default=512, ge=1, description="Periods before lanes are looked at")
-    values: int = Field(
+    n_values: int = Field(
         default=3, ge=1, description="Number of values of the second axis at which bifurcations are looked for"
     )
     step: float = Field(
         default=0.02, gt=0, le=0.25, description="Largest step along a curve, in widths of the axes and in sizes"
     )
-    longest: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
+    max_points: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
 
 
 class WindowsOptions(Options):
@@ -90,7 +90,7 @@ class WindowsOptions(Options):
 
     newton: ClassVar[bool] = True
 
-    limit: int = Field(default=12, ge=1, le=64, description="Largest period of the orbits that windows begin with")
+    max_period: int = Field(default=12, ge=1, le=64, description="Largest period of the orbits that windows begin with")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
     levels: int = Field(
         default=4, ge=0, le=8, description="Doublings of a window to locate; four or more say where they accumulate"

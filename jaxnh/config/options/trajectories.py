@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from jaxnh.config.options.base import Options, rule
 
-_FOR_RANDOM = ("starts", "seed", "box")
+_FOR_RANDOM = ("n_starts", "seed", "box")
 
 
 class PortraitOptions(Options):
@@ -38,7 +38,7 @@ class DiagramOptions(Options):
         description="Start state: the same in every lane, carried along rising or falling values of the first axis, or "
         "random ones in every lane",
     )
-    orbits: int | None = Field(
+    snap_to_period: int | None = Field(
         default=None,
         ge=1,
         le=64,
@@ -50,7 +50,7 @@ class DiagramOptions(Options):
         description="Of the strobes of each trajectory keep the largest, smallest, mean and standard deviation alone",
     )
     phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
-    starts: int = Field(default=16, ge=1, description="Number of random start states a lane")
+    n_starts: int = Field(default=16, ge=1, description="Number of random start states a lane")
     seed: int = Field(default=0, ge=0, description="Seed of the random start states")
     box: float = Field(
         default=4.0, gt=0, description="Random starts have x1 and y1 in [-box, box] and any direction, evenly"
@@ -61,9 +61,9 @@ class DiagramOptions(Options):
         for name in _FOR_RANDOM:
             if self.start != "random" and name in self.model_fields_set:
                 raise rule(f"{name} goes with start: random, and start is {self.start}", name, "start")
-        if self.orbits and (self.carried or self.phase):
+        if self.snap_to_period and (self.carried or self.phase):
             other = "start" if self.carried else "phase"
-            raise rule("orbits are found for starts side by side and strobes at phase 0", "orbits", other)
+            raise rule("orbits are found for starts side by side and strobes at phase 0", "snap_to_period", other)
         return self
 
     @property

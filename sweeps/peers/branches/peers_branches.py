@@ -138,7 +138,7 @@ def _ours(case: Case, limit: float) -> tuple[dict[str, Run], list[Exact]]:
     with tempfile.TemporaryDirectory(prefix="jaxnh_branches_") as folder:
         result = Path(folder, "result.h5")
         command = [sys.executable, "-m", "jaxnh.sweep", str(config), "accuracy.target=1e-10"]
-        command += ["analyses.branches.limit=1", "--output", str(result), "--fresh", "--quiet"]
+        command += ["analyses.branches.max_period=1", "--output", str(result), "--fresh", "--quiet"]
         for cache in ("empty", "kept"):
             seconds, _ = _process(command, {"JAX_COMPILATION_CACHE_DIR": str(Path(folder, "cache"))}, limit)
             data = jaxnh.open_result(result)["bifurcations"].to_dataset()
