@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, apart, largest_multiplier, least_period, orbits
 from jaxnh.orbits.doubling_points import DoublingPoint, doubling_function, halves
@@ -64,7 +64,7 @@ def daughters(
     ok = (orbit.residual < CONVERGED) & (largest_multiplier(orbit.monodromy) < 1.0)
     ok &= apart(chart, orbit.u, origin, size) <= largest
     found = np.flatnonzero(ok)
-    shortest = least_period(lanes, batch.strobe(), orbit.u[found], picked(p, found), 2 * n, each[found])
+    shortest = least_period(lanes, batch.strobe(), orbit.u[found], select(p, found), 2 * n, each[found])
     ok[found[shortest != 2 * n]] = False
     ok = ok.reshape(len(distances), _AMPLITUDES)
     first = np.arange(len(distances)) * _AMPLITUDES + np.argmax(ok, axis=1)
