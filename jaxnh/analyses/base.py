@@ -79,7 +79,7 @@ def variable(dims: Sequence[str] | str, data: Any, long_name: str, units: str = 
     return names, np.asarray(data), {"long_name": long_name, **({"units": units} if units else {}), **attrs}
 
 
-def flag_variable(
+def flag(
     dims: Sequence[str] | str, numbers: Any, long_name: str, meanings: Sequence[str], least: int = 0, **attrs: Any
 ) -> Entry:
     """Return a variable of flags: numbers, from `least` on, that stand for words."""
@@ -98,7 +98,7 @@ def number_variable(
     return variable(dims, numbers, long_name, **flags, valid_min=numbers.dtype.type(first), **attrs)
 
 
-def output_variable(dims: Sequence[str] | str, output: Output, **attrs: Any) -> Entry:
+def as_variable(dims: Sequence[str] | str, output: Output, **attrs: Any) -> Entry:
     """Return an output of a system, on its states or on a trajectory, as a variable."""
     return variable(dims, output.data, output.long_name, **output.attrs, **attrs)
 

@@ -24,7 +24,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxnh.analyses.base import LANE, Analysis, output_variable, variable
+from jaxnh.analyses.base import LANE, Analysis, as_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.config.options.chaos import Chaos01Options
@@ -65,7 +65,7 @@ def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     variables = {
         "k_median": variable(LANE, median, words, ancillary_variables="k_median_error"),
         "k_median_error": variable(LANE, 0.5 * (high - low), error_words),
-        "status": output_variable(LANE, ended),
+        "status": as_variable(LANE, ended),
     }
     return xr.Dataset(variables, attrs={"angles": _ANGLES, "transient": options.transient})
 

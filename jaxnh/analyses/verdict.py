@@ -49,7 +49,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from jaxnh.analyses.base import LANE, Analysis, flag_variable, number_variable, output_variable, variable
+from jaxnh.analyses.base import LANE, Analysis, as_variable, flag, number_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.price import Price, map_alone
@@ -101,12 +101,12 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
         iterates,
     )
     if clock:
-        some = select_timeless(batch, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
-        cycle = is_contracting(exponents[some], errors[some], batch.flow.period, span[some])
-        kind[some] = np.where(cycle, _LIMIT_CYCLE, _UNDECIDED)
+        steady = find_timeless(batch, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
+        cycle = is_contracting(exponents[steady], errors[steady], batch.flow.period, span[steady])
+        kind[steady] = np.where(cycle, _LIMIT_CYCLE, _UNDECIDED)
     else:
-        some = np.flatnonzero(np.isin(kind, (_PERIODIC, _UNDECIDED, _FAILED)))
-        kind[some] = _classify_without_clock(batch.take(some), lanes, kind[some], int(span.max()))
+        others = np.flatnonzero(np.isin(kind, (_PERIODIC, _UNDECIDED, _FAILED)))
+        kind[others] = _classify_without_clock(batch.take(others), lanes, kind[others], int(span.max()))
     unsteady = np.full(batch.count, np.nan)
     tori = np.flatnonzero(kind == _QUASIPERIODIC)
     if len(tori):
@@ -117,15 +117,15 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
     chaotic = np.flatnonzero(kind == _CHAOTIC)
     if options.longer and len(chaotic):
         taken = (span if clock else np.full(batch.count, math.ceil(iterates[chaotic].max())))[chaotic] + transient
-        again[chaotic] = _recurrence_lags(batch.take(chaotic), lanes, options.longer * taken)
+        again[chaotic] = _recurrences(batch.take(chaotic), lanes, options.longer * taken)
         kind[chaotic[again[chaotic] != 0]] = _UNDECIDED
     codes = np.max([done[name]["status"].to_numpy() for name in ANALYSIS.needs], axis=0)
     codes = np.where(kind == _FAILED, np.where(codes > 0, codes, NOT_FINITE), 0)
     words = f"lag, up to {_LONGEST}, after which a lane that had looked chaotic repeats itself"
     steady_words = "third difference of smooth averages, of the motion's size, where it looks quasiperiodic"
     variables = {
-        "kind": flag_variable(LANE, kind, "kind of motion from all criteria together", KINDS),
-        "status": output_variable(LANE, status(codes)),
+        "kind": flag(LANE, kind, "kind of motion from all criteria together", KINDS),
+        "status": as_variable(LANE, status(codes)),
         "recurrence_lag": number_variable(
             LANE, again, words, ("lost", "not_followed", "none"), _LOST, counted_in=iterate_units(batch.system)
         ),
@@ -177,20 +177,16 @@ def _classify_without_clock(
     return np.where(still, _EQUILIBRIUM, np.where(kind == _PERIODIC, cycle, kind)).astype(np.int8)
 
 
-def select_timeless(
-    batch: LaneBatch, lanes: LaneRunner, subset: Int[np.ndarray, " some"]
-) -> Int[np.ndarray, " timeless"]:
+def find_timeless(batch: LaneBatch, lanes: LaneRunner, which: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
     """Return the lanes of a subset whose right-hand side is the same at all times."""
-    if not len(subset):
-        return subset
+    if not len(which):
+        return which
     times = batch.flow.period * (np.arange(_LOOKS) + 0.3) / _LOOKS
     shared = (batch.strobe(), batch.flow, times)
-    return subset[lanes(ignores_time, shared, select(batch.lanes, subset), periods=_LOOKS)]
+    return which[lanes(ignores_time, shared, select(batch.lanes, which), periods=_LOOKS)]
 
 
-def _recurrence_lags(
-    batch: LaneBatch, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"]
-) -> Int[np.ndarray, " lanes"]:
+def _recurrences(batch: LaneBatch, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
     """Return the `recurrence_lag` of lanes, each so many periods from its start."""
     lags, strobe = np.zeros(batch.count, int), batch.strobe()
     with lanes.stage(f"verdict: {batch.count} chaotic lanes, longer", float(np.sum(taken + 3 * _LONGEST))):

@@ -2,8 +2,8 @@
 
 Means are taken of each section coordinate and of its square, of an angle of its cosine and sine and of how far it turns
 a period, at the strobes or, without a clock, several times a unit of time, so that a cycle that the unit of time is a
-multiple of has no phase either. Under the smooth window of `smooth_window.window_weights` they converge faster than any power
-of their length on periodic and quasiperiodic motion. Twins by a symmetry differ in odd means, running solutions in
+multiple of has no phase either. Under the smooth window of `smooth_window` they converge faster than any power of their
+length on periodic and quasiperiodic motion. Twins by a symmetry differ in odd means, running solutions in
 their turns.
 """
 

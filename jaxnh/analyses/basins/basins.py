@@ -63,7 +63,7 @@ def choose(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[
     if batch.count * max(1, options.starts) < _MANY:
         return {"steps": batch.steps}
     subset = np.unique(np.linspace(0, batch.count - 1, min(batch.count, _SAMPLED)).round().astype(int))
-    subset_batch = _random_start_batch(options, batch.take(subset))[0]
+    subset_batch = _draw_starts(options, batch.take(subset))[0]
     sample = subset_batch.take(np.unique(np.linspace(0, subset_batch.count - 1, _SAMPLED).round().astype(int)))
     begun = average_window(sample, lanes, sample.start, options.transient // 2)
     return {"steps": choose_steps(sample, lanes, begun.state)}
@@ -77,7 +77,7 @@ def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
     batch = batch.in_time()
     rows = (batch.count, options.starts) if options.starts else (batch.count,)
     with lanes.stage(f"basins: {math.prod(rows):,} lanes to their attractors", periods(options, batch.count)):
-        starting, steps = _random_start_batch(options, batch)[0], _with_settled_steps(batch).steps
+        starting, steps = _draw_starts(options, batch)[0], _with_settled_steps(batch).steps
         lot = settle(starting, lanes, options.transient, options.longest, steps)
     dims = (LANE, "start")[: len(rows)]
     second = {
@@ -99,9 +99,7 @@ def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
     )
 
 
-def reduce_sweep(
-    options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset
-) -> Mapping[str, xr.Dataset]:
+def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """Return the groups `basins` and `attractors`, from the records of all lanes."""
     shape = tuple(len(axis.values) for axis in sweep.axes)
     starts = (options.starts,) if options.starts else ()
@@ -117,7 +115,7 @@ def reduce_sweep(
     drawn: dict[str, np.ndarray] = {name: np.zeros(count) for name in options.box}
     for row, at_row in sweep.rows:
         subset = (row[:, None] * each + np.arange(each)).ravel()
-        batch, draws = _random_start_batch(options, _with_settled_steps(at_row))
+        batch, draws = _draw_starts(options, _with_settled_steps(at_row))
         part = select(lot, subset)
         for name, values in draws.items():
             drawn[name][subset] = values
@@ -158,7 +156,7 @@ def _with_settled_steps(batch: LaneBatch) -> LaneBatch:
     return replace(batch.in_time(), steps=batch.chosen.get("basins", {}).get("steps", batch.steps))
 
 
-def _random_start_batch(options: BasinsOptions, batch: LaneBatch) -> tuple[LaneBatch, dict[str, np.ndarray]]:
+def _draw_starts(options: BasinsOptions, batch: LaneBatch) -> tuple[LaneBatch, dict[str, np.ndarray]]:
     """Return the lanes with their random starts, if any, and the values drawn."""
     return random_start_batch(batch, options.starts, options.seed, options.box) if options.starts else (batch, {})
 
@@ -167,10 +165,7 @@ def starts(options: BasinsOptions) -> Starts | None:
     """Return the function that draws random starts, if there are any."""
     if not options.starts:
         return None
-    return lambda batch: (
-        _random_start_batch(options, batch)[0].start,
-        np.repeat(np.arange(batch.count), options.starts),
-    )
+    return lambda batch: (_draw_starts(options, batch)[0].start, np.repeat(np.arange(batch.count), options.starts))
 
 
 def _grid(sweep: SweepLanes, own: Sequence[int], point: Int[np.ndarray, " lanes"]) -> Grid:
@@ -258,7 +253,7 @@ ANALYSIS = Analysis(
     BasinsOptions,
     periods,
     run,
-    whole=SweepReduction(("attractors",), reduce_sweep),
+    whole=SweepReduction(("attractors",), reduce),
     numbers=numbers,
     choose=choose,
     starts=starts,

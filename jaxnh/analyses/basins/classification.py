@@ -1,4 +1,4 @@
-"""Motions that lanes have settled on: representatives judged by the criteria of `verdict`, and confirmed by a longer look.
+"""Motions that lanes have settled on: judged by the criteria of `verdict`, and confirmed by a longer window.
 
 - periodic: Newton finds a stable orbit at the strobes, up to a period (`periodic.attractor_survey.survey`).
 - equilibrium: without a clock, a zero of the field near by whose eigenvalues all have negative real parts.
@@ -33,7 +33,7 @@ from jaxnh.analyses.equilibria.search import find_equilibria
 from jaxnh.analyses.exponents.lyapunov import run as exponents_of
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey
 from jaxnh.analyses.section_points import points_at, states_at
-from jaxnh.analyses.verdict import KINDS, exceeds_shear, is_contracting, largest_across, nearly_zero, select_timeless
+from jaxnh.analyses.verdict import KINDS, exceeds_shear, find_timeless, is_contracting, largest_across, nearly_zero
 from jaxnh.analyses.window_averages import WindowAverages, average_window, maps, points_a_unit, units
 from jaxnh.config.options.chaos import LyapunovOptions
 from jaxnh.maps.protocol import ReturnMap
@@ -142,7 +142,7 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
     points = record_points(batch_from_points(batch, lanes, u), lanes, POINTS)
     steps = np.zeros_like(points)
     if len(left):
-        kind[left], exponent[left] = _classify_by_exponents(
+        kind[left], exponent[left] = _exponent_kinds(
             moved_on.take(left), lanes, select(seen, left), LONGER * look[left]
         )
         cloud = record_points(moved_on.take(left), lanes, _CLOUD)
@@ -255,7 +255,7 @@ def _orbits(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
 # ---- all others
 
 
-def _classify_by_exponents(
+def _exponent_kinds(
     batch: LaneBatch, lanes: LaneRunner, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]
 ) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
     """Return kinds by the largest exponents, and the exponent that decides."""
@@ -272,7 +272,7 @@ def _classify_by_exponents(
     kind = np.full(batch.count, NONE, np.int8)
     kind[chaotic], kind[neutral & ~chaotic] = CHAOTIC, QUASIPERIODIC
     if clock:
-        steady = select_timeless(batch, lanes, np.flatnonzero(kind == QUASIPERIODIC))
+        steady = find_timeless(batch, lanes, np.flatnonzero(kind == QUASIPERIODIC))
         cycle = is_contracting(every[steady], errors[steady], period, np.full(len(steady), _AVERAGED))
         kind[steady] = np.where(cycle, LIMIT_CYCLE, NONE)
         largest[steady] = np.where(cycle, every[steady, -1], largest[steady])
@@ -403,7 +403,7 @@ def _keep_volume(
     longest: int,
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether quasiperiodic or chaotic motions keep phase volume: these are no attractors."""
-    kept, some = np.zeros(batch.count, np.bool_), np.flatnonzero(np.isin(kind, (QUASIPERIODIC, CHAOTIC)))
-    if len(some):
-        kept[some] = keeps_volume(batch.take(some), lanes, u[some], longest)
+    kept, recurrent = np.zeros(batch.count, np.bool_), np.flatnonzero(np.isin(kind, (QUASIPERIODIC, CHAOTIC)))
+    if len(recurrent):
+        kept[recurrent] = keeps_volume(batch.take(recurrent), lanes, u[recurrent], longest)
     return kept

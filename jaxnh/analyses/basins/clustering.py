@@ -178,43 +178,39 @@ def match(
             )
         nearer = distance < first[subset]
         second[subset] = np.where(nearer, first[subset], np.minimum(second[subset], distance))
-        first[subset], nearest[subset] = (
-            np.where(nearer, distance, first[subset]),
-            np.where(nearer, k, nearest[subset]),
-        )
+        first[subset] = np.where(nearer, distance, first[subset])
+        nearest[subset] = np.where(nearer, k, nearest[subset])
     shown = (first <= 1.0) & (second > np.minimum(1.0, _CLEARLY * first))
     shown[restless] = nearest[restless] >= 0
     assignment.number[shown] = nearest[shown]
 
 
 def _mean_distances(
-    batch: LaneBatch, attractor: Attractors, paths: Float[np.ndarray, "lanes followed d"]
+    batch: LaneBatch, target: Attractors, paths: Float[np.ndarray, "lanes followed d"]
 ) -> Float[np.ndarray, " lanes"]:
     """Return the mean distances of the points of paths from an attractor, in units of its margin."""
     every = paths.reshape(-1, paths.shape[2])
-    return _distances(batch.chart, attractor, every, np.zeros_like(every)).reshape(paths.shape[:2]).mean(axis=1)
+    return _distances(batch.chart, target, every, np.zeros_like(every)).reshape(paths.shape[:2]).mean(axis=1)
 
 
 def _distances(
-    chart: Chart, attractor: Attractors, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
+    chart: Chart, target: Attractors, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
 ) -> Float[np.ndarray, " lanes"]:
     """Return the distances of section points from an attractor, in units of its margin for lanes of these sizes."""
     if not len(u):
         return np.zeros(0)
-    turns = max(1, int(attractor.period)) if attractor.kind in (PERIODIC, EQUILIBRIUM) else len(attractor.points)
-    away = offsets(
-        point_set(chart, attractor.points[:turns], attractor.steps[:turns], attractor.size, size.max(axis=0)), u
-    )
-    unit = np.where(chart.angles, 1.0, np.maximum(attractor.size, size))
-    return np.max(np.abs(away) / np.where(unit > 0.0, unit, 1.0), axis=1) / float(attractor.margin)
+    turns = max(1, int(target.period)) if target.kind in (PERIODIC, EQUILIBRIUM) else len(target.points)
+    away = offsets(point_set(chart, target.points[:turns], target.steps[:turns], target.size, size.max(axis=0)), u)
+    unit = np.where(chart.angles, 1.0, np.maximum(target.size, size))
+    return np.max(np.abs(away) / np.where(unit > 0.0, unit, 1.0), axis=1) / float(target.margin)
 
 
 def _stay_near(
-    batch: LaneBatch, attractor: Attractors, paths: Float[np.ndarray, "lanes followed d"]
+    batch: LaneBatch, target: Attractors, paths: Float[np.ndarray, "lanes followed d"]
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether paths stay near an attractor."""
-    edge = attractor.near * np.where(attractor.size > 0.0, attractor.size, 1.0)
-    return stays_near(np.array(batch.chart.angles), paths, attractor.points, edge)
+    edge = target.near * np.where(target.size > 0.0, target.size, 1.0)
+    return stays_near(np.array(batch.chart.angles), paths, target.points, edge)
 
 
 def _representatives(
@@ -260,25 +256,17 @@ def _add_attractors(
     for k in range(len(point)):
         if judged.kind[k] == NONE:
             continue
-        attractor: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
+        target: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
+        lane = batch.take(slice(k, k + 1))
         if before:
             assert assignment.attractors is not None
-            same = _match_attractors(
-                batch.take(slice(k, k + 1)),
-                lanes,
-                attractor,
-                assignment.attractors,
-                largest,
-                assignment.point == point[k],
-            )
+            same = _match_attractors(lane, lanes, target, assignment.attractors, largest, assignment.point == point[k])
             if np.any(same):
                 place[k] = int(np.argmax(same))
                 continue
         if new:
             others = select(judged, np.array(new))
-            same = _match_attractors(
-                batch.take(slice(k, k + 1)), lanes, attractor, others, largest, point[new] == point[k]
-            )
+            same = _match_attractors(lane, lanes, target, others, largest, point[new] == point[k])
             if np.any(same):
                 place[k] = before + int(np.argmax(same))
                 continue

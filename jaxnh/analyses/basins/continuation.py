@@ -61,8 +61,8 @@ class Grid(NamedTuple):
     def batches_at(self, points: Int[np.ndarray, " some"]) -> Iterator[tuple[Int[np.ndarray, " part"], LaneBatch]]:
         """Yield batches of lanes at these values, each with the places of its lanes in `points`."""
         for number in np.unique(self.row[points]).tolist():
-            here = np.flatnonzero(self.row[points] == number)
-            yield here, self.batches[number].take(self.lane[points[here]])
+            places = np.flatnonzero(self.row[points] == number)
+            yield places, self.batches[number].take(self.lane[points[places]])
 
 
 class Change(NamedTuple):
@@ -197,17 +197,15 @@ class _AxisLinks:
     def extend_beyond_starts(self) -> None:
         """Continue orbits beyond their last attractor while they are stable; link those that are met again."""
         for way in (1, -1):
-            subset = np.flatnonzero(self._orbit & (self._links[way] < 0))
-            point, u = self._point[subset], self._every.u[subset]
-            while len(subset):
-                end = self._grid.neighbours(self._axis, point, way)
-                self._ends[way] |= {
-                    origin: (int(point[k]), -1) for k, origin in enumerate(subset.tolist()) if end[k] < 0
-                }
-                subset, point, end, u = (leaf[end >= 0] for leaf in (subset, point, end, u))
-                orbits = self._continue_orbits(subset, u, point, end)
-                goes_on = np.zeros(len(subset), bool)
-                for k, origin in enumerate(subset.tolist()):
+            left = np.flatnonzero(self._orbit & (self._links[way] < 0))
+            at, u = self._point[left], self._every.u[left]
+            while len(left):
+                end = self._grid.neighbours(self._axis, at, way)
+                self._ends[way] |= {origin: (int(at[k]), -1) for k, origin in enumerate(left.tolist()) if end[k] < 0}
+                left, at, end, u = (leaf[end >= 0] for leaf in (left, at, end, u))
+                orbits = self._continue_orbits(left, u, at, end)
+                goes_on = np.zeros(len(left), bool)
+                for k, origin in enumerate(left.tolist()):
                     other = self._identify(origin, orbits.u[k], end[k]) if orbits.there[k] and orbits.stable[k] else -1
                     if other >= 0 and self._links[-way][other] < 0:
                         self._link(origin, other, way)
@@ -217,8 +215,8 @@ class _AxisLinks:
                             Unseen(origin, int(end[k]), orbits.u[k], orbits.multiplier[k], orbits.exponent[k])
                         )
                     else:
-                        self._ends[way][origin] = int(point[k]), int(end[k])
-                subset, point, u = subset[goes_on], end[goes_on], orbits.u[goes_on]
+                        self._ends[way][origin] = int(at[k]), int(end[k])
+                left, at, u = left[goes_on], end[goes_on], orbits.u[goes_on]
 
     def _identify(self, one: int, u: Float[np.ndarray, " d"], at: int) -> int:
         """Return the attractor at a value that is an orbit of this kind and period through u; −1 if there is none."""
@@ -256,9 +254,8 @@ class _AxisLinks:
                 if not np.any(mine):
                     continue
                 which, among = places[mine], batch.take(np.flatnonzero(mine))
-                parts = (self._solve_orbits if kind == PERIODIC else self._solve_equilibria)(
-                    among, u[which], subset[which]
-                )
+                solve = self._solve_orbits if kind == PERIODIC else self._solve_equilibria
+                parts = solve(among, u[which], subset[which])
                 for whole, part in zip(result, parts, strict=True):
                     whole[which] = part
         return result
@@ -277,10 +274,8 @@ class _AxisLinks:
         self, batch: LaneBatch, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]
     ) -> _OrbitsBeyond:
         size = np.broadcast_to(self._largest, u.shape)
-        equilibria = equilibria_from_starts(batch, self._lanes, u, size)
-        return _OrbitsBeyond(
-            equilibria.exists, equilibria.stable, equilibria.u, np.full(len(u), np.nan), equilibria.exponent
-        )
+        zeros = equilibria_from_starts(batch, self._lanes, u, size)
+        return _OrbitsBeyond(zeros.exists, zeros.stable, zeros.u, np.full(len(u), np.nan), zeros.exponent)
 
     # ---- all others
 
@@ -288,18 +283,14 @@ class _AxisLinks:
         """Link remaining attractors of neighbouring values that lead to each other alone."""
         leads: dict[tuple[int, int], int] = {}
         for way in (1, -1):
-            some = [
-                k for k in np.flatnonzero(self._beside[way] >= 0).tolist() if k in self._unlinked(self._point[k], way)
-            ]
-            faced = [k for k in some if len(self._unlinked(self._beside[way][k], -way))]
+            inner = np.flatnonzero(self._beside[way] >= 0).tolist()
+            inner = [k for k in inner if k in self._unlinked(self._point[k], way)]
+            faced = [k for k in inner if len(self._unlinked(self._beside[way][k], -way))]
             to = self._destinations(np.array(faced, int), self._beside[way][faced], transient, longest)
             leads |= {(one, way): int(other) for one, other in zip(faced, to, strict=True)}
         for at in np.unique(self._point[[one for one, way in leads if way == 1]]).tolist():
-            self._pair(
-                self._unlinked(at, 1),
-                self._unlinked(self._grid.neighbours(self._axis, np.array([at]), 1)[0], -1),
-                leads,
-            )
+            after = self._grid.neighbours(self._axis, np.array([at]), 1)[0]
+            self._pair(self._unlinked(at, 1), self._unlinked(after, -1), leads)
 
     def _pair(
         self, ones: Int[np.ndarray, " ones"], others: Int[np.ndarray, " others"], leads: dict[tuple[int, int], int]

@@ -61,14 +61,12 @@ def point_set(
     scale = np.where(scale > 0.0, scale, 1.0)
     if np.any(steps):
         points, steps = _interpolate(chart, points, steps)
-    return PointSet(
-        chart, scale, points, steps, KDTree(_scale_points(chart, points, scale), boxsize=_box(chart, scale))
-    )
+    return PointSet(chart, scale, points, steps, KDTree(_scale(chart, points, scale), boxsize=_box(chart, scale)))
 
 
 def offsets(of: PointSet, u: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
     """Return differences of section points from the nearest point of a set, for an autonomous flow from its path."""
-    nearest = of.tree.query(_scale_points(of.chart, u, of.scale))[1]
+    nearest = of.tree.query(_scale(of.chart, u, of.scale))[1]
     away, along = of.chart.wrap(u - of.points[nearest]), of.steps[nearest]
     length = np.sum((along / of.scale) ** 2, axis=1)
     part = np.sum(away * along / of.scale**2, axis=1) / np.where(length > 0.0, length, 1.0)
@@ -88,7 +86,7 @@ def spacing(
     half = len(points) // 2
     earlier = point_set(chart, points[:half], steps[:half], size)
     if not np.any(steps):
-        placed = _scale_points(chart, points[half:], earlier.scale)
+        placed = _scale(chart, points[half:], earlier.scale)
         return float(np.max(earlier.tree.query(placed, p=np.inf)[0]))
     return float(np.max(np.abs(offsets(earlier, points[half:])) / earlier.scale))
 
@@ -117,7 +115,7 @@ def _box(chart: Chart, scale: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"
     return np.where(chart.angles, 2 * np.pi / scale, 0.0)
 
 
-def _scale_points(chart: Chart, u: Float[np.ndarray, "points d"], scale: Float[np.ndarray, " d"]) -> np.ndarray:
+def _scale(chart: Chart, u: Float[np.ndarray, "points d"], scale: Float[np.ndarray, " d"]) -> np.ndarray:
     """Return section points in units, angles in [0, 2π)."""
     box = _box(chart, scale)
     placed = np.where(box > 0.0, np.mod(u / scale, np.where(box > 0.0, box, 1.0)), u / scale)

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
-from jaxnh.analyses.base import LANE, Entry, flag_variable, number_variable, output_variable, variable
+from jaxnh.analyses.base import LANE, Entry, as_variable, flag, number_variable, variable
 from jaxnh.analyses.basins.classification import NONE, POINTS, Attractors
 from jaxnh.analyses.basins.continuation import CHANGES, Change
 from jaxnh.analyses.basins.settling import CONSERVATIVE, Lot
@@ -79,10 +79,8 @@ def basins_group(
     variables = {
         "attractor": number_variable(dims, number.reshape(shape), words, special, -1, comment=_COMPUTED),
         "time": variable(dims, lot.time.astype(np.int32).reshape(shape), "time until it was known", counted_in=unit),
-        "status": output_variable(dims, status(lot.status.reshape(shape))),
-        "undecided": flag_variable(
-            dims, undecided.reshape(shape), "why it is undecided where the lane leads", _UNDECIDED
-        ),
+        "status": as_variable(dims, status(lot.status.reshape(shape))),
+        "undecided": flag(dims, undecided.reshape(shape), "why it is undecided where the lane leads", _UNDECIDED),
         "judged": variable((), np.int64(judged), "number of motions that were judged to be an attractor or none"),
         **{
             name: variable(
@@ -131,7 +129,7 @@ def attractors_group(
     of_multiplier = "largest modulus of the Floquet multipliers of a periodic orbit"
     variables = {
         "attractor": variable("attractor", np.arange(1, most + 1), of_number),
-        "kind": flag_variable(dims, table(kind, NONE), "kind of motion", ("absent", *KINDS), -1),
+        "kind": flag(dims, table(kind, NONE), "kind of motion", ("absent", *KINDS), -1),
         "period": number_variable(
             dims, table(period, 0), "least period of a periodic orbit", ("none",), counted_in=unit
         ),
@@ -157,7 +155,7 @@ def _changes(changes: Sequence[Change], axes: Sequence[Axis], sizes: tuple[int, 
     number = np.array([change.attractor for change in changes], np.int32)
     ends = np.array([(change.before, change.after) for change in changes], int).reshape(-1, 2)
     variables = {
-        "change_kind": flag_variable("change", kind, "what happens to an attractor between two values", CHANGES),
+        "change_kind": flag("change", kind, "what happens to an attractor between two values", CHANGES),
         "change_attractor": variable("change", number, "number of the attractor that it happens to"),
     }
     for axis, place in zip(axes, np.unravel_index(ends, sizes), strict=True):

@@ -23,7 +23,7 @@ from jaxnh.analyses.base import (
     SweepLanes,
     SweepReduction,
     Table,
-    flag_variable,
+    flag,
     variable,
 )
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
@@ -208,7 +208,7 @@ def _dataset(
         columns |= _at_special(f"codimension_two_{axis.name}", axis, k, special, words)
     found = {
         **columns,
-        "kind": flag_variable("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
+        "kind": flag("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
         "period": variable(
             "curve",
             np.array([curve.period for curve in curves], np.int32),
@@ -218,8 +218,8 @@ def _dataset(
         "multipliers": variable(
             (*dims, "multiplier", "part"), table(multipliers, d, 2), "Floquet multipliers, real and imaginary part"
         ),
-        "begins": flag_variable("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
-        "ends": flag_variable("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
+        "begins": flag("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
+        "ends": flag("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
         **_kind_and_curve("codimension_two_", special),
     }
     names = " ".join(axis.name for axis in axes)
@@ -252,7 +252,7 @@ def _kind_and_curve(before: str, special: Sequence[_Point]) -> dict[str, Entry]:
     """What points of codimension two are, and the number of the curve that each is on."""
     dim, curves = "codimension_two", np.array([one.curve for one in special], np.int32)
     return {
-        f"{before}kind": flag_variable(dim, [one.point.kind for one in special], "point of codimension two", POINTS),
+        f"{before}kind": flag(dim, [one.point.kind for one in special], "point of codimension two", POINTS),
         f"{before}curve": variable(dim, curves, "number of the curve"),
     }
 

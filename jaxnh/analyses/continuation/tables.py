@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, Table, flag_variable, number_variable, variable
+from jaxnh.analyses.base import Entry, Table, flag, number_variable, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.section_points import states_at
@@ -117,12 +117,10 @@ def _branches(
         "period": _period_variable(("branch",), periods, iterate_units(system)),
         **_coordinates(lanes, grown, [(of, branch.points) for of, branch in branches], table, dims),
         "multipliers": variable((*dims, "multiplier", "part"), values, _of_multipliers(grown)),
-        "stable": flag_variable(
-            dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", "no", "yes"), -1
-        ),
+        "stable": flag(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", "no", "yes"), -1),
         "residual": variable(dims, table([branch.residual for branch in every]), residual),
-        "begins": flag_variable("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),
-        "ends": flag_variable("branch", [b.ends[1] for b in every], "why the branch ends there", ENDS),
+        "begins": flag("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),
+        "ends": flag("branch", [b.ends[1] for b in every], "why the branch ends there", ENDS),
     }
 
 
@@ -152,7 +150,7 @@ def _bifurcations(
         "cubic coefficient of the normal form in sizes of the motion; of a fold the curvature of the parameter"
     )
     return {
-        "kind": flag_variable(dim, [point.kind for point in every], "kind of bifurcation", KINDS),
+        "kind": flag(dim, [point.kind for point in every], "kind of bifurcation", KINDS),
         name: variable(
             dim,
             np.array([point.value for point in every], float),
@@ -163,7 +161,7 @@ def _bifurcations(
         f"{name}_error": variable(dim, np.array([point.error for point in every], float), error_words, axis.units),
         "period": _period_variable(dim, periods, iterate_units(system)),
         "branch": variable(dim, np.array(branch, np.int32), "number of the branch"),
-        "criticality": flag_variable(
+        "criticality": flag(
             dim,
             [point.criticality for point in every],
             "whether what is born is stable where it is",

@@ -38,6 +38,10 @@ class OrbitExponents(NamedTuple):
     logs: Float[np.ndarray, "some k"]
     error: Float[np.ndarray, "some k"]
 
+    def join(self, other: OrbitExponents) -> OrbitExponents:
+        """Concatenate two results."""
+        return OrbitExponents(*(np.concatenate(leaves) for leaves in zip(self, other, strict=True)))
+
 
 def no_orbits(k: int) -> OrbitExponents:
     """Return an empty result with k exponents per lane."""
@@ -63,7 +67,7 @@ class EarlyOrbits(NamedTuple):
         return np.flatnonzero(self.survey.period > 0)
 
 
-def find_early_orbits(batch: LaneBatch, lanes: LaneRunner, transient: int) -> EarlyOrbits | None:
+def early_orbits(batch: LaneBatch, lanes: LaneRunner, transient: int) -> EarlyOrbits | None:
     """Return lanes that are on stable orbits long before their transient is over; None where it is too short."""
     early = early_look(transient)
     if early is None:
@@ -72,12 +76,7 @@ def find_early_orbits(batch: LaneBatch, lanes: LaneRunner, transient: int) -> Ea
     return EarlyOrbits(orbits, lanes(_state_at, (batch.system,), (ends,)), early.periods)
 
 
-def join_exponents(one: OrbitExponents, other: OrbitExponents) -> OrbitExponents:
-    """Concatenate two results."""
-    return OrbitExponents(*(np.concatenate(leaves) for leaves in zip(one, other, strict=True)))
-
-
-def find_orbit_exponents(
+def find_orbits(
     batch: LaneBatch,
     lanes: LaneRunner,
     growth: TangentState,

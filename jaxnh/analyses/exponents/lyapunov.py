@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int, Int8
 
-from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, flag_variable, output_variable, variable
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, as_variable, flag, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_units, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.errors import (
@@ -33,14 +33,7 @@ from jaxnh.analyses.exponents.errors import (
     widen_to_sum_rule,
     widen_to_zero,
 )
-from jaxnh.analyses.exponents.from_orbits import (
-    OrbitExponents,
-    find_early_orbits,
-    find_orbit_exponents,
-    join_exponents,
-    no_orbits,
-    orbit_exponents,
-)
+from jaxnh.analyses.exponents.from_orbits import OrbitExponents, early_orbits, find_orbits, no_orbits, orbit_exponents
 from jaxnh.analyses.exponents.tangent_growth import (
     TangentState,
     advance,
@@ -151,9 +144,7 @@ def averages(
     settling = options.transient - aligning
     block = options.periods // BLOCKS
     state, p = batch.lanes
-    early = (
-        find_early_orbits(batch, lanes, options.transient) if not to_the_end and _has_orbits(options, batch) else None
-    )
+    early = early_orbits(batch, lanes, options.transient) if not to_the_end and _has_orbits(options, batch) else None
     state, before = (early.state, early.periods) if early else (jax.tree.map(np.array, state), 0)
     others = np.setdiff1d(np.arange(count), early.settled) if early else np.arange(count)
     with lanes.stage(f"lyapunov: transient of {len(others)} lanes", len(others) * (options.transient - before)):
@@ -162,8 +153,8 @@ def averages(
             _write_lanes(state, others, lanes.iterate(batch.strobe(), left, select((state, p), others)))
         growth = lanes(begin, (batch.system,), (state,), static=(k,))
         if len(others):
-            some, some_p = select((growth, p), others)
-            _write_lanes(growth, others, average(lanes, strobes, some, some_p, aligning)[0])
+            part, part_p = select((growth, p), others)
+            _write_lanes(growth, others, average(lanes, strobes, part, part_p, aligning)[0])
     rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
     smooth = np.zeros((count, 3, lead + k + 1))
     done = np.zeros(count, int)
@@ -182,9 +173,7 @@ def averages(
                     settled = orbit_exponents(batch, lanes, growth, early.settled, orbits, parts)
                 # A chaotic lane whose tangent shrinks in this block is looked at as well, and goes on.
                 candidates = others[~(rates[others, 0, lead] > 0.0)]
-                settled = join_exponents(
-                    settled, find_orbit_exponents(batch, lanes, growth, candidates, parts, options.periods)
-                )
+                settled = settled.join(find_orbits(batch, lanes, growth, candidates, parts, options.periods))
                 running = np.setdiff1d(running, settled.lanes)
             if options.error and i + 1 >= BLOCKS // 4:
                 plain = average_blocks(rates[running, : i + 1, lead : lead + k])
@@ -227,10 +216,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     source = np.zeros(batch.count, np.int8)
     if options.plain:
         return Spectrum(mean, error, source)
-    number = np.arange(BLOCKS)
-    late = (number < averages.blocks[:, None]) & (
-        number >= (averages.blocks - np.maximum(averages.blocks // 4, 1))[:, None]
-    )
+    number, ran = np.arange(BLOCKS), averages.blocks
+    late = (number < ran[:, None]) & (number >= (ran - np.maximum(ran // 4, 1))[:, None])
     last = np.mean(averages.rates[:, :, lead], axis=1, where=late)
     undecided = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
     undecided &= np.all(np.isfinite(mean), axis=1)
@@ -247,7 +234,7 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     candidates = np.flatnonzero(undecided)
     orbits = [averages.settled]
     if len(candidates) and _has_orbits(options, batch):
-        orbits.append(find_orbit_exponents(batch, lanes, averages.growth, candidates, parts, BLOCKS * block))
+        orbits.append(find_orbits(batch, lanes, averages.growth, candidates, parts, BLOCKS * block))
     for settled in orbits:
         source[settled.lanes] = SOURCES.index("orbit")
         mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
@@ -390,8 +377,8 @@ def _dataset(
         "exponent": variable("exponent", np.arange(1, wanted + 1), "number of the exponent, largest first"),
         "exponents": variable(each, exponents, words, unit, ancillary_variables="exponents_error exponents_method"),
         "exponents_error": variable(each, errors, "error of the exponents at 95 %", unit, comment=_COMMENT),
-        "exponents_method": flag_variable(LANE, spectrum.source, "what the exponents of a lane are", SOURCES),
-        "status": output_variable(LANE, status(code)),
+        "exponents_method": flag(LANE, spectrum.source, "what the exponents of a lane are", SOURCES),
+        "status": as_variable(LANE, status(code)),
     }
     divergence = ""
     if symbols:

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
-from jaxnh.analyses.base import LANE, Analysis, number_variable, output_variable, variable
+from jaxnh.analyses.base import LANE, Analysis, as_variable, number_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.periodic.attractor_survey import beyond_doublings, survey_from_start
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
@@ -37,7 +37,7 @@ def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
             LANE, found.residual, "largest component of Pⁿ(u) − u of the orbit, in sizes of the motion"
         ),
         "multiplier": variable(LANE, found.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
-        "status": output_variable(LANE, status(np.where(found.failed, NOT_FINITE, 0))),
+        "status": as_variable(LANE, status(np.where(found.failed, NOT_FINITE, 0))),
     }
     return xr.Dataset(variables, attrs={"limit": options.limit, "transient": options.transient})
 

@@ -26,8 +26,8 @@ from jaxnh.analyses.trajectories.poincare import recording_program, strobe_state
 from jaxnh.analyses.trajectories.states import (
     check_transient,
     count,
-    discard_transient,
     section_attrs,
+    settle_lanes,
     state_variables,
     statistics,
 )
@@ -133,7 +133,7 @@ def starts(options: DiagramOptions) -> Starts | None:
 def _side_by_side(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, start: State, p: Parameters) -> State:
     """Run a lane for each start state and its parameters: components (lanes, strobes)."""
     state, strobe = _advance_to_phase(options, batch, lanes, start, p)
-    state = discard_transient(lanes, strobe, options.transient, state, p)
+    state = settle_lanes(lanes, strobe, options.transient, state, p)
     if options.orbits:
         state = _move_to_orbits(replace(batch, start=state, p=p, place=None, along=None), lanes, options.orbits)
     return lanes(strobe_states, (strobe,), (state, p), periods=options.strobes - 1, static=(options.strobes,))
@@ -164,7 +164,7 @@ def _carry_in_turn(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner)
         padded = np.append(part, np.full(at_once - len(part), part[-1]))
         p = {name: lane_values[None, padded] for name, lane_values in batch.p.items()}
         state, states = lanes(
-            carry_state,
+            carry,
             (strobe, np.int32(options.transient)),
             (state, p),
             periods=len(part) * each,
@@ -187,7 +187,7 @@ def _carry_through_flows(
         at_value = first.under(batch.family.at((value,)))
         p = at_value.p
         begun, strobe = _advance_to_phase(options, at_value, lanes, state, p)
-        state = discard_transient(lanes, strobe, options.transient, state if met else begun, p, tile=1)
+        state = settle_lanes(lanes, strobe, options.transient, state if met else begun, p, tile=1)
         periods = options.strobes - 1
         met.append(lanes(strobe_states, (strobe,), (state, p), periods=periods, tile=1, static=(options.strobes,)))
         state = jax.tree.map(lambda component: component[:, -1], met[-1])
@@ -212,9 +212,7 @@ def _advance_to_phase(
     return lanes(iterate, (first, np.int32(1)), (start, p), periods=options.phase), strobe
 
 
-def carry_state(
-    strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters, count: int
-) -> tuple[State, State]:
+def carry(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters, count: int) -> tuple[State, State]:
     """Carry a state of one lane along parameters (values,); return it and the states (values, count) at each."""
 
     def at(z: State, p: Parameters) -> tuple[State, State]:
@@ -232,7 +230,7 @@ def price(options: DiagramOptions, batch: LaneBatch) -> Price:
     first = batch.take(slice(1))
     p = {name: np.resize(lane_values, (1, values)) for name, lane_values in batch.p.items()}
     program = PricedProgram(
-        carry_state,
+        carry,
         (strobe, np.zeros((), np.int32)),
         (first.start, p),
         (1.0, 0.0, *strobe.turns),

@@ -17,8 +17,8 @@ from jaxnh.analyses.trajectories.states import (
     TILE,
     check_transient,
     count,
-    discard_transient,
     section_attrs,
+    settle_lanes,
     state_variables,
 )
 from jaxnh.config.options.trajectories import PoincareOptions
@@ -49,7 +49,7 @@ def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     """Return states at `strobes` strobes after the transient, from the start states, dimensions (lane, strobe)."""
     strobe, (start, p) = batch.strobe(), batch.lanes
     with lanes.stage(f"poincare: {options.strobes} strobes of {batch.count:,} lanes", periods(options, batch.count)):
-        start = discard_transient(lanes, strobe, options.transient, start, p, TILE)
+        start = settle_lanes(lanes, strobe, options.transient, start, p, TILE)
         states = lanes(
             strobe_states, (strobe,), (start, p), periods=options.strobes - 1, tile=TILE, static=(options.strobes,)
         )

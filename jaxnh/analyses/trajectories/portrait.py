@@ -10,7 +10,7 @@ from jax import lax
 from jaxnh.analyses.base import LANE, Analysis, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.trajectories.states import TILE, count, discard_transient, state_variables
+from jaxnh.analyses.trajectories.states import TILE, count, settle_lanes, state_variables
 from jaxnh.config.options.trajectories import PortraitOptions
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap
@@ -36,7 +36,7 @@ def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     batch = batch.in_time()
     start, p = batch.lanes
     with lanes.stage(f"portrait: {options.periods} periods of {batch.count:,} lanes", periods(options, batch.count)):
-        start = discard_transient(lanes, batch.strobe(), options.transient, start, p, TILE)
+        start = settle_lanes(lanes, batch.strobe(), options.transient, start, p, TILE)
         states = lanes(
             trajectory,
             (_parts(options, batch),),

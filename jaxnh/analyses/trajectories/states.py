@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, OptionError, Setting, output_variable
+from jaxnh.analyses.base import Entry, OptionError, Setting, as_variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.section import Section, System, drawn_plane, outputs, reports
@@ -19,7 +19,7 @@ TILE = 16
 """Lanes a tile where few lanes are followed for long: small tiles take a period sooner."""
 
 
-def discard_transient(
+def settle_lanes(
     lanes: LaneRunner, strobe: Maps, transient: int, start: State, p: Parameters, tile: int | None = None
 ) -> State:
     """Return lanes after a transient: in calls of their own, several for a long one, so that a run can stop."""
@@ -47,12 +47,10 @@ def state_variables(
     coordinates = outputs(system.flow, states, t)
     coordinates = {**{name: coordinates[name] for name in drawn_plane(system)}, **coordinates}
     variables = {
-        name: output_variable(dims, output, **(attrs if attrs and name != "t" else {}))
+        name: as_variable(dims, output, **(attrs if attrs and name != "t" else {}))
         for name, output in coordinates.items()
     }
-    return variables | {
-        name: output_variable(dims[:-1], output) for name, output in reports(system.flow, states).items()
-    }
+    return variables | {name: as_variable(dims[:-1], output) for name, output in reports(system.flow, states).items()}
 
 
 _STATISTICS = (

@@ -85,9 +85,7 @@ def locate_crisis(paths: Paths, start: float, stop: float, bands: int, most: int
             low, high = max(low - _LOWER * (high - low), 0.0), first
             continue
         if steps >= most:
-            value, error = _posterior(
-                first, spacing, np.concatenate([places for places, _ in rounds]), _join_stays(rounds)
-            )
+            value, error = _posterior(first, spacing, np.concatenate([places for places, _ in rounds]), _join(rounds))
             better = error < _BETTER * crisis.error
             crisis = Crisis(start + float(sign) * value, error) if error < crisis.error else crisis
             if not better:
@@ -96,7 +94,7 @@ def locate_crisis(paths: Paths, start: float, stop: float, bands: int, most: int
         steps = min(_LONGER * steps, most)
 
 
-def _join_stays(rounds: list[tuple[np.ndarray, PhaseStays]]) -> PhaseStays:
+def _join(rounds: list[tuple[np.ndarray, PhaseStays]]) -> PhaseStays:
     """Concatenate the stays of all rounds."""
     return PhaseStays(*(np.concatenate(column) for column in zip(*(stays for _, stays in rounds), strict=True)))
 

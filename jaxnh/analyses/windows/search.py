@@ -120,14 +120,8 @@ def _follow_windows(
     waves = [every[:1], *(every[1 << k : 2 << k] for k in range(len(every).bit_length()))]
     low, high = (float(line.value[k]) for k in (max(mine[0] - 1, 0), min(mine[-1] + 1, len(line.value) - 1)))
     while True:
-        family_levels = families(low, high)
-        new = _windows(
-            family_levels[0],
-            grow(family_levels, waves, int(line.period[mine[0]]), _STEPS, stage),
-            line,
-            settled,
-            others,
-        )
+        levels = families(low, high)
+        new = _windows(levels[0], grow(levels, waves, int(line.period[mine[0]]), _STEPS, stage), line, settled, others)
         unknown = {end.at for window in new for end in (window.begin, window.end) if np.isnan(end.value)}
         if unknown <= set(ends) or (low, high) == ends:
             return new
@@ -216,9 +210,7 @@ def _origin(family: Family, tree: Tree, branch: Branch, end: int) -> Bifurcation
 def _merge_doubled(windows: Sequence[Window], origins: Sequence[Bifurcation | None]) -> list[Window]:
     """Return windows not born in a doubling, each with the lanes of all windows doubled from it."""
     lanes = [set(window.lanes.tolist()) for window in windows]
-    for k in sorted(
-        range(len(windows)), key=lambda k: -windows[k].period
-    ):  # the longest first, on to those they are from
+    for k in sorted(range(len(windows)), key=lambda k: -windows[k].period):  # the longest first
         for place, window in enumerate(windows):
             if (origin := origins[k]) is not None and 2 * window.period == windows[k].period:
                 ends = [end for end in (window.begin, window.end) if end.kind == DOUBLED and end.value == origin.value]
@@ -265,17 +257,12 @@ def _end(family: Family, tree: Tree, number: int, inside: int, outside: int | No
     if not near:  # listed with a branch that crosses, or the same one from another lane
         changes = np.signbit(branch.tests[inside]) != np.signbit(branch.tests[outside])
         shown = [kind for kind, change in zip(kinds(family), changes, strict=True) if change]
-        near = [
-            event
-            for event in tree.bifurcations
-            if event.kind in shown and _is_near(family, event, branch, inside, chord)
-        ]
+        events = [event for event in tree.bifurcations if event.kind in shown]
+        near = [event for event in events if _is_near(family, event, branch, inside, chord)]
     if not near:
         return End(_NOT_LOCATED, np.nan, np.nan, *known)
-    nearest = min(near, key=lambda event: abs(event.place - place))
-    return End(
-        ENDS.index(KINDS[nearest.kind]), nearest.value, nearest.error, known[0], nearest.points, nearest.multipliers
-    )
+    event = min(near, key=lambda event: abs(event.place - place))
+    return End(ENDS.index(KINDS[event.kind]), event.value, event.error, known[0], event.points, event.multipliers)
 
 
 def _chord(family: Family, branch: Branch, one: int, other: int) -> float:
@@ -292,17 +279,10 @@ def _is_near(family: Family, point: Bifurcation, branch: Branch, place: int, cho
 
 def _assign(windows: list[Window], line: PeriodScan, k: int) -> None:
     """Assign a lane of a doubled orbit to the window whose doubling is nearest, and to its twin."""
-    away = [
-        min(
-            (
-                _distance_beyond(end, line, k, window.period)
-                for end in (window.begin, window.end)
-                if end.kind == DOUBLED
-            ),
-            default=np.inf,
-        )
-        for window in windows
-    ]
+    away = list[float]()
+    for window in windows:
+        doublings = [end for end in (window.begin, window.end) if end.kind == DOUBLED]
+        away.append(min((_distance_beyond(end, line, k, window.period) for end in doublings), default=np.inf))
     nearest = min(away, default=np.inf)
     for place, window in enumerate(windows):
         if away[place] <= nearest + _SAME * abs(line.value[-1] - line.value[0]) < np.inf:

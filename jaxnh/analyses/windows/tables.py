@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, Table, flag_variable, variable
+from jaxnh.analyses.base import Entry, Table, flag, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, iterate_units
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.location import LocatedDoubling
@@ -103,7 +103,7 @@ def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], batch
         multipliers[k] = np.stack([np.real(end.multipliers), np.imag(end.multipliers)], axis=-1)
     return {
         **_place_variables(name, f"where orbits of the period {words}", axis, ends),
-        f"{name}_kind": flag_variable("window", [end.kind for end in ends], f"what is where they {words}", ENDS),
+        f"{name}_kind": flag("window", [end.kind for end in ends], f"what is where they {words}", ENDS),
         f"{name}_multipliers": variable(
             ("window", "multiplier", "part"),
             multipliers,
@@ -146,14 +146,10 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     """Return a row for each window: period, ends, limit of the doublings, and crisis."""
     rows = []
     for k in range(data.sizes["window"]):
-        window = data.isel(window=k)
-        ends = (
-            cell
-            for name in ("begin", "end")
-            for cell in (_format_value(window, name), _WORDS[int(window[f"{name}_kind"])])
-        )
-        orbits, last = int(window["orbits"]), (_format_value(window, name) for name in ("limit", "crisis"))
-        rows.append((f"{int(window['period'])}{f' ×{orbits}' if orbits > 1 else ''}", *ends, *last))
+        row = data.isel(window=k)
+        ends = (cell for name in ("begin", "end") for cell in (_format(row, name), _WORDS[int(row[f"{name}_kind"])]))
+        orbits, last = int(row["orbits"]), (_format(row, name) for name in ("limit", "crisis"))
+        rows.append((f"{int(row['period'])}{f' ×{orbits}' if orbits > 1 else ''}", *ends, *last))
     heads = ("period", "from", "", "to", "", "limit", "crisis")
     lane = f"one lane of {float(data['spacing']):.3g}"
     words = f"windows of periods up to {data.attrs['largest_period']} wider than {lane}"
@@ -161,7 +157,7 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     return Table(f"Windows over {data.attrs['along']}", heads, tuple(rows), words, left=(2, 4), ruled=False)
 
 
-def _format_value(window: xr.Dataset, name: str) -> str:
+def _format(window: xr.Dataset, name: str) -> str:
     """Return a number with its error in units of the last digit, in brackets."""
     value, error = float(window[name]), float(window[f"{name}_error"])
     if not np.isfinite(value + error) or error <= 0.0:
