@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import taylor
 
-from jaxnh.analyses.batch import Axis, LaneBatch, spread
+from jaxnh.analyses.batch import Axis, LaneBatch, broadcast_start
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_return_map
@@ -51,14 +51,22 @@ def scene_of(system, start, values, solver, steps, compensated=False, error=0.0,
     values = np.asarray(values, float)
     axis = Axis(name, values, system.flow.labels.long_names[name])
     return LaneBatch(
-        system, spread(start, len(values)), {name: values}, solver, steps, compensated, error, along=axis, **others
+        system,
+        broadcast_start(start, len(values)),
+        {name: values},
+        solver,
+        steps,
+        compensated,
+        error,
+        along=axis,
+        **others,
     )
 
 
 def calibrated(system, start, values, lanes, precision="float64", *, name="b"):
     """The calibration of lanes along one axis, all of them samples and all from the same start state of floats."""
     p = {name: np.asarray(values, float)}
-    return Calibration([SweepPoints(system, spread(start, len(values)), p, p)], lanes, precision)
+    return Calibration([SweepPoints(system, broadcast_start(start, len(values)), p, p)], lanes, precision)
 
 
 def apart(one, other):

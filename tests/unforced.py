@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from jaxnh.analyses import scene
+from jaxnh.analyses.batch import broadcast_start
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed
 
@@ -34,7 +34,7 @@ def without(*names, **others):
 
 
 def spread(start, count=LANES):
-    return scene.spread(start, count)
+    return broadcast_start(start, count)
 
 
 def write_config(folder):

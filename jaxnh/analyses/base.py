@@ -1,4 +1,4 @@
-"""What an analysis is: options and a batch (`batch`) in, a dataset out, and what it costs (`price`). No files.
+"""Definition of an analysis: options and a batch (`batch`) in, a dataset out, and its cost (`price`). No files.
 
 An analysis is one file: its numbers and its table for the terminal; `analyses.ANALYSES` lists them, `config.options`
 has what each can be asked for, and `plotting.descriptions` says how they are drawn. Its dataset has the lanes as
@@ -42,7 +42,7 @@ class OptionError(InputError):
 
 
 class Setting(NamedTuple):
-    """What `Analysis.check` may look at.
+    """The system and the sweep, as `Analysis.check` sees them.
 
     Attributes:
         flow: the system in continuous time.
@@ -60,7 +60,7 @@ class Setting(NamedTuple):
 
     @property
     def advice(self) -> str:
-        """What to say of a first axis that is no parameter of a lane's own: which one may be put in its place."""
+        """Return advice on which parameter may be put first, where the first axis is no parameter of a lane's own."""
         names = [axis.name for axis in self.axes if axis.kind == "lane"]
         names = names[:1] or sorted(name for name in self.flow.parameters if not self.flow.is_shared(name))[-1:]
         return f"; put a parameter such as {names[0]} first" if names else ""
@@ -74,32 +74,32 @@ Entry = tuple[tuple[str, ...], np.ndarray, dict[str, Any]]
 
 
 def variable(dims: Sequence[str] | str, data: Any, long_name: str, units: str = "1", **attrs: Any) -> Entry:
-    """A variable of a dataset, with its words and units: "1" where it has none, `UNSAID` where nobody says which."""
+    """Return a variable of a dataset with its words and units: "1" where it has none, `UNSAID` where unknown."""
     names = (dims,) if isinstance(dims, str) else tuple(dims)
     return names, np.asarray(data), {"long_name": long_name, **({"units": units} if units else {}), **attrs}
 
 
-def flagged(
+def flag(
     dims: Sequence[str] | str, numbers: Any, long_name: str, meanings: Sequence[str], least: int = 0, **attrs: Any
 ) -> Entry:
-    """A variable whose numbers, from `least` on, stand for words."""
+    """Return a variable of flags: numbers, from `least` on, that stand for words."""
     values = np.arange(least, least + len(meanings), dtype=np.int8)
     flags = {"flag_values": values, "flag_meanings": " ".join(meanings)}
     return variable(dims, np.asarray(numbers, np.int8), long_name, **flags, **attrs)
 
 
-def numbered(
+def number_variable(
     dims: Sequence[str] | str, numbers: Any, long_name: str, meanings: Sequence[str], least: int = 0, **attrs: Any
 ) -> Entry:
-    """A variable of whole numbers, of which the first, from `least` on, stand for words, and the others are numbers."""
+    """Return a variable of whole numbers, of which the first, from `least` on, stand for words."""
     numbers = np.asarray(numbers)
     first = least + len(meanings)
     flags = {"flag_values": np.arange(least, first, dtype=numbers.dtype), "flag_meanings": " ".join(meanings)}
     return variable(dims, numbers, long_name, **flags, valid_min=numbers.dtype.type(first), **attrs)
 
 
-def named(dims: Sequence[str] | str, output: Output, **attrs: Any) -> Entry:
-    """What a system says of its states or of a trajectory, as a variable."""
+def as_variable(dims: Sequence[str] | str, output: Output, **attrs: Any) -> Entry:
+    """Return an output of a system, on its states or on a trajectory, as a variable."""
     return variable(dims, output.data, output.long_name, **output.attrs, **attrs)
 
 
@@ -128,7 +128,7 @@ class Table(NamedTuple):
 
 
 class SweepLanes(NamedTuple):
-    """All lanes of a sweep, for what is made of them together.
+    """All lanes of a sweep, for quantities that need them together.
 
     Attributes:
         axes: of the sweep.
@@ -140,7 +140,7 @@ class SweepLanes(NamedTuple):
 
 
 class SweepReduction(NamedTuple):
-    """The second half of an analysis: what is made of all lanes of a sweep, once each has been run by itself.
+    """The second half of an analysis: a result of all lanes of a sweep, once each has been run by itself.
 
     Attributes:
         brings: groups that it makes beside that of the analysis.
@@ -187,13 +187,13 @@ class Analysis:
         run: (options, batch, lane runner) to its dataset; with `needs`, also a mapping of the datasets it needs.
             Attributes of the dataset are those of the group, `warnings` among them, lines for the user.
         whole: what is made of all lanes in the end; what `run` gives is then kept until it is made, and no longer.
-        independent: options to whether its lanes know nothing of each other. If not, it is run along the whole first
+        independent: options to whether its lanes are independent. If not, it is run along the whole first
             axis, once for each point of the others (`LaneBatch.along`); its variables then get the other axes.
         stackable: whether lanes at several values of what lanes share may go through one program: it sees the system
             through its maps alone, and no bit of theirs depends on the shape of a tile.
         numbers: options to about how many numbers a lane leaves.
         choose: (options, batch, lane runner) to whole numbers that hold for all lanes of a sweep; of several batches
-            that sample one, the largest count. `run` finds them in `LaneBatch.chosen`.
+            that sample one, the largest count. `run` reads them from `LaneBatch.chosen`.
         starts: options to where its lanes start at random in place of the batch's start states: batch to their states
             and the number of the lane of each; None where they do not.
         count: dataset to the number of `trajectories`, and how many have `failed`, that a warning is made of.
@@ -230,5 +230,5 @@ class Analysis:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Analyses that run before it."""
+        """Names of the analyses that run before it."""
         return self.options.needs

@@ -1,4 +1,4 @@
-"""What an analysis is given: the lanes of one system with the solver that meets the accuracy, and a way to run them."""
+"""The input of an analysis: the lanes of one system with the solver that meets the accuracy, and a way to run them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Axis:
 
     @property
     def dim(self) -> str:
-        """The dimension in results: the name, of a start coordinate with `start_` before it."""
+        """Name of the dimension in results: that of the axis, after `start_` for a coordinate of the start state."""
         return f"start_{self.name}" if self.kind == "start" else self.name
 
 
@@ -97,7 +97,7 @@ class LaneBatch:
 
     @functools.cached_property
     def seen(self) -> dict[Any, Any]:
-        """What one analysis has found out about these very lanes that another needs as well."""
+        """Intermediate results of one analysis that another one needs for the same lanes."""
         return {}
 
     @property
@@ -107,16 +107,16 @@ class LaneBatch:
 
     @property
     def chart(self) -> Chart:
-        """What its return map acts on."""
+        """The coordinates that its return map acts on."""
         return self.system.chart
 
     def in_time(self) -> LaneBatch:
-        """The same batch with no section, for what is an average or a path over time."""
+        """Return the same batch without a section, for averages and paths over time."""
         return replace(self, system=self.flow, start=self.start.state) if self.flow is not self.system else self
 
     def take(self, lanes: slice | Int[np.ndarray, " some"]) -> LaneBatch:
-        """The batch of some of its lanes: a slice, or an array of their numbers."""
-        start, p = picked((self.start, dict(self.p)), lanes)
+        """Return the batch of a subset of its lanes: a slice, or an array of their numbers."""
+        start, p = select((self.start, dict(self.p)), lanes)
         along = self.along and replace(self.along, values=self.along.values[lanes])
         return replace(self, start=start, p=p, place=self.places[lanes], along=along)
 
@@ -132,7 +132,7 @@ class LaneBatch:
         return self.along
 
     def at(self, values: Float[np.ndarray, " points"]) -> LaneBatch:
-        """The batch at other values along the first axis, the start state and all else as in its first lane."""
+        """Return the batch at other values along the first axis, the start state and all else as in its first lane."""
         along = replace(self.line, values=np.asarray(values))
 
         def repeated(leaf: np.ndarray) -> np.ndarray:
@@ -142,26 +142,26 @@ class LaneBatch:
         return replace(self, start=start, p={**p, along.name: along.values}, place=None, along=along)
 
     def under(self, system: System) -> LaneBatch:
-        """The batch under one system of its family, without the parameters that this has decided."""
+        """Return the batch with one system of its family, without the parameters that are part of this system."""
         assert self.family is not None
         p = {name: values for name, values in self.p.items() if name not in self.family.names}
         return replace(self, system=system, p=p, family=None)
 
     def strobe(self, refinement: float = 1) -> Maps:
-        """P with `refinement` times the steps that the accuracy asks for; of a family one for each value."""
+        """Return P with `refinement` times the steps that the accuracy asks for; for a family one for each value."""
         if self.family is not None:
             return self.family.maps(self.system, ("period", refinement), lambda one: self.under(one).map(refinement))
         return self.map(refinement)
 
     def map(self, refinement: float = 1) -> ReturnMap:
-        """P of lanes with one system."""
+        """Return P for lanes with one system, with `refinement` times the steps."""
         steps = round(self.steps * refinement)
         strobe = make_return_map(self.system, self.solver, steps, compensated=self.compensated)
         return in_precision(strobe, self.precision)
 
 
-def picked(tree: Any, lanes: slice | Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"]) -> Any:
-    """Some lanes of a pytree whose leaves have the lanes as first axis."""
+def select(tree: Any, lanes: slice | Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"]) -> Any:
+    """Return a subset of the lanes of a pytree whose leaves have the lanes as first axis."""
 
     def some(leaf: np.ndarray) -> np.ndarray:
         return leaf[lanes]
@@ -169,8 +169,8 @@ def picked(tree: Any, lanes: slice | Int[np.ndarray, " some"] | Bool[np.ndarray,
     return jax.tree.map(some, tree)
 
 
-def spread(start: State, lanes: int) -> State:
-    """A start state of floats as lanes, components of shape (lanes,)."""
+def broadcast_start(start: State, lanes: int) -> State:
+    """Return a start state of floats as lanes, components of shape (lanes,)."""
 
     def lane(component: float) -> np.ndarray:
         return np.full(lanes, component, float)
@@ -178,14 +178,14 @@ def spread(start: State, lanes: int) -> State:
     return jax.tree.map(lane, start)
 
 
-def per_time(flow: Flow) -> str:
-    """Units of a rate, for `variable`."""
+def rate_units(flow: Flow) -> str:
+    """Return the units of a rate, for `variable`."""
     time = flow.labels.units["t"]
     return time if time in ("1", UNSAID) else f"1/{time}" if time.isalpha() else f"1/({time})"
 
 
-def counted_in(system: System) -> str:
-    """What a number of iterates of a system's map counts: periods, crossings, or without either units of time."""
+def iterate_units(system: System) -> str:
+    """Return the unit that iterates of a system's map count: periods, crossings, or units of time."""
     if system.flow is not system:
         return "crossings"
     if not system.flow.autonomous:
@@ -210,7 +210,7 @@ class LaneRunner(Protocol):
         """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
 
     def iterate(self, maps: Maps, n: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
-        """Pⁿ of every lane, in as many calls as it takes for a run to be stopped in time."""
+        """Return Pⁿ of every lane, in as many calls as are needed to let a run be stopped in time."""
         ...
 
     def stage(self, label: str, total: float) -> AbstractContextManager[None]:

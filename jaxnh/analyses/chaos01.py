@@ -24,7 +24,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxnh.analyses.base import LANE, Analysis, named, variable
+from jaxnh.analyses.base import LANE, Analysis, as_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.config.options.chaos import Chaos01Options
@@ -45,12 +45,12 @@ Signals = tuple[Float[Array, " points"], ...]
 
 
 def periods(options: Chaos01Options, lanes: int) -> float:
-    """Lane-periods of a run."""
+    """Return the lane-periods of a run."""
     return float(lanes * (options.transient + options.periods))
 
 
 def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """K of every lane, the median over angles, and half the distance between their quartiles."""
+    """Compute K of every lane, the median over angles, and half the distance between their quartiles."""
     # Fixed angles, spread evenly over (π/5, 4π/5) by the golden ratio: no resonance is shared by many of them.
     angles = np.pi / 5 + 3 * np.pi / 5 * ((np.arange(_ANGLES) * (np.sqrt(5.0) - 1) / 2) % 1.0)
     cost = options.transient + options.periods
@@ -65,7 +65,7 @@ def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     variables = {
         "k_median": variable(LANE, median, words, ancillary_variables="k_median_error"),
         "k_median_error": variable(LANE, 0.5 * (high - low), error_words),
-        "status": named(LANE, ended),
+        "status": as_variable(LANE, ended),
     }
     return xr.Dataset(variables, attrs={"angles": _ANGLES, "transient": options.transient})
 
@@ -73,19 +73,19 @@ def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
 def _growth(
     strobe: ReturnMap, transient: ArrayLike, angles: Float[Array, " angles"], state: State, p: Parameters, count: int
 ) -> tuple[Float[Array, " angles"], State]:
-    """K of one lane for every angle, and its last state."""
+    """Return K of one lane for every angle, and its last state."""
     last, states = record(strobe, iterate(strobe, transient, state, p), p, count)
     signals = strobe.chart.observable(states)
-    return growth_rates(without_period(signals), angles, mean_square(signals)), last
+    return growth_rates(remove_period(signals), angles, mean_square(signals)), last
 
 
 def mean_square(signals: Signals) -> Array:
-    """Mean square of signals that stand for one motion, the sum of theirs."""
+    """Return the mean square of signals of one motion, summed over the signals."""
     return reduce(add, [jnp.mean(signal**2) for signal in signals])
 
 
-def without_period(signals: Signals) -> Signals:
-    """Signals less their means over the points that are a multiple of m apart, m the lag of their best recurrence."""
+def remove_period(signals: Signals) -> Signals:
+    """Return signals less their means over points a multiple of m apart, m the lag of best recurrence."""
     count = signals[0].shape[0]
     used = count - _LONGEST_PERIOD
     lags = jnp.arange(1, _LONGEST_PERIOD + 1)
@@ -105,7 +105,7 @@ def without_period(signals: Signals) -> Signals:
 
 
 def growth_rates(signals: Signals, angles: Float[Array, " angles"], scale: ArrayLike) -> Float[Array, " angles"]:
-    """K_c of signals of N points for every angle c: correlation of the damped displacement D_c(n) with n ≤ N/10.
+    """Return K_c of signals of N points for every angle c: correlation of the damped displacement D_c(n) with n ≤ N/10.
 
     Each signal drives a walk of its own; their displacements are added. A displacement that is nothing beside `scale`,
     a mean square, is that of regular motion: K_c = 0.
@@ -138,7 +138,7 @@ def growth_rates(signals: Signals, angles: Float[Array, " angles"], scale: Array
 
 
 def price(options: Chaos01Options, batch: LaneBatch) -> Price:
-    """The whole program, with the walks of all angles at the end, shared out over its periods."""
+    """Return the price of the whole program, the walks of all angles at the end shared out over its periods."""
     strobe = batch.map()
     angles = np.linspace(np.pi / 5, 4 * np.pi / 5, _ANGLES)  # others than in a run, of the same price
     shared = (strobe, np.asarray(options.transient, np.int32), angles)

@@ -1,4 +1,4 @@
-"""What a period of an analysis costs: the compiled program that stands for it, beside the map alone."""
+"""Cost of a period of an analysis: the compiled program that stands for it, beside the map alone."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class PricedProgram(NamedTuple):
 
 
 class Price(NamedTuple):
-    """The program of an analysis (None: it is not measured), that without it, and a note that says why or how."""
+    """The program of an analysis (None: it is not measured), the program without it, and a note on either."""
 
     with_it: PricedProgram | None
     without_it: PricedProgram
@@ -42,13 +42,13 @@ class Price(NamedTuple):
 
 
 def map_alone(batch: LaneBatch, strobe: ReturnMap | None = None, tile: int | None = None) -> PricedProgram:
-    """One period of the batch's own map, or of another one of the same lanes, and nothing else."""
+    """Return the program of one period of the batch's map, or of `strobe` on the same lanes, and nothing else."""
     strobe = batch.map() if strobe is None else strobe
     return PricedProgram(iterate, (strobe, np.int32(1)), batch.lanes, (1.0, *strobe.turns), tile=tile)
 
 
 def newton_price(batch: LaneBatch, tile: int) -> Price:
-    """A period of Newton on orbits: the map with a tangent for every coordinate, against the map alone."""
+    """Return the price of a period of Newton on orbits: the map with a tangent for every coordinate."""
     strobe = batch.map()
     lanes = batch.chart.host_points(batch.start), dict(batch.p)
     program = PricedProgram(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=tile)

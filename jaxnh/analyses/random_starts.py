@@ -19,7 +19,7 @@ Box = Mapping[str, tuple[float, float]]
 
 
 def check_box(box: Box, setting: Setting, key: str) -> None:
-    """See that a box is one of coordinates that a start has, and that no axis is in its way."""
+    """Check that a box is one of coordinates that a start has, and that no axis is one of start states."""
     flow = setting.flow
     for name in box:
         if name not in flow.coordinates:
@@ -41,10 +41,10 @@ def _decides(flow: Flow, name: str) -> bool:
     return not np.array_equal(one, other)
 
 
-def started(
+def random_start_batch(
     batch: LaneBatch, starts: int, seed: int, box: Box
 ) -> tuple[LaneBatch, dict[str, Float[np.ndarray, " lanes"]]]:
-    """The lanes of a batch with so many starts each, one after the other, and what was drawn, by coordinate.
+    """Return the batch with so many random starts for each lane in turn, and the values drawn, by coordinate.
 
     A lane has its starts by its place along the first axis, whatever lanes it is computed with. All values of the other
     axes have the same starts, so that shares that differ along these differ by no chance of the draw.
@@ -56,8 +56,8 @@ def started(
     count = int(places.max()) - first + 1
     draws = np.random.Generator(bits).random((count, starts, len(box)))[places - first].reshape(-1, len(box))
     drawn = {name: low + (high - low) * draws[:, k] for k, (name, (low, high)) in enumerate(box.items())}
-    here = batch.flow.outputs(jax.tree.map(_as_path, batch.in_time().start), np.zeros(1))
-    others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in here.items()}
+    coordinates = batch.flow.outputs(jax.tree.map(_as_path, batch.in_time().start), np.zeros(1))
+    others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in coordinates.items()}
     p = {name: np.repeat(values, starts) for name, values in batch.p.items()}
     state = begin(batch.system, batch.flow.start(others | drawn))
     return replace(batch, start=state, p=p, place=np.repeat(places, starts), along=None), drawn

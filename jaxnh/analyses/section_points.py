@@ -11,12 +11,12 @@ from jaxnh.systems.state import State
 
 
 def points_at(batch: LaneBatch, lanes: LaneRunner, state: State) -> Float[np.ndarray, "lanes d"]:
-    """Section coordinates of states."""
+    """Return the section coordinates of states."""
     return np.array(lanes(_point_of, (batch.system,), (state,)))
 
 
 def states_at(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> State:
-    """States with section coordinates."""
+    """Return the states at section coordinates."""
     return lanes(_state_at, (batch.system,), (u,))
 
 

@@ -49,8 +49,8 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from jaxnh.analyses.base import LANE, Analysis, flagged, named, numbered, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in, picked
+from jaxnh.analyses.base import LANE, Analysis, as_variable, flag, number_variable, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.window_averages import average_window, extents
@@ -77,18 +77,18 @@ _SHARE, _USUAL = 0.2, 1536  # of lanes that look chaotic, and how long their cri
 
 
 def periods(options: VerdictOptions, lanes: int) -> float:
-    """Lane-periods of a run, beyond the analyses that it needs: of a usual share of lanes that look chaotic."""
+    """Return the lane-periods of a run beyond the analyses that it needs, for a usual share of chaotic lanes."""
     return _SHARE * lanes * (options.confirmation_factor * _USUAL + 3 * _LONGEST)
 
 
 def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapping[str, xr.Dataset]) -> xr.Dataset:
-    """The verdict of every lane from the datasets `period`, `lyapunov` and `chaos01` of the same lanes."""
+    """Return the verdict of every lane from the datasets `period`, `lyapunov` and `chaos01` of the same lanes."""
     period, lyapunov = done["period"], done["lyapunov"]
     exponents, errors = lyapunov["exponents"].to_numpy(), lyapunov["exponents_error"].to_numpy()
     span, n, clock = lyapunov["averaging_periods"].to_numpy(), period["period"].to_numpy(), not batch.flow.autonomous
     transient = max(int(done[name].attrs["transient"]) for name in ("period", "chaos01"))
-    largest, error = (exponents[:, 0], errors[:, 0]) if clock else across(exponents, errors)
-    each = np.full(batch.count, batch.flow.period) if clock else _returns(batch, lanes, n, transient)
+    largest, error = (exponents[:, 0], errors[:, 0]) if clock else largest_across(exponents, errors)
+    each = np.full(batch.count, batch.flow.period) if clock else _return_times(batch, lanes, n, transient)
     iterates = span * (batch.flow.period / each)
     kind = judge(
         n,
@@ -101,12 +101,12 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
         iterates,
     )
     if clock:
-        some = timeless(batch, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
-        cycle = contracts(exponents[some], errors[some], batch.flow.period, span[some])
-        kind[some] = np.where(cycle, _LIMIT_CYCLE, _UNDECIDED)
+        steady = find_timeless(batch, lanes, np.flatnonzero(kind == _QUASIPERIODIC))
+        cycle = is_contracting(exponents[steady], errors[steady], batch.flow.period, span[steady])
+        kind[steady] = np.where(cycle, _LIMIT_CYCLE, _UNDECIDED)
     else:
-        some = np.flatnonzero(np.isin(kind, (_PERIODIC, _UNDECIDED, _FAILED)))
-        kind[some] = _without_clock(batch.take(some), lanes, kind[some], int(span.max()))
+        others = np.flatnonzero(np.isin(kind, (_PERIODIC, _UNDECIDED, _FAILED)))
+        kind[others] = _classify_without_clock(batch.take(others), lanes, kind[others], int(span.max()))
     unsteady = np.full(batch.count, np.nan)
     tori = np.flatnonzero(kind == _QUASIPERIODIC)
     if len(tori):
@@ -119,27 +119,27 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
     chaotic = np.flatnonzero(kind == _CHAOTIC)
     if options.confirmation_factor and len(chaotic):
         taken = (span if clock else np.full(batch.count, math.ceil(iterates[chaotic].max())))[chaotic] + transient
-        again[chaotic] = _followed(batch.take(chaotic), lanes, options.confirmation_factor * taken)
+        again[chaotic] = _recurrences(batch.take(chaotic), lanes, options.confirmation_factor * taken)
         kind[chaotic[again[chaotic] != 0]] = _UNDECIDED
     codes = np.max([done[name]["status"].to_numpy() for name in ANALYSIS.needs], axis=0)
     codes = np.where(kind == _FAILED, np.where(codes > 0, codes, NOT_FINITE), 0)
     words = f"lag, up to {_LONGEST}, after which a lane that had looked chaotic repeats itself"
     steady_words = "third difference of smooth averages, of the motion's size, where it looks quasiperiodic"
     variables = {
-        "kind": flagged(LANE, kind, "kind of motion from all criteria together", KINDS),
-        "status": named(LANE, status(codes)),
-        "recurrence_lag": numbered(
-            LANE, again, words, ("lost", "not_followed", "none"), _LOST, counted_in=counted_in(batch.system)
+        "kind": flag(LANE, kind, "kind of motion from all criteria together", KINDS),
+        "status": as_variable(LANE, status(codes)),
+        "recurrence_lag": number_variable(
+            LANE, again, words, ("lost", "not_followed", "none"), _LOST, counted_in=iterate_units(batch.system)
         ),
         "unsteadiness": variable(LANE, unsteady, steady_words),
     }
     return xr.Dataset(variables, attrs={"confirmation_factor": options.confirmation_factor})
 
 
-def across(
+def largest_across(
     exponents: Float[np.ndarray, "lanes k"], errors: Float[np.ndarray, "lanes k"]
 ) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
-    """The largest exponent but that along the flow, which is known to be zero, and its error, both (lanes,).
+    """Return the largest exponent other than the zero one along the flow, and its error, both (lanes,).
 
     Where that is the only one, nothing is known of it.
     """
@@ -151,26 +151,26 @@ def across(
     return np.where(none, 0.0, largest), np.where(none, np.inf, error)
 
 
-def _returns(
+def _return_times(
     batch: LaneBatch, lanes: LaneRunner, n: Int[np.ndarray, " lanes"], transient: int
 ) -> Float[np.ndarray, " lanes"]:
-    """Mean time of a return to the section, of a periodic lane over whole turns of its orbit."""
+    """Return the mean time of a return to the section, for a periodic lane over whole turns of its orbit."""
     count = np.where(n > 0, n * -(-_RETURNS // np.maximum(n, 1)), _RETURNS)
     with lanes.stage(f"verdict: returns of {batch.count} lanes", float(np.sum(transient + count))):
         shared, each = (batch.strobe(), np.int32(transient)), (*batch.lanes, count.astype(np.int32))
-        return lanes(_returned, shared, each, periods=transient + _RETURNS) / count
+        return lanes(_time_of_returns, shared, each, periods=transient + _RETURNS) / count
 
 
-def _returned(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters, count: Array) -> Array:
-    """Time of `count` returns after a transient, of one lane."""
+def _time_of_returns(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters, count: Array) -> Array:
+    """Return the time that `count` returns take after a transient, for one lane."""
     begun = iterate(strobe, transient, state, p)
     return iterate(strobe, count, begun, p).t - begun.t
 
 
-def _without_clock(
+def _classify_without_clock(
     batch: LaneBatch, lanes: LaneRunner, kind: Int8[np.ndarray, " lanes"], units: int
 ) -> Int8[np.ndarray, " lanes"]:
-    """Kinds of lanes of a flow without a clock that are not seen to be chaotic or quasiperiodic."""
+    """Return the kinds of lanes of an autonomous flow that are neither chaotic nor quasiperiodic."""
     if not len(kind):
         return kind
     with lanes.stage(f"verdict: {batch.count} lanes, whether they rest", batch.count * units):
@@ -179,28 +179,28 @@ def _without_clock(
     return np.where(still, _EQUILIBRIUM, np.where(kind == _PERIODIC, cycle, kind)).astype(np.int8)
 
 
-def timeless(batch: LaneBatch, lanes: LaneRunner, some: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
-    """Those of some lanes whose right-hand side is the same at all times."""
-    if not len(some):
-        return some
+def find_timeless(batch: LaneBatch, lanes: LaneRunner, which: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
+    """Return the lanes of a subset whose right-hand side is the same at all times."""
+    if not len(which):
+        return which
     times = batch.flow.period * (np.arange(_LOOKS) + 0.3) / _LOOKS
     shared = (batch.strobe(), batch.flow, times)
-    return some[lanes(knows_no_time, shared, picked(batch.lanes, some), periods=_LOOKS)]
+    return which[lanes(ignores_time, shared, select(batch.lanes, which), periods=_LOOKS)]
 
 
-def _followed(batch: LaneBatch, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
-    """`recurrence_lag` of lanes, each so many periods from its start."""
-    found, strobe = np.zeros(batch.count, int), batch.strobe()
+def _recurrences(batch: LaneBatch, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
+    """Return the `recurrence_lag` of lanes, each so many periods from its start."""
+    lags, strobe = np.zeros(batch.count, int), batch.strobe()
     with lanes.stage(f"verdict: {batch.count} chaotic lanes, longer", float(np.sum(taken + 3 * _LONGEST))):
         for count in np.unique(taken):
-            some = np.flatnonzero(taken == count)
+            group = np.flatnonzero(taken == count)
             shared, cost = (strobe, np.int32(count)), int(count) + 3 * _LONGEST
-            found[some] = lanes(repeats, shared, picked(batch.lanes, some), periods=cost, static=(_LONGEST,))
-    return found
+            lags[group] = lanes(recurrence_lag, shared, select(batch.lanes, group), periods=cost, static=(_LONGEST,))
+    return lags
 
 
 def unsteadiness(batch: LaneBatch, lanes: LaneRunner, begun: int, count: int) -> Float[np.ndarray, " lanes"]:
-    """Largest third difference of smooth averages over four runs of `count`/4 periods each, of the motion's size.
+    """Return the largest third difference of smooth averages over four runs of `count`/4 periods, in sizes.
 
     The first begins so many periods from the start. Averages are those of `window_averages`. Not a number where a lane
     is lost.
@@ -217,8 +217,8 @@ def unsteadiness(batch: LaneBatch, lanes: LaneRunner, begun: int, count: int) ->
         return np.max(change / extents(np.array(batch.flow.chart.angles), low, high), axis=1)
 
 
-def repeats(strobe: ReturnMap, count: ArrayLike, state: State, p: Parameters, longest: int) -> Array:
-    """Least lag up to `longest` at which as many points, `count` periods from a state, come back; 0: none.
+def recurrence_lag(strobe: ReturnMap, count: ArrayLike, state: State, p: Parameters, longest: int) -> Array:
+    """Return the least lag up to `longest` at which as many points, `count` periods from a state, recur; 0: none.
 
     Of a lane that does not come so far `_LOST`.
     """
@@ -232,12 +232,12 @@ def repeats(strobe: ReturnMap, count: ArrayLike, state: State, p: Parameters, lo
         later = lax.dynamic_slice_in_dim(points, lag, longest)
         return jnp.max(jnp.abs(chart.wrap(later - first))) <= near
 
-    found = lax.map(back, jnp.arange(1, longest + 1))
-    lag = jnp.where(jnp.any(found), 1 + jnp.argmax(found), 0)
+    returns = lax.map(back, jnp.arange(1, longest + 1))
+    lag = jnp.where(jnp.any(returns), 1 + jnp.argmax(returns), 0)
     return jnp.where(jnp.all(jnp.isfinite(points)), lag, _LOST)
 
 
-def knows_no_time(strobe: ReturnMap, flow: Flow, times: Float[Array, " times"], state: State, p: Parameters) -> Array:
+def ignores_time(strobe: ReturnMap, flow: Flow, times: Float[Array, " times"], state: State, p: Parameters) -> Array:
     """Whether the right-hand side is the same at all times, to the bit, in states that a lane comes to."""
     _, states = record(strobe, state, p, _LOOKS)
 
@@ -248,7 +248,7 @@ def knows_no_time(strobe: ReturnMap, flow: Flow, times: Float[Array, " times"], 
     return jnp.all(jnp.stack(same))
 
 
-def contracts(
+def is_contracting(
     exponents: Float[np.ndarray, "lanes k"],
     errors: Float[np.ndarray, "lanes k"],
     strobe_period: float,
@@ -260,7 +260,7 @@ def contracts(
     return (exponents[:, 1] + errors[:, 1]) * averaged * strobe_period < -2.0 * np.log(averaged)
 
 
-def beyond_shear(
+def exceeds_shear(
     largest: Float[np.ndarray, " lanes"],
     error: Float[np.ndarray, " lanes"],
     iterates: Float[np.ndarray, " lanes"] | Int[np.ndarray, " lanes"] | int,
@@ -287,7 +287,7 @@ def judge(
     each: Float[np.ndarray, " lanes"] | float,
     iterates: Float[np.ndarray, " lanes"] | Int[np.ndarray, " lanes"],
 ) -> Int8[np.ndarray, " lanes"]:
-    """The rule of this module: flags of `KINDS`, with the time of an iterate of the map and how many were averaged."""
+    """Apply the rule of this module: flags of `KINDS`, from the time of an iterate and how many were averaged."""
     with np.errstate(divide="ignore", invalid="ignore"):
         time = iterates * each
         expected = np.log(multiplier) / (np.maximum(period, 1) * each)
@@ -296,19 +296,19 @@ def judge(
     conditions = [
         failed | ~np.isfinite(largest),
         (period > 0) & (multiplier < 1.0) & agrees & regular,
-        (period == 0) & beyond_shear(largest, error, iterates, each) & ~regular,
+        (period == 0) & exceeds_shear(largest, error, iterates, each) & ~regular,
         (period == 0) & nearly_zero(largest, error, each) & regular,
     ]
     return np.select(conditions, [_FAILED, _PERIODIC, _CHAOTIC, _QUASIPERIODIC], _UNDECIDED).astype(np.int8)
 
 
 def price(options: VerdictOptions, batch: LaneBatch) -> Price:
-    """The map alone, for lanes that look chaotic: which, is not known before."""
+    """Return the price: the map alone, for lanes that look chaotic, whose number is not known beforehand."""
     return Price(None, map_alone(batch), "not measured: the map alone, for lanes that look chaotic")
 
 
 def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
-    """Kind of motion."""
+    """Return the kind of motion."""
     return data["kind"].to_numpy().astype(int)
 
 

@@ -1,9 +1,9 @@
-"""Looks at a lane's motion: running means that tell attractors apart, whatever phase a lane arrives in.
+"""Averages of a lane's motion over windows: running means that tell attractors apart, whatever phase a lane arrives in.
 
 Means are taken of each section coordinate and of its square, of an angle of its cosine and sine and of how far it turns
 a period, at the strobes or, without a clock, several times a unit of time, so that a cycle that the unit of time is a
-multiple of has no phase either. Under the smooth window of `smooth_window.window` they converge faster than any power
-of their length on periodic and quasiperiodic motion. Twins by a symmetry differ in odd means, running solutions in
+multiple of has no phase either. Under the smooth window of `smooth_window` they converge faster than any power of their
+length on periodic and quasiperiodic motion. Twins by a symmetry differ in odd means, running solutions in
 their turns.
 """
 
@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.smooth_window import windows
+from jaxnh.analyses.smooth_window import half_window_weights
 from jaxnh.config.options.base import BLOCKS
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import make_parts
@@ -38,7 +38,7 @@ many points, so that a cycle that the unit is a multiple of has the same means a
 
 
 class WindowAverages(NamedTuple):
-    """Lanes after a look, and what was seen; as arrays of one lane, or of all with the lanes as first axis.
+    """Lanes after a window and their averages; arrays of one lane, or of all with the lanes as first axis.
 
     Attributes:
         state: at the end.
@@ -64,7 +64,7 @@ class WindowAverages(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """What is summed over periods, and the range so far."""
+    """Sums over periods, and the range so far."""
 
     state: State
     whole: Array
@@ -76,40 +76,40 @@ class _Sums(NamedTuple):
 
 
 def features(turns: Bool[np.ndarray, " d"], u: Array, moved: Array) -> Array:
-    """What means are taken of at a point, (F,), from its section coordinates and how far they have moved, (d,)."""
-    found = []
+    """Return the features whose means are taken, (F,), from section coordinates and their displacements, (d,)."""
+    values = []
     for i, turning in enumerate(turns):
-        found += [jnp.cos(u[i]), jnp.sin(u[i]), moved[i]] if turning else [u[i], u[i] * u[i]]
-    return jnp.stack(found)
+        values += [jnp.cos(u[i]), jnp.sin(u[i]), moved[i]] if turning else [u[i], u[i] * u[i]]
+    return jnp.stack(values)
 
 
 def units(turns: Bool[np.ndarray, " d"], size: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes F"]:
-    """The size of each of the features where coordinates have these sizes; those of an angle have none but one."""
-    found = []
+    """Return the size of each feature for coordinates of these sizes; 1 for the features of an angle."""
+    sizes = []
     for i, turning in enumerate(turns):
-        found += [np.ones(len(size))] * 3 if turning else [size[:, i], size[:, i] ** 2]
-    return np.stack(found, axis=-1)
+        sizes += [np.ones(len(size))] * 3 if turning else [size[:, i], size[:, i] ** 2]
+    return np.stack(sizes, axis=-1)
 
 
 def extents(
     turns: Bool[np.ndarray, " d"], low: Float[np.ndarray, "lanes d"], high: Float[np.ndarray, "lanes d"]
 ) -> Float[np.ndarray, "lanes F"]:
-    """How far each of the features goes where coordinates go from low to high; of an angle and of its turns 1."""
-    found = []
+    """Return the range of each feature for coordinates from low to high; 1 for an angle and its turns."""
+    ranges = []
     for i, turning in enumerate(turns):
         far, extent = np.maximum(np.abs(low), np.abs(high))[:, i], (high - low)[:, i]
         extent = np.where(extent > _STILL * far, extent, np.where(far > 0.0, far, 1.0))
-        found += [np.ones(len(low))] * 3 if turning else [extent, 2.0 * far * extent]
-    return np.stack(found, axis=-1)
+        ranges += [np.ones(len(low))] * 3 if turning else [extent, 2.0 * far * extent]
+    return np.stack(ranges, axis=-1)
 
 
 def points_a_unit(batch: LaneBatch) -> int:
-    """Points of a unit of time that means are taken over where there is no clock."""
+    """Return the number of points of a unit of time that means are taken over, for an autonomous flow."""
     return min(_MOST_PARTS, batch.steps)
 
 
 def maps(batch: LaneBatch) -> tuple[ReturnMap, int]:
-    """The map of a period, and 0, or without a clock those of the parts of a unit of time, stacked, and how many."""
+    """Return the map of a period and 0, or if autonomous the stacked maps of the parts of a unit, and their number."""
     if not batch.flow.autonomous:
         return batch.map(), 0
     parts = points_a_unit(batch)
@@ -118,14 +118,14 @@ def maps(batch: LaneBatch) -> tuple[ReturnMap, int]:
 
 
 def average_window(batch: LaneBatch, lanes: LaneRunner, state: State, count: int) -> WindowAverages:
-    """Lanes of a batch from a state over `count` periods, a multiple of `BLOCKS`."""
+    """Average lanes of a batch from a state over `count` periods, a multiple of `BLOCKS`."""
     strobe, parts = maps(batch)
     shared, static = (strobe, np.int32(count // BLOCKS)), (parts,)
     return lanes(window_averages, shared, (state, dict(batch.p)), periods=count, static=static)
 
 
 def window_averages(strobe: ReturnMap, each: ArrayLike, state: State, p: Parameters, parts: int) -> WindowAverages:
-    """One lane over `BLOCKS` times `each` periods."""
+    """Average one lane over `BLOCKS` times `each` periods."""
     chart = strobe.chart
     turns, d = np.array(chart.angles), chart.dimension
     width = int(3 * turns.sum() + 2 * (~turns).sum())
@@ -147,7 +147,7 @@ def window_averages(strobe: ReturnMap, each: ArrayLike, state: State, p: Paramet
         else:
             sums, seen = point(sums, strobe)
         at = (jnp.float64(k) + 0.5) / (BLOCKS * jnp.float64(each))
-        of_whole, of_half = windows(at)
+        of_whole, of_half = half_window_weights(at)
         of_halves = jnp.stack([jnp.where(at < 0.5, of_half, 0.0), jnp.where(at < 0.5, 0.0, of_half)])
         halves = sums.halves + of_halves[:, None] * seen[None, :]
         sums = sums._replace(whole=sums.whole + of_whole * seen, halves=halves, block=sums.block + seen)

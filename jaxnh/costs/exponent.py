@@ -15,7 +15,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in, per_time
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_units
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.costs.stage import StagelessRunner
 
@@ -83,7 +83,7 @@ def _dataset(
     batch: LaneBatch, value: float, averaged: Int[np.ndarray, " times"], averages: list[_Average], reference: float
 ) -> xr.Dataset:
     """Quantiles over the lanes, (averaged, quantile)."""
-    name, unit, spread = batch.line.name, per_time(batch.flow), ("averaging_periods", "quantile")
+    name, unit, spread = batch.line.name, rate_units(batch.flow), ("averaging_periods", "quantile")
     errors = np.abs(np.array([average.exponent for average in averages]) - reference)
     errors, bars = (
         np.quantile(values, _QUANTILES, axis=1).T for values in (errors, [average.bar for average in averages])
@@ -92,7 +92,7 @@ def _dataset(
     seconds, cpu_seconds = ([getattr(average, kind) for average in averages] for kind in ("seconds", "cpu_seconds"))
     variables = {
         "averaging_periods": variable(
-            "averaging_periods", averaged, "averaging time", counted_in=counted_in(batch.in_time().system)
+            "averaging_periods", averaged, "averaging time", counted_in=iterate_units(batch.in_time().system)
         ),
         "quantile": variable("quantile", np.array(_QUANTILES), "part of the lanes below"),
         "error": variable(spread, errors, "distance of the largest exponent from a longer run", unit),

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Starts
-from jaxnh.analyses.batch import Axis, LaneBatch, picked
+from jaxnh.analyses.batch import Axis, LaneBatch, select
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
 from jaxnh.engine.axes import SweepPoints, points, sample_places
@@ -83,7 +83,7 @@ def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:
     """Sample lanes, and so many of their random starts as well."""
     state, lane = draw(LaneBatch(row.system, row.start, row.p, scheme_of(row.system).reference, 1, False, math.inf))
     subset = np.unique(np.linspace(0, len(lane) - 1, most).round().astype(int))
-    drawn = picked(state, subset), *picked((dict(row.p), dict(row.where)), lane[subset])
+    drawn = select(state, subset), *select((dict(row.p), dict(row.where)), lane[subset])
     own = row.start, dict(row.p), dict(row.where)
     start, p, where = jax.tree.map(lambda *leaves: np.concatenate(leaves), own, drawn)
     return row._replace(start=start, p=p, where=where)

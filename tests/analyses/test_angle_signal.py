@@ -67,7 +67,7 @@ def test_growth_does_not_depend_on_where_an_angle_is_counted_from():
 
     def growth(shift):
         signals = (jnp.cos(angle + shift), jnp.sin(angle + shift))
-        return chaos01.growth_rates(chaos01.without_period(signals), c, chaos01.mean_square(signals))
+        return chaos01.growth_rates(chaos01.remove_period(signals), c, chaos01.mean_square(signals))
 
     np.testing.assert_allclose(growth(0.0), growth(1.0), rtol=0, atol=1e-9)
     assert np.median(growth(0.0)) > 0.8

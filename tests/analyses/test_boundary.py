@@ -7,7 +7,7 @@ import pytest
 from conftest import session_of
 from test_basins import line, oscillator
 
-from jaxnh.analyses.basins.boundary import BOX, boundary_of, entropies, uncertainty_exponent
+from jaxnh.analyses.basins.boundary import BOX, entropies, measure_boundary, uncertainty_exponent
 from jaxnh.exceptions import ConfigError
 
 TRIALS = 60
@@ -92,14 +92,14 @@ def test_undecided_and_failed():
     """What is undecided is no label, what has failed is one."""
     labels = np.ones((40, 40), int)
     labels[:, 20:] = 0
-    found = boundary_of(labels)
+    found = measure_boundary(labels)
     assert found.basin_entropy.value == 0.0
     assert np.isnan([found.boundary_entropy.value, *found.uncertainty_exponent]).all()
     labels[:, 20:] = -1
-    assert boundary_of(labels).uncertainty_exponent.value == pytest.approx(1.0)
+    assert measure_boundary(labels).uncertainty_exponent.value == pytest.approx(1.0)
     places = 40 - BOX + 1
     mixed = [-(p * np.log(p) + (1 - p) * np.log(1 - p)) for p in np.arange(1, BOX) / BOX]
-    assert boundary_of(labels).basin_entropy.value == pytest.approx(np.sum(mixed) / places)
+    assert measure_boundary(labels).basin_entropy.value == pytest.approx(np.sum(mixed) / places)
 
 
 @pytest.mark.slow
@@ -112,7 +112,7 @@ def test_planes_of_a_sweep(tmp_path):
     basins = tree["basins"]
     assert basins["basin_entropy"].dims == ("drive", "linear")
     for k in range(2):
-        expected = boundary_of(basins["attractor"].values[0, k])
+        expected = measure_boundary(basins["attractor"].values[0, k])
         for name, one in expected._asdict().items():
             assert tuple(basins[n].values[0, k] for n in (name, f"{name}_error")) == pytest.approx(one, nan_ok=True)
     assert np.all(basins["boundary_entropy"].values > 0.3)

@@ -15,7 +15,7 @@ from conftest import ROOT
 from measure import scene_of, some_slow
 
 from jaxnh.analyses import chaos01, verdict
-from jaxnh.analyses.batch import LaneBatch, spread
+from jaxnh.analyses.batch import LaneBatch, broadcast_start
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.exponents.tangent_growth import gram_schmidt
 from jaxnh.analyses.periodic import period
@@ -29,7 +29,7 @@ from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 
-GROWTH_RATES, WITHOUT_PERIOD = jax.jit(chaos01.growth_rates), jax.jit(chaos01.without_period)
+GROWTH_RATES, WITHOUT_PERIOD = jax.jit(chaos01.growth_rates), jax.jit(chaos01.remove_period)
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 # (system, its twin in the reference, b of the paper's figures 1 and 6 with their periods, 0: chaotic)
 CASES = {
@@ -60,7 +60,7 @@ def test_multiple_of_the_period():
     """A point of the orbits of period 1 at b = 5.8 and 2 at 2.5, met by Newton at a period of 8, is of theirs."""
     strobe = make_return_map(constant_speed(), SPLITTINGS["kahan_li8"], 120)
     lanes, b = LaneExecutor(), np.array([5.8, 2.5])
-    start, p = constant_speed().chart.host_points(spread(START, 2)), {"b": b}
+    start, p = constant_speed().chart.host_points(broadcast_start(START, 2)), {"b": b}
     u = lanes(section_map, (strobe, np.int32(400)), (start, p))
     np.testing.assert_array_equal(least_period(lanes, strobe, u, p, 8, np.ones((2, 3))), [1, 2])
 

@@ -13,7 +13,7 @@ from measure import scene_of
 import jaxnh
 from jaxnh.analyses.continuation.equilibria import equilibria
 from jaxnh.analyses.continuation.seeds import random_wave
-from jaxnh.analyses.random_starts import started
+from jaxnh.analyses.random_starts import random_start_batch
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.section import Crossing, Section, begin
 from jaxnh.orbits.branches import StepControl
@@ -111,7 +111,7 @@ def test_random_starts_are_on_their_way_to_the_section():
     section = Section(first_order(lorenz, {"rho": 28.0}), "z", 2, 27.0, "up")
     start = begin(section, section.flow.start({"x": 1.0, "y": 1.0, "z": 20.0}))
     scene = scene_of(section, start, [28.0, 30.0], verner9, 64, name="rho")
-    there, drawn = started(scene, 3, 1, {"x": (-10.0, 10.0)})
+    there, drawn = random_start_batch(scene, 3, 1, {"x": (-10.0, 10.0)})
     assert isinstance(there.start, Crossing)
     x, y, z = there.start.state.y
     np.testing.assert_array_equal(x, drawn["x"])

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxnh.analyses.exponents.errors import held_against_sum, nearly_neutral, of_blocks, of_windows, unseen_bursts
-from jaxnh.analyses.smooth_window import windows
+from jaxnh.analyses.exponents.errors import (
+    average_blocks,
+    average_windows,
+    unseen_bursts,
+    widen_to_sum_rule,
+    widen_to_zero,
+)
+from jaxnh.analyses.smooth_window import half_window_weights
 from jaxnh.config.options.base import BLOCKS
 
 PERIODS, LANES = 1024, 2000
@@ -20,7 +26,7 @@ def blocks_of(growth):
 def smooth_of(growth):
     """Smooth averages over the whole and both halves of growth (lanes, periods), (lanes, 3, 1)."""
     x = (np.arange(growth.shape[1]) + 0.5) / growth.shape[1]
-    whole, half = windows(x)
+    whole, half = half_window_weights(x)
     parts = [whole, half * (x < 0.5), half * (x > 0.5)]
     return np.stack([growth @ weights / weights.sum() for weights in parts], axis=1)[..., None]
 
@@ -33,7 +39,7 @@ def test_noise_is_covered(memory):
     noise = rng.normal(size=(LANES, PERIODS + 512))
     for i in range(1, noise.shape[1]):
         noise[:, i] += memory * noise[:, i - 1]
-    found = of_blocks(blocks_of(noise[:, 512:]))
+    found = average_blocks(blocks_of(noise[:, 512:]))
     missed = np.mean(np.abs(found.mean) > found.error)
     assert missed < 0.05 + 5 * np.sqrt(0.05 * 0.95 / LANES)
     assert np.median(found.error) < 3.0 * found.mean.std() * 1.3
@@ -43,7 +49,7 @@ def test_smooth_averages_on_tori():
     """Growth that is a sum of incommensurate waves has the mean zero, to the rounding that is allowed for and better."""
     t = np.arange(PERIODS)
     phase = np.random.default_rng(5).uniform(0, 2 * np.pi, (64, 1))
-    found = of_windows(smooth_of(np.cos(2.0 * t + phase) + 0.5 * np.cos(np.sqrt(5.0) * t + phase)), 32, PERIODS)
+    found = average_windows(smooth_of(np.cos(2.0 * t + phase) + 0.5 * np.cos(np.sqrt(5.0) * t + phase)), 32, PERIODS)
     assert np.all(np.abs(found.mean) <= found.error)
     assert np.all(found.error < 1e-6)
 
@@ -53,15 +59,15 @@ def test_tangents_that_grow_in_proportion_to_time(before, periods):
     """On tori with shear rates fall like 1/t: zero is covered by the window and by the plain mean."""
     t = before + np.arange(periods) + 0.5
     growth = (1 / t)[None]
-    window = of_windows(smooth_of(growth), before, periods)
+    window = average_windows(smooth_of(growth), before, periods)
     assert 0 < window.mean <= window.error
-    plain = nearly_neutral(of_blocks(blocks_of(growth)), before, periods)
+    plain = widen_to_zero(average_blocks(blocks_of(growth)), before, periods)
     assert 0 < plain.mean <= plain.error
 
 
 def test_a_mean_far_from_zero_has_the_bar_that_it_had():
-    plain = of_blocks(blocks_of(0.5 + 0.1 * np.random.default_rng(6).normal(size=(8, PERIODS))))
-    np.testing.assert_array_equal(nearly_neutral(plain, 32, PERIODS).error, plain.error)
+    plain = average_blocks(blocks_of(0.5 + 0.1 * np.random.default_rng(6).normal(size=(8, PERIODS))))
+    np.testing.assert_array_equal(widen_to_zero(plain, 32, PERIODS).error, plain.error)
 
 
 def test_bursts_are_allowed_for_where_blocks_only_drift():
@@ -77,4 +83,4 @@ def test_a_sum_rule_that_contradicts():
     error = np.array([[1e-3, 2e-3], [1e-3, 2e-3], [1e-2, 2e-3], [1e-3, 2e-3]])
     residual = np.array([2.9e-3, -2.8e-2, 5e-3, np.nan])
     expected = np.array([[1e-3, 2e-3], [2.8e-2, 2.8e-2], [1e-2, 2e-3], [1e-3, 2e-3]])
-    np.testing.assert_array_equal(held_against_sum(error, residual), expected)
+    np.testing.assert_array_equal(widen_to_sum_rule(error, residual), expected)

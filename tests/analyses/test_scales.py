@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses import chaos01, verdict
-from jaxnh.analyses.batch import Axis, LaneBatch, spread
+from jaxnh.analyses.batch import Axis, LaneBatch, broadcast_start
 from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
@@ -83,7 +83,9 @@ def scene(define, start, values, units, steps):
         state = Motion(tuple(x * length for x in start[:k]), speeds, (0.0, 0.0))
     scaled = unit * np.asarray(values)
     axis = Axis(name, scaled, f"parameter {name}")
-    return LaneBatch(system, spread(state, len(values)), {name: scaled}, dopri8, steps, False, 1e-9, along=axis)
+    return LaneBatch(
+        system, broadcast_start(state, len(values)), {name: scaled}, dopri8, steps, False, 1e-9, along=axis
+    )
 
 
 @pytest.mark.slow

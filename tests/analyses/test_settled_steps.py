@@ -14,7 +14,7 @@ from measure import apart, twin
 
 import jaxnh
 from jaxnh.analyses.basins.basins import BasinsOptions, choose
-from jaxnh.analyses.basins.steps_after_transient import settled_steps
+from jaxnh.analyses.basins.steps_after_transient import choose_steps
 from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.window_averages import average_window
 from jaxnh.engine.experiment import Experiment
@@ -39,7 +39,7 @@ def test_error_after_the_first_look(lanes):
     Starts are up to 4 from the origin, where the forces are thirty times those on the attractors.
     """
     few = scene_over(4.0, 512, 1)
-    steps = settled_steps(few, lanes, average_window(few, lanes, few.start, TRANSIENT // 2).state)
+    steps = choose_steps(few, lanes, average_window(few, lanes, few.start, TRANSIENT // 2).state)
     assert steps <= STEPS // 3
     others = scene_over(4.0, 100, 2)
     state = average_window(others, lanes, others.start, TRANSIENT // 2).state
@@ -59,11 +59,11 @@ def test_where_nothing_is_gained(lanes):
     """All steps, where the lanes are still where the steps were chosen for, where steps were asked for by number, and
     where there are few: a target that any steps meet is no reason for fewer than eight."""
     few = scene_over(4.0, 256, 1)
-    assert settled_steps(few, lanes, few.start) == STEPS
+    assert choose_steps(few, lanes, few.start) == STEPS
     settled = average_window(few, lanes, few.start, TRANSIENT // 2).state
-    assert settled_steps(replace(few, target=0.0), lanes, settled) == STEPS
-    assert settled_steps(replace(few, target=1.0, steps=15), lanes, settled) == 15
-    assert settled_steps(replace(few, target=1.0, steps=40), lanes, settled) == 10
+    assert choose_steps(replace(few, target=0.0), lanes, settled) == STEPS
+    assert choose_steps(replace(few, target=1.0, steps=15), lanes, settled) == 15
+    assert choose_steps(replace(few, target=1.0, steps=40), lanes, settled) == 10
 
 
 def test_few_lanes_choose_nothing():

@@ -8,7 +8,7 @@ from conftest import session_of
 from test_basins import experiment
 from test_tracking import changes
 
-from jaxnh.analyses.crises.sudden_growth import agreed, sudden_growths
+from jaxnh.analyses.crises.sudden_growth import keep_common_growths, sudden_growths
 
 CRISIS = 1.790327
 """Of period 3: the iterates 6 and 9 of 0 are one (`test_windows.CRISES`)."""
@@ -44,12 +44,12 @@ def test_twins_agree():
     places = [3, 4, 5, 6]
 
     def shown(other, where=places):
-        return [found.tolist() for found in agreed([first, second], [places, where], [rates, other])]
+        return [found.tolist() for found in keep_common_growths([first, second], [places, where], [rates, other])]
 
     assert shown(1.02 * rates) == [second.tolist()] * 2
     assert shown(1.2 * rates) == [first.tolist(), second.tolist()]
     assert shown(1.02 * rates, [3, 4, 5, 7]) == [first.tolist(), second.tolist()]
-    assert agreed([], [], []) == []
+    assert keep_common_growths([], [], []) == []
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import jaxnh
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.windows.crisis import locate_crisis
-from jaxnh.analyses.windows.search import ENDS, all_lanes, runs_of, search
+from jaxnh.analyses.windows.search import ENDS, all_lanes, period_runs, search
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.iterate import Derivatives
@@ -110,7 +110,7 @@ def kinds(window):
 def test_runs_of_lanes_are_cascades():
     """Periods 3, 6, 12 are one run and 5, 5 another; a lane alone, or one without a period, is none."""
     period = np.array([7, 0, 0, 3, 3, 6, 12, 5, 5, 0, 4, 0])
-    assert runs_of(period) == [(3, 6), (7, 8)]
+    assert period_runs(period) == [(3, 6), (7, 8)]
 
 
 def test_period_three_from_its_fold_to_its_doubling():

@@ -7,9 +7,9 @@ import pytest
 from conftest import ROOT, session_of
 
 import jaxnh
-from jaxnh.analyses.batch import LaneBatch, spread
+from jaxnh.analyses.batch import LaneBatch, broadcast_start
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
-from jaxnh.analyses.verdict import KINDS, across
+from jaxnh.analyses.verdict import KINDS, largest_across
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import dopri8
 
@@ -30,7 +30,9 @@ def lorenz(tmp_path_factory):
 
 
 def at_rest(flow, start, rho, units):
-    scene = LaneBatch(flow, spread(flow.start(start), len(rho)), {"rho": np.array(rho)}, dopri8, 96, False, 1e-9)
+    scene = LaneBatch(
+        flow, broadcast_start(flow.start(start), len(rho)), {"rho": np.array(rho)}, dopri8, 96, False, 1e-9
+    )
     return detect_equilibrium(scene, LaneExecutor(), units)
 
 
@@ -72,10 +74,10 @@ def test_largest_exponent_across_the_flow():
     """Known zeros are taken out once: of a flow that keeps energy, the second stays; one alone says nothing."""
     exponents = np.array([[0.9, 0.0, -14.0], [0.0, 0.0, -1.0], [0.0, -0.3, -1.0], [-0.1, -0.2, -0.3]])
     errors = np.array([[0.1, 0.0, 0.1], [0.0, 0.0, 0.1], [0.0, 0.02, 0.1], [0.001, 0.1, 0.1]])
-    largest, error = across(exponents, errors)
+    largest, error = largest_across(exponents, errors)
     assert largest.tolist() == [0.9, 0.0, -0.3, -0.1]
     assert error.tolist() == [0.1, 0.0, 0.02, 0.001]
-    largest, error = across(np.array([[0.0], [0.5]]), np.array([[0.0], [0.1]]))
+    largest, error = largest_across(np.array([[0.0], [0.5]]), np.array([[0.0], [0.1]]))
     assert (largest.tolist(), error.tolist()) == ([0.0, 0.5], [np.inf, 0.1])
 
 

@@ -14,8 +14,9 @@ from conftest import ROOT
 from measure import scene_of
 from unforced import ANGLE, LANES, SPLITTING, START, P, write_config
 
-from jaxnh.analyses import ANALYSES, chaos01, scene, verdict
+from jaxnh.analyses import ANALYSES, chaos01, verdict
 from jaxnh.analyses.base import LANE
+from jaxnh.analyses.batch import broadcast_start
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.trajectories import diagram, poincare
@@ -39,7 +40,7 @@ def without(*names, **others):
 
 
 def spread(start, count=LANES):
-    return scene.spread(start, count)
+    return broadcast_start(start, count)
 
 
 def lowered(system, function=iterate):

@@ -13,7 +13,7 @@ from conftest import lanes_with_kept_programs, session_of
 from measure import SYSTEMS, UNIT, apart, calibrated, twin
 
 import jaxnh
-from jaxnh.analyses.batch import spread
+from jaxnh.analyses.batch import broadcast_start
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map
@@ -85,7 +85,9 @@ def test_estimate_on_its_own_lanes(lanes, name):
     calibration = calibrated(system, start, np.array([b]), lanes)
     for solver, steps in ((SPLITTINGS["blanes_moan4"], 100), (SPLITTINGS["kahan_li8"], 40)):
         image = lanes(
-            iterate, (make_return_map(system, solver, steps), np.int32(1)), (spread(start, 1), {"b": np.array([b])})
+            iterate,
+            (make_return_map(system, solver, steps), np.int32(1)),
+            (broadcast_start(start, 1), {"b": np.array([b])}),
         )
         (x, y), n = jax.tree.map(lambda leaf: leaf[0], image)
         end = [exact[0, 0], exact[0, 1], np.cos(exact[0, 2]), np.sin(exact[0, 2])]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from measure import apart, scene_of, twin
 from scenes import PAPER_B, hold, hold_to_rounding, roundings, show, show_sum_rule, start_at
 
-from jaxnh.analyses.batch import spread
+from jaxnh.analyses.batch import broadcast_start
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.engine.experiment import load
 from jaxnh.exceptions import ConfigError
@@ -93,7 +93,7 @@ def test_strong_force(battery, lanes):
             )
             assert roundings(enlarged) < target
         for solver, steps in (("kahan_li8", 100), ("strang2", 4), ("sofroniou_spaletta10", 100)):
-            state = spread(start, len(values))
+            state = broadcast_start(start, len(values))
             strobe = make_return_map(system, SPLITTINGS[solver], steps)
             (x, y), (n1, n2) = lanes(iterate, (strobe, np.int32(100)), (state, {"b": values}))
             path = 100 * system.period * math.sqrt(c)  # nothing travels further, whatever the steps

@@ -12,7 +12,7 @@ import pytest
 from calm import check_convergence, check_derivatives, image
 from measure import CALM, UNIT, apart, some_slow
 
-from jaxnh.analyses.batch import spread
+from jaxnh.analyses.batch import broadcast_start
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.general_flow import general_strobe
@@ -98,7 +98,7 @@ def test_solver_of_diffrax_itself():
 def test_parameters_in_the_flow_and_in_the_lane(lanes):
     """Values of the lane take the place of the flow's: all lanes at one a are those of a flow that has it."""
     b = np.array([4.9, 5.2])
-    start = spread(MOTION, 2)
+    start = broadcast_start(MOTION, 2)
 
     def end(a, p):
         flow = free_particle(a, None, 1.0)
@@ -112,7 +112,7 @@ def test_parameters_in_the_flow_and_in_the_lane(lanes):
 def test_one_program_for_all_values_of_the_flow():
     """Parameters of the flow are data, and so are steps; the particle's c, d and ω here as well."""
     lanes = LaneExecutor()
-    start = spread(FLOWS["particle"][1], 2)
+    start = broadcast_start(FLOWS["particle"][1], 2)
     for c, d, omega, steps in ((1.0, 0.1, 1.0, 80), (1.3, 0.0, 1.5, 60), (0.7, -0.2, 2.0, 100)):
         strobe = make_return_map(disturbed_speed(c=c, d=d, omega=omega), tsit5, steps)
         lanes(iterate, (strobe, np.int32(1)), (start, {"b": np.array([4.9, 5.2])}))
@@ -128,7 +128,7 @@ def test_derivatives_of_a_system_of_its_own_parameters(lanes):
     """∂P/∂a of T, Q and f is that of jacfwd of the map."""
     system, start = FLOWS["constrained"]
     p = {"a": np.array([0.5, 0.6]), "b": np.array([4.9, 5.2])}
-    u, strobe = system.chart.host_points(spread(start, 2)), make_return_map(system, dopri8, 120)
+    u, strobe = system.chart.host_points(broadcast_start(start, 2)), make_return_map(system, dopri8, 120)
     image, monodromy, slope = lanes(derivatives, (strobe, np.int32(1)), (u, p), static=("a",))
     assert np.all(np.isfinite(image))
     by_state, by_p = lanes(jacfwd, (strobe,), (u, p))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses.batch import spread
+from jaxnh.analyses.batch import broadcast_start
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
@@ -154,7 +154,7 @@ def by_heyoka(values):
 
 def test_map_comes_to_taylor_at_order_eight(lanes):
     flow, p = first_order(oscillators, VALUES, ("drive",)), {"drive": DRIVES}
-    exact, start = by_heyoka(DRIVES), spread(Point(START), 3)
+    exact, start = by_heyoka(DRIVES), broadcast_start(Point(START), 3)
     errors = [
         np.abs(
             flow.chart.host_points(lanes(iterate, (make_return_map(flow, nystrom8, n), np.int32(1)), (start, p)))
@@ -173,7 +173,9 @@ def test_damped_motion_without_force_is_exact(lanes):
         return y[1], -gamma * y[1]
 
     flow = flow_of(glide, gamma=0.3)
-    end = lanes(iterate, (make_return_map(flow, nystrom8, 16), np.int32(1)), (spread(Point((0.4, 1.1)), 1), {}))
+    end = lanes(
+        iterate, (make_return_map(flow, nystrom8, 16), np.int32(1)), (broadcast_start(Point((0.4, 1.1)), 1), {})
+    )
     left = np.exp(-0.3 * PERIOD)
     assert abs(end.y[1][0] - 1.1 * left) < 1e-14
     assert abs(end.y[0][0] - (0.4 + 1.1 * (1.0 - left) / 0.3)) < 1e-13
@@ -209,7 +211,7 @@ def volume_of(strobe, state, p):
 
 def test_parts_of_a_period_are_the_period(lanes):
     flow, p = first_order(oscillators, VALUES, ("drive",)), {"drive": DRIVES}
-    start = spread(Point(START), 3)
+    start = broadcast_start(Point(START), 3)
     whole = lanes(iterate, (make_return_map(flow, nystrom8, 48), np.int32(1)), (start, p))
     parts = lanes(in_turn, (cut_strobe(flow, nystrom8, 48, 8),), (start, p))
     for one, other in zip(whole.y, parts.y, strict=True):
@@ -266,7 +268,7 @@ def test_lanes_by_t_and_q_are_those_of_the_field(lanes):
     p, n = {"drive": DRIVES}, np.int32(2)
     one = first_order(oscillators, VALUES, ("drive",))
     two = lagrangian(by_t_and_q, VALUES, ("drive",))
-    first = lanes(iterate, (make_return_map(one, nystrom8, 40), n), (spread(Point(START), 3), p))
+    first = lanes(iterate, (make_return_map(one, nystrom8, 40), n), (broadcast_start(Point(START), 3), p))
     motion = Motion(START[:2], START[2:], (0.0, 0.0))
-    second = lanes(iterate, (make_return_map(two, nystrom8, 40), n), (spread(motion, 3), p))
+    second = lanes(iterate, (make_return_map(two, nystrom8, 40), n), (broadcast_start(motion, 3), p))
     assert np.abs(one.chart.host_points(first) - two.chart.host_points(second)).max() < 1e-12

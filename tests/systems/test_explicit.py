@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses.batch import spread
+from jaxnh.analyses.batch import broadcast_start
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.solvers import tsit5
@@ -114,11 +114,11 @@ def test_motions_keep_the_constraints_and_are_those_of_projected_steps(lanes, na
     """The other way is the package's own too, by steps of the whole state each projected: `ProjectedSolver` in diffrax."""
     system, start = SYSTEMS[name][0], on_constraints(name)
     p = {"drive": np.array([0.3, 0.8])}
-    end = lanes(iterate, (make_return_map(system, tsit5, 400), np.int32(2)), (spread(start, 2), p))
+    end = lanes(iterate, (make_return_map(system, tsit5, 400), np.int32(2)), (broadcast_start(start, 2), p))
     left = jax.vmap(lambda y, drive: jnp.stack(system.residuals(0.0, y, {"drive": drive})))(end, p["drive"])
     assert np.abs(np.asarray(left)).max() < 1e-14
     assert np.all(end.watch[1] == 0.0)
-    whole = lanes(stepped_whole, (system,), (spread(start, 2), p))
+    whole = lanes(stepped_whole, (system,), (broadcast_start(start, 2), p))
     # h⁴ over two periods of the classical method, h = π/1000, is 1e-9; that of order five, h = π/200, is below it.
     assert np.abs(system.chart.host_points(end) - system.chart.host_points(whole)).max() < 1e-9
 
@@ -149,7 +149,7 @@ def test_tangents_are_derivatives_of_the_map(lanes, name):
     """In state and parameter, against jacfwd; as many multipliers are zero as there are constraints."""
     system, start = SYSTEMS[name][0], on_constraints(name)
     strobe, p = make_return_map(system, tsit5, 80), {"drive": np.array([0.3, 0.8])}
-    u = system.chart.host_points(spread(start, 2))
+    u = system.chart.host_points(broadcast_start(start, 2))
     found = lanes(derivatives, (strobe, np.int32(1)), (u, p), static=("drive",))
     by_state, by_p = lanes(jacobians, (strobe,), (u, p))
     scale = np.abs(by_state).max()
@@ -170,8 +170,8 @@ def test_volume_is_that_of_the_whole_flow(lanes, name):
     """The divergence that steps integrate is that of rhs, integrated by itself along the same motion."""
     system, start = SYSTEMS[name][0], on_constraints(name)
     p = {"drive": np.array([0.3, 0.8])}
-    volume = lanes(volume_of, (make_return_map(system, tsit5, 400),), (spread(start, 2), p))
-    integral = lanes(divergence_along, (make_return_map(system, tsit5, 400), system), (spread(start, 2), p))
+    volume = lanes(volume_of, (make_return_map(system, tsit5, 400),), (broadcast_start(start, 2), p))
+    integral = lanes(divergence_along, (make_return_map(system, tsit5, 400), system), (broadcast_start(start, 2), p))
     # Simpson's pieces, h = π/100: 2π h⁴/2880 times a fourth derivative of order 100; the states' errors are smaller.
     assert np.abs(np.log(volume) - integral).max() < 1e-6
 
@@ -213,7 +213,7 @@ def test_a_state_off_the_constraint_is_brought_back_or_fails(lanes):
     strobe = make_return_map(system, tsit5, 80)
     for off, reason in ((1e-3, 0.0), (50.0, 2.0)):
         moved = start._replace(v=(start.v[0], start.v[1] + off))
-        end = lanes(iterate, (strobe, np.int32(1)), (spread(moved, 1), p))
+        end = lanes(iterate, (strobe, np.int32(1)), (broadcast_start(moved, 1), p))
         assert end.watch[1][0] == reason
         assert np.isfinite(end.v[0][0]) == (reason == 0.0)
         if reason == 0.0:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses.batch import spread
+from jaxnh.analyses.batch import broadcast_start
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.section import Section, begin
@@ -66,7 +66,7 @@ def by_heyoka(rho, state, time):
 def test_lorenz_for_a_unit_of_time(lanes):
     """Steps of 1/200: Dopri8 leaves 1e-11 of states near 40 at these rates, which a unit of time enlarges tenfold."""
     flow, rho = first_order(lorenz, LORENZ, ("rho",)), np.array([20.0, 28.0, 60.0])
-    start = spread(Point((1.0, 1.0, 20.0)), 3)
+    start = broadcast_start(Point((1.0, 1.0, 20.0)), 3)
     end = lanes(iterate, (make_return_map(flow, dopri8, 200), np.int32(1)), (start, {"rho": rho}))
     assert np.abs(np.stack(end.y, axis=-1) - by_heyoka(rho, [1.0, 1.0, 20.0], 1.0)).max() < 1e-8
 
@@ -74,7 +74,7 @@ def test_lorenz_for_a_unit_of_time(lanes):
 def test_volume_of_lorenz_is_exact(lanes):
     """The divergence −(σ + 1 + β) is a constant, and its integral over a unit of time is that number."""
     flow = first_order(lorenz, LORENZ, ("rho",))
-    start = spread(Point((1.0, 1.0, 20.0)), 2)
+    start = broadcast_start(Point((1.0, 1.0, 20.0)), 2)
     strobe = make_return_map(flow, dopri8, 64)
     volume = lanes(volume_of, (strobe,), (start, {"rho": np.array([28.0, 60.0])}))
     assert np.abs(np.log(volume) + 10.0 + 1.0 + 8 / 3).max() < 1e-13
@@ -100,7 +100,7 @@ def test_pendulum_is_the_one_by_t_and_q(lanes):
 
 def test_parameter_of_the_flow_is_that_of_a_lane(lanes):
     """The drive in the table of times, where all lanes have one value, or with each lane."""
-    start = spread(Point((0.3, 0.1)), 2)
+    start = broadcast_start(Point((0.3, 0.1)), 2)
     one = make_return_map(first_order(pendulum, PENDULUM, ("damping",)), dopri8, 100)
     other = make_return_map(first_order(pendulum, PENDULUM), dopri8, 100)
     p = {"damping": np.array([0.3, 0.4])}
@@ -111,7 +111,7 @@ def test_parameter_of_the_flow_is_that_of_a_lane(lanes):
 
 def test_parts_of_a_period_are_the_period(lanes):
     flow = first_order(pendulum, PENDULUM, ("drive",))
-    start, p = spread(Point((0.3, 0.1)), 2), {"drive": np.array([0.9, 1.1])}
+    start, p = broadcast_start(Point((0.3, 0.1)), 2), {"drive": np.array([0.9, 1.1])}
     whole = lanes(iterate, (make_return_map(flow, dopri8, 96), np.int32(1)), (start, p))
     parts = lanes(in_turn, (cut_strobe(flow, dopri8, 96, 8),), (start, p))
     for one, other in zip(whole.y, parts.y, strict=True):

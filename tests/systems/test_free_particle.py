@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from measure import UNIT
 
-from jaxnh.analyses.batch import spread
+from jaxnh.analyses.batch import broadcast_start
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
@@ -59,7 +59,7 @@ def test_free_particle_is_equation_1():
 def test_free_particle_keeps_its_energy():
     """Without damping and forcing H = v²/2 + V is constant; with damping it falls by a ∫ v² dt, and so at all."""
     b = np.array([0.2, 0.6])
-    start = spread(Motion((0.3, -0.2), (0.5, 0.4), (0.0, 0.0)), 2)
+    start = broadcast_start(Motion((0.3, -0.2), (0.5, 0.4), (0.0, 0.0)), 2)
 
     def energy(z):
         x, y = z.q

@@ -1,7 +1,7 @@
-"""Basins of attraction: which attractor every start state leads to, and which there are. None is named before.
+"""Basins of attraction: the attractors, and the one that every start state leads to. None is given beforehand.
 
-First every lane is run by itself until its means have settled (`settling`), in tiles like any other analysis. From what
-all of them have left the attractors are found (`clustering`, `classification`), numbered from 1 by the size of their
+First every lane is run by itself until its means have settled (`settling`), in tiles like any other analysis. From the
+records of all lanes the attractors are derived (`clustering`, `classification`), numbered from 1 by the size of their
 basins.
 """
 
@@ -18,15 +18,15 @@ from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, Setting, Starts, SweepLanes, SweepReduction, variable
 from jaxnh.analyses.basins.boundary import boundary_variables, check_plane
-from jaxnh.analyses.basins.classification import POINTS, Attractors, recorded, scene_from
-from jaxnh.analyses.basins.clustering import find, joined
+from jaxnh.analyses.basins.classification import POINTS, Attractors, batch_from_points, record_points
+from jaxnh.analyses.basins.clustering import find_attractors, join_attractors
 from jaxnh.analyses.basins.continuation import ContinuedAttractors, Grid, continue_attractors
 from jaxnh.analyses.basins.settling import FAILED, Lot, settle
-from jaxnh.analyses.basins.steps_after_transient import settled_steps
+from jaxnh.analyses.basins.steps_after_transient import choose_steps
 from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in, per_time, picked
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_units, select
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.random_starts import check_box, started
+from jaxnh.analyses.random_starts import check_box, random_start_batch
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.window_averages import average_window, maps, window_averages
 from jaxnh.config.options.base import BLOCKS
@@ -40,17 +40,17 @@ _USUAL = 2.0  # looks as long as the transient that most lanes take, the transie
 
 
 def periods(options: BasinsOptions, lanes: int) -> float:
-    """Lane-periods of a run."""
+    """Return the lane-periods of a run."""
     return _USUAL * options.transient * lanes * max(1, options.n_starts)
 
 
 def numbers(options: BasinsOptions) -> int:
-    """Numbers that a lane leaves, the blocks of a look among them."""
+    """Return how many numbers a lane leaves, the blocks of a window among them."""
     return 12 * BLOCKS * max(1, options.n_starts)
 
 
 def check(options: BasinsOptions, setting: Setting) -> None:
-    """See that there is a box for random starts and nothing else that says where lanes start, and a plane if needed."""
+    """Check that random starts have a box and exclude other start states, and that `boundary` has a plane."""
     if options.n_starts:
         check_box(options.box, setting, "box")
     if options.boundary:
@@ -58,26 +58,26 @@ def check(options: BasinsOptions, setting: Setting) -> None:
 
 
 def choose(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:
-    """Steps of a period after the first look, the same for all lanes of a sweep: fewer where that is worth it."""
+    """Choose the steps of a period after the first window, the same for all lanes of a sweep: fewer if worthwhile."""
     batch = batch.in_time()
     if batch.count * max(1, options.n_starts) < _MANY:
         return {"steps": batch.steps}
-    some = np.unique(np.linspace(0, batch.count - 1, min(batch.count, _SAMPLED)).round().astype(int))
-    here = _started(options, batch.take(some))[0]
-    few = here.take(np.unique(np.linspace(0, here.count - 1, _SAMPLED).round().astype(int)))
-    begun = average_window(few, lanes, few.start, options.transient // 2)
-    return {"steps": settled_steps(few, lanes, begun.state)}
+    subset = np.unique(np.linspace(0, batch.count - 1, min(batch.count, _SAMPLED)).round().astype(int))
+    subset_batch = _draw_starts(options, batch.take(subset))[0]
+    sample = subset_batch.take(np.unique(np.linspace(0, subset_batch.count - 1, _SAMPLED).round().astype(int)))
+    begun = average_window(sample, lanes, sample.start, options.transient // 2)
+    return {"steps": choose_steps(sample, lanes, begun.state)}
 
 
 def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """What every lane has come to by itself (`settling.Lot`), each (lane,), (lane, mean) or (lane, component).
+    """Run every lane by itself and return its record (`settling.Lot`), each (lane,), (lane, mean) or (lane, component).
 
     With random starts `start` is a dimension after the lanes.
     """
     batch = batch.in_time()
     rows = (batch.count, options.n_starts) if options.n_starts else (batch.count,)
     with lanes.stage(f"basins: {math.prod(rows):,} lanes to their attractors", periods(options, batch.count)):
-        starting, steps = _started(options, batch)[0], _settled(batch).steps
+        starting, steps = _draw_starts(options, batch)[0], _with_settled_steps(batch).steps
         lot = settle(starting, lanes, options.transient, options.max_periods, steps)
     dims = (LANE, "start")[: len(rows)]
     second = {
@@ -99,8 +99,8 @@ def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
     )
 
 
-def whole(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
-    """The groups `basins` and `attractors`, from what all lanes have come to by themselves."""
+def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
+    """Return the groups `basins` and `attractors`, from the records of all lanes."""
     shape = tuple(len(axis.values) for axis in sweep.axes)
     starts = (options.n_starts,) if options.n_starts else ()
     each = math.prod(starts)
@@ -111,35 +111,35 @@ def whole(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     sizes = tuple(shape[k] for k in own)
     place = np.unravel_index(np.arange(count) // each, shape)
     point = np.ravel_multi_index([place[k] for k in own], sizes) if own else np.zeros(count, int)
-    on, parts, at, judged = np.full(count, -1), list[Attractors](), np.zeros(0, int), 0
+    on, parts, point_of, judged = np.full(count, -1), list[Attractors](), np.zeros(0, int), 0
     drawn: dict[str, np.ndarray] = {name: np.zeros(count) for name in options.box}
     for row, at_row in sweep.rows:
-        some = (row[:, None] * each + np.arange(each)).ravel()
-        batch, here = _started(options, _settled(at_row))
-        part = picked(lot, some)
-        for name, values in here.items():
-            drawn[name][some] = values
-        found = find(batch, lanes, part, point[some], options.max_period, options.max_periods)
+        subset = (row[:, None] * each + np.arange(each)).ravel()
+        batch, draws = _draw_starts(options, _with_settled_steps(at_row))
+        part = select(lot, subset)
+        for name, values in draws.items():
+            drawn[name][subset] = values
+        assignment = find_attractors(batch, lanes, part, point[subset], options.max_period, options.max_periods)
         for leaf, changed in zip(lot, part, strict=True):
-            leaf[some] = changed
-        judged += found.judged
-        if found.attractors is None:
+            leaf[subset] = changed
+        judged += assignment.judged
+        if assignment.attractors is None:
             continue
-        used, back = np.unique(found.number, return_inverse=True)
-        used, back = used[used >= 0], back - (len(used) - np.sum(used >= 0))
-        on[some] = np.where(back >= 0, back + len(at), -1)
-        parts.append(picked(found.attractors, used))
-        at = np.concatenate([at, found.point[used]])
-    every = joined(parts) if len(at) else None
+        used, index = np.unique(assignment.number, return_inverse=True)
+        used, index = used[used >= 0], index - (len(used) - np.sum(used >= 0))
+        on[subset] = np.where(index >= 0, index + len(point_of), -1)
+        parts.append(select(assignment.attractors, used))
+        point_of = np.concatenate([point_of, assignment.point[used]])
+    every = join_attractors(parts) if len(point_of) else None
     grid = _grid(sweep, own, point[::each])
     number = np.where(lot.known == FAILED, -1, 0).astype(np.int32)
-    table = SweepAttractors(at, np.zeros(0, np.int32), None, {}, ())
+    table = SweepAttractors(point_of, np.zeros(0, np.int32), None, {}, ())
     if every is not None:
-        tracked = continue_attractors(grid, lanes, every, at, options.transient, options.max_periods)
-        table, of = _known(grid, lanes, every, at, tracked, on)
+        tracked = continue_attractors(grid, lanes, every, point_of, options.transient, options.max_periods)
+        table, of = _number_attractors(grid, lanes, every, point_of, tracked, on)
         number[on >= 0] = of[on[on >= 0]]
     flow = sweep.rows[0][1].flow
-    unit = counted_in(flow)
+    unit = iterate_units(flow)
     axes = tuple(sweep.axes[k] for k in own)
     hits = shares(number, point, math.prod(sizes), max([1, *table.number.tolist()]))
     basins = basins_group(lot, number, unit, flow, drawn, (count // each, *starts), judged)
@@ -147,39 +147,39 @@ def whole(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
         basins = basins.merge(boundary_variables(number, sweep.axes))
     return {
         "basins": basins,
-        "attractors": attractors_group(table, axes, hits, unit, per_time(flow)),
+        "attractors": attractors_group(table, axes, hits, unit, rate_units(flow)),
     }
 
 
-def _settled(batch: LaneBatch) -> LaneBatch:
-    """The batch in time, with as many steps as its lanes need once they have come near their attractors."""
+def _with_settled_steps(batch: LaneBatch) -> LaneBatch:
+    """Return the batch in time, with as many steps as its lanes need near their attractors."""
     return replace(batch.in_time(), steps=batch.chosen.get("basins", {}).get("steps", batch.steps))
 
 
-def _started(options: BasinsOptions, batch: LaneBatch) -> tuple[LaneBatch, dict[str, np.ndarray]]:
-    """The lanes with their random starts, and what was drawn, where there are some."""
-    return started(batch, options.n_starts, options.seed, options.box) if options.n_starts else (batch, {})
+def _draw_starts(options: BasinsOptions, batch: LaneBatch) -> tuple[LaneBatch, dict[str, np.ndarray]]:
+    """Return the lanes with their random starts, if any, and the values drawn."""
+    return random_start_batch(batch, options.n_starts, options.seed, options.box) if options.n_starts else (batch, {})
 
 
 def starts(options: BasinsOptions) -> Starts | None:
-    """Where lanes start at random, if they do."""
+    """Return the function that draws random starts, if there are any."""
     if not options.n_starts:
         return None
-    return lambda batch: (_started(options, batch)[0].start, np.repeat(np.arange(batch.count), options.n_starts))
+    return lambda batch: (_draw_starts(options, batch)[0].start, np.repeat(np.arange(batch.count), options.n_starts))
 
 
 def _grid(sweep: SweepLanes, own: Sequence[int], point: Int[np.ndarray, " lanes"]) -> Grid:
-    """The values of the axes that are parameters, each with the first lane there."""
+    """Return the values of the axes that are parameters, each with its first lane."""
     first = np.unique(point, return_index=True)[1]
     row, lane = np.zeros((2, len(first)), int)
-    for number, (some, _) in enumerate(sweep.rows):
-        here = np.isin(first, some)
-        row[here], lane[here] = number, np.searchsorted(some, first[here])
+    for number, (subset, _) in enumerate(sweep.rows):
+        inside = np.isin(first, subset)
+        row[inside], lane[inside] = number, np.searchsorted(subset, first[inside])
     values = tuple(sweep.axes[k].values for k in own)
-    return Grid(values, [_settled(batch) for _, batch in sweep.rows], row, lane)
+    return Grid(values, [_with_settled_steps(batch) for _, batch in sweep.rows], row, lane)
 
 
-def _known(
+def _number_attractors(
     grid: Grid,
     lanes: LaneRunner,
     every: Attractors,
@@ -187,7 +187,7 @@ def _known(
     tracked: ContinuedAttractors,
     on: Int[np.ndarray, " lanes"],
 ) -> tuple[SweepAttractors, Int[np.ndarray, " attractors"]]:
-    """All attractors, those too that no start state leads to, and the numbers of those that some lead to.
+    """Return all attractors, with those that no start leads to, and the numbers of those that some lead to.
 
     Numbers are from 1 on, by the size of the basin over all values, ties by the first lane.
     """
@@ -201,19 +201,19 @@ def _known(
     number[groups[np.lexsort((first[groups], -size[groups]))]] = np.arange(1, len(groups) + 1)
     number = number[same]
     unseen = tracked.unseen
-    origin = np.array([one.origin for one in unseen], int)
-    at = np.concatenate([point, np.array([one.point for one in unseen], int)])
+    origin = np.array([orbit.origin for orbit in unseen], int)
+    at = np.concatenate([point, np.array([orbit.point for orbit in unseen], int)])
     if unseen:
         u, multiplier, exponent = (
-            np.array([getattr(one, k) for one in unseen]) for k in ("u", "multiplier", "exponent")
+            np.array([getattr(orbit, k) for orbit in unseen]) for k in ("u", "multiplier", "exponent")
         )
-        there = picked(every, origin)._replace(u=u, multiplier=multiplier, exponent=exponent)
-        for here, batch in grid.at(at[len(same) :]):
-            there.points[here, :POINTS] = recorded(scene_from(batch, lanes, u[here]), lanes, POINTS)
-        every = joined([every, there])
+        orbits = select(every, origin)._replace(u=u, multiplier=multiplier, exponent=exponent)
+        for here, batch in grid.batches_at(at[len(same) :]):
+            orbits.points[here, :POINTS] = record_points(batch_from_points(batch, lanes, u[here]), lanes, POINTS)
+        every = join_attractors([every, orbits])
     coordinates = dict[str, Output]()
-    for here, batch in grid.at(at):
-        for name, output in _coordinates(batch, lanes, picked(every, here)).items():
+    for here, batch in grid.batches_at(at):
+        for name, output in _coordinates(batch, lanes, select(every, here)).items():
             kept = coordinates.setdefault(
                 name, output._replace(data=np.full((len(at), *output.data.shape[1:]), np.nan))
             )
@@ -223,19 +223,19 @@ def _known(
 
 
 def _coordinates(batch: LaneBatch, lanes: LaneRunner, judged: Attractors) -> dict[str, Output]:
-    """Coordinates of a point of every attractor, and under NAME_points of its points, at the strobe."""
+    """Return coordinates of a point of every attractor, and as NAME_points of its points, at the strobe."""
     count, points = len(judged.u), judged.points[:, :POINTS]
-    one = states_at(batch, lanes, judged.u)
-    every = states_at(batch, lanes, points.reshape(-1, points.shape[-1]))
-    every = jax.tree.map(lambda leaf: leaf.reshape(count, -1), every)
+    state = states_at(batch, lanes, judged.u)
+    states = states_at(batch, lanes, points.reshape(-1, points.shape[-1]))
+    states = jax.tree.map(lambda leaf: leaf.reshape(count, -1), states)
     start = np.zeros(1)
-    found = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], one), start)
-    found = {name: output._replace(data=output.data[:, 0]) for name, output in found.items()}
-    return found | {f"{name}_points": output for name, output in outputs(batch.flow, every, start).items()}
+    coordinates = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], state), start)
+    coordinates = {name: output._replace(data=output.data[:, 0]) for name, output in coordinates.items()}
+    return coordinates | {f"{name}_points": output for name, output in outputs(batch.flow, states, start).items()}
 
 
 def price(options: BasinsOptions, batch: LaneBatch) -> Price:
-    """A period of a look, with its means, against the map alone."""
+    """Return the price of a period of a window, with its means, against the map alone."""
     batch = batch.in_time()
     strobe, parts = maps(batch)
     turns = (float(BLOCKS), 1.0, *((float(parts),) if parts else ()), *strobe.turns)
@@ -244,7 +244,7 @@ def price(options: BasinsOptions, batch: LaneBatch) -> Price:
 
 
 def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
-    """Number of the attractor, 0: undecided, -1: failed; of random starts one after the other in the last dimension."""
+    """Return the number of the attractor, 0: undecided, -1: failed; random starts are in the last dimension."""
     return data["attractor"].to_numpy()
 
 
@@ -253,7 +253,7 @@ ANALYSIS = Analysis(
     BasinsOptions,
     periods,
     run,
-    whole=SweepReduction(("attractors",), whole),
+    whole=SweepReduction(("attractors",), reduce),
     numbers=numbers,
     choose=choose,
     starts=starts,

@@ -50,7 +50,7 @@ class BoundaryMeasures(NamedTuple):
 
 
 class Boundary(NamedTuple):
-    """What is measured of a plane; not a number where there is no boundary, or too little of it."""
+    """Measures of the boundary in a plane; NaN where there is no boundary, or too little of it."""
 
     basin_entropy: BoundaryMeasures
     boundary_entropy: BoundaryMeasures
@@ -58,7 +58,7 @@ class Boundary(NamedTuple):
 
 
 def check_plane(setting: Setting, key: str) -> None:
-    """See that two of the axes, and no more, are start coordinates with enough values at equal distances."""
+    """Check that exactly two of the axes are start coordinates with enough values at equal distances."""
     plane = [axis for axis in setting.axes if axis.kind == "start"]
     if len(plane) != 2:
         raise OptionError("needs a plane of start states: two axes of coordinates of the start", key)
@@ -69,61 +69,61 @@ def check_plane(setting: Setting, key: str) -> None:
 
 
 def boundary_variables(number: Int[np.ndarray, " lanes"], axes: Sequence[Axis]) -> xr.Dataset:
-    """The measures of every plane of start states in a sweep, from the labels of all lanes."""
+    """Return the measures of every plane of start states in a sweep, from the labels of all lanes."""
     plane = [k for k, axis in enumerate(axes) if axis.kind == "start"]
     others = [k for k in range(len(axes)) if k not in plane]
     shape = tuple(len(axis.values) for axis in axes)
     planes = number.reshape(shape).transpose(*others, *plane).reshape(-1, *(shape[k] for k in plane))
-    found = np.array([boundary_of(labels) for labels in planes])  # (planes, quantities, value and error)
+    measures = np.array([measure_boundary(labels) for labels in planes])  # (planes, quantities, value and error)
     dims, sizes = tuple(axes[k].name for k in others), tuple(shape[k] for k in others)
     variables = {}
     for k, (name, words) in enumerate(_WORDS.items()):
-        value, error = (found[:, k, i].reshape(sizes) for i in range(2))
+        value, error = (measures[:, k, i].reshape(sizes) for i in range(2))
         variables[name] = variable(dims, value, words, ancillary_variables=f"{name}_error")
         variables[f"{name}_error"] = variable(dims, error, f"error of the {words.split(',')[0]} at 95 %")
     return xr.Dataset(variables)
 
 
-def boundary_of(labels: Int[np.ndarray, "x y"]) -> Boundary:
-    """Entropies and the exponent of a plane of labels."""
+def measure_boundary(labels: Int[np.ndarray, "x y"]) -> Boundary:
+    """Return the entropies and the exponent of a plane of labels."""
     whole, mixed = entropies(labels)
     return Boundary(whole, mixed, uncertainty_exponent(labels))
 
 
 def entropies(labels: Int[np.ndarray, "x y"]) -> tuple[BoundaryMeasures, BoundaryMeasures]:
-    """Basin entropy and boundary basin entropy.
+    """Return the basin entropy and the boundary basin entropy.
 
     Both are means over all places of a box. The error is the spread over the 25 grids of boxes that the plane can be
     cut into, each of which sees it by itself.
     """
     shape = tuple(n - BOX + 1 for n in labels.shape)
-    decided = _in_boxes(labels != _UNDECIDED, shape)
+    decided = _count_in_boxes(labels != _UNDECIDED, shape)
     entropy, count = np.zeros(shape), np.zeros(shape, int)
     for label in np.unique(labels[labels != _UNDECIDED]):
-        share = _in_boxes(labels == label, shape) / np.maximum(decided, 1)
+        share = _count_in_boxes(labels == label, shape) / np.maximum(decided, 1)
         entropy -= np.where(share > 0.0, share * np.log(np.where(share > 0.0, share, 1.0)), 0.0)
         count += share > 0.0
     known, mixed = decided > 0, count > 1
     grids = [(slice(i, None, BOX), slice(j, None, BOX)) for i in range(BOX) for j in range(BOX)]
-    found = []
+    measures = []
     for over in (known, mixed):
         if not np.any(over):
-            found.append(BoundaryMeasures(0.0 if over is known else np.nan, np.nan))
+            measures.append(BoundaryMeasures(0.0 if over is known else np.nan, np.nan))
             continue
         each = [entropy[grid][over[grid]].mean() for grid in grids if np.any(over[grid])]
-        found.append(BoundaryMeasures(float(entropy[over].mean()), _COVER * float(np.std(each, ddof=1))))
-    return found[0], found[1]
+        measures.append(BoundaryMeasures(float(entropy[over].mean()), _COVER * float(np.std(each, ddof=1))))
+    return measures[0], measures[1]
 
 
-def _in_boxes(hits: Bool[np.ndarray, "x y"], shape: tuple[int, ...]) -> Int[np.ndarray, "places across"]:
-    """Number of hits in the box that begins at each place."""
+def _count_in_boxes(hits: Bool[np.ndarray, "x y"], shape: tuple[int, ...]) -> Int[np.ndarray, "places across"]:
+    """Return the number of hits in the box that begins at each place."""
     total = np.pad(np.cumsum(np.cumsum(hits, axis=0, dtype=np.int64), axis=1), ((1, 0), (1, 0)))
     (a, b), k = shape, BOX
     return total[k:, k:] - total[:a, k:] - total[k:, :b] + total[:a, :b]
 
 
 def uncertainty_exponent(labels: Int[np.ndarray, "x y"]) -> BoundaryMeasures:
-    """The exponent over distances of 1, 2, 4, … starts, up to an eighth of the shorter edge.
+    """Fit the uncertainty exponent over distances of 1, 2, 4, … starts, up to an eighth of the shorter edge.
 
     A line is fitted to the logarithms. The error has two parts: the scatter about the line, by Student's t, but not
     less than what the number of starts that differ leaves; and twice what the fit changes by without the larger half of
@@ -131,37 +131,37 @@ def uncertainty_exponent(labels: Int[np.ndarray, "x y"]) -> BoundaryMeasures:
     stages of a boundary that is alike at several scales, not of one whose stages are further apart than that.
     """
     distances = 2 ** np.arange(int(np.log2(max(min(labels.shape) // _FARTHEST, 1))) + 1)
-    counts = [_different(labels, int(r), int(distances[-1])) for r in distances]
+    counts = [_count_different(labels, int(r), int(distances[-1])) for r in distances]
     differ, pairs = np.array(counts).T
     use = differ >= _FEWEST
     if np.sum(use) < _SCALES:
         return BoundaryMeasures(np.nan, np.nan)
     x, y = np.log(distances[use]), np.log(differ[use] / pairs[use])
-    slope, scatter = _line(x, y)
+    slope, scatter = _fit_line(x, y)
     away = x - x.mean()
     counting = float(np.sqrt(np.sum(away**2 / differ[use])) / (away @ away))
     inner = -(-len(x) // 2) + 1
-    bias = 2.0 * (_line(x[:inner], y[:inner])[0] - slope)
+    bias = 2.0 * (_fit_line(x[:inner], y[:inner])[0] - slope)
     return BoundaryMeasures(slope, float(np.hypot(max(student(len(x) - 1) * scatter, _COVER * counting), bias)))
 
 
-def _different(labels: Int[np.ndarray, "x y"], distance: int, margin: int) -> tuple[int, int]:
-    """Starts whose label is not that of both starts at a distance along an axis, and all that are looked at.
+def _count_different(labels: Int[np.ndarray, "x y"], distance: int, margin: int) -> tuple[int, int]:
+    """Count starts whose label differs from that of a start at a distance along an axis, and all starts compared.
 
     These are the same for all distances up to the margin: those that are as far from both ends of the axis.
     """
     differ = pairs = 0
     for plane in (labels, labels.T):
         n = len(plane)
-        low, here, high = (plane[margin + k : n - margin + k] for k in (-distance, 0, distance))
-        known = (low != _UNDECIDED) & (here != _UNDECIDED) & (high != _UNDECIDED)
-        differ += int(np.sum(known & ((low != here) | (high != here))))
+        low, centre, high = (plane[margin + k : n - margin + k] for k in (-distance, 0, distance))
+        known = (low != _UNDECIDED) & (centre != _UNDECIDED) & (high != _UNDECIDED)
+        differ += int(np.sum(known & ((low != centre) | (high != centre))))
         pairs += int(np.sum(known))
     return differ, max(pairs, 1)
 
 
-def _line(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """Slope of a line through points, and its standard error by their scatter."""
+def _fit_line(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """Return the slope of a line through points, and its standard error by their scatter."""
     away = x - x.mean()
     slope = float(away @ y / (away @ away))
     rest = y - y.mean() - slope * away

@@ -1,4 +1,4 @@
-"""What lanes have settled on: representatives judged by the criteria of `verdict`, and confirmed by a longer look.
+"""Motions that lanes have settled on: judged by the criteria of `verdict`, and confirmed by a longer window.
 
 - periodic: Newton finds a stable orbit at the strobes, up to a period (`periodic.attractor_survey.survey`).
 - equilibrium: without a clock, a zero of the field near by whose eigenvalues all have negative real parts.
@@ -28,12 +28,12 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from jaxnh.analyses.basins.point_sets import lie_within, point_set, spacing
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, SETTLED_TO, Lot
 from jaxnh.analyses.basins.volume import keeps_volume
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.equilibria.search import find_equilibria
 from jaxnh.analyses.exponents.lyapunov import run as exponents_of
 from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey
 from jaxnh.analyses.section_points import points_at, states_at
-from jaxnh.analyses.verdict import KINDS, across, beyond_shear, contracts, nearly_zero, timeless
+from jaxnh.analyses.verdict import KINDS, exceeds_shear, find_timeless, is_contracting, largest_across, nearly_zero
 from jaxnh.analyses.window_averages import WindowAverages, average_window, maps, points_a_unit, units
 from jaxnh.config.options.chaos import LyapunovOptions
 from jaxnh.maps.protocol import ReturnMap
@@ -101,7 +101,7 @@ class Attractors(NamedTuple):
 
 
 def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int, longest: int) -> Attractors:
-    """What the lanes of a batch are on, which are done as the lot says; they go on from where it has left them.
+    """Classify the motions of the lanes of a batch that are done; they go on from the points in the lot.
 
     The batch has them at their start, which sizes are held against.
 
@@ -110,7 +110,7 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
         longest: periods that a lane may take.
     """
     look = lot.time // 2
-    seen, state = _confirming_look(batch, lanes, lot)
+    seen, state = _average_confirming_window(batch, lanes, lot)
     size = np.where(batch.chart.angles, 1.0, np.maximum(seen.largest, lot.least))
     unit = 2.0 * SETTLED_TO * units(np.array(batch.chart.angles), size)
     with np.errstate(invalid="ignore"):
@@ -119,72 +119,74 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
     count = batch.count
     kind, period = np.full(count, NONE, np.int8), np.zeros(count, np.int64)
     exponent, multiplier = np.full((2, count), np.nan)
-    moved_on = scene_from(batch, lanes, u)
+    moved_on = batch_from_points(batch, lanes, u)
     if batch.flow.autonomous:
-        there = find_equilibria(moved_on, lanes, u, lot.size, seen)
-        at_rest = there.found & stays
-        kind[at_rest & there.stable], exponent[at_rest] = EQUILIBRIUM, there.exponent[at_rest]
-        u[at_rest] = there.u[at_rest]
-        left = np.flatnonzero(stays & ~there.found)
+        equilibria = find_equilibria(moved_on, lanes, u, lot.size, seen)
+        at_rest = equilibria.exists & stays
+        kind[at_rest & equilibria.stable], exponent[at_rest] = EQUILIBRIUM, equilibria.exponent[at_rest]
+        u[at_rest] = equilibria.u[at_rest]
+        left = np.flatnonzero(stays & ~equilibria.exists)
     elif not np.any(stays):
         left = np.zeros(0, int)
     else:
-        some = np.flatnonzero(stays)
-        found = _orbits(batch.take(some), lanes, u[some], longest_period)
-        on_orbit = found.period > 0
-        here = some[on_orbit]
-        kind[here], period[here] = PERIODIC, found.period[on_orbit]
-        multiplier[here], u[here] = found.multiplier[on_orbit], found.u[on_orbit]
+        subset = np.flatnonzero(stays)
+        orbits = _orbits(batch.take(subset), lanes, u[subset], longest_period)
+        on_orbit = orbits.period > 0
+        periodic = subset[on_orbit]
+        kind[periodic], period[periodic] = PERIODIC, orbits.period[on_orbit]
+        multiplier[periodic], u[periodic] = orbits.multiplier[on_orbit], orbits.u[on_orbit]
         with np.errstate(divide="ignore"):
-            exponent[here] = np.log(multiplier[here]) / (period[here] * batch.flow.period)
-        left = some[~on_orbit]
+            exponent[periodic] = np.log(multiplier[periodic]) / (period[periodic] * batch.flow.period)
+        left = subset[~on_orbit]
     near, margin = np.full((2, count), _NEAR_ORBIT)
-    points = recorded(scene_from(batch, lanes, u), lanes, POINTS)
+    points = record_points(batch_from_points(batch, lanes, u), lanes, POINTS)
     steps = np.zeros_like(points)
     if len(left):
-        kind[left], exponent[left] = _by_exponents(moved_on.take(left), lanes, picked(seen, left), LONGER * look[left])
-        cloud = recorded(moved_on.take(left), lanes, _CLOUD)
+        kind[left], exponent[left] = _exponent_kinds(
+            moved_on.take(left), lanes, select(seen, left), LONGER * look[left]
+        )
+        cloud = record_points(moved_on.take(left), lanes, _CLOUD)
         drift = _drift(batch.chart, cloud[:, -POINTS:], size[left])
         passing = kind[left] == QUASIPERIODIC
-        across = _drift_across(batch, picked((cloud, size[left]), passing)) if batch.flow.autonomous else drift[passing]
+        across = _drift_across(batch, select((cloud, size[left]), passing)) if batch.flow.autonomous else drift[passing]
         passing[passing] = across * LONGER * look[left][passing] < 1.0
         kind[left[passing | ((kind[left] == CHAOTIC) & (drift <= _REPEATS))]] = NONE
-        kind[left[_conserved(moved_on.take(left), lanes, u[left], kind[left], longest)]] = NONE
-        points, steps = filled_up(points, steps, _CLOUD)
+        kind[left[_keep_volume(moved_on.take(left), lanes, u[left], kind[left], longest)]] = NONE
+        points, steps = pad_points(points, steps, _CLOUD)
         points[left], steps[left] = cloud, _steps(batch.take(left), lanes, cloud)
         for k in left:
             near[k] = _WIDER * spacing(batch.chart, points[k], np.zeros_like(steps[k]), size[k])
             margin[k] = max(_WIDER * spacing(batch.chart, points[k], steps[k], size[k]), _NEAR_ORBIT)
-    some = np.flatnonzero((kind == CHAOTIC) & (lot.known == SETTLED))  # regular and unstable: a repeller?
-    if len(some):
-        sets = (points[some], steps[some], size[some], margin[some])
-        kind[some[_leaves(moved_on.take(some), lanes, u[some], sets)]] = NONE
+    subset = np.flatnonzero((kind == CHAOTIC) & (lot.known == SETTLED))  # regular and unstable: a repeller?
+    if len(subset):
+        sets = (points[subset], steps[subset], size[subset], margin[subset])
+        kind[subset[_leave_sets(moved_on.take(subset), lanes, u[subset], sets)]] = NONE
     means = np.asarray(seen.whole)
     return Attractors(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
 
 
-def filled_up(
+def pad_points(
     points: Float[np.ndarray, "reps points d"], steps: Float[np.ndarray, "reps points d"], count: int
 ) -> tuple[Float[np.ndarray, "reps count d"], Float[np.ndarray, "reps count d"]]:
-    """So many points with their steps, the last point again and again, without a step, where there are fewer."""
+    """Pad points and their steps to `count`: the last point is repeated, without a step."""
     more = [(0, 0), (0, count - points.shape[1]), (0, 0)]
     return np.pad(points, more, mode="edge"), np.pad(steps, more)
 
 
-def scene_from(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> LaneBatch:
-    """The same lanes from section points."""
+def batch_from_points(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> LaneBatch:
+    """Return the same lanes started from section points."""
     return LaneBatch(**{**batch.__dict__, "start": states_at(batch, lanes, u)})
 
 
-def followed(
+def follow_paths(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
 ) -> Float[np.ndarray, "lanes points d"]:
-    """Points of lanes that go on from u, that among them."""
+    """Return points of lanes that go on from u, which is the first of them."""
     strobe, parts = maps(batch)
-    return lanes(_followed, (strobe,), (u, dict(batch.p)), periods=FOLLOWED, static=(parts,))
+    return lanes(_follow_path, (strobe,), (u, dict(batch.p)), periods=FOLLOWED, static=(parts,))
 
 
-def _followed(strobe: ReturnMap, u: Array, p: Parameters, parts: int) -> Float[Array, "points d"]:
+def _follow_path(strobe: ReturnMap, u: Array, p: Parameters, parts: int) -> Float[Array, "points d"]:
     chart = strobe.chart
 
     def follow(state: State, _: None) -> tuple[State, Array]:
@@ -203,7 +205,7 @@ def stays_near(
     points: Float[np.ndarray, "points d"],
     edge: Float[np.ndarray, " d"],
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether all points of paths lie in boxes of these edges that some points lie in, or in one beside.
+    """Whether all points of paths lie in boxes of these edges that contain some of the points, or next to one.
 
     Boxes are looked up by number, in the order of the points: a million lanes take a second. Of more than six
     coordinates the first six are looked at.
@@ -228,15 +230,15 @@ def stays_near(
     return np.all(known[there] == at, axis=1)
 
 
-def _confirming_look(batch: LaneBatch, lanes: LaneRunner, lot: Lot) -> tuple[WindowAverages, State]:
-    """The long look of every lane, those of like length together."""
+def _average_confirming_window(batch: LaneBatch, lanes: LaneRunner, lot: Lot) -> tuple[WindowAverages, State]:
+    """Average every lane over the long window that confirms it, lanes of equal length together."""
     look = lot.time // 2
     parts, order = [], []
     for length in np.unique(look).tolist():
-        here = np.flatnonzero(look == length)
-        begun = states_at(batch.take(here), lanes, lot.u[here])
-        parts.append(average_window(batch.take(here), lanes, begun, LONGER * length))
-        order.append(here)
+        group = np.flatnonzero(look == length)
+        begun = states_at(batch.take(group), lanes, lot.u[group])
+        parts.append(average_window(batch.take(group), lanes, begun, LONGER * length))
+        order.append(group)
     back = np.argsort(np.concatenate(order))
     seen = jax.tree.map(lambda *leaves: np.concatenate(leaves)[back], *parts)
     return seen, seen.state
@@ -246,34 +248,34 @@ def _confirming_look(batch: LaneBatch, lanes: LaneRunner, lot: Lot) -> tuple[Win
 
 
 def _orbits(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], limit: int):
-    found = survey(batch, lanes, u, limit, "basins", 0)
-    return polish_beyond_doublings(lanes, batch.strobe(), dict(batch.p), found)
+    orbits = survey(batch, lanes, u, limit, "basins", 0)
+    return polish_beyond_doublings(lanes, batch.strobe(), dict(batch.p), orbits)
 
 
 # ---- all others
 
 
-def _by_exponents(
+def _exponent_kinds(
     batch: LaneBatch, lanes: LaneRunner, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]
 ) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
-    """Kinds by the largest exponents, and the one that counts."""
+    """Return kinds by the largest exponents, and the exponent that decides."""
     clock, period = not batch.flow.autonomous, batch.flow.period
     if not clock and batch.flow.exponents == 1:  # along the flow there is one alone
         around = _comes_back(batch, seen, looked)
         return np.where(around, LIMIT_CYCLE, NONE).astype(np.int8), np.full(batch.count, np.nan)
     options = LyapunovOptions(transient=_LAGS, periods=_AVERAGED, exponents=min(2, batch.flow.exponents))
-    found = exponents_of(options, batch, lanes)
-    every, errors = found["exponents"].to_numpy(), found["exponents_error"].to_numpy()
-    largest, error = (every[:, 0], errors[:, 0]) if clock else across(every, errors)
-    chaotic = beyond_shear(largest, error, _AVERAGED, period)
+    spectrum = exponents_of(options, batch, lanes)
+    every, errors = spectrum["exponents"].to_numpy(), spectrum["exponents_error"].to_numpy()
+    largest, error = (every[:, 0], errors[:, 0]) if clock else largest_across(every, errors)
+    chaotic = exceeds_shear(largest, error, _AVERAGED, period)
     neutral = nearly_zero(largest, error, period)
     kind = np.full(batch.count, NONE, np.int8)
     kind[chaotic], kind[neutral & ~chaotic] = CHAOTIC, QUASIPERIODIC
     if clock:
-        here = timeless(batch, lanes, np.flatnonzero(kind == QUASIPERIODIC))
-        cycle = contracts(every[here], errors[here], period, np.full(len(here), _AVERAGED))
-        kind[here] = np.where(cycle, LIMIT_CYCLE, NONE)
-        largest[here] = np.where(cycle, every[here, -1], largest[here])
+        steady = find_timeless(batch, lanes, np.flatnonzero(kind == QUASIPERIODIC))
+        cycle = is_contracting(every[steady], errors[steady], period, np.full(len(steady), _AVERAGED))
+        kind[steady] = np.where(cycle, LIMIT_CYCLE, NONE)
+        largest[steady] = np.where(cycle, every[steady, -1], largest[steady])
     else:
         if len(batch.chart.angles) == 2 and sum(batch.chart.angles) < 2:  # Poincaré and Bendixson: nothing but cycles
             kind[:] = NONE
@@ -288,23 +290,23 @@ def _comes_back(
     """Whether a motion without a clock has gone to and fro or around: a slow passage goes one way."""
     turns = np.array(batch.chart.angles)
     fro = ~turns & (seen.path > _TO_AND_FRO * (seen.high - seen.low)) & (seen.high > seen.low)
-    turned = turns & (np.abs(_turning(turns, seen)) * looked[:, None] * points_a_unit(batch) > _TURNED)
+    turned = turns & (np.abs(_mean_turns(turns, seen)) * looked[:, None] * points_a_unit(batch) > _TURNED)
     return np.any(fro | turned, axis=1)
 
 
-def _turning(turns: Bool[np.ndarray, " d"], seen: WindowAverages) -> Float[np.ndarray, "lanes d"]:
-    """Mean turn of every angle from point to point, zero of what is none."""
-    found, place = np.zeros((len(seen.whole), len(turns))), 0
+def _mean_turns(turns: Bool[np.ndarray, " d"], seen: WindowAverages) -> Float[np.ndarray, "lanes d"]:
+    """Return the mean turn of every angle from point to point, zero for other coordinates."""
+    mean_turns, place = np.zeros((len(seen.whole), len(turns))), 0
     for i, turning in enumerate(turns):
-        found[:, i] = seen.whole[:, place + 2] if turning else 0.0
+        mean_turns[:, i] = seen.whole[:, place + 2] if turning else 0.0
         place += 3 if turning else 2
-    return found
+    return mean_turns
 
 
 def _drift(
     chart: Chart, points: Float[np.ndarray, "lanes points d"], size: Float[np.ndarray, "lanes d"]
 ) -> Float[np.ndarray, " lanes"]:
-    """How far points move a period, in sizes, after the lag at which they repeat themselves best."""
+    """Return how far points move a period, in sizes, after the lag at which they recur best."""
     drift, scale = np.full(len(points), np.inf), np.where(size > 0.0, size, 1.0)[:, None]
     for lag in range(1, _LAGS + 1):
         moved = np.abs(chart.wrap(points[:, lag:] - points[:, :-lag])) / scale
@@ -315,7 +317,7 @@ def _drift(
 def _drift_across(
     batch: LaneBatch, motion: tuple[Float[np.ndarray, "lanes points d"], Float[np.ndarray, "lanes d"]]
 ) -> Float[np.ndarray, " lanes"]:
-    """The same of motions without a clock: across the flow, after the time at which they repeat themselves best.
+    """Return the drift of autonomous motions: across the flow, after the time at which they recur best.
 
     Paths between points are parabolas, through a point and those beside it.
     """
@@ -341,8 +343,8 @@ def _drift_across(
     return drift * points_a_unit(batch)
 
 
-def recorded(batch: LaneBatch, lanes: LaneRunner, count: int) -> Float[np.ndarray, "lanes points d"]:
-    """Points of lanes, one after the other: strobes, or without a clock several in a unit of time."""
+def record_points(batch: LaneBatch, lanes: LaneRunner, count: int) -> Float[np.ndarray, "lanes points d"]:
+    """Return successive points of lanes: strobes, or for an autonomous flow several in a unit of time."""
     strobe, parts = maps(batch)
     return lanes(_record, (strobe,), batch.lanes, periods=count, static=(count, parts))
 
@@ -361,7 +363,7 @@ def _record(strobe: ReturnMap, state: State, p: Parameters, count: int, parts: i
 def _steps(
     batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "lanes points d"]
 ) -> Float[np.ndarray, "lanes points d"]:
-    """Displacement along the flow in the time from a recorded point to the next, zero with a clock."""
+    """Return the displacement along the flow in the time between recorded points, zero with a clock."""
     if not batch.flow.autonomous:
         return np.zeros_like(points)
     each = batch.take(np.repeat(np.arange(batch.count), points.shape[1]))
@@ -374,10 +376,10 @@ def _rate(flow: Flow, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"
     return jnp.stack(rates(flow, state, p))
 
 
-def _leaves(
+def _leave_sets(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], sets: tuple[np.ndarray, ...]
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether motions from points beside those of lanes leave the sets that these are on.
+    """Whether motions from points beside those of lanes leave the sets that the lanes are on.
 
     So they do from a cycle in a symmetry's invariant plane that attracts in that plane alone.
 
@@ -385,7 +387,7 @@ def _leaves(
         sets: points, steps, sizes and margins.
     """
     aside = 2.0 * np.mod(np.arange(1, u.shape[1] + 1) * _GOLDEN, 1.0) - 1.0  # along no symmetry
-    cloud = recorded(scene_from(batch, lanes, u + _ASIDE * aside * sets[2]), lanes, _CLOUD)[:, -POINTS:]
+    cloud = record_points(batch_from_points(batch, lanes, u + _ASIDE * aside * sets[2]), lanes, _CLOUD)[:, -POINTS:]
     within = [
         np.mean(lie_within(point_set(batch.chart, points, steps, size), later, size, float(margin)))
         for later, points, steps, size, margin in zip(cloud, *sets, strict=True)
@@ -393,15 +395,15 @@ def _leaves(
     return np.array(within) < 0.5
 
 
-def _conserved(
+def _keep_volume(
     batch: LaneBatch,
     lanes: LaneRunner,
     u: Float[np.ndarray, "lanes d"],
     kind: Int8[np.ndarray, " lanes"],
     longest: int,
 ) -> Bool[np.ndarray, " lanes"]:
-    """Which of the motions that do not contract towards themselves keep phase volume too: these are no attractors."""
-    kept, some = np.zeros(batch.count, np.bool_), np.flatnonzero(np.isin(kind, (QUASIPERIODIC, CHAOTIC)))
-    if len(some):
-        kept[some] = keeps_volume(batch.take(some), lanes, u[some], longest)
+    """Whether quasiperiodic or chaotic motions keep phase volume: these are no attractors."""
+    kept, recurrent = np.zeros(batch.count, np.bool_), np.flatnonzero(np.isin(kind, (QUASIPERIODIC, CHAOTIC)))
+    if len(recurrent):
+        kept[recurrent] = keeps_volume(batch.take(recurrent), lanes, u[recurrent], longest)
     return kept

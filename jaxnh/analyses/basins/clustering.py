@@ -24,14 +24,14 @@ from jaxnh.analyses.basins.classification import (
     POINTS,
     Attractors,
     classify,
-    filled_up,
-    followed,
+    follow_paths,
+    pad_points,
     stays_near,
 )
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
-from jaxnh.analyses.basins.settling import CONSERVATIVE, OPEN, RESTLESS, SETTLED, Lot, go_on
+from jaxnh.analyses.basins.settling import CONSERVATIVE, OPEN, RESTLESS, SETTLED, Lot, resume
 from jaxnh.analyses.basins.volume import keeps_volume
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.systems.chart import Chart
 
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
@@ -58,10 +58,10 @@ class Assignment(NamedTuple):
     judged: int = 0
 
 
-def find(
+def find_attractors(
     batch: LaneBatch, lanes: LaneRunner, lot: Lot, point: Int[np.ndarray, " lanes"], limit: int, longest: int
 ) -> Assignment:
-    """The attractors of lanes that have been run by themselves; those on none yet go on, in place, while they may.
+    """Return the attractors of lanes that have been run by themselves, extending in place lanes that are on none.
 
     Judging takes as long as lanes have gone on before, so that after a round in which no attractor was found half as
     many are judged: all rounds together cost no more than a few of the first.
@@ -71,23 +71,23 @@ def find(
         limit: period looked for, at most.
         longest: periods that a lane may take.
     """
-    found, most = Assignment(np.full(batch.count, -1), np.zeros(0, int), None), _MOST_CLUSTERS
+    assignment, most = Assignment(np.full(batch.count, -1), np.zeros(0, int), None), _MOST_CLUSTERS
     tested = np.zeros(batch.count, np.bool_)
     while True:
-        before = len(found.point)
-        found = _search(batch, lanes, lot, point, found, limit, longest, most)
-        most = most if len(found.point) > before else max(1, most // 2)
-        left = (found.number < 0) & np.isin(lot.known, (SETTLED, RESTLESS))
+        before = len(assignment.point)
+        assignment = _search(batch, lanes, lot, point, assignment, limit, longest, most)
+        most = most if len(assignment.point) > before else max(1, most // 2)
+        left = (assignment.number < 0) & np.isin(lot.known, (SETTLED, RESTLESS))
         new = np.flatnonzero(left & ~tested)
         if len(new):
             kept = new[keeps_volume(batch.take(new), lanes, lot.u[new], longest)]
             lot.known[kept], left[kept], tested[new] = CONSERVATIVE, False, True
-        some = np.flatnonzero(left & (2 * lot.time <= longest))
-        if not len(some):
+        unsettled = np.flatnonzero(left & (2 * lot.time <= longest))
+        if not len(unsettled):
             lot.known[left] = OPEN
-            return found
-        with lanes.stage(f"basins: {len(some):,} lanes longer", float(lot.time[some].sum())):
-            go_on(batch, lanes, lot, some, longest)
+            return assignment
+        with lanes.stage(f"basins: extending {len(unsettled):,} lanes", float(lot.time[unsettled].sum())):
+            resume(batch, lanes, lot, unsettled, longest)
 
 
 def _search(
@@ -95,47 +95,49 @@ def _search(
     lanes: LaneRunner,
     lot: Lot,
     point: Int[np.ndarray, " lanes"],
-    found: Assignment,
+    assignment: Assignment,
     limit: int,
     longest: int,
     most: int,
 ) -> Assignment:
-    """Lanes matched to attractors, and those that these leave judged, at most so many at a value of the parameters.
+    """Match lanes to attractors and judge the others, at most so many clusters at a value of the parameters.
 
     Lanes of one cluster may still be on several attractors, as those that a symmetry relates share means: while new
     ones are found, the lanes of a cluster that are on none of them are judged in turn. So are, a few times, those
     whose leader is on no attractor but elsewhere.
     """
-    match(batch, lanes, lot, point, found)
-    open_, restless, fruitless = found.number < 0, True, 0
+    match(batch, lanes, lot, point, assignment)
+    pending, restless, fruitless = assignment.number < 0, True, 0
     while True:
-        seeds, cluster = _representatives(lot, point, open_, most, restless)
+        seeds, cluster = _representatives(lot, point, pending, most, restless)
         if not len(seeds):
-            return found
-        here = batch.take(seeds)
-        judged = classify(here, lanes, picked(lot, seeds), limit, longest)
-        largest, before = np.nanmax(np.abs(lot.size), axis=0, initial=0.0), len(found.point)
-        found, place = _added(here, lanes, found, judged, point[seeds], largest)
+            return assignment
+        representatives = batch.take(seeds)
+        judged = classify(representatives, lanes, select(lot, seeds), limit, longest)
+        largest, before = np.nanmax(np.abs(lot.size), axis=0, initial=0.0), len(assignment.point)
+        assignment, place = _add_attractors(representatives, lanes, assignment, judged, point[seeds], largest)
         settled = lot.known[seeds] == SETTLED
-        found.number[seeds[settled]] = place[settled]
+        assignment.number[seeds[settled]] = place[settled]
         of_leader = np.where(cluster >= 0, place[cluster], -1)
-        match(batch, lanes, lot, point, found, of_leader)
-        away = _away(batch.chart, lot, judged, cluster)
-        fruitful = len(found.point) > before
-        open_, restless = (found.number < 0) & (away | (fruitful & (of_leader >= 0))), False
+        match(batch, lanes, lot, point, assignment, of_leader)
+        away = _far_from_leaders(batch.chart, lot, judged, cluster)
+        fruitful = len(assignment.point) > before
+        pending, restless = (assignment.number < 0) & (away | (fruitful & (of_leader >= 0))), False
         fruitless = 0 if fruitful else fruitless + 1
         if fruitless > _FRUITLESS:
-            return found
+            return assignment
 
 
-def _away(chart: Chart, lot: Lot, judged: Attractors, cluster: Int[np.ndarray, " lanes"]) -> Bool[np.ndarray, " lanes"]:
-    """Lanes of clusters whose leaders are on no attractor, and that are not where these are, as beside a repeller."""
+def _far_from_leaders(
+    chart: Chart, lot: Lot, judged: Attractors, cluster: Int[np.ndarray, " lanes"]
+) -> Bool[np.ndarray, " lanes"]:
+    """Whether a lane is far from the leader of its cluster, which is on no attractor, as beside a repeller."""
     away = np.zeros(len(cluster), np.bool_)
     for k in np.flatnonzero(judged.kind == NONE).tolist():
-        some = np.flatnonzero(cluster == k)
-        if len(some) > 1:
-            one: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
-            away[some] = _distances(chart, one, lot.u[some], lot.size[some]) > 1.0
+        members = np.flatnonzero(cluster == k)
+        if len(members) > 1:
+            leader: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
+            away[members] = _distances(chart, leader, lot.u[members], lot.size[members]) > 1.0
     return away
 
 
@@ -144,10 +146,10 @@ def match(
     lanes: LaneRunner,
     lot: Lot,
     point: Int[np.ndarray, " lanes"],
-    found: Assignment,
+    assignment: Assignment,
     of_leader: Int[np.ndarray, " lanes"] | None = None,
 ) -> None:
-    """Numbers of the attractors of lanes that have none yet, in place, where there is one that fits.
+    """Assign attractors that fit to lanes that have none yet, in place.
 
     Lanes that have settled have its means and have come near its points, and to those of no other; restless ones stay
     near its points, nearer than to those of others.
@@ -155,71 +157,72 @@ def match(
     Args:
         of_leader: attractor whose means a lane shares with the leader of its cluster, −1 where there is none, (lanes,).
     """
-    if found.attractors is None:
+    if assignment.attractors is None:
         return
-    open_ = found.number < 0
-    settled, restless = (np.flatnonzero(open_ & (lot.known == known)) for known in (SETTLED, RESTLESS))
-    paths = followed(batch.take(restless), lanes, lot.u[restless]) if len(restless) else np.empty(0)
+    pending = assignment.number < 0
+    settled, restless = (np.flatnonzero(pending & (lot.known == known)) for known in (SETTLED, RESTLESS))
+    paths = follow_paths(batch.take(restless), lanes, lot.u[restless]) if len(restless) else np.empty(0)
     (first, second), nearest = np.full((2, batch.count), np.inf), np.full(batch.count, -1)
-    for k in range(len(found.point)):
-        one: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], found.attractors)
-        some = settled[point[settled] == found.point[k]]
-        fits = np.all(np.abs(lot.means[some] - one.means) <= lot.unit[some] + one.unit, axis=1)
-        some = some[fits if of_leader is None else fits | (of_leader[some] == k)]
-        distance = _distances(batch.chart, one, lot.u[some], lot.size[some])
-        here = np.flatnonzero(point[restless] == found.point[k])
-        if len(here):
-            here = here[_near(batch, one, paths[here])]
-            some, distance = (
-                np.append(some, restless[here]),
-                np.append(distance, _mean_distances(batch, one, paths[here])),
+    for k in range(len(assignment.point)):
+        attractor: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], assignment.attractors)
+        subset = settled[point[settled] == assignment.point[k]]
+        fits = np.all(np.abs(lot.means[subset] - attractor.means) <= lot.unit[subset] + attractor.unit, axis=1)
+        subset = subset[fits if of_leader is None else fits | (of_leader[subset] == k)]
+        distance = _distances(batch.chart, attractor, lot.u[subset], lot.size[subset])
+        staying = np.flatnonzero(point[restless] == assignment.point[k])
+        if len(staying):
+            staying = staying[_stay_near(batch, attractor, paths[staying])]
+            subset, distance = (
+                np.append(subset, restless[staying]),
+                np.append(distance, _mean_distances(batch, attractor, paths[staying])),
             )
-        nearer = distance < first[some]
-        second[some] = np.where(nearer, first[some], np.minimum(second[some], distance))
-        first[some], nearest[some] = np.where(nearer, distance, first[some]), np.where(nearer, k, nearest[some])
+        nearer = distance < first[subset]
+        second[subset] = np.where(nearer, first[subset], np.minimum(second[subset], distance))
+        first[subset] = np.where(nearer, distance, first[subset])
+        nearest[subset] = np.where(nearer, k, nearest[subset])
     shown = (first <= 1.0) & (second > np.minimum(1.0, _CLEARLY * first))
     shown[restless] = nearest[restless] >= 0
-    found.number[shown] = nearest[shown]
+    assignment.number[shown] = nearest[shown]
 
 
 def _mean_distances(
-    batch: LaneBatch, one: Attractors, paths: Float[np.ndarray, "lanes followed d"]
+    batch: LaneBatch, target: Attractors, paths: Float[np.ndarray, "lanes followed d"]
 ) -> Float[np.ndarray, " lanes"]:
-    """Mean distances of the points of paths from an attractor, in its margin."""
+    """Return the mean distances of the points of paths from an attractor, in units of its margin."""
     every = paths.reshape(-1, paths.shape[2])
-    return _distances(batch.chart, one, every, np.zeros_like(every)).reshape(paths.shape[:2]).mean(axis=1)
+    return _distances(batch.chart, target, every, np.zeros_like(every)).reshape(paths.shape[:2]).mean(axis=1)
 
 
 def _distances(
-    chart: Chart, one: Attractors, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
+    chart: Chart, target: Attractors, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
 ) -> Float[np.ndarray, " lanes"]:
-    """Distances of section points from an attractor, in what its margin is for lanes of these sizes."""
+    """Return the distances of section points from an attractor, in units of its margin for lanes of these sizes."""
     if not len(u):
         return np.zeros(0)
-    turns = max(1, int(one.period)) if one.kind in (PERIODIC, EQUILIBRIUM) else len(one.points)
-    away = offsets(point_set(chart, one.points[:turns], one.steps[:turns], one.size, size.max(axis=0)), u)
-    unit = np.where(chart.angles, 1.0, np.maximum(one.size, size))
-    return np.max(np.abs(away) / np.where(unit > 0.0, unit, 1.0), axis=1) / float(one.margin)
+    turns = max(1, int(target.period)) if target.kind in (PERIODIC, EQUILIBRIUM) else len(target.points)
+    away = offsets(point_set(chart, target.points[:turns], target.steps[:turns], target.size, size.max(axis=0)), u)
+    unit = np.where(chart.angles, 1.0, np.maximum(target.size, size))
+    return np.max(np.abs(away) / np.where(unit > 0.0, unit, 1.0), axis=1) / float(target.margin)
 
 
-def _near(
-    batch: LaneBatch, one: Attractors, paths: Float[np.ndarray, "lanes followed d"]
+def _stay_near(
+    batch: LaneBatch, target: Attractors, paths: Float[np.ndarray, "lanes followed d"]
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether paths stay near an attractor."""
-    edge = one.near * np.where(one.size > 0.0, one.size, 1.0)
-    return stays_near(np.array(batch.chart.angles), paths, one.points, edge)
+    edge = target.near * np.where(target.size > 0.0, target.size, 1.0)
+    return stays_near(np.array(batch.chart.angles), paths, target.points, edge)
 
 
 def _representatives(
-    lot: Lot, point: Int[np.ndarray, " lanes"], open_: Bool[np.ndarray, " lanes"], most: int, restless: bool
+    lot: Lot, point: Int[np.ndarray, " lanes"], pending: Bool[np.ndarray, " lanes"], most: int, restless: bool
 ) -> tuple[Int[np.ndarray, " seeds"], Int[np.ndarray, " lanes"]]:
-    """Open lanes to be judged: the first of each cluster of those that have settled, and some restless ones.
+    """Select pending lanes to be judged: the first of each cluster of settled ones, and a few restless ones.
 
     Returns:
         Their numbers, and for every lane the place among them of the one of its cluster, −1 where it is in none.
     """
     cluster, seeds = np.full(len(point), -1), list[int]()
-    settled = np.flatnonzero(open_ & (lot.known == SETTLED))
+    settled = np.flatnonzero(pending & (lot.known == SETTLED))
     for _ in range(most):
         if not len(settled):
             break
@@ -231,71 +234,72 @@ def _representatives(
         cluster[settled[alike]] = len(seeds) + of[alike]
         seeds += leaders.tolist()
         settled = settled[~alike]
-    others = np.flatnonzero(open_ & (lot.known == RESTLESS)) if restless else np.zeros(0, int)
+    others = np.flatnonzero(pending & (lot.known == RESTLESS)) if restless else np.zeros(0, int)
     for at in np.unique(point[others]):
-        here = others[point[others] == at]
-        seeds += here[np.unique(np.linspace(0, len(here) - 1, min(_SEEDS, most)).round().astype(int))].tolist()
+        lanes_at = others[point[others] == at]
+        seeds += lanes_at[np.unique(np.linspace(0, len(lanes_at) - 1, min(_SEEDS, most)).round().astype(int))].tolist()
     return np.array(seeds, int), cluster
 
 
-def _added(
+def _add_attractors(
     batch: LaneBatch,
     lanes: LaneRunner,
-    found: Assignment,
+    assignment: Assignment,
     judged: Attractors,
     point: Int[np.ndarray, " reps"],
     largest: Float[np.ndarray, " d"],
 ) -> tuple[Assignment, Int[np.ndarray, " reps"]]:
-    """Attractors with those that are new, and for every representative the number of its own, −1 where it is none."""
+    """Add new attractors, and return the number of every representative's own, −1 where it has none."""
     place = np.full(len(point), -1)
     new: list[int] = []
-    before = 0 if found.attractors is None else len(found.point)
+    before = 0 if assignment.attractors is None else len(assignment.point)
     for k in range(len(point)):
         if judged.kind[k] == NONE:
             continue
-        one: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
+        target: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
+        lane = batch.take(slice(k, k + 1))
         if before:
-            assert found.attractors is not None
-            same = _same(batch.take(slice(k, k + 1)), lanes, one, found.attractors, largest, found.point == point[k])
+            assert assignment.attractors is not None
+            same = _match_attractors(lane, lanes, target, assignment.attractors, largest, assignment.point == point[k])
             if np.any(same):
                 place[k] = int(np.argmax(same))
                 continue
         if new:
-            others = picked(judged, np.array(new))
-            same = _same(batch.take(slice(k, k + 1)), lanes, one, others, largest, point[new] == point[k])
+            others = select(judged, np.array(new))
+            same = _match_attractors(lane, lanes, target, others, largest, point[new] == point[k])
             if np.any(same):
                 place[k] = before + int(np.argmax(same))
                 continue
         place[k] = before + len(new)
         new.append(k)
-    added = picked(judged, np.array(new, int))
+    added = select(judged, np.array(new, int))
     every = added if new else None
-    if found.attractors is not None:
-        every = joined([found.attractors, added])
-    of_each = np.concatenate([found.point, point[new].astype(int)])
-    return Assignment(found.number, of_each, every, found.judged + len(point)), place
+    if assignment.attractors is not None:
+        every = join_attractors([assignment.attractors, added])
+    of_each = np.concatenate([assignment.point, point[new].astype(int)])
+    return Assignment(assignment.number, of_each, every, assignment.judged + len(point)), place
 
 
-def joined(parts: Sequence[Attractors]) -> Attractors:
-    """Attractors of several parts, one after the other, with as many points each."""
+def join_attractors(parts: Sequence[Attractors]) -> Attractors:
+    """Concatenate attractors, padded to the same number of points."""
     most = max(part.points.shape[1] for part in parts)
-    filled = [filled_up(part.points, part.steps, most) for part in parts]
+    filled = [pad_points(part.points, part.steps, most) for part in parts]
     even = [part._replace(points=points, steps=steps) for part, (points, steps) in zip(parts, filled, strict=True)]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *even)
 
 
-def _same(
+def _match_attractors(
     batch: LaneBatch,
     lanes: LaneRunner,
     one: Attractors,
     others: Attractors,
     largest: Float[np.ndarray, " d"],
-    here: Bool[np.ndarray, " others"],
+    same_point: Bool[np.ndarray, " others"],
 ) -> Bool[np.ndarray, " others"]:
-    """Which of some attractors at the same point another one is: orbits have a point in common, others fill one set."""
+    """Whether each attractor at the same point is the given one: orbits share a point, others fill one set."""
     if one.kind in (PERIODIC, EQUILIBRIUM):
-        return same_orbits(batch.chart, one, others, largest) & here
-    alike = (others.kind == one.kind) & here
+        return same_orbits(batch.chart, one, others, largest) & same_point
+    alike = (others.kind == one.kind) & same_point
     for k in np.flatnonzero(alike):
         alike[k] = same_set(batch.chart, one, jax.tree.map(lambda leaf, k=k: leaf[k], others))
     return alike
@@ -317,7 +321,7 @@ def same_set(chart: Chart, one: Attractors, other: Attractors) -> bool:
 def same_orbits(
     chart: Chart, one: Attractors, others: Attractors, largest: Float[np.ndarray, " d"]
 ) -> Bool[np.ndarray, " others"]:
-    """Which of some attractors are an equilibrium or an orbit that has these kind, period and point `u`."""
+    """Whether each attractor is an equilibrium or orbit of the same kind and period through the point `u`."""
     turns = int(one.period)
     points = others.points[:, :turns] if turns else others.u[:, None]
     apart = np.abs(chart.wrap(points - one.u))
@@ -326,5 +330,5 @@ def same_orbits(
 
 
 def same_within(largest: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
-    """How far apart points of one orbit are at most, with the largest motion of a sweep."""
+    """Return the largest distance between points of one orbit, from the largest motion of a sweep."""
     return _SAME_ORBIT * np.where(largest > 0.0, largest, 1.0)

@@ -17,12 +17,12 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Attractors, scene_from
+from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Attractors, batch_from_points
 from jaxnh.analyses.basins.clustering import Assignment, match, same_orbits, same_within
-from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, go_on, settle
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
-from jaxnh.analyses.crises.band_phase import embedded
-from jaxnh.analyses.crises.sudden_growth import agreed, sudden_growths
+from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, resume, settle
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.crises.band_phase import embed_points
+from jaxnh.analyses.crises.sudden_growth import keep_common_growths, sudden_growths
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, largest_multiplier, orbits
 
@@ -49,8 +49,8 @@ class Grid(NamedTuple):
     row: Int[np.ndarray, " values"]
     lane: Int[np.ndarray, " values"]
 
-    def beside(self, axis: int, points: Int[np.ndarray, " some"], way: int) -> Int[np.ndarray, " some"]:
-        """The neighbours of values along an axis, towards higher (1) or lower (−1) ones; −1 where there is none."""
+    def neighbours(self, axis: int, points: Int[np.ndarray, " some"], way: int) -> Int[np.ndarray, " some"]:
+        """Return the neighbours of values along an axis, higher (1) or lower (−1) ones; −1 where there is none."""
         sizes = tuple(len(values) for values in self.values)
         place = list(np.unravel_index(points, sizes))
         order = np.argsort(self.values[axis], kind="stable")
@@ -58,11 +58,11 @@ class Grid(NamedTuple):
         place[axis] = order[np.clip(rank, 0, len(order) - 1)]
         return np.where((rank >= 0) & (rank < len(order)), np.ravel_multi_index(place, sizes), -1)
 
-    def at(self, points: Int[np.ndarray, " some"]) -> Iterator[tuple[Int[np.ndarray, " part"], LaneBatch]]:
-        """Scenes of lanes at some values, each with the places of these in `points`."""
+    def batches_at(self, points: Int[np.ndarray, " some"]) -> Iterator[tuple[Int[np.ndarray, " part"], LaneBatch]]:
+        """Yield batches of lanes at these values, each with the places of its lanes in `points`."""
         for number in np.unique(self.row[points]).tolist():
-            here = np.flatnonzero(self.row[points] == number)
-            yield here, self.batches[number].take(self.lane[points[here]])
+            places = np.flatnonzero(self.row[points] == number)
+            yield places, self.batches[number].take(self.lane[points[places]])
 
 
 class Change(NamedTuple):
@@ -90,7 +90,7 @@ class ContinuedAttractors(NamedTuple):
 
 
 class _OrbitsBeyond(NamedTuple):
-    """Orbits at other values: which are there, and which of these are stable; points of them, and how they attract."""
+    """Orbits at other values: whether each exists and is stable, a point of it, and how it attracts."""
 
     there: Bool[np.ndarray, " some"]
     stable: Bool[np.ndarray, " some"]
@@ -100,7 +100,7 @@ class _OrbitsBeyond(NamedTuple):
 
 
 class Unseen(NamedTuple):
-    """An orbit that no start state leads to: the attractor it goes on from, the value that it is at, and the orbit."""
+    """An orbit that no start state leads to: the attractor it continues, its value of the parameter, and the orbit."""
 
     origin: int
     point: int
@@ -117,7 +117,7 @@ def continue_attractors(
     transient: int,
     longest: int,
 ) -> ContinuedAttractors:
-    """Attractors of all values of the parameters held together along every axis.
+    """Identify attractors of neighbouring values of the parameters along every axis.
 
     Args:
         point: value that each is at, (attractors,).
@@ -128,10 +128,10 @@ def continue_attractors(
         if len(values) < 2:
             continue
         with lanes.stage(f"basins: {len(point):,} attractors along an axis", 0.0):
-            line = _Line(grid, lanes, every, point, axis)
-            line.by_newton()
-            line.beyond_the_last_start()
-            line.by_points(transient, longest)
+            line = _AxisLinks(grid, lanes, every, point, axis)
+            line.link_by_newton()
+            line.extend_beyond_starts()
+            line.link_by_points(transient, longest)
         changes += line.changes()
         unseen += line.unseen
         for one in np.flatnonzero(line.next >= 0).tolist():
@@ -146,14 +146,14 @@ def continue_attractors(
 
 
 def _join(groups: Int[np.ndarray, " attractors"], point: Int[np.ndarray, " attractors"], one: int, other: int) -> None:
-    """Make two attractors one, in place, unless they would then be two at one value, as around a cusp."""
+    """Identify two attractors, in place, unless there would then be two at one value, as around a cusp."""
     low, high = sorted((groups[one], groups[other]))
     if low != high and not np.intersect1d(point[groups == low], point[groups == high]).size:
         groups[groups == high] = low
 
 
-class _Line:
-    """Attractors along one axis: which one each goes on as at the next value, and which one each comes from.
+class _AxisLinks:
+    """Attractors along one axis, and links between those that are the same at neighbouring values.
 
     Attributes:
         unseen: orbits that no start state leads to: attractor that they go on from, value, point, multiplier, exponent.
@@ -165,7 +165,7 @@ class _Line:
         self._grid, self._lanes, self._every, self._point, self._axis = grid, lanes, every, point, axis
         self._largest = np.max(every.size, axis=0)
         self._orbit = np.isin(every.kind, (PERIODIC, EQUILIBRIUM))
-        self._beside = {way: grid.beside(axis, point, way) for way in (1, -1)}
+        self._beside = {way: grid.neighbours(axis, point, way) for way in (1, -1)}
         self._links = {way: np.full(len(point), -1) for way in (1, -1)}
         # Of orbits followed on: the last value that they are at, and the one beyond, −1 at the end of the axis.
         self._ends: dict[int, dict[int, tuple[int, int]]] = {1: {}, -1: {}}
@@ -173,124 +173,129 @@ class _Line:
 
     @property
     def next(self) -> Int[np.ndarray, " attractors"]:
-        """What each is at the next higher value where it is found, −1 where it ends."""
+        """Number of each attractor at the next higher value, −1 where it ends."""
         return self._links[1]
 
     def _link(self, one: int, other: int, way: int = 1) -> None:
         self._links[way][one], self._links[-way][other] = other, one
 
-    def _there(self, at: int) -> Int[np.ndarray, " some"]:
-        """Attractors at a value."""
+    def _attractors_at(self, at: int) -> Int[np.ndarray, " some"]:
+        """Return the attractors at a value."""
         return np.flatnonzero(self._point == at)
 
     # ---- orbits
 
-    def by_newton(self) -> None:
+    def link_by_newton(self) -> None:
         """Link orbits that Newton continues to each other."""
-        some = np.flatnonzero(self._orbit & (self._beside[1] >= 0))
-        found = self._continued(some, self._every.u[some], self._point[some], self._beside[1][some])
-        for one, there, u in zip(some.tolist(), found.there.tolist(), found.u, strict=True):
-            other = self._met(one, u, self._beside[1][one]) if there else -1
+        subset = np.flatnonzero(self._orbit & (self._beside[1] >= 0))
+        orbits = self._continue_orbits(subset, self._every.u[subset], self._point[subset], self._beside[1][subset])
+        for k, exists, u in zip(subset.tolist(), orbits.there.tolist(), orbits.u, strict=True):
+            other = self._identify(k, u, self._beside[1][k]) if exists else -1
             if other >= 0:
-                self._link(one, other)
+                self._link(k, other)
 
-    def beyond_the_last_start(self) -> None:
-        """Follow orbits on where they end, for as long as they are there and stable; link those that are met again."""
+    def extend_beyond_starts(self) -> None:
+        """Continue orbits beyond their last attractor while they are stable; link those that are met again."""
         for way in (1, -1):
-            some = np.flatnonzero(self._orbit & (self._links[way] < 0))
-            at, u = self._point[some], self._every.u[some]
-            while len(some):
-                end = self._grid.beside(self._axis, at, way)
-                self._ends[way] |= {one: (int(at[k]), -1) for k, one in enumerate(some.tolist()) if end[k] < 0}
-                some, at, end, u = (leaf[end >= 0] for leaf in (some, at, end, u))
-                found = self._continued(some, u, at, end)
-                goes_on = np.zeros(len(some), bool)
-                for k, one in enumerate(some.tolist()):
-                    other = self._met(one, found.u[k], end[k]) if found.there[k] and found.stable[k] else -1
+            left = np.flatnonzero(self._orbit & (self._links[way] < 0))
+            at, u = self._point[left], self._every.u[left]
+            while len(left):
+                end = self._grid.neighbours(self._axis, at, way)
+                self._ends[way] |= {origin: (int(at[k]), -1) for k, origin in enumerate(left.tolist()) if end[k] < 0}
+                left, at, end, u = (leaf[end >= 0] for leaf in (left, at, end, u))
+                orbits = self._continue_orbits(left, u, at, end)
+                goes_on = np.zeros(len(left), bool)
+                for k, origin in enumerate(left.tolist()):
+                    other = self._identify(origin, orbits.u[k], end[k]) if orbits.there[k] and orbits.stable[k] else -1
                     if other >= 0 and self._links[-way][other] < 0:
-                        self._link(one, other, way)
-                    elif other < 0 and found.there[k] and found.stable[k]:
+                        self._link(origin, other, way)
+                    elif other < 0 and orbits.there[k] and orbits.stable[k]:
                         goes_on[k] = True
-                        self.unseen.append(Unseen(one, int(end[k]), found.u[k], found.multiplier[k], found.exponent[k]))
+                        self.unseen.append(
+                            Unseen(origin, int(end[k]), orbits.u[k], orbits.multiplier[k], orbits.exponent[k])
+                        )
                     else:
-                        self._ends[way][one] = int(at[k]), int(end[k])
-                some, at, u = some[goes_on], end[goes_on], found.u[goes_on]
+                        self._ends[way][origin] = int(at[k]), int(end[k])
+                left, at, u = left[goes_on], end[goes_on], orbits.u[goes_on]
 
-    def _met(self, one: int, u: Float[np.ndarray, " d"], at: int) -> int:
-        """The attractor at a value that an orbit is, with its kind and period; −1 where it is none."""
-        there = self._there(at)
+    def _identify(self, one: int, u: Float[np.ndarray, " d"], at: int) -> int:
+        """Return the attractor at a value that is an orbit of this kind and period through u; −1 if there is none."""
+        there = self._attractors_at(at)
         chart = self._grid.batches[self._grid.row[at]].chart
         like = jax.tree.map(lambda leaf: leaf[one], self._every)._replace(u=u)
-        hits = there[same_orbits(chart, like, picked(self._every, there), self._largest)]
+        hits = there[same_orbits(chart, like, select(self._every, there), self._largest)]
         return int(hits[0]) if len(hits) else -1
 
-    def _continued(
+    def _continue_orbits(
         self,
-        some: Int[np.ndarray, " some"],
+        subset: Int[np.ndarray, " some"],
         u: Float[np.ndarray, "some d"],
         begin: Int[np.ndarray, " some"],
         end: Int[np.ndarray, " some"],
     ) -> _OrbitsBeyond:
-        """Orbits of some attractors, through u at the values `begin`, at `end`: there only if they lead back to u."""
-        found = self._newton(some, u, end)
-        back = self._newton(some, found.u, begin)
+        """Continue orbits of attractors through u from values `begin` to `end`: valid only if they lead back to u."""
+        orbits_at_end = self._newton(subset, u, end)
+        back = self._newton(subset, orbits_at_end.u, begin)
         chart = self._grid.batches[0].chart
         with np.errstate(invalid="ignore"):
             returns = np.all(np.abs(chart.wrap(back.u - u)) <= same_within(self._largest), axis=1)
-        return found._replace(there=found.there & back.there & returns)
+        return orbits_at_end._replace(there=orbits_at_end.there & back.there & returns)
 
     def _newton(
-        self, some: Int[np.ndarray, " some"], u: Float[np.ndarray, "some d"], points: Int[np.ndarray, " some"]
+        self, subset: Int[np.ndarray, " some"], u: Float[np.ndarray, "some d"], points: Int[np.ndarray, " some"]
     ) -> _OrbitsBeyond:
-        """Newton from u for orbits with the periods of some attractors, at values of the parameters."""
-        count = len(some)
-        found = _OrbitsBeyond(np.zeros(count, bool), np.zeros(count, bool), u.copy(), *np.full((2, count), np.nan))
+        """Solve for orbits with the periods of these attractors by Newton from u, at values of the parameters."""
+        count = len(subset)
+        result = _OrbitsBeyond(np.zeros(count, bool), np.zeros(count, bool), u.copy(), *np.full((2, count), np.nan))
         finite = np.all(np.isfinite(u), axis=1)
-        for here, batch in self._grid.at(points):
+        for places, batch in self._grid.batches_at(points):
             for kind in (PERIODIC, EQUILIBRIUM):
-                mine = (self._every.kind[some[here]] == kind) & finite[here]
+                mine = (self._every.kind[subset[places]] == kind) & finite[places]
                 if not np.any(mine):
                     continue
-                which, among = here[mine], batch.take(np.flatnonzero(mine))
-                parts = (self._periodic if kind == PERIODIC else self._at_rest)(among, u[which], some[which])
-                for whole, part in zip(found, parts, strict=True):
+                which, among = places[mine], batch.take(np.flatnonzero(mine))
+                solve = self._solve_orbits if kind == PERIODIC else self._solve_equilibria
+                parts = solve(among, u[which], subset[which])
+                for whole, part in zip(result, parts, strict=True):
                     whole[which] = part
-        return found
+        return result
 
-    def _periodic(
-        self, batch: LaneBatch, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]
+    def _solve_orbits(
+        self, batch: LaneBatch, u: Float[np.ndarray, "some d"], subset: Int[np.ndarray, " some"]
     ) -> _OrbitsBeyond:
-        period = self._every.period[some]
-        orbit = orbits(self._lanes, batch.strobe(), u, dict(batch.p), period, self._every.size[some])
+        period = self._every.period[subset]
+        orbit = orbits(self._lanes, batch.strobe(), u, dict(batch.p), period, self._every.size[subset])
         multiplier = largest_multiplier(orbit.monodromy)
         with np.errstate(divide="ignore", invalid="ignore"):
             exponent = np.log(multiplier) / (period * batch.flow.period)
         return _OrbitsBeyond(orbit.residual < CONVERGED, multiplier < 1.0, orbit.u, multiplier, exponent)
 
-    def _at_rest(
+    def _solve_equilibria(
         self, batch: LaneBatch, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]
     ) -> _OrbitsBeyond:
         size = np.broadcast_to(self._largest, u.shape)
-        found = equilibria_from_starts(batch, self._lanes, u, size)
-        return _OrbitsBeyond(found.found, found.stable, found.u, np.full(len(u), np.nan), found.exponent)
+        zeros = equilibria_from_starts(batch, self._lanes, u, size)
+        return _OrbitsBeyond(zeros.exists, zeros.stable, zeros.u, np.full(len(u), np.nan), zeros.exponent)
 
     # ---- all others
 
-    def by_points(self, transient: int, longest: int) -> None:
-        """Link what is left on both sides and leads to each other alone."""
+    def link_by_points(self, transient: int, longest: int) -> None:
+        """Link remaining attractors of neighbouring values that lead to each other alone."""
         leads: dict[tuple[int, int], int] = {}
         for way in (1, -1):
-            some = [k for k in np.flatnonzero(self._beside[way] >= 0).tolist() if k in self._open(self._point[k], way)]
-            faced = [k for k in some if len(self._open(self._beside[way][k], -way))]
-            to = self._led(np.array(faced, int), self._beside[way][faced], transient, longest)
+            inner = np.flatnonzero(self._beside[way] >= 0).tolist()
+            inner = [k for k in inner if k in self._unlinked(self._point[k], way)]
+            faced = [k for k in inner if len(self._unlinked(self._beside[way][k], -way))]
+            to = self._destinations(np.array(faced, int), self._beside[way][faced], transient, longest)
             leads |= {(one, way): int(other) for one, other in zip(faced, to, strict=True)}
         for at in np.unique(self._point[[one for one, way in leads if way == 1]]).tolist():
-            self._pair(self._open(at, 1), self._open(self._grid.beside(self._axis, np.array([at]), 1)[0], -1), leads)
+            after = self._grid.neighbours(self._axis, np.array([at]), 1)[0]
+            self._pair(self._unlinked(at, 1), self._unlinked(after, -1), leads)
 
     def _pair(
         self, ones: Int[np.ndarray, " ones"], others: Int[np.ndarray, " others"], leads: dict[tuple[int, int], int]
     ) -> None:
-        """Link those of two neighbouring values that lead to each other, or one to the other, and to nothing else."""
+        """Link attractors of neighbouring values that lead to each other, or one to the other, and to nothing else."""
         arrows = {(one, leads[one, 1]) for one in ones.tolist() if leads[one, 1] >= 0}
         arrows |= {(leads[other, -1], other) for other in others.tolist() if leads[other, -1] >= 0}
         for one, other in sorted(arrows):
@@ -298,58 +303,58 @@ class _Line:
             if alone and one in ones and other in others:
                 self._link(one, other)
 
-    def _open(self, at: int, way: int) -> Int[np.ndarray, " some"]:
-        """Attractors at a value that end there, that way: linked to none, and Newton follows them no further."""
-        there = self._there(at)
+    def _unlinked(self, at: int, way: int) -> Int[np.ndarray, " some"]:
+        """Return the attractors at a value that end there in this direction: neither linked nor continued by Newton."""
+        there = self._attractors_at(at)
         ends = np.array([self._ends[way].get(one, (at, at))[0] == at for one in there.tolist()], bool)
         return there[(self._links[way][there] < 0) & ends]
 
-    def _led(
-        self, some: Int[np.ndarray, " some"], points: Int[np.ndarray, " some"], transient: int, longest: int
+    def _destinations(
+        self, subset: Int[np.ndarray, " some"], points: Int[np.ndarray, " some"], transient: int, longest: int
     ) -> Int[np.ndarray, " some"]:
-        """The attractor at a value that most points of each of some attractors lead to, −1 where there is none."""
-        to = np.full((len(some), _PROBES), -1)
+        """Return the attractor at a value that most points of each given one lead to, −1 where there is none."""
+        to = np.full((len(subset), _PROBES), -1)
         place = np.linspace(0, POINTS - 1, _PROBES).round().astype(int)
-        for here, batch in self._grid.at(points):
-            begun = self._every.points[some[here]][:, place]
-            many = batch.take(np.repeat(np.arange(len(here)), _PROBES))
-            many = scene_from(many, self._lanes, begun.reshape(-1, begun.shape[-1]))
-            lot, at = settle(many, self._lanes, transient, longest), np.repeat(points[here], _PROBES)
-            found = Assignment(np.full(many.count, -1), self._point, self._every)
+        for places, batch in self._grid.batches_at(points):
+            begun = self._every.points[subset[places]][:, place]
+            many = batch.take(np.repeat(np.arange(len(places)), _PROBES))
+            many = batch_from_points(many, self._lanes, begun.reshape(-1, begun.shape[-1]))
+            lot, at = settle(many, self._lanes, transient, longest), np.repeat(points[places], _PROBES)
+            assignment = Assignment(np.full(many.count, -1), self._point, self._every)
             while True:
-                match(many, self._lanes, lot, at, found)
-                left = (found.number < 0) & np.isin(lot.known, (SETTLED, RESTLESS)) & (2 * lot.time <= longest)
+                match(many, self._lanes, lot, at, assignment)
+                left = (assignment.number < 0) & np.isin(lot.known, (SETTLED, RESTLESS)) & (2 * lot.time <= longest)
                 if not np.any(left):
                     break
-                go_on(many, self._lanes, lot, np.flatnonzero(left), longest)
-            to[here] = found.number.reshape(-1, _PROBES)
+                resume(many, self._lanes, lot, np.flatnonzero(left), longest)
+            to[places] = assignment.number.reshape(-1, _PROBES)
         most = [np.bincount(row[row >= 0], minlength=1) for row in to]
         return np.array([int(np.argmax(hits)) if hits.max() >= _MOST else -1 for hits in most], int)
 
     # ---- what has changed
 
     def changes(self) -> list[Change]:
-        """Where attractors end, begin, or grow."""
-        found = []
-        for one, kind in enumerate(self._every.kind.tolist()):
+        """Return the births, deaths and sudden growths of attractors."""
+        changes = []
+        for origin, kind in enumerate(self._every.kind.tolist()):
             for way, change in ((-1, BIRTH), (1, DEATH)):
-                begin, end = self._ends[way].get(one, (int(self._point[one]), int(self._beside[way][one])))
-                if self._links[way][one] < 0 <= end:
-                    found.append(Change(CRISIS if kind == CHAOTIC else change, one, self._axis, begin, end))
+                begin, end = self._ends[way].get(origin, (int(self._point[origin]), int(self._beside[way][origin])))
+                if self._links[way][origin] < 0 <= end:
+                    changes.append(Change(CRISIS if kind == CHAOTIC else change, origin, self._axis, begin, end))
         chains, sizes = list(self._chaotic_chains()), [len(values) for values in self._grid.values]
         along = [np.unravel_index(self._point[chain], sizes)[self._axis] for chain in chains]
         values = self._grid.values[self._axis]
         grown = [sudden_growths(self._clouds(chain), values[at]) for chain, at in zip(chains, along, strict=True)]
         points = [self._point[chain].tolist() for chain in chains]
-        grown = agreed(grown, points, [self._every.exponent[chain] for chain in chains])
+        grown = keep_common_growths(grown, points, [self._every.exponent[chain] for chain in chains])
         for chain, steps in zip(chains, grown, strict=True):
             for k in np.flatnonzero(steps).tolist():
-                one, other = chain[k], chain[k + 1]
-                found.append(Change(CRISIS, one, self._axis, int(self._point[one]), int(self._point[other])))
-        return found
+                origin, other = chain[k], chain[k + 1]
+                changes.append(Change(CRISIS, origin, self._axis, int(self._point[origin]), int(self._point[other])))
+        return changes
 
     def _chaotic_chains(self) -> Iterator[list[int]]:
-        """Attractors that are linked one to the next, as far as they are chaotic: two at least."""
+        """Yield chains of two or more chaotic attractors, each linked to the next."""
         chaotic = self._every.kind == CHAOTIC
         for one in np.flatnonzero(chaotic).tolist():
             before, chain = int(self._links[-1][one]), [one]
@@ -361,7 +366,7 @@ class _Line:
                 yield chain
 
     def _clouds(self, chain: Sequence[int]) -> list[Float[np.ndarray, "points k"]]:
-        """Points of attractors, in the largest of their sizes."""
+        """Return points of attractors, in units of the largest of their sizes."""
         size = np.max(self._every.size[chain], axis=0)
         turns = np.array(self._grid.batches[0].chart.angles)
-        return [embedded(self._every.points[one], turns, np.where(size > 0.0, size, 1.0)) for one in chain]
+        return [embed_points(self._every.points[one], turns, np.where(size > 0.0, size, 1.0)) for one in chain]

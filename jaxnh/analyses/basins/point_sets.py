@@ -51,7 +51,7 @@ def point_set(
     size: Float[np.ndarray, " d"],
     lane_size: Float[np.ndarray, " d"] | float = 0.0,
 ) -> PointSet:
-    """The set of points of a motion of this size, with the path between them where they have steps.
+    """Return the set of points of a motion of this size, with the path between them where they have steps.
 
     Args:
         steps: displacement along the flow in the time from a point to the next, zero with a clock.
@@ -60,13 +60,13 @@ def point_set(
     scale = np.maximum(size, _LEAST * lane_size)
     scale = np.where(scale > 0.0, scale, 1.0)
     if np.any(steps):
-        points, steps = _filled_in(chart, points, steps)
-    return PointSet(chart, scale, points, steps, KDTree(_placed(chart, points, scale), boxsize=_box(chart, scale)))
+        points, steps = _interpolate(chart, points, steps)
+    return PointSet(chart, scale, points, steps, KDTree(_scale(chart, points, scale), boxsize=_box(chart, scale)))
 
 
 def offsets(of: PointSet, u: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
-    """Differences of section points from the nearest point of a set, without a clock from its path."""
-    nearest = of.tree.query(_placed(of.chart, u, of.scale))[1]
+    """Return differences of section points from the nearest point of a set, for an autonomous flow from its path."""
+    nearest = of.tree.query(_scale(of.chart, u, of.scale))[1]
     away, along = of.chart.wrap(u - of.points[nearest]), of.steps[nearest]
     length = np.sum((along / of.scale) ** 2, axis=1)
     part = np.sum(away * along / of.scale**2, axis=1) / np.where(length > 0.0, length, 1.0)
@@ -79,14 +79,14 @@ def spacing(
     steps: Float[np.ndarray, "points d"],
     size: Float[np.ndarray, " d"],
 ) -> float:
-    """The largest distance of a point from the earlier half of the motion, in sizes, by those of the later half.
+    """Return the largest distance, in sizes, of points of the later half of a motion from those of the earlier half.
 
     It is large where the motion has not come back by then.
     """
     half = len(points) // 2
     earlier = point_set(chart, points[:half], steps[:half], size)
     if not np.any(steps):
-        placed = _placed(chart, points[half:], earlier.scale)
+        placed = _scale(chart, points[half:], earlier.scale)
         return float(np.max(earlier.tree.query(placed, p=np.inf)[0]))
     return float(np.max(np.abs(offsets(earlier, points[half:])) / earlier.scale))
 
@@ -94,14 +94,14 @@ def spacing(
 def lie_within(
     of: PointSet, points: Float[np.ndarray, "points d"], size: Float[np.ndarray, " d"], margin: float
 ) -> Bool[np.ndarray, " points"]:
-    """Which points lie within a margin, in sizes, of a set."""
+    """Whether points lie within a margin, in sizes, of a set."""
     return np.all(np.abs(offsets(of, points)) <= margin * np.where(size > 0.0, size, 1.0), axis=1)
 
 
-def _filled_in(
+def _interpolate(
     chart: Chart, points: Float[np.ndarray, "points d"], steps: Float[np.ndarray, "points d"]
 ) -> tuple[Float[np.ndarray, "more d"], Float[np.ndarray, "more d"]]:
-    """Points between points, by cubic Hermite polynomials, and the steps from each of them to the next."""
+    """Insert points by cubic Hermite polynomials, and return them with the steps from each to the next."""
     gap, (begin, end) = chart.wrap(np.diff(points, axis=0)), (steps[:-1], steps[1:])
     square, cube = 3.0 * gap - 2.0 * begin - end, begin + end - 2.0 * gap
     at = (np.arange(_BETWEEN) / _BETWEEN)[:, None, None]
@@ -111,12 +111,12 @@ def _filled_in(
 
 
 def _box(chart: Chart, scale: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
-    """Lengths after which coordinates in units return, zero of what does not."""
+    """Return the periods of the coordinates in units, zero for those that are not angles."""
     return np.where(chart.angles, 2 * np.pi / scale, 0.0)
 
 
-def _placed(chart: Chart, u: Float[np.ndarray, "points d"], scale: Float[np.ndarray, " d"]) -> np.ndarray:
-    """Section points in units, angles in [0, 2π)."""
+def _scale(chart: Chart, u: Float[np.ndarray, "points d"], scale: Float[np.ndarray, " d"]) -> np.ndarray:
+    """Return section points in units, angles in [0, 2π)."""
     box = _box(chart, scale)
     placed = np.where(box > 0.0, np.mod(u / scale, np.where(box > 0.0, box, 1.0)), u / scale)
     return np.where((box > 0.0) & (placed >= box), 0.0, placed)

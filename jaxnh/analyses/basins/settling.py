@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int, Int8
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.window_averages import WindowAverages, average_window, units
 from jaxnh.maps.section import reports
@@ -29,11 +29,11 @@ _RESTLESS = 1e-2  # likewise, of one whose motion is no slow approach
 _FALLS = 0.25  # from a look to the next of what an approach or a smooth mean leaves; of chaos half is left, or more
 _GROWN = 1.5  # from one look to one twice as long, of what goes to infinity in proportion to time
 OPEN, SETTLED, RESTLESS, FAILED, CONSERVATIVE = range(5)
-"""What is known of a lane; that it is conservative is for `clustering` to say."""
+"""States of knowledge of a lane; `clustering` decides which lanes are conservative."""
 
 
 class Lot(NamedTuple):
-    """Lanes, and what has been seen of them.
+    """Records of lanes.
 
     Attributes:
         known: `OPEN`, `SETTLED`, `RESTLESS`, `FAILED` or `CONSERVATIVE`, (lanes,).
@@ -59,7 +59,7 @@ class Lot(NamedTuple):
 
 
 def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, steps: int | None = None) -> Lot:
-    """Lanes from their start states: looked at from `transient` periods on, until `longest` are over at most.
+    """Run lanes from their start states, in windows from `transient` periods on, for at most `longest` periods.
 
     After half of the transient a period has `steps` steps (`steps_after_transient`), or as many as before.
     """
@@ -75,66 +75,66 @@ def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, st
     )
     absent = ~_finite(start)
     lot.known[absent], lot.status[absent] = FAILED, STATUS.index("off_constraint")
-    some = np.flatnonzero(~absent)
-    here = batch.take(some)
-    begun = average_window(here, lanes, here.start, transient // 2) if len(some) else None
+    finite = np.flatnonzero(~absent)
+    active = batch.take(finite)
+    begun = average_window(active, lanes, active.start, transient // 2) if len(finite) else None
     if begun is None:
         return lot
-    batch, here = (replace(one, steps=steps or one.steps) for one in (batch, here))
-    seen = average_window(here, lanes, begun.state, transient // 2)
-    lot.least[some] = _LEAST * np.fmax(np.abs(points_at(here, lanes, here.start)), begun.largest)
-    lot.size[some] = np.fmax(seen.largest, lot.least[some])
-    lot.time[some], lot.u[some] = transient, points_at(batch, lanes, seen.state)
-    lot.gap[some] = _gap(seen, units(np.array(batch.chart.angles), np.fmax(begun.largest, seen.largest)))
-    _fail(lot, some, batch.flow, seen.state)
-    left = lot.known[some] == OPEN
-    _look_on(batch, lanes, lot, some[left], picked(seen.state, left), transient, longest)
+    batch, active = (replace(one, steps=steps or one.steps) for one in (batch, active))
+    seen = average_window(active, lanes, begun.state, transient // 2)
+    lot.least[finite] = _LEAST * np.fmax(np.abs(points_at(active, lanes, active.start)), begun.largest)
+    lot.size[finite] = np.fmax(seen.largest, lot.least[finite])
+    lot.time[finite], lot.u[finite] = transient, points_at(batch, lanes, seen.state)
+    lot.gap[finite] = _gap(seen, units(np.array(batch.chart.angles), np.fmax(begun.largest, seen.largest)))
+    _fail(lot, finite, batch.flow, seen.state)
+    left = lot.known[finite] == OPEN
+    _extend_windows(batch, lanes, lot, finite[left], select(seen.state, left), transient, longest)
     return lot
 
 
-def go_on(batch: LaneBatch, lanes: LaneRunner, lot: Lot, some: Int[np.ndarray, " some"], longest: int) -> None:
-    """Lanes that are not done after all, from where they are, in place."""
-    lot.known[some] = OPEN
-    for elapsed in np.unique(lot.time[some]).tolist():
-        here = some[lot.time[some] == elapsed]
-        state = states_at(batch, lanes, lot.u[here])
-        _look_on(batch, lanes, lot, here, state, elapsed, longest)
+def resume(batch: LaneBatch, lanes: LaneRunner, lot: Lot, subset: Int[np.ndarray, " some"], longest: int) -> None:
+    """Run lanes on, in place, from where they are."""
+    lot.known[subset] = OPEN
+    for elapsed in np.unique(lot.time[subset]).tolist():
+        group = subset[lot.time[subset] == elapsed]
+        state = states_at(batch, lanes, lot.u[group])
+        _extend_windows(batch, lanes, lot, group, state, elapsed, longest)
 
 
-def _look_on(
+def _extend_windows(
     batch: LaneBatch,
     lanes: LaneRunner,
     lot: Lot,
-    open_: Int[np.ndarray, " some"],
+    active: Int[np.ndarray, " some"],
     state: State,
     elapsed: int,
     longest: int,
 ) -> None:
-    """Look at lanes as long as all before, until they are done."""
+    """Average lanes over windows as long as all time before, until they are done."""
     turns = np.array(batch.chart.angles)
-    while len(open_) and 2 * elapsed <= longest:
-        here = batch.take(open_)
-        seen = average_window(here, lanes, state, elapsed)
+    while len(active) and 2 * elapsed <= longest:
+        active_batch = batch.take(active)
+        seen = average_window(active_batch, lanes, state, elapsed)
         elapsed *= 2
-        before = lot.size[open_]
-        lot.size[open_] = np.fmax(before, seen.largest)
-        scale = units(turns, lot.size[open_])
+        before = lot.size[active]
+        lot.size[active] = np.fmax(before, seen.largest)
+        scale = units(turns, lot.size[active])
         gap = _gap(seen, scale)
-        settled, restless = gap <= SETTLED_TO, (gap > _RESTLESS) | (gap > _FALLS * lot.gap[open_])
+        settled, restless = gap <= SETTLED_TO, (gap > _RESTLESS) | (gap > _FALLS * lot.gap[active])
         known = np.where(settled, SETTLED, np.where(restless, RESTLESS, OPEN)).astype(np.int8)
-        lot.known[open_], lot.time[open_], lot.gap[open_] = known, elapsed, gap
-        lot.means[open_], lot.unit[open_] = seen.whole, 2.0 * SETTLED_TO * scale
-        lot.u[open_] = points_at(batch, lanes, seen.state)
-        _fail(lot, open_, batch.flow, seen.state)
+        lot.known[active], lot.time[active], lot.gap[active] = known, elapsed, gap
+        lot.means[active], lot.unit[active] = seen.whole, 2.0 * SETTLED_TO * scale
+        lot.u[active] = points_at(batch, lanes, seen.state)
+        _fail(lot, active, batch.flow, seen.state)
         if 2 * elapsed > longest:
-            _escape(lot, open_, seen, before, turns)
-        lot.size[open_] = np.fmax(seen.largest, lot.least[open_])
-        left = lot.known[open_] == OPEN
-        open_, state = open_[left], picked(seen.state, left)
+            _escape(lot, active, seen, before, turns)
+        lot.size[active] = np.fmax(seen.largest, lot.least[active])
+        left = lot.known[active] == OPEN
+        active, state = active[left], select(seen.state, left)
 
 
 def _gap(seen: WindowAverages, scale: Float[np.ndarray, "some F"]) -> Float[np.ndarray, " some"]:
-    """Between the means over both halves of a look, the largest in sizes of the motion."""
+    """Return the largest difference of the means over both halves of a window, in sizes of the motion."""
     with np.errstate(invalid="ignore"):
         apart = np.abs(seen.halves[:, 0] - seen.halves[:, 1])
         return np.max(apart / np.where(scale > 0.0, scale, 1.0), axis=1)
@@ -142,27 +142,27 @@ def _gap(seen: WindowAverages, scale: Float[np.ndarray, "some F"]) -> Float[np.n
 
 def _escape(
     lot: Lot,
-    some: Int[np.ndarray, " some"],
+    subset: Int[np.ndarray, " some"],
     seen: WindowAverages,
     before: Float[np.ndarray, "some d"],
     turns: np.ndarray,
 ) -> None:
-    """Of lanes that are still not done, those that go to infinity: in the last look beyond all that was before."""
+    """Mark lanes that go to infinity: not done, and in the last window beyond all positions before."""
     beyond = np.maximum(seen.low, -seen.high) > 0.99 * before
     grows = beyond & (seen.largest > _GROWN * before) & ~turns
-    gone = np.any(grows, axis=1) & np.isin(lot.known[some], (OPEN, RESTLESS))
-    lot.known[some[gone]], lot.status[some[gone]] = FAILED, STATUS.index("escaped")
+    gone = np.any(grows, axis=1) & np.isin(lot.known[subset], (OPEN, RESTLESS))
+    lot.known[subset[gone]], lot.status[subset[gone]] = FAILED, STATUS.index("escaped")
 
 
-def _fail(lot: Lot, some: Int[np.ndarray, " some"], flow: Flow, state: State) -> None:
+def _fail(lot: Lot, subset: Int[np.ndarray, " some"], flow: Flow, state: State) -> None:
     """Mark lanes whose state is not finite, with their reasons."""
     gone = ~_finite(error_components(state))
     if not np.any(gone):
         return
     ended = jax.tree.map(lambda leaf: leaf[gone][:, None], state)
     status = np.asarray(reports(flow, ended)["status"].data)
-    lot.known[some[gone]] = FAILED
-    lot.status[some[gone]] = np.where(status > 0, status, NOT_FINITE)
+    lot.known[subset[gone]] = FAILED
+    lot.status[subset[gone]] = np.where(status > 0, status, NOT_FINITE)
 
 
 def _finite(state: State) -> np.ndarray:

@@ -23,8 +23,8 @@ _WORTH = 0.95  # of the fewest steps that meet the target: those of another tria
 _ROUNDS = 8
 
 
-def settled_steps(batch: LaneBatch, lanes: LaneRunner, state: State) -> int:
-    """Steps of a period, at most half of those of a batch, with an error no larger than its target; else all of them.
+def choose_steps(batch: LaneBatch, lanes: LaneRunner, state: State) -> int:
+    """Return the fewest steps of a period that meet the target of a batch, or all of its steps if half are too few.
 
     An error is the largest difference of any component after a period from the map of the batch, in all periods of its
     lanes from these states on. That map has twice the steps or more, and of a method of order six an error 64 times as
@@ -42,8 +42,8 @@ def settled_steps(batch: LaneBatch, lanes: LaneRunner, state: State) -> int:
 
     def error(steps: int) -> float:
         coarser = replace(batch, steps=steps).strobe()
-        found = _numbers(batch, lanes(iterate, (coarser, np.int32(1)), (before, each), periods=1))
-        gaps = np.max(np.abs(found - expected), axis=0, initial=0.0)[good]
+        states = _numbers(batch, lanes(iterate, (coarser, np.int32(1)), (before, each), periods=1))
+        gaps = np.max(np.abs(states - expected), axis=0, initial=0.0)[good]
         return _SAFETY * float(np.max(np.where(np.isfinite(gaps), gaps, np.inf), initial=0.0))
 
     order = getattr(batch.solver, "convergence_order", 1)
@@ -64,5 +64,5 @@ def settled_steps(batch: LaneBatch, lanes: LaneRunner, state: State) -> int:
 
 
 def _numbers(batch: LaneBatch, state: State) -> np.ndarray:
-    """What of states counts, (components, points)."""
+    """Return the components of states that errors count in, (components, points)."""
     return np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(error_components(state))])

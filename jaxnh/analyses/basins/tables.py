@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
-from jaxnh.analyses.base import LANE, Entry, flagged, named, numbered, variable
+from jaxnh.analyses.base import LANE, Entry, as_variable, flag, number_variable, variable
 from jaxnh.analyses.basins.classification import NONE, POINTS, Attractors
 from jaxnh.analyses.basins.continuation import CHANGES, Change
 from jaxnh.analyses.basins.settling import CONSERVATIVE, Lot
@@ -48,14 +48,14 @@ class SweepAttractors(NamedTuple):
 def shares(
     number: Int[np.ndarray, " lanes"], point: Int[np.ndarray, " lanes"], points: int, most: int
 ) -> tuple[Int[np.ndarray, "points attractors"], Int[np.ndarray, " points"]]:
-    """Number of lanes on each attractor at each point, and of all of them."""
+    """Return the number of lanes on each attractor at each point, and of all of them."""
     on = number > 0
     table = np.bincount(point[on] * most + number[on] - 1, minlength=points * most).reshape(points, most)
     return table, np.bincount(point, minlength=points)
 
 
 def wilson(hits: Int[np.ndarray, ...], count: Int[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of a probability at 95 % (Wilson, J. Am. Stat. Assoc. 22 (1927) 209), of hits among so many."""
+    """Return bounds of a probability at 95 % (Wilson, J. Am. Stat. Assoc. 22 (1927) 209), of hits among `count`."""
     z2 = _QUANTILE**2
     middle = (hits + z2 / 2) / (count + z2)
     half = _QUANTILE / (count + z2) * np.sqrt(hits * (count - hits) / count + z2 / 4)
@@ -71,16 +71,16 @@ def basins_group(
     shape: tuple[int, ...],
     judged: int,
 ) -> xr.Dataset:
-    """What every start state leads to, of lanes of this shape: (lanes,), or (lanes, starts)."""
+    """Return the attractor of every start state, for lanes of this shape: (lanes,), or (lanes, starts)."""
     dims = (LANE, "start")[: len(shape)]
     undecided = np.where(number != 0, 0, np.where(lot.known == CONSERVATIVE, 2, 1)).astype(np.int8)
     words = "attractor that the start state leads to, by its number in `attractors`"
     special = ("failed_or_escaped", "undecided")
     variables = {
-        "attractor": numbered(dims, number.reshape(shape), words, special, -1, comment=_COMPUTED),
+        "attractor": number_variable(dims, number.reshape(shape), words, special, -1, comment=_COMPUTED),
         "time": variable(dims, lot.time.astype(np.int32).reshape(shape), "time until it was known", counted_in=unit),
-        "status": named(dims, status(lot.status.reshape(shape))),
-        "undecided": flagged(dims, undecided.reshape(shape), "why it is undecided where the lane leads", _UNDECIDED),
+        "status": as_variable(dims, status(lot.status.reshape(shape))),
+        "undecided": flag(dims, undecided.reshape(shape), "why it is undecided where the lane leads", _UNDECIDED),
         "judged": variable((), np.int64(judged), "number of motions that were judged to be an attractor or none"),
         **{
             name: variable(
@@ -98,13 +98,13 @@ def basins_group(
 def attractors_group(
     known: SweepAttractors, axes: Sequence[Axis], hits: tuple[np.ndarray, np.ndarray], unit: str, rate: str
 ) -> xr.Dataset:
-    """All attractors over the axes that are parameters, with their numbers and changes; `hits` as `shares` has them."""
+    """Return all attractors over the axes that are parameters, with their changes; `hits` as `shares` gives them."""
     names, sizes = tuple(axis.name for axis in axes), tuple(len(axis.values) for axis in axes)
     most = hits[0].shape[1]
     dims = (*names, "attractor")
 
     def table(values: np.ndarray, empty: float) -> np.ndarray:
-        """Values of all attractors where they belong."""
+        """Return values of all attractors over the axes."""
         whole = np.full((math.prod(sizes), most, *values.shape[1:]), empty, values.dtype)
         whole[known.point, known.number - 1] = values
         return whole.reshape(*sizes, most, *values.shape[1:])
@@ -116,9 +116,9 @@ def attractors_group(
         if judged is None
         else (judged.kind, judged.period, judged.exponent, judged.multiplier)
     )
-    found, count = hits
-    low, high = wilson(found, count[:, None])
-    fraction = {"fraction": found / count[:, None], "fraction_low": low, "fraction_high": high}
+    on_each, count = hits
+    low, high = wilson(on_each, count[:, None])
+    fraction = {"fraction": on_each / count[:, None], "fraction_low": low, "fraction_high": high}
     words = {
         "fraction": "share of the start states in its basin",
         "fraction_low": "lower bound of the share at 95 %",
@@ -129,8 +129,10 @@ def attractors_group(
     of_multiplier = "largest modulus of the Floquet multipliers of a periodic orbit"
     variables = {
         "attractor": variable("attractor", np.arange(1, most + 1), of_number),
-        "kind": flagged(dims, table(kind, NONE), "kind of motion", ("absent", *KINDS), -1),
-        "period": numbered(dims, table(period, 0), "least period of a periodic orbit", ("none",), counted_in=unit),
+        "kind": flag(dims, table(kind, NONE), "kind of motion", ("absent", *KINDS), -1),
+        "period": number_variable(
+            dims, table(period, 0), "least period of a periodic orbit", ("none",), counted_in=unit
+        ),
         "exponent": variable(dims, table(exponent, np.nan), of_exponent, rate),
         "multiplier": variable(dims, table(multiplier, np.nan), of_multiplier),
         **{name: variable(dims, v.reshape(*sizes, most), words[name]) for name, v in fraction.items()},
@@ -148,19 +150,19 @@ def attractors_group(
 
 
 def _changes(changes: Sequence[Change], axes: Sequence[Axis], sizes: tuple[int, ...]) -> dict[str, Entry]:
-    """Births, deaths and crises: half way between two neighbouring values, with half their distance as the error."""
+    """Return births, deaths and crises: halfway between two neighbouring values, with half their distance as error."""
     kind = np.array([change.kind for change in changes], np.int8)
     number = np.array([change.attractor for change in changes], np.int32)
     ends = np.array([(change.before, change.after) for change in changes], int).reshape(-1, 2)
-    found = {
-        "change_kind": flagged("change", kind, "what happens to an attractor between two values", CHANGES),
+    variables = {
+        "change_kind": flag("change", kind, "what happens to an attractor between two values", CHANGES),
         "change_attractor": variable("change", number, "number of the attractor that it happens to"),
     }
     for axis, place in zip(axes, np.unravel_index(ends, sizes), strict=True):
         values = axis.values[place]
         words = f"{axis.long_name} where it happens"
-        found[f"change_{axis.name}"] = variable("change", values.mean(axis=1), words, axis.units)
+        variables[f"change_{axis.name}"] = variable("change", values.mean(axis=1), words, axis.units)
         error = 0.5 * np.abs(values[:, 1] - values[:, 0])
-        said = f"error of change_{axis.name}: half the distance of the values that it lies between"
-        found[f"change_{axis.name}_error"] = variable("change", error, said, axis.units)
-    return found
+        words_of_error = f"error of change_{axis.name}: half the distance of the values that it lies between"
+        variables[f"change_{axis.name}_error"] = variable("change", error, words_of_error, axis.units)
+    return variables

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.section_points import states_at
-from jaxnh.analyses.smooth_window import window
+from jaxnh.analyses.smooth_window import window_weights
 from jaxnh.analyses.window_averages import maps
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.iterate import derivatives
@@ -32,9 +32,9 @@ A lane that settles on an attractor brings distances of order one down to `settl
 def keeps_volume(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], longest: int
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether phase volume about lanes from u neither contracts nor grows by what counts in `longest` periods.
+    """Whether the phase volume about lanes from u changes by a negligible amount in `longest` periods.
 
-    By a mean under a smooth window: on a regular motion it converges as fast as other means do.
+    The contraction is a mean under a smooth window: on a regular motion it converges as fast as other means do.
     """
     strobe, parts = maps(batch)
     shared, state = (strobe, np.int32(_PERIODS)), states_at(batch, lanes, u)
@@ -44,7 +44,7 @@ def keeps_volume(
 
 
 def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, parts: int) -> Array:
-    """Mean change of the logarithm of a volume, of one lane.
+    """Return the mean change of the logarithm of a volume, for one lane.
 
     With a clock it is that of a period, by the determinant of the tangent map; without one that of time, by the flow's
     divergence at the points that means are taken over.
@@ -56,7 +56,7 @@ def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, pa
 
     def period(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
         state, total, weights = carry
-        weight = window((jnp.float64(k) + 0.5) / jnp.float64(periods))
+        weight = window_weights((jnp.float64(k) + 0.5) / jnp.float64(periods))
         if parts:
             state, rates = lax.scan(part, state, strobe)
             change = jnp.mean(rates)

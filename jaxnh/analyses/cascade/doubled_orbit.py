@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.newton_on_lanes import (
     CONVERGED,
@@ -70,7 +70,7 @@ def doubled_lanes(
     ok = (orbit.residual < CONVERGED) & (largest_multiplier(orbit.monodromy) < 1.0)
     ok &= section_distance(chart, orbit.u, origin, size) <= largest
     candidates = np.flatnonzero(ok)
-    shortest = least_period(lanes, batch.strobe(), orbit.u[candidates], picked(p, candidates), 2 * n, each[candidates])
+    shortest = least_period(lanes, batch.strobe(), orbit.u[candidates], select(p, candidates), 2 * n, each[candidates])
     ok[candidates[shortest != 2 * n]] = False
     ok = ok.reshape(len(distances), _AMPLITUDES)
     first = np.arange(len(distances)) * _AMPLITUDES + np.argmax(ok, axis=1)

@@ -10,7 +10,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting, Table, variable
-from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, counted_in
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.cascade.extended_precision import (
     FLOAT64_LEVELS,
     ExtendedDoublings,
@@ -104,7 +104,7 @@ def _dataset(system: System, axis: Axis, levels: int, cascade: Cascade) -> xr.Da
     index = np.arange(1, levels + 1)
     period_words = "period n of the orbit that doubles to 2n"
     error_words = f"largest error of {name}, from step refinement and the Newton residual"
-    unit = counted_in(system)
+    unit = iterate_units(system)
     variables = {
         "level": variable("level", index, "number of the period doubling"),
         "period": variable("level", cascade.period * 2 ** (index - 1), period_words, counted_in=unit),

@@ -23,10 +23,10 @@ from jaxnh.analyses.base import (
     SweepLanes,
     SweepReduction,
     Table,
-    flagged,
+    flag,
     variable,
 )
-from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, counted_in
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.families import orbit_family, parameter_plane
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves
@@ -210,18 +210,18 @@ def _dataset(
         columns |= _at_special(f"codimension_two_{axis.name}", axis, k, special, words)
     filled = {
         **columns,
-        "kind": flagged("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
+        "kind": flag("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
         "period": variable(
             "curve",
             np.array([curve.period for curve in curves], np.int32),
             "period of the orbit",
-            counted_in=counted_in(batch.system),
+            counted_in=iterate_units(batch.system),
         ),
         "multipliers": variable(
             (*dims, "multiplier", "part"), table(multipliers, d, 2), "Floquet multipliers, real and imaginary part"
         ),
-        "begins": flagged("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
-        "ends": flagged("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
+        "begins": flag("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
+        "ends": flag("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
         **_kind_and_curve("codimension_two_", special),
     }
     names = " ".join(axis.name for axis in axes)
@@ -239,7 +239,7 @@ def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], sp
     period = np.array([curves[one.curve].period for one in special], np.int32)
     variables = {
         **_kind_and_curve("", special),
-        "period": variable("codimension_two", period, "period of the orbit", counted_in=counted_in(batch.system)),
+        "period": variable("codimension_two", period, "period of the orbit", counted_in=iterate_units(batch.system)),
         "multipliers": variable(
             ("codimension_two", "multiplier", "part"), multipliers, "Floquet multipliers, real and imaginary part"
         ),
@@ -254,7 +254,7 @@ def _kind_and_curve(before: str, special: Sequence[_Point]) -> dict[str, Entry]:
     """Kinds of points of codimension two, and the number of the curve that each is on."""
     dim, curves = "codimension_two", np.array([one.curve for one in special], np.int32)
     return {
-        f"{before}kind": flagged(dim, [one.point.kind for one in special], "point of codimension two", POINTS),
+        f"{before}kind": flag(dim, [one.point.kind for one in special], "point of codimension two", POINTS),
         f"{before}curve": variable(dim, curves, "number of the curve"),
     }
 

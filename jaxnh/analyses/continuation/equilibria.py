@@ -13,7 +13,7 @@ from jaxnh.analyses.continuation.families import equilibrium_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.continuation.tables import FollowedBranches
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
-from jaxnh.analyses.random_starts import Box, started
+from jaxnh.analyses.random_starts import Box, random_start_batch
 from jaxnh.orbits.branches import StepControl
 
 _FARTHEST = 100.0  # sizes of the box: equilibria found further out are none of those looked for
@@ -40,14 +40,14 @@ def equilibria(
         stage: shows what is done inside, by its label.
     """
     still = replace(batch.in_time(), along=batch.line)
-    many, _ = started(still, starts, seed, box)
+    many, _ = random_start_batch(still, starts, seed, box)
     u, values = many.system.chart.host_points(many.start), np.repeat(batch.line.values, starts)
     size = np.ptp(u, axis=0) / 2.0
     size = np.where(size > 0.0, size, size.max())
     with stage(f"equilibria from {starts} points at {batch.count} values of {batch.line.name}"):
         zeros = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
     with np.errstate(invalid="ignore"):
-        near = zeros.found & np.all(np.abs(zeros.u) < _FARTHEST * size, axis=1)
+        near = zeros.exists & np.all(np.abs(zeros.u) < _FARTHEST * size, axis=1)
     waves = [
         [SeedOrbit(zeros.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
         for value in np.unique(values).tolist()

@@ -13,7 +13,7 @@ from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.periodic.attractor_survey import first_points, strobe_points
 from jaxnh.analyses.periodic.location import period_map
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
-from jaxnh.analyses.random_starts import Box, started
+from jaxnh.analyses.random_starts import Box, random_start_batch
 from jaxnh.maps.iterate import section_map
 from jaxnh.orbits.shooting import Wrap, orbits_from_afar
 
@@ -47,7 +47,7 @@ def random_wave(
     Orbits are sought where a motion, or the same after a transient, nearly comes back (Auerbach et al., Phys. Rev.
     Lett. 58 (1987) 2387), by multiple shooting: a motion that passes an unstable orbit is near all of its points.
     """
-    many, _ = started(batch, starts, seed, box)
+    many, _ = random_start_batch(batch, starts, seed, box)
     many = replace(many, along=replace(batch.line, values=np.repeat(batch.line.values, starts)))
     strobe, wrap, values = many.strobe(), batch.chart.wrap, np.tile(many.line.values, 2)
     count, at = _WINDOWS * _WINDOW + limit, (first_points(many, lanes), dict(many.p))

@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, Table, flagged, numbered, variable
-from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, counted_in
+from jaxnh.analyses.base import Entry, Table, flag, number_variable, variable
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.section import outputs, plot_plane
@@ -114,13 +114,13 @@ def _branches(
     residual = "largest component of P(u) − u, in sizes of the motion"
     return {
         axis.name: variable(dims, table([branch.value for branch in every]), axis.long_name, axis.units),
-        "period": _period_variable(("branch",), periods, counted_in(system)),
+        "period": _period_variable(("branch",), periods, iterate_units(system)),
         **_coordinates(lanes, grown, [(of, branch.points) for of, branch in branches], table, dims),
         "multipliers": variable((*dims, "multiplier", "part"), values, _multiplier_words(grown)),
-        "stable": flagged(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", "no", "yes"), -1),
+        "stable": flag(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", "no", "yes"), -1),
         "residual": variable(dims, table([branch.residual for branch in every]), residual),
-        "begins": flagged("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),
-        "ends": flagged("branch", [b.ends[1] for b in every], "why the branch ends there", ENDS),
+        "begins": flag("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),
+        "ends": flag("branch", [b.ends[1] for b in every], "why the branch ends there", ENDS),
     }
 
 
@@ -150,7 +150,7 @@ def _bifurcations(
         "cubic coefficient of the normal form in sizes of the motion; of a fold the curvature of the parameter"
     )
     return {
-        "kind": flagged(dim, [point.kind for point in every], "kind of bifurcation", KINDS),
+        "kind": flag(dim, [point.kind for point in every], "kind of bifurcation", KINDS),
         name: variable(
             dim,
             np.array([point.value for point in every], float),
@@ -159,9 +159,9 @@ def _bifurcations(
             ancillary_variables=f"{name}_error",
         ),
         f"{name}_error": variable(dim, np.array([point.error for point in every], float), error_words, axis.units),
-        "period": _period_variable(dim, periods, counted_in(system)),
+        "period": _period_variable(dim, periods, iterate_units(system)),
         "branch": variable(dim, np.array(branch, np.int32), "number of the branch"),
-        "criticality": flagged(
+        "criticality": flag(
             dim,
             [point.criticality for point in every],
             "whether what is born is stable where it is",
@@ -196,7 +196,7 @@ def _dimension(grown: Sequence[FollowedBranches]) -> int:
 
 def _period_variable(dim: tuple[str, ...], periods: Sequence[int], counted: str) -> Entry:
     words = "period of the orbit"
-    return numbered(dim, np.array(periods, np.int32), words, ("equilibrium",), counted_in=counted)
+    return number_variable(dim, np.array(periods, np.int32), words, ("equilibrium",), counted_in=counted)
 
 
 def _multiplier_words(grown: Sequence[FollowedBranches]) -> str:

@@ -29,13 +29,13 @@ _REPEATS = 8  # turns
 
 
 def turns_in_phase(path: Float[np.ndarray, "points d"], bands: int) -> int:
-    """Turns around the bands until a path loses its phase, and all of its turns where it never does.
+    """Return the turns around the bands until a path loses its phase, all of its turns where it never does.
 
     Points are compared with those of the turns before, which are twice as many from time to time: first with
     `REFERENCE` of them, so that a phase lost before is seen to be lost then.
 
     Args:
-        path: points in sizes of the motion, in order, the first on the first band (`embedded`).
+        path: points in sizes of the motion, in order, the first on the first band (`embed_points`).
         bands: number of bands, at least two.
     """
     count = len(path) // bands
@@ -57,7 +57,7 @@ def turns_in_phase(path: Float[np.ndarray, "points d"], bands: int) -> int:
 
 
 def _first_alarm(votes: Float[np.ndarray, " turns"]) -> int | None:
-    """Where the first excursion of the sum of votes to the alarm begins (Page, Biometrika 41 (1954) 100)."""
+    """Return where the first excursion of the sum of votes to the alarm begins (Page, Biometrika 41 (1954) 100)."""
     total = np.concatenate([[0.0], np.cumsum(votes)])
     above = total - np.minimum.accumulate(total)
     if not np.any(above >= _ALARM):
@@ -66,7 +66,7 @@ def _first_alarm(votes: Float[np.ndarray, " turns"]) -> int | None:
     return int(np.flatnonzero(above[:end] <= 0.0)[-1])
 
 
-def repeats(path: Float[np.ndarray, "points d"], bands: int) -> bool:
+def is_periodic(path: Float[np.ndarray, "points d"], bands: int) -> bool:
     """Whether a path has become periodic, as in a window: it then tells nothing of the bands at its parameter."""
     last = min(_REPEATS * bands, len(path) // 2)
     tail = path[-last:]
@@ -77,9 +77,9 @@ def repeats(path: Float[np.ndarray, "points d"], bands: int) -> bool:
     )
 
 
-def embedded(
+def embed_points(
     path: Float[np.ndarray, "... d"], turning: Bool[np.ndarray, " d"], size: Float[np.ndarray, " d"]
 ) -> Float[np.ndarray, "... k"]:
-    """Points of paths in sizes of the motion, with an angle as its cosine and sine, so that all gaps are plain."""
+    """Return points of paths in sizes of the motion, with an angle as its cosine and sine."""
     plain = path[..., ~turning] / size[~turning]
     return np.concatenate([plain, np.cos(path[..., turning]), np.sin(path[..., turning])], axis=-1)

@@ -25,7 +25,7 @@ _NO_TREND = 0.05  # sizes: what stands for the trend where there is none
 def sudden_growths(
     clouds: Sequence[Float[np.ndarray, "points d"]], values: Float[np.ndarray, " clouds"]
 ) -> Bool[np.ndarray, " steps"]:
-    """Whether an attractor is suddenly another from each value to the next, (clouds − 1,).
+    """Whether an attractor grows or shrinks suddenly from each value to the next, (clouds − 1,).
 
     Args:
         clouds: points of it at each value, in sizes of the motion.
@@ -35,20 +35,20 @@ def sudden_growths(
     own = np.array([_reach(cloud[::2], cloud[1::2]) for cloud in clouds])
     steps = np.array([max(_reach(a, b), _reach(b, a)) for a, b in pairwise(clouds)])
     rates = steps / np.abs(np.diff(values))
-    found = np.zeros(len(steps), bool)
+    sudden = np.zeros(len(steps), bool)
     for k, (step, rate) in enumerate(zip(steps.tolist(), rates.tolist(), strict=True)):
         beside = rates[[place for place in (k - 1, k + 1) if 0 <= place < len(rates)]]
         trend = step / rate * float(beside.max()) if len(beside) else _NO_TREND
-        found[k] = step > _JUMP * max(trend, float(own[k : k + 2].max()))
-    return found
+        sudden[k] = step > _JUMP * max(trend, float(own[k : k + 2].max()))
+    return sudden
 
 
-def agreed(
+def keep_common_growths(
     grown: Sequence[Bool[np.ndarray, " steps"]],
     places: Sequence[Sequence[int]],
     exponents: Sequence[Float[np.ndarray, " values"]],
 ) -> list[Bool[np.ndarray, " steps"]]:
-    """What attractors show of sudden growth, of twins by a symmetry only what all of them show.
+    """Return the sudden growths of attractors, for twins by a symmetry only those common to all of them.
 
     Twins are there at the same values and have the same exponents, whatever the symmetry is, and whatever phase of the
     period it shifts; attractors that have not are hardly alike in them at every value.
@@ -65,23 +65,23 @@ def agreed(
     return kept
 
 
-def _twins(here: Sequence[int], own: np.ndarray, there: Sequence[int], other: np.ndarray) -> bool:
+def _twins(values: Sequence[int], own: np.ndarray, other_values: Sequence[int], other: np.ndarray) -> bool:
     """Whether two attractors may be images of each other."""
-    if list(here) != list(there) or len(here) < _FEWEST:
+    if list(values) != list(other_values) or len(values) < _FEWEST:
         return False
     return bool(np.all(np.abs(own - other) <= _ALIKE * np.maximum(np.abs(own), np.abs(other))))
 
 
 def nearest_distances(
-    some: Float[np.ndarray, "some d"], others: Float[np.ndarray, "others d"]
+    points: Float[np.ndarray, "some d"], others: Float[np.ndarray, "others d"]
 ) -> Float[np.ndarray, " some"]:
-    """Distances of points from the nearest of others."""
-    square = np.zeros((len(some), len(others)))
-    for mine, theirs in zip(some.T, others.T, strict=True):
+    """Return the distances of points from the nearest of others."""
+    square = np.zeros((len(points), len(others)))
+    for mine, theirs in zip(points.T, others.T, strict=True):
         square += (mine[:, None] - theirs) ** 2
     return np.sqrt(square.min(axis=1))
 
 
-def _reach(some: Float[np.ndarray, "some d"], others: Float[np.ndarray, "others d"]) -> float:
-    """How far most points are from others at most."""
-    return float(np.quantile(nearest_distances(some, others), _SHARE))
+def _reach(points: Float[np.ndarray, "some d"], others: Float[np.ndarray, "others d"]) -> float:
+    """Return the distance from others that most points do not exceed."""
+    return float(np.quantile(nearest_distances(points, others), _SHARE))

@@ -33,7 +33,7 @@ _ROUNDING = 1e-14  # of the linearisation's norm, in its entries
 
 
 class Equilibrium(NamedTuple):
-    """What becomes of lanes.
+    """State of rest of lanes.
 
     Attributes:
         still: whether a lane is at rest, where nothing grows, (lanes,).
@@ -49,9 +49,9 @@ class Equilibrium(NamedTuple):
 
 
 class _RateRun(NamedTuple):
-    """Of one lane: largest rates of all units of time, of those in the last two quarters, and ∂(rate)/∂(coordinate).
+    """Largest rates of one lane over all units of time and over the last two quarters, and ∂(rate)/∂(coordinate).
 
-    At the end, and there after one and two steps of Newton to where all rates are zero.
+    The derivatives are those at the end, and after one and two steps of Newton from there to where all rates are zero.
     """
 
     largest: Float[Array, " d"]
@@ -61,7 +61,7 @@ class _RateRun(NamedTuple):
 
 
 def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equilibrium:
-    """What lanes of a flow without a clock are doing after so many units of time."""
+    """Detect which lanes of an autonomous flow are at rest, or come to rest, after so many units of time."""
     batch = batch.in_time()
     run = lanes(_run, (batch.strobe(), batch.flow, np.int32(units)), batch.lanes, periods=units)
     largest, third, fourth, (change, closer, exact) = run
@@ -79,7 +79,7 @@ def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equil
 def _spectrum(
     matrices: Float[np.ndarray, "lanes d d"],
 ) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d"]]:
-    """Real parts of eigenvalues, largest first, and what rounding may do to them (Bauer and Fike 1960)."""
+    """Return real parts of eigenvalues, largest first, and their error by rounding (Bauer and Fike 1960)."""
     finite = np.all(np.isfinite(matrices), axis=(1, 2))[:, None]
     values, vectors = np.linalg.eig(np.where(finite[:, :, None], matrices, 0.0))
     norm = np.linalg.norm(matrices, axis=(1, 2), keepdims=True)[:, 0]
@@ -88,7 +88,7 @@ def _spectrum(
 
 
 def _run(strobe: ReturnMap, flow: Flow, count: ArrayLike, state: State, p: Parameters) -> _RateRun:
-    """One lane over `count` units of time."""
+    """Run one lane over `count` units of time."""
 
     def rate(y: State) -> Array:
         return jnp.stack(rates(flow, y, p))

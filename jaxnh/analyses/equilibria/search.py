@@ -20,10 +20,10 @@ _ROUNDING = 1e-9  # of sizes, and of the linearisation's norm in its eigenvalues
 _NOTHING = 1e-13  # of the largest size: coordinates that are zero
 
 
-class Zeros(NamedTuple):
-    """Zeros of the field near lanes that hardly move: whether there is one, whether it attracts, where, and how."""
+class Equilibria(NamedTuple):
+    """Zeros of the field near lanes: whether one exists, whether it attracts, its point, and its largest exponent."""
 
-    found: Bool[np.ndarray, " lanes"]
+    exists: Bool[np.ndarray, " lanes"]
     stable: Bool[np.ndarray, " lanes"]
     u: Float[np.ndarray, "lanes d"]
     exponent: Float[np.ndarray, " lanes"]
@@ -35,19 +35,19 @@ def find_equilibria(
     u: Float[np.ndarray, "lanes d"],
     size: Float[np.ndarray, "lanes d"],
     seen: WindowAverages,
-) -> Zeros:
-    """Zeros of the field that lanes have come to: near their points, against how far they have moved in a look."""
-    found = equilibria_from_starts(batch, lanes, u, size)
-    apart = np.abs(batch.chart.wrap(found.u - u))
+) -> Equilibria:
+    """Find zeros of the field that lanes have come to: near their points, against their range in a window."""
+    equilibria = equilibria_from_starts(batch, lanes, u, size)
+    apart = np.abs(batch.chart.wrap(equilibria.u - u))
     near = np.all(apart <= _NEAR * (seen.high - seen.low) + _rounding(batch, size), axis=1)
-    exponent = np.where(near, found.exponent, np.nan)
-    return Zeros(found.found & near, found.stable & near, found.u, exponent)
+    exponent = np.where(near, equilibria.exponent, np.nan)
+    return Equilibria(equilibria.exists & near, equilibria.stable & near, equilibria.u, exponent)
 
 
 def equilibria_from_starts(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
-) -> Zeros:
-    """Newton for a zero of the field, least squares where that is singular, from points of lanes."""
+) -> Equilibria:
+    """Solve for a zero of the field by Newton, least squares where that is singular, from points of lanes."""
     at, step = u.copy(), np.zeros_like(u)
     rates, change = _fields(batch, lanes, u)
     for _ in range(_STEPS):
@@ -59,19 +59,19 @@ def equilibria_from_starts(
         rates, change = _fields(batch, lanes, at)
     finite = np.all(np.isfinite(change), axis=(1, 2)) & np.all(np.isfinite(rates), axis=1)  # else no step was taken
     rounding = _rounding(batch, size)
-    found = finite & np.all(np.abs(step) <= rounding, axis=1)
+    exists = finite & np.all(np.abs(step) <= rounding, axis=1)
     # Least squares take no step either where the field is across the range of a singular linearisation.
     with np.errstate(invalid="ignore"):
         rest = np.einsum("lij,lj->li", np.abs(change), rounding) + rounding / batch.flow.period
-        found &= np.all(np.abs(rates) <= rest, axis=1)
-    real = np.sort(np.linalg.eigvals(np.where(found[:, None, None], change, 0.0)).real, axis=1)[:, ::-1]
+        exists &= np.all(np.abs(rates) <= rest, axis=1)
+    real = np.sort(np.linalg.eigvals(np.where(exists[:, None, None], change, 0.0)).real, axis=1)[:, ::-1]
     hidden = batch.flow.chart.dimension - batch.flow.exponents  # zeros, of what constraints keep
     if hidden:
         order = np.argsort(np.abs(real), axis=1)[:, hidden:]
         real = np.sort(np.take_along_axis(real, order, axis=1), axis=1)[:, ::-1]
     with np.errstate(invalid="ignore"):
         least = _ROUNDING * np.linalg.norm(change, axis=(1, 2))
-    return Zeros(found, found & (real[:, 0] < -least), at, np.where(found, real[:, 0], np.nan))
+    return Equilibria(exists, exists & (real[:, 0] < -least), at, np.where(exists, real[:, 0], np.nan))
 
 
 def _rounding(batch: LaneBatch, size: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
@@ -86,7 +86,7 @@ def _fields(
 
 
 def _field(flow: Flow, u: Float[Array, " d"], p: Parameters) -> tuple[Array, Array]:
-    """Rates of section coordinates and ∂(rate)/∂(coordinate), of one lane."""
+    """Return rates of section coordinates and ∂(rate)/∂(coordinate), for one lane."""
 
     def rate(u: Array) -> Array:
         y = flow.chart.state(u)

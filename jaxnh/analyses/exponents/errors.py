@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.special import stdtrit
 
 from jaxnh.analyses.exponents.tangent_growth import TangentState
-from jaxnh.analyses.smooth_window import window, windows
+from jaxnh.analyses.smooth_window import half_window_weights, window_weights
 from jaxnh.config.options.base import BLOCKS
 
 _FEWEST = 4  # means of a batch that an error is taken from
@@ -39,8 +39,8 @@ def student(count: int) -> float:
     return float(stdtrit(count - 1, 0.975))
 
 
-def of_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
-    """Mean over blocks, and its error at 95 % by the scatter of blocks and of batches of them.
+def average_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
+    """Return the mean over blocks, and its error at 95 % by the scatter of blocks and of batches of them.
 
     Neighbouring blocks may be correlated. Batches of two and four blocks are so less, and their fewer means have a
     wider Student's t: the largest of the errors is taken, and never less than how far the sum strays from its line.
@@ -61,18 +61,18 @@ def of_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
 
 
 def smooth_parts(growth: TangentState, block: int, number: int) -> Float[np.ndarray, "lanes 3 sums"]:
-    """What block `number` adds to the smooth averages a period over the whole, the first half and the second."""
+    """Return the part of block `number` in the smooth averages over the whole, the first half and the second."""
     points = (np.arange(block * BLOCKS) + 0.5) / (block * BLOCKS)
     whole, half = (np.stack(sums, axis=-1) for sums in growth.smooth)
     parts = np.zeros((len(half), 3, half.shape[1]))
-    parts[:, 0] = whole / window(points).sum()
+    parts[:, 0] = whole / window_weights(points).sum()
     second = int(number >= BLOCKS // 2)
-    parts[:, 1 + second] = half / windows(points)[1][(points >= 0.5) == second].sum()
+    parts[:, 1 + second] = half / half_window_weights(points)[1][(points >= 0.5) == second].sum()
     return parts
 
 
-def of_windows(parts: Float[np.ndarray, "lanes 3 sums"], before: float, length: float) -> Average:
-    """The smooth average over the whole, and its error by those over its halves.
+def average_windows(parts: Float[np.ndarray, "lanes 3 sums"], before: float, length: float) -> Average:
+    """Return the smooth average over the whole, and its error by those over its halves.
 
     Both halves know less than the whole; their distance is the error of an average that converges faster than its
     length grows. Where a tangent grows in proportion to time, as by shear on tori, rates fall like 1/t and no average
@@ -84,7 +84,7 @@ def of_windows(parts: Float[np.ndarray, "lanes 3 sums"], before: float, length: 
     """
     x = (np.arange(4096) + 0.5) / 4096
     falling = length / (max(before, 1.0) + x * length)
-    whole, half = windows(x)
+    whole, half = half_window_weights(x)
     first, second = (np.average(falling[part], weights=half[part]) for part in (x < 0.5, x > 0.5))
     left = np.average(falling, weights=whole) / (first - second)
     apart = np.abs(parts[:, 1] - parts[:, 2])
@@ -92,24 +92,24 @@ def of_windows(parts: Float[np.ndarray, "lanes 3 sums"], before: float, length: 
     return Average(parts[:, 0], max(1.0, left) * apart + beside + _ROUNDING)
 
 
-def nearly_neutral(found: Average, before: float, length: float) -> Average:
-    """The same, the error of a mean that may be zero as far as a finite window can tell enlarged to reach zero.
+def widen_to_zero(average: Average, before: float, length: float) -> Average:
+    """Enlarge the errors of means that may be zero, as far as a finite window can tell, to reach zero.
 
     Over a window the logarithm of a tangent of regular motion may change without any exponent: by one as it turns or
     the flow's speed changes along the motion, and by 2 ln of the ratio of times as it grows or shrinks like a power of
     time up to the second (shear on tori, motion that slows down at a fold).
 
     Args:
-        before, length: as in `of_windows`.
+        before, length: as in `average_windows`.
     """
     least = (1.0 + 2.0 * math.log1p(length / max(before, 1.0))) / length
-    return found._replace(error=found.error + np.where(np.abs(found.mean) <= least, np.abs(found.mean), 0.0))
+    return average._replace(error=average.error + np.where(np.abs(average.mean) <= least, np.abs(average.mean), 0.0))
 
 
-def held_against_sum(
+def widen_to_sum_rule(
     error: Float[np.ndarray, "lanes k"], residual: Float[np.ndarray, " lanes"]
 ) -> Float[np.ndarray, "lanes k"]:
-    """Errors of all exponents of averages, at least the residual of their sum rule where that contradicts them.
+    """Return errors of all exponents of averages, at least the residual of their sum rule where they contradict it.
 
     Growth along one path and the divergence along it have one sum, whatever the path: what is left is what the steps do
     to tangents, as under strong contraction, and no scatter of block means knows of it. It is not known which exponent
@@ -123,7 +123,7 @@ def held_against_sum(
 
 
 def unseen_bursts(rates: Float[np.ndarray, "lanes blocks sums"], length: float) -> Float[np.ndarray, " lanes"]:
-    """What bursts of chaos that were never seen may add to the mean of the largest exponent, a period.
+    """Return what bursts of chaos that were never seen may add to the mean of the largest exponent, a period.
 
     Where block means only drift, as in the laminar phase of intermittency, the run is shorter than the time between
     events, and its scatter says nothing of them. By the rule of three their number is below three a run.

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
-from jaxnh.analyses.exponents.tangent_growth import TangentState, parts_of, turn
-from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey, survey_early
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns, parts_of
+from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey_early, survey
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, orbits
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State
@@ -38,14 +38,18 @@ class OrbitExponents(NamedTuple):
     logs: Float[np.ndarray, "some k"]
     error: Float[np.ndarray, "some k"]
 
+    def join(self, other: OrbitExponents) -> OrbitExponents:
+        """Concatenate two results."""
+        return OrbitExponents(*(np.concatenate(leaves) for leaves in zip(self, other, strict=True)))
+
 
 def no_orbits(k: int) -> OrbitExponents:
-    """Those of no lane, k each."""
+    """Return an empty result with k exponents per lane."""
     return OrbitExponents(np.zeros(0, int), *np.empty((2, 0, k)))
 
 
-class Early(NamedTuple):
-    """Lanes that were looked at early in their transient.
+class EarlyOrbits(NamedTuple):
+    """Orbits of lanes that were examined early in their transient.
 
     Attributes:
         survey: their orbits, where they are on one.
@@ -63,21 +67,16 @@ class Early(NamedTuple):
         return np.flatnonzero(self.survey.period > 0)
 
 
-def settled_early(batch: LaneBatch, lanes: LaneRunner, transient: int) -> Early | None:
-    """Lanes that are on stable orbits long before their transient is over, as most are; None where it is too short."""
+def early_orbits(batch: LaneBatch, lanes: LaneRunner, transient: int) -> EarlyOrbits | None:
+    """Return lanes that are on stable orbits long before their transient is over; None where it is too short."""
     early = early_timing(transient)
     if early is None:
         return None
-    found, ends = survey_early(batch, lanes, "lyapunov", early)
-    return Early(found, lanes(_state_at, (batch.system,), (ends,)), early.periods)
+    orbits, ends = survey_early(batch, lanes, "lyapunov", early)
+    return EarlyOrbits(orbits, lanes(_state_at, (batch.system,), (ends,)), early.periods)
 
 
-def joined(one: OrbitExponents, other: OrbitExponents) -> OrbitExponents:
-    """Those of both."""
-    return OrbitExponents(*(np.concatenate(leaves) for leaves in zip(one, other, strict=True)))
-
-
-def on_orbits(
+def find_orbits(
     batch: LaneBatch,
     lanes: LaneRunner,
     growth: TangentState,
@@ -85,7 +84,7 @@ def on_orbits(
     parts: int,
     longest: int,
 ) -> OrbitExponents:
-    """Those candidates among the lanes that are on a stable periodic orbit, and its exponents.
+    """Return the candidates that are on a stable periodic orbit, and its exponents.
 
     Args:
         growth: of all lanes, at the end of their averages.
@@ -95,36 +94,36 @@ def on_orbits(
     """
     if not len(candidates):
         return no_orbits(len(growth.tangents))
-    some, u = batch.take(candidates), batch.chart.host_points(picked(growth.state, candidates))
-    found = survey(some, lanes, u, min(longest, _LONGEST), "lyapunov", 0, tile=ORBIT_TILE)
-    settled = np.flatnonzero(found.period > 0)
-    return of_orbits(batch, lanes, growth, candidates[settled], picked(found, settled), parts)
+    candidate_batch, u = batch.take(candidates), batch.chart.host_points(select(growth.state, candidates))
+    orbits = survey(candidate_batch, lanes, u, min(longest, _LONGEST), "lyapunov", 0, tile=ORBIT_TILE)
+    settled = np.flatnonzero(orbits.period > 0)
+    return orbit_exponents(batch, lanes, growth, candidates[settled], select(orbits, settled), parts)
 
 
-def of_orbits(
+def orbit_exponents(
     batch: LaneBatch,
     lanes: LaneRunner,
     growth: TangentState,
     settled: Int[np.ndarray, " some"],
-    found: Survey,
+    survey: Survey,
     parts: int,
 ) -> OrbitExponents:
-    """Exponents of stable periodic orbits that some lanes are on.
+    """Return the exponents of the stable periodic orbits that these lanes are on.
 
     Args:
         growth: of all lanes, near the orbits of these.
         settled: numbers of these lanes.
-        found: their orbits.
+        survey: their orbits.
         parts: orthonormalisations a period.
     """
     if not len(settled):
         return no_orbits(len(growth.tangents))
-    order = np.argsort(found.period, kind="stable")  # tiles of lanes that take equally long
-    settled, found = settled[order], picked(found, order)
-    batch, growth, n = batch.take(settled), picked(growth, settled), found.period
+    order = np.argsort(survey.period, kind="stable")  # tiles of lanes that take equally long
+    settled, survey = settled[order], select(survey, order)
+    batch, growth, n = batch.take(settled), select(growth, settled), survey.period
     p = dict(batch.p)
-    finer = orbits(lanes, batch.strobe(2), found.u, p, n, found.size)
-    logs, rounding = _logs(batch, lanes, growth, n, found.u, found.monodromy, parts, 1)
+    finer = orbits(lanes, batch.strobe(2), survey.u, p, n, survey.size)
+    logs, rounding = _logs(batch, lanes, growth, n, survey.u, survey.monodromy, parts, 1)
     fine, _ = _logs(batch, lanes, growth, n, finer.u, finer.monodromy, parts, 2)
     error = 2.0 * np.abs(logs - fine) + rounding
     kept = np.all(np.isfinite(logs) & np.isfinite(error), axis=1)
@@ -141,7 +140,7 @@ def _logs(
     parts: int,
     refinement: int,
 ) -> tuple[Float[np.ndarray, "lanes k"], Float[np.ndarray, "lanes k"]]:
-    """ln|μ|/n of orbits of periods n through points u, largest first, and its rounding, of a map of refined steps."""
+    """Return ln|μ|/n of orbits of periods n through points u, largest first, and its rounding, with refined steps."""
     k = len(growth.tangents)
     moduli = np.sort(np.abs(np.linalg.eigvals(monodromy)), axis=1)[:, ::-1][:, :k]
     share = moduli / np.linalg.norm(monodromy, axis=(1, 2))[:, None]
@@ -150,14 +149,14 @@ def _logs(
     unseen = ~(share > _SEEN)
     lost = np.flatnonzero(np.any(unseen, axis=1))
     if len(lost):
-        some = picked(growth, lost), u[lost], n[lost]
-        carried, moved = _carried(batch.take(lost), lanes, *some, parts, refinement)
+        unresolved = select(growth, lost), u[lost], n[lost]
+        carried, moved = _carry_tangents(batch.take(lost), lanes, *unresolved, parts, refinement)
         logs[lost] = np.where(unseen[lost], carried, logs[lost])
         rounding[lost] = np.where(unseen[lost], moved + _ROUNDING, rounding[lost])
     return logs, rounding
 
 
-def _carried(
+def _carry_tangents(
     batch: LaneBatch,
     lanes: LaneRunner,
     growth: TangentState,
@@ -166,22 +165,22 @@ def _carried(
     parts: int,
     refinement: int,
 ) -> tuple[Float[np.ndarray, "lanes k"], Float[np.ndarray, "lanes k"]]:
-    """Growth a period of tangents carried around orbits of periods n, until a turn changes it no more, and its change.
+    """Carry tangents around orbits of periods n until a turn no longer changes their growth; return it and its change.
 
     Args:
         growth: of lanes near their orbits, a period before the point u of the orbit.
     """
     strobes, k, p = parts_of(batch, parts, refinement), len(growth.tangents), dict(batch.p)
-    growth, _ = turn(lanes, strobes, growth, p, np.ones_like(n), tile=ORBIT_TILE)
+    growth, _ = advance_turns(lanes, strobes, growth, p, np.ones_like(n), tile=ORBIT_TILE)
     growth = growth._replace(state=lanes(_state_at, (batch.system,), (u,), tile=ORBIT_TILE))
     rates, moved = np.full((2, len(u), k), np.inf)
     going = np.arange(len(u))
     for _ in range(_TURNS):
-        growth, sums = turn(lanes, strobes, growth, picked(p, going), n[going], tile=ORBIT_TILE)
+        growth, sums = advance_turns(lanes, strobes, growth, select(p, going), n[going], tile=ORBIT_TILE)
         moved[going] = np.abs(sums - rates[going])
         rates[going] = sums
         left = ~np.all(moved[going] < _SETTLED, axis=1)
-        going, growth = going[left], picked(growth, left)
+        going, growth = going[left], select(growth, left)
         if not len(going):
             break
     return rates, moved

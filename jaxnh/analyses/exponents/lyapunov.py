@@ -22,18 +22,18 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int, Int8
 
-from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, flagged, named, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in, per_time, picked
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, as_variable, flag, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_units, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.errors import (
-    held_against_sum,
-    nearly_neutral,
-    of_blocks,
-    of_windows,
+    average_blocks,
+    average_windows,
     smooth_parts,
     unseen_bursts,
+    widen_to_sum_rule,
+    widen_to_zero,
 )
-from jaxnh.analyses.exponents.from_orbits import OrbitExponents, joined, no_orbits, of_orbits, on_orbits, settled_early
+from jaxnh.analyses.exponents.from_orbits import OrbitExponents, early_orbits, find_orbits, no_orbits, orbit_exponents
 from jaxnh.analyses.exponents.tangent_growth import (
     TangentState,
     advance,
@@ -75,7 +75,7 @@ _COMMENT = (
 
 
 class Averages(NamedTuple):
-    """What the averages of lanes have left.
+    """Averages of lanes.
 
     Attributes:
         growth: of every lane at its end.
@@ -94,21 +94,21 @@ class Averages(NamedTuple):
 
 
 def periods(options: LyapunovOptions, lanes: int) -> float:
-    """Lane-periods of a run; each costs one and about two more for every tangent."""
+    """Return the lane-periods of a run; each costs one and about two more for every tangent."""
     return float(lanes * (options.transient + options.periods * (1 + 2 * options.exponents)))
 
 
 def check(options: LyapunovOptions, setting: Setting) -> None:
-    """See that no more exponents are named than there are; the default is cut down to them."""
+    """Check that no more exponents are asked for than there are; the default is cut down to them."""
     most = setting.flow.exponents
     if "exponents" in options.model_fields_set and options.exponents > most:
         raise OptionError(f"must be at most {most}, not {options.exponents}", "exponents")
 
 
 def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:
-    """How many times a period tangents are orthonormalised, the same for all lanes of a sweep.
+    """Choose how many times a period tangents are orthonormalised, the same for all lanes of a sweep.
 
-    And, where tangents need more steps than states, how many times as many.
+    Also choose the refinement of the steps, where tangents need more of them than states.
     """
     batch, k = batch.in_time(), tangents(options, batch.in_time())
     if k == 1:
@@ -119,20 +119,20 @@ def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
 
 
 def run(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """The `exponents` largest exponents of every lane, their errors, and the sum rule where all are found."""
+    """Compute the `exponents` largest exponents of every lane, their errors, and the sum rule where all are known."""
     batch = batch.in_time()
     chosen = batch.chosen.get("lyapunov") or choose(options, batch, lanes)
     parts, refinement = chosen["parts"], chosen.get("refinement", 1)
     batch = replace(batch, steps=refinement * batch.steps)
-    found = averages(options, batch, lanes, parts)
-    data = _dataset(options, batch, found, spectrum(options, batch, lanes, found, parts), parts)
+    blocks = averages(options, batch, lanes, parts)
+    data = _dataset(options, batch, blocks, spectrum(options, batch, lanes, blocks, parts), parts)
     return data if refinement == 1 else data.assign_attrs(refinement_for_tangents=refinement)
 
 
 def averages(
     options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, parts: int, *, to_the_end: bool = False
 ) -> Averages:
-    """Growth of all lanes in blocks, after the transient.
+    """Average the growth of all lanes in blocks, after the transient.
 
     Lanes whose errors are small enough stop early, and so do those that are on a stable orbit after the first block,
     which gives their exponents at once, unless all averages are to go on `to_the_end`.
@@ -144,17 +144,17 @@ def averages(
     settling = options.transient - aligning
     block = options.periods // BLOCKS
     state, p = batch.lanes
-    early = settled_early(batch, lanes, options.transient) if not to_the_end and _have_orbits(options, batch) else None
+    early = early_orbits(batch, lanes, options.transient) if not to_the_end and _has_orbits(options, batch) else None
     state, before = (early.state, early.periods) if early else (jax.tree.map(np.array, state), 0)
     others = np.setdiff1d(np.arange(count), early.settled) if early else np.arange(count)
     with lanes.stage(f"lyapunov: transient of {len(others)} lanes", len(others) * (options.transient - before)):
         left = max(settling - before, 0)
         if len(others):
-            _put(state, others, lanes.iterate(batch.strobe(), left, picked((state, p), others)))
+            _write_lanes(state, others, lanes.iterate(batch.strobe(), left, select((state, p), others)))
         growth = lanes(begin, (batch.system,), (state,), static=(k,))
         if len(others):
-            some, some_p = picked((growth, p), others)
-            _put(growth, others, average(lanes, strobes, some, some_p, aligning)[0])
+            part, part_p = select((growth, p), others)
+            _write_lanes(growth, others, average(lanes, strobes, part, part_p, aligning)[0])
     rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
     smooth = np.zeros((count, 3, lead + k + 1))
     done = np.zeros(count, int)
@@ -162,36 +162,36 @@ def averages(
     settled = no_orbits(lead + k)
     with lanes.stage(f"lyapunov: averages of {count} lanes", count * options.periods):
         for i in range(BLOCKS):
-            part, part_p = picked((growth, p), running)
+            part, part_p = select((growth, p), running)
             part, rates[running, i] = average(lanes, strobes, part, part_p, block, i / BLOCKS, nodes)
             smooth[running] += smooth_parts(part, block, i)
-            _put(growth, running, part)
+            _write_lanes(growth, running, part)
             done[running] += 1
-            if i == 0 and not to_the_end and _have_orbits(options, batch):
+            if i == 0 and not to_the_end and _has_orbits(options, batch):
                 if early:
-                    found = picked(early.survey, early.settled)
-                    settled = of_orbits(batch, lanes, growth, early.settled, found, parts)
+                    orbits = select(early.survey, early.settled)
+                    settled = orbit_exponents(batch, lanes, growth, early.settled, orbits, parts)
                 # A chaotic lane whose tangent shrinks in this block is looked at as well, and goes on.
                 candidates = others[~(rates[others, 0, lead] > 0.0)]
-                settled = joined(settled, on_orbits(batch, lanes, growth, candidates, parts, options.periods))
+                settled = settled.join(find_orbits(batch, lanes, growth, candidates, parts, options.periods))
                 running = np.setdiff1d(running, settled.lanes)
             if options.error and i + 1 >= BLOCKS // 4:
-                plain = of_blocks(rates[running, : i + 1, lead : lead + k])
-                error = nearly_neutral(plain, aligning, (i + 1) * block).error / batch.flow.period
+                plain = average_blocks(rates[running, : i + 1, lead : lead + k])
+                error = widen_to_zero(plain, aligning, (i + 1) * block).error / batch.flow.period
                 running = running[~(np.max(error, axis=1) < options.error)]
             if not len(running):
                 break
     return Averages(growth, rates, smooth, done, settled)
 
 
-def _put(whole: Any, lanes: Int[np.ndarray, " some"], part: Any) -> None:
-    """Write what some lanes have come to over what is known of all."""
+def _write_lanes(whole: Any, lanes: Int[np.ndarray, " some"], part: Any) -> None:
+    """Write the values of a subset of lanes into those of all, in place."""
     for leaf, moved in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
         leaf[lanes] = moved
 
 
 class Spectrum(NamedTuple):
-    """Exponents a period, and where they come from.
+    """Exponents a period, and their sources.
 
     Attributes:
         mean, error: of the flow's direction without a clock, and of each tangent, (lanes, sums).
@@ -203,38 +203,38 @@ class Spectrum(NamedTuple):
     source: Int8[np.ndarray, " lanes"]
 
 
-def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, found: Averages, parts: int) -> Spectrum:
-    """The best that is known of every lane: its orbit, a smooth average or a plain one."""
+def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, averages: Averages, parts: int) -> Spectrum:
+    """Return the best estimate for every lane: its orbit, a smooth average or a plain one."""
     lead, k = int(batch.flow.autonomous), tangents(options, batch)
     aligned, block = options.transient // _ALIGNING, options.periods // BLOCKS
     mean, error = np.full((2, batch.count, lead + k), np.nan)
-    on_orbit = np.isin(np.arange(batch.count), found.settled.lanes)
-    for blocks in np.unique(found.blocks[~on_orbit]):
-        chosen = (found.blocks == blocks) & ~on_orbit
-        plain = of_blocks(found.rates[chosen, :blocks, : lead + k])
-        mean[chosen], error[chosen] = nearly_neutral(plain, aligned, blocks * block)
+    on_orbit = np.isin(np.arange(batch.count), averages.settled.lanes)
+    for blocks in np.unique(averages.blocks[~on_orbit]):
+        chosen = (averages.blocks == blocks) & ~on_orbit
+        plain = average_blocks(averages.rates[chosen, :blocks, : lead + k])
+        mean[chosen], error[chosen] = widen_to_zero(plain, aligned, blocks * block)
     source = np.zeros(batch.count, np.int8)
     if options.method == "averages":
         return Spectrum(mean, error, source)
-    number = np.arange(BLOCKS)
-    late = (number < found.blocks[:, None]) & (number >= (found.blocks - np.maximum(found.blocks // 4, 1))[:, None])
-    last = np.mean(found.rates[:, :, lead], axis=1, where=late)
-    open_ = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
-    open_ &= np.all(np.isfinite(mean), axis=1)
-    whole = np.flatnonzero(open_ & (found.blocks == BLOCKS))
-    smooth = of_windows(found.smooth[whole, :, : lead + k], aligned, BLOCKS * block)
-    smooth = nearly_neutral(smooth, aligned, BLOCKS * block)
+    number, ran = np.arange(BLOCKS), averages.blocks
+    late = (number < ran[:, None]) & (number >= (ran - np.maximum(ran // 4, 1))[:, None])
+    last = np.mean(averages.rates[:, :, lead], axis=1, where=late)
+    undecided = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
+    undecided &= np.all(np.isfinite(mean), axis=1)
+    whole = np.flatnonzero(undecided & (averages.blocks == BLOCKS))
+    smooth = average_windows(averages.smooth[whole, :, : lead + k], aligned, BLOCKS * block)
+    smooth = widen_to_zero(smooth, aligned, BLOCKS * block)
     better = smooth.error[:, lead] < error[whole, lead]
     regular = whole[better]
     source[regular] = SOURCES.index("smooth_average")
     mean[regular] = smooth.mean[better]
-    error[regular] = smooth.error[better] + _of_steps(batch, lanes, picked(found.growth, regular), regular, parts)
+    error[regular] = smooth.error[better] + _step_error(batch, lanes, select(averages.growth, regular), regular, parts)
     drifting = whole[~better]
-    error[drifting] += unseen_bursts(found.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
-    candidates = np.flatnonzero(open_)
-    orbits = [found.settled]
-    if len(candidates) and _have_orbits(options, batch):
-        orbits.append(on_orbits(batch, lanes, found.growth, candidates, parts, BLOCKS * block))
+    error[drifting] += unseen_bursts(averages.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
+    candidates = np.flatnonzero(undecided)
+    orbits = [averages.settled]
+    if len(candidates) and _has_orbits(options, batch):
+        orbits.append(find_orbits(batch, lanes, averages.growth, candidates, parts, BLOCKS * block))
     for settled in orbits:
         source[settled.lanes] = SOURCES.index("orbit")
         mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
@@ -245,27 +245,27 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, foun
         resting = candidates[still]
         source[resting] = SOURCES.index("equilibrium")
         complete = exponents.shape[1] == batch.flow.exponents  # else some eigenvalues are those of constraints
-        for values, found_there in ((mean, exponents), (error, bound)):
-            values[resting] = found_there[still, : lead + k] * batch.flow.period if complete else np.nan
+        for values, of_equilibrium in ((mean, exponents), (error, bound)):
+            values[resting] = of_equilibrium[still, : lead + k] * batch.flow.period if complete else np.nan
     return Spectrum(mean, error, source)
 
 
-def _have_orbits(options: LyapunovOptions, batch: LaneBatch) -> bool:
-    """Whether orbits of lanes are looked for: of a strobe map, whose multipliers are right to rounding."""
+def _has_orbits(options: LyapunovOptions, batch: LaneBatch) -> bool:
+    """Whether orbits of lanes are searched for: of a strobe map, whose multipliers are right to rounding."""
     return options.method != "averages" and not batch.flow.autonomous and batch.precision == "float64"
 
 
-def _of_steps(
-    batch: LaneBatch, lanes: LaneRunner, growth: TangentState, some: Int[np.ndarray, " some"], parts: int
+def _step_error(
+    batch: LaneBatch, lanes: LaneRunner, growth: TangentState, subset: Int[np.ndarray, " some"], parts: int
 ) -> Float[np.ndarray, "some sums"]:
-    """Twice what twice the steps change in the growth over a few periods from where these lanes of a batch are.
+    """Return twice the change by twice the steps in the growth over a few periods from the present states.
 
     Regular motions from one state stay together for that long. In plain averages this is far below the scatter, as
     steps are chosen for tangents as well (`_refinement_needed`).
     """
-    if not len(some):
+    if not len(subset):
         return np.zeros((0, len(growth.logs)))
-    p = picked(dict(batch.p), some)
+    p = select(dict(batch.p), subset)
     coarse, fine = (average(lanes, parts_of(batch, parts, n), growth, p, _COMPARED)[1] for n in (1, 2))
     return 2.0 * np.abs(coarse - fine)[:, : len(growth.logs)]
 
@@ -276,17 +276,17 @@ def every_exponent(options: LyapunovOptions, batch: LaneBatch) -> bool:
 
 
 def tangents(options: LyapunovOptions, batch: LaneBatch) -> int:
-    """How many tangents are carried: one for each exponent that is wanted and not known."""
+    """Return how many tangents are carried: one for each exponent that is wanted and not known."""
     return min(options.exponents, batch.flow.exponents - int(batch.flow.autonomous))
 
 
 def _pilots(batch: LaneBatch) -> LaneBatch:
-    """Some lanes across a sweep."""
+    """Return a sample of lanes across a sweep."""
     return batch.take(np.unique(np.linspace(0, batch.count - 1, _PILOT_LANES).round().astype(int)))
 
 
 def _parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, TangentState]:
-    """Orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
+    """Return orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
 
     Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
     bounds what a longer part does; where that is all that rounding lets one see, a smaller part is looked at. Also
@@ -311,7 +311,7 @@ def _parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tan
 
 
 def _refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState, parts: int) -> int:
-    """Times the steps of the map, a power of two, with which tangents grow and shrink as twice as many have it.
+    """Return the factor of the steps, a power of two, beyond which doubling it does not change tangents.
 
     Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
     its polynomial can follow. Measured on lanes across the sweep, part by part from one state each, so that paths that
@@ -343,10 +343,10 @@ def _refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState
 def _dataset(
     options: LyapunovOptions, batch: LaneBatch, averages: Averages, spectrum: Spectrum, parts: int
 ) -> xr.Dataset:
-    """All variables; the first sum without a clock is that along the flow."""
+    """Return all variables; for an autonomous flow the first sum is that along the flow."""
     period, k = batch.flow.period, spectrum.mean.shape[1]
     wanted = min(options.exponents, k)
-    found, spread = spectrum.mean / period, spectrum.error / period
+    mean, error = spectrum.mean / period, spectrum.error / period
     averaged = averages.blocks * (options.periods // BLOCKS)
     symbols, residual = batch.flow.contraction, None
     volume = averages.rates[:, :, k:].copy()
@@ -355,20 +355,20 @@ def _dataset(
     sums = np.sum(np.where(ran[:, :, None], averages.rates[:, :, :k], 0.0), axis=(1, 2)) / averages.blocks / period
     if every_exponent(options, batch):
         # At rest the flow has no direction once its rate has come down to rounding.
-        sums = np.where(spectrum.source == SOURCES.index("equilibrium"), found.sum(axis=1), sums)
+        sums = np.where(spectrum.source == SOURCES.index("equilibrium"), mean.sum(axis=1), sums)
         residual = sums - volume[:, 1 if symbols else 0]
         of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
-        spread[of_average] = held_against_sum(spread[of_average], residual[of_average])
+        error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average])
     attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
     if batch.flow.autonomous:
         rests = (spectrum.mean[:, 0] * averaged < _AT_REST) | (spectrum.source == SOURCES.index("equilibrium"))
         lost = ~np.isfinite(spectrum.mean[:, 0])
-        for values in (found, spread):
+        for values in (mean, error):
             values[:, 0] = np.where(lost, np.nan, np.where(rests, values[:, 0], 0.0))
         attrs["along_flow"] = "the exponent along the flow is known to be zero"
-    order = np.argsort(-found, axis=1)[:, :wanted]
-    exponents, errors = np.take_along_axis(found, order, axis=1), np.take_along_axis(spread, order, axis=1)
-    each, unit = (LANE, "exponent"), per_time(batch.flow)
+    order = np.argsort(-mean, axis=1)[:, :wanted]
+    exponents, errors = np.take_along_axis(mean, order, axis=1), np.take_along_axis(error, order, axis=1)
+    each, unit = (LANE, "exponent"), rate_units(batch.flow)
     words = "Lyapunov exponents, natural logarithm"
     ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], averages.growth.state))["status"]
     lost = ~np.all(np.isfinite(exponents), axis=1) & (spectrum.source != SOURCES.index("equilibrium"))
@@ -377,8 +377,8 @@ def _dataset(
         "exponent": variable("exponent", np.arange(1, wanted + 1), "number of the exponent, largest first"),
         "exponents": variable(each, exponents, words, unit, ancillary_variables="exponents_error exponents_method"),
         "exponents_error": variable(each, errors, "error of the exponents at 95 %", unit, comment=_COMMENT),
-        "exponents_method": flagged(LANE, spectrum.source, "what the exponents of a lane are", SOURCES),
-        "status": named(LANE, status(code)),
+        "exponents_method": flag(LANE, spectrum.source, "what the exponents of a lane are", SOURCES),
+        "status": as_variable(LANE, status(code)),
     }
     divergence = ""
     if symbols:
@@ -386,7 +386,7 @@ def _dataset(
         words = f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
         variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, unit)
     variables["averaging_periods"] = variable(
-        LANE, averaged, "length of the average", counted_in=counted_in(batch.system)
+        LANE, averaged, "length of the average", counted_in=iterate_units(batch.system)
     )
     if residual is not None:
         what = "sum of the plain averages, at rest of the exponents"
@@ -402,7 +402,7 @@ def _dataset(
 
 
 def kaplan_yorke(exponents: Float[np.ndarray, "lanes k"]) -> Float[np.ndarray, " lanes"]:
-    """Kaplan–Yorke dimension of descending exponents; k where their sum is not negative."""
+    """Return the Kaplan–Yorke dimension of descending exponents; k where their sum is not negative."""
     total = np.cumsum(exponents, axis=1)
     lanes, k = exponents.shape
     whole = np.sum(total >= 0.0, axis=1)
@@ -412,7 +412,7 @@ def kaplan_yorke(exponents: Float[np.ndarray, "lanes k"]) -> Float[np.ndarray, "
 
 
 def program(batch: LaneBatch, k: int, parts: int = _PRICED_PARTS) -> PricedProgram:
-    """A period of k tangents, orthonormalised so many times; of none the map alone."""
+    """Return the program of a period of k tangents, orthonormalised so many times; for none the map alone."""
     batch = batch.in_time()
     if not k:
         return map_alone(batch)
@@ -425,13 +425,13 @@ def program(batch: LaneBatch, k: int, parts: int = _PRICED_PARTS) -> PricedProgr
 
 
 def price(options: LyapunovOptions, batch: LaneBatch) -> Price:
-    """All tangents against the map alone."""
+    """Return the price of all tangents against the map alone."""
     k = tangents(options, batch)
     return Price(program(batch, k), program(batch, 0), f"{k} tangent{'s' if k > 1 else ''}")
 
 
 def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
-    """Sign of the largest exponent, 0 where its bar covers zero, 2 where there is no exponent."""
+    """Return the sign of the largest exponent, 0 where its bar covers zero, 2 where there is no exponent."""
     largest, error = (data[name].to_numpy()[..., 0] for name in ("exponents", "exponents_error"))
     sign = np.where(np.abs(largest) > error, np.sign(largest), 0.0)
     return np.where(np.isfinite(largest), sign, 2.0).astype(int)

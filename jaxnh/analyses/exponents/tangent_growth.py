@@ -1,4 +1,4 @@
-"""Growth of tangents and of volume along the motion of a lane: what exponents are averages of.
+"""Growth of tangents and of volume along the motion of a lane, whose averages are exponents.
 
 The tangent flow is the exact derivative of the solver's own step. Tangents are orthonormalised by a written-out
 Gram–Schmidt several times a period (Benettin and co-workers 1980), as often as the contraction needs. The divergence of
@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.smooth_window import windows
+from jaxnh.analyses.smooth_window import half_window_weights
 from jaxnh.config.options.base import BLOCKS
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import cut_strobe, maps_between
@@ -38,7 +38,7 @@ _KICKS_A_NODE = 4  # of the map: its own error, a processed one's too, is larger
 
 
 class TangentState(NamedTuple):
-    """A lane on its way: state, orthonormal tangents in section coordinates, and logarithms of growth summed so far.
+    """State of a lane, orthonormal tangents in section coordinates, and sums of the logarithms of growth.
 
     Attributes:
         state: of the flow.
@@ -46,7 +46,7 @@ class TangentState(NamedTuple):
         logs: k sums of the logarithms of the tangents' growth; without a clock, that along the flow before them.
         volume: sum of the logarithms of the growth of volume.
         divergence: integral of the flow's divergence by quadrature, zero where it is not asked for.
-        smooth: the sums of logs and volume, over periods under the windows of `windows`, as tuples.
+        smooth: the sums of logs and volume, over periods under the windows of `half_window_weights`, as tuples.
         loss: largest logarithm by which the last tangent shrank against the first in one part of a period.
     """
 
@@ -75,14 +75,14 @@ class Quadrature(NamedTuple):
 
 
 def quadrature(batch: LaneBatch) -> Quadrature | ParameterFamily[Quadrature]:
-    """Nodes and maps of the quadrature; of a family one for each value."""
+    """Return nodes and maps of the quadrature; for a family one for each value."""
     if batch.family is not None:
         return batch.family.derive("quadrature", lambda system: _nodes(batch.under(system)))
     return _nodes(batch)
 
 
 def _nodes(batch: LaneBatch) -> Quadrature:
-    """Nodes in panels of twelve, in number with the kicks of a period, denser where the flow is faster.
+    """Return nodes in panels of twelve, in number with the kicks of a period, denser where the flow is faster.
 
     Their states are those of another map, a step of order six from node to node, so that neither determinants nor
     errors of the map's own kicks are part of the result.
@@ -97,7 +97,7 @@ def _nodes(batch: LaneBatch) -> Quadrature:
 
 
 def parts_of(batch: LaneBatch, parts: int, refinement: int = 1) -> Maps:
-    """The maps between orthonormalisations, so many a period, stacked, with `refinement` times the steps."""
+    """Return the stacked maps between orthonormalisations, `parts` a period, with `refinement` times the steps."""
     if batch.family is not None:
         key = parts, refinement
         return batch.family.maps(batch.system, key, lambda system: cut_period(batch.under(system), parts, refinement))
@@ -105,14 +105,14 @@ def parts_of(batch: LaneBatch, parts: int, refinement: int = 1) -> Maps:
 
 
 def cut_period(batch: LaneBatch, parts: int, refinement: int = 1) -> ReturnMap:
-    """Likewise, of lanes with one system."""
+    """Return the stacked maps between orthonormalisations for lanes with one system."""
     steps = refinement * batch.steps
     strobe = cut_strobe(batch.flow, batch.solver, steps, parts, compensated=batch.compensated)
     return in_precision(strobe, batch.precision)
 
 
 def one_by_one(strobes: ReturnMap, roomy: ReturnMap) -> list[ReturnMap]:
-    """Maps of a stack, each a stack of one, in tables as large as those of another: one program serves them and it."""
+    """Split a stack into stacks of one map, padded like those of `roomy`, so that one program serves both."""
 
     def row(leaf: ArrayLike, like: ArrayLike, k: int) -> np.ndarray:
         one = np.asarray(leaf)[k : k + 1]
@@ -133,7 +133,7 @@ def average(
     quadrature: Quadrature | ParameterFamily[Quadrature] | None = None,
     tile: int | None = None,
 ) -> tuple[TangentState, Float[np.ndarray, "lanes sums"]]:
-    """Lanes `count` periods on, and growth a period of each tangent, of volume, and by quadrature of volume.
+    """Advance lanes by `count` periods; return growth a period of tangents, of volume, and of volume by quadrature.
 
     `begun` is the share of the whole average that is over, for the smooth windows.
     """
@@ -144,7 +144,7 @@ def average(
     return growth, np.stack([*growth.logs, growth.volume, growth.divergence], axis=-1) / count
 
 
-def turn(
+def advance_turns(
     lanes: LaneRunner,
     strobes: Maps,
     growth: TangentState,
@@ -152,7 +152,7 @@ def turn(
     counts: Int[np.ndarray, " lanes"],
     tile: int,
 ) -> tuple[TangentState, Float[np.ndarray, "lanes k"]]:
-    """Lanes as many periods on as each of them counts, and growth a period of each tangent."""
+    """Advance each lane by its own number of periods, and return the growth a period of each tangent."""
     growth = lanes(_advance_each, (strobes,), (growth, p, counts.astype(np.int32)), tile=tile)
     return growth, np.stack(growth.logs, axis=-1) / counts[:, None]
 
@@ -162,7 +162,7 @@ def _advance_each(strobes: ReturnMap, growth: TangentState, p: Parameters, count
 
 
 def begin(flow: Flow, state: State, k: int) -> TangentState:
-    """A lane at a state with k tangents."""
+    """Return a lane at a state with k tangents."""
     zero = jnp.zeros_like(state[0][0])
     tangents = jax.tree.map(lambda component: zero + component, flow.chart.directions(k))
     sums = k + int(flow.autonomous)
@@ -177,7 +177,7 @@ def advance(
     growth: TangentState,
     p: Parameters,
 ) -> TangentState:
-    """One lane `count` periods on, its sums begun anew."""
+    """Advance one lane by `count` periods, its sums begun anew."""
     zeros = jax.tree.map(jnp.zeros_like, growth[2:])
     growth = TangentState(growth.state, growth.tangents, *as_batched(zeros, growth.state[0][0]))
     # Where the divergence is a derivative more, it serves the sum rule alone.
@@ -188,7 +188,7 @@ def advance(
         pushed = strobe.push(growth.state, p, tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents))
         moved = [flow.chart.lower(pushed.state, t.state) for t in pushed.tangents]
         if flow.autonomous:
-            tangents, grown = _across(flow, growth.state, pushed.state, moved, p)
+            tangents, grown = _orthonormalise_across(flow, growth.state, pushed.state, moved, p)
         else:
             tangents, grown = gram_schmidt(moved)
         logs = tuple(sum_ + g for sum_, g in zip(growth.logs, grown, strict=True))
@@ -203,7 +203,7 @@ def advance(
         at = begun + (jnp.float64(i) + 0.5) / (jnp.float64(count) * BLOCKS)
         smooth = tuple(
             tuple(sum_ + weight * g for sum_, g in zip(sums, grown, strict=True))
-            for weight, sums in zip(windows(at), growth.smooth, strict=True)
+            for weight, sums in zip(half_window_weights(at), growth.smooth, strict=True)
         )
         if quadrature is not None:
             after = after._replace(divergence=growth.divergence + _divergence(quadrature, growth.state, p))
@@ -213,7 +213,7 @@ def advance(
 
 
 def _divergence(quadrature: Quadrature, state: State, p: Parameters) -> Array:
-    """∫ divergence dt over the period that begins at a state."""
+    """Return ∫ divergence dt over the period that begins at a state."""
     flow = quadrature.flow
 
     def node(carry: tuple[State, Array], item: Any) -> tuple[tuple[State, Array], None]:
@@ -225,10 +225,10 @@ def _divergence(quadrature: Quadrature, state: State, p: Parameters) -> Array:
     return lax.scan(node, (state, as_batched(jnp.zeros_like(state[0][0]), state[0][0])), nodes)[0][1]
 
 
-def _across(
+def _orthonormalise_across(
     flow: Flow, before: State, after: State, moved: Sequence[Vector], p: Parameters
 ) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
-    """Orthonormal tangents across the flow, and the growth of the flow's own direction, then of each of them."""
+    """Return orthonormal tangents across the flow, and the growth of the flow's direction and of each of them."""
 
     def direction(state: State) -> Vector:
         return rates(flow, state, p)
@@ -238,7 +238,7 @@ def _across(
 
 
 def gram_schmidt(vectors: Sequence[Vector]) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
-    """Orthonormal vectors that span the same, and the logarithms of the lengths they had, components of any shape."""
+    """Return orthonormal vectors of the same span, and the logarithms of the lengths, components of any shape."""
     orthonormal: list[Vector] = []
     logs = []
     for vector in vectors:

@@ -17,7 +17,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, picked
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.periodic.newton_on_lanes import (
     CONVERGED,
     ORBIT_TILE,
@@ -210,7 +210,7 @@ def _survey_at(
         n, lane = np.nonzero(recurs & (rank >= first) & (rank <= last) & (period == 0))
         first, last = last + 1, 2 * last + 1
         with lanes.stage(f"{label}: orbits of {len(np.unique(lane))} lanes", 0):
-            orbit = orbits(lanes, strobe, point[lane], picked(p, lane), n, size[lane])
+            orbit = orbits(lanes, strobe, point[lane], select(p, lane), n, size[lane])
         near = section_distance(batch.chart, orbit.u, point[lane], size[lane]) < 2 * _CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
@@ -218,12 +218,12 @@ def _survey_at(
         if not len(here):
             continue
         settled = settled[least_of]
-        exact = picked(orbit, settled)
-        shortest = least_period(lanes, strobe, exact.u, picked(p, here), n[settled], size[here])
+        exact = select(orbit, settled)
+        shortest = least_period(lanes, strobe, exact.u, select(p, here), n[settled], size[here])
         shorter = np.flatnonzero(shortest != n[settled])
         if len(shorter):
             some = here[shorter]
-            turned = orbits(lanes, strobe, exact.u[shorter], picked(p, some), shortest[shorter], size[some])
+            turned = orbits(lanes, strobe, exact.u[shorter], select(p, some), shortest[shorter], size[some])
             for whole, part in zip(exact, turned, strict=True):
                 whole[shorter] = part
         period[here], point[here] = shortest, exact.u
@@ -274,7 +274,7 @@ def polish_beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, surv
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
     for n in np.unique(period[near]):
         born = np.flatnonzero(near & (period == n))
-        arguments = (u[born], picked(p, born), *sizes(chart, size[born]))
+        arguments = (u[born], select(p, born), *sizes(chart, size[born]))
         # The bits of this program depend on the shape of a tile.
         orbit = lanes(find_doubled, (strobe, np.int32(n // 2)), arguments, tile=ORBIT_TILE, together=False)
         settled = (orbit.residual < CONVERGED) & (section_distance(chart, orbit.u, u[born], size[born]) < 2 * _CLOSE)

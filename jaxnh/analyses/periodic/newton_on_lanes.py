@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.batch import LaneRunner, picked
+from jaxnh.analyses.batch import LaneRunner, select
 from jaxnh.maps.family import Maps
 from jaxnh.orbits.newton import NewtonStep, Orbit, find_orbits, look
 from jaxnh.systems.chart import Chart
@@ -45,7 +45,7 @@ def orbits(
     def of(lane: Int[np.ndarray, " group"], tile: int) -> Orbit:
         def look_at(u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> NewtonStep:
             which = lane[some]
-            at = (n[which], u, picked(p, which), *(() if size is None else sizes(strobe.chart, size[which])))
+            at = (n[which], u, select(p, which), *(() if size is None else sizes(strobe.chart, size[which])))
             return lanes(look, (strobe,), at, tile=tile)
 
         return find_orbits(look_at, u[lane])
@@ -54,7 +54,7 @@ def orbits(
     short, long = order[n[order] <= _SHORT], order[n[order] > _SHORT]
     groups = [(lane, tile) for lane, tile in ((short, ORBIT_TILE), (long, _LONG_TILE)) if len(lane)]
     orbits_by_group = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(of(*group) for group in groups))
-    return picked(orbits_by_group, np.argsort(np.concatenate([lane for lane, _ in groups])))
+    return select(orbits_by_group, np.argsort(np.concatenate([lane for lane, _ in groups])))
 
 
 def sizes(chart: Chart, size: Float[np.ndarray, "lanes d"]) -> tuple[Float[np.ndarray, "lanes d"], ...]:
@@ -89,7 +89,7 @@ def least_period(
     while len(open_ := np.flatnonzero(factor)):
         open_ = open_[np.argsort(period[open_] // factor[open_], kind="stable")]
         d = (period[open_] // factor[open_]).astype(np.int32)
-        at = (d, u[open_], picked(p, open_), *sizes(strobe.chart, size[open_]))
+        at = (d, u[open_], select(p, open_), *sizes(strobe.chart, size[open_]))
         back = lanes(look, (strobe,), at, tile=ORBIT_TILE).residual < CONVERGED
         period[open_[back]] //= factor[open_[back]]
         factor[open_] = _prime_factors(period[open_], factor[open_] - back)

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
-from jaxnh.analyses.base import LANE, Analysis, named, numbered, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, counted_in
+from jaxnh.analyses.base import LANE, Analysis, as_variable, number_variable, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey_from_start
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
@@ -30,14 +30,14 @@ def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
     attractors = survey_from_start(batch, lanes, options.max_period, "period", options.transient)
     attractors = polish_beyond_doublings(lanes, batch.strobe(), dict(batch.p), attractors)
     variables = {
-        "period": numbered(
-            LANE, attractors.period, "least period up to the limit", ("none",), counted_in=counted_in(batch.system)
+        "period": number_variable(
+            LANE, attractors.period, "least period up to the limit", ("none",), counted_in=iterate_units(batch.system)
         ),
         "residual": variable(
             LANE, attractors.residual, "largest component of Pⁿ(u) − u of the orbit, in sizes of the motion"
         ),
         "multiplier": variable(LANE, attractors.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
-        "status": named(LANE, status(np.where(attractors.failed, NOT_FINITE, 0))),
+        "status": as_variable(LANE, status(np.where(attractors.failed, NOT_FINITE, 0))),
     }
     return xr.Dataset(variables, attrs={"max_period": options.max_period, "transient": options.transient})
 

@@ -22,12 +22,12 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.section_points import points_at, states_at
-from jaxnh.analyses.trajectories.poincare import recording, strobe_states
+from jaxnh.analyses.trajectories.poincare import recording_program, strobe_states
 from jaxnh.analyses.trajectories.states import (
     check_transient,
     count,
     section_attrs,
-    settled,
+    settle_lanes,
     state_variables,
     statistics,
 )
@@ -47,23 +47,23 @@ _PRICED = 4, 17  # values and strobes of the program of a carried state that is 
 
 
 def periods(options: DiagramOptions, lanes: int) -> float:
-    """Lane-periods of a run."""
+    """Return the lane-periods of a run."""
     each = options.transient + options.strobes - 1 + options.phase
     return lanes * each * (options.n_starts if options.start == "random" else 1)
 
 
 def independent(options: DiagramOptions) -> bool:
-    """Whether lanes know nothing of each other: a carried state knows where it comes from."""
+    """Whether lanes are independent: a carried state depends on the values before."""
     return not options.carried
 
 
 def numbers(options: DiagramOptions) -> int:
-    """Numbers that a lane leaves."""
+    """Return how many numbers a lane leaves."""
     return 4 * options.strobes * (options.n_starts if options.start == "random" else 1)
 
 
 def check(options: DiagramOptions, setting: Setting) -> None:
-    """See that there is a period for a phase, a parameter to carry a state along, and one kind of start states."""
+    """Check that a phase has a period, a carried state a parameter, and that there is one kind of start states."""
     check_transient(options.transient, setting)
     if setting.autonomous and options.phase:
         raise OptionError("there is no period to have a phase in; leave it out", "phase")
@@ -78,7 +78,7 @@ def check(options: DiagramOptions, setting: Setting) -> None:
 
 
 def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """States at `strobes` strobes after the transient, dimensions (lane, strobe), or (lane, start, strobe) if random.
+    """Return states at `strobes` strobes after the transient, (lane, strobe), or (lane, start, strobe) if random.
 
     With `statistics` those of the strobes take their place, (lane,) or (lane, start).
 
@@ -95,7 +95,7 @@ def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         elif options.start == "fixed":
             states = _side_by_side(options, batch, lanes, *batch.lanes)
         else:
-            states = _in_turn(options, batch, lanes)
+            states = _carry_in_turn(options, batch, lanes)
     t = np.array([options.phase * batch.flow.period])
     attrs = {
         "start": options.start,
@@ -107,7 +107,7 @@ def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
 
 
 def random_starts(options: DiagramOptions, batch: LaneBatch) -> tuple[State, Parameters]:
-    """Random states at t = 0 and parameters, (lanes · starts,), the starts of a lane one after the other.
+    """Return random states at t = 0 and parameters, (lanes · starts,), the starts of each lane in turn.
 
     A lane has its states by its place along the first axis, whatever lanes it is computed with.
     """
@@ -124,38 +124,38 @@ def random_starts(options: DiagramOptions, batch: LaneBatch) -> tuple[State, Par
 
 
 def starts(options: DiagramOptions) -> Starts | None:
-    """Where lanes start at random, if they do."""
+    """Return the function that draws random starts, if there are any."""
     if options.start != "random":
         return None
     return lambda batch: (random_starts(options, batch)[0], np.repeat(np.arange(batch.count), options.n_starts))
 
 
 def _side_by_side(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, start: State, p: Parameters) -> State:
-    """A lane for each start state and its parameters: components (lanes, strobes)."""
-    state, strobe = _at_phase(options, batch, lanes, start, p)
-    state = settled(lanes, strobe, options.transient, state, p)
+    """Run a lane for each start state and its parameters: components (lanes, strobes)."""
+    state, strobe = _advance_to_phase(options, batch, lanes, start, p)
+    state = settle_lanes(lanes, strobe, options.transient, state, p)
     if options.snap_to_period:
-        state = _on_orbits(replace(batch, start=state, p=p, place=None, along=None), lanes, options.snap_to_period)
+        state = _move_to_orbits(replace(batch, start=state, p=p, place=None, along=None), lanes, options.snap_to_period)
     return lanes(strobe_states, (strobe,), (state, p), periods=options.strobes - 1, static=(options.strobes,))
 
 
-def _on_orbits(batch: LaneBatch, lanes: LaneRunner, limit: int) -> State:
-    """Start states, of lanes near a stable orbit up to a period a point of that: they need not wait to come to it."""
-    found = survey(batch, lanes, points_at(batch, lanes, batch.start), limit, "diagram", 0)
-    found = polish_beyond_doublings(lanes, batch.strobe(), dict(batch.p), found)
-    on_orbit, states = found.period > 0, states_at(batch, lanes, found.u)
+def _move_to_orbits(batch: LaneBatch, lanes: LaneRunner, limit: int) -> State:
+    """Replace start states of lanes near a stable orbit, up to a period, by a point of that orbit."""
+    orbits = survey(batch, lanes, points_at(batch, lanes, batch.start), limit, "diagram", 0)
+    orbits = polish_beyond_doublings(lanes, batch.strobe(), dict(batch.p), orbits)
+    on_orbit, states = orbits.period > 0, states_at(batch, lanes, orbits.u)
     return jax.tree.map(lambda orbit, start: np.where(on_orbit, orbit, start), states, batch.start)
 
 
-def _in_turn(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> State:
-    """The start state carried along the first axis in one lane: components (lanes, strobes) in the batch's order."""
+def _carry_in_turn(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> State:
+    """Carry the start state along the first axis in one lane: components (lanes, strobes) in the batch's order."""
     values = batch.line.values
     order = np.argsort(values, kind="stable")
     if options.start == "down":
         order = order[::-1]
     if batch.family is not None:
-        return _under_each_flow(options, batch, lanes, order)
-    state, strobe = _at_phase(options, batch, lanes, *batch.take(order[:1]).lanes)
+        return _carry_through_flows(options, batch, lanes, order)
+    state, strobe = _advance_to_phase(options, batch, lanes, *batch.take(order[:1]).lanes)
     each = options.transient + options.strobes - 1
     at_once = min(_CARRIED_AT_ONCE, max(1, _CARRIED_PERIODS // max(each, 1)))
     met = []
@@ -164,7 +164,7 @@ def _in_turn(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> St
         padded = np.append(part, np.full(at_once - len(part), part[-1]))
         p = {name: lane_values[None, padded] for name, lane_values in batch.p.items()}
         state, states = lanes(
-            carried,
+            carry,
             (strobe, np.int32(options.transient)),
             (state, p),
             periods=len(part) * each,
@@ -176,18 +176,18 @@ def _in_turn(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> St
     return jax.tree.map(lambda *components: np.concatenate(components, axis=1)[0, back], *met)
 
 
-def _under_each_flow(
+def _carry_through_flows(
     options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, order: Int[np.ndarray, " lanes"]
 ) -> State:
-    """As `_in_turn`, along a parameter that all lanes share: a call for each value, in that order."""
+    """Carry a state along a parameter that all lanes share: one call for each value, in that order."""
     assert batch.family is not None
     first, met = batch.take(order[:1]), []
     state = first.start
     for value in batch.line.values[order].tolist():
-        here = first.under(batch.family.at((value,)))
-        p = here.p
-        begun, strobe = _at_phase(options, here, lanes, state, p)
-        state = settled(lanes, strobe, options.transient, state if met else begun, p, tile=1)
+        at_value = first.under(batch.family.at((value,)))
+        p = at_value.p
+        begun, strobe = _advance_to_phase(options, at_value, lanes, state, p)
+        state = settle_lanes(lanes, strobe, options.transient, state if met else begun, p, tile=1)
         periods = options.strobes - 1
         met.append(lanes(strobe_states, (strobe,), (state, p), periods=periods, tile=1, static=(options.strobes,)))
         state = jax.tree.map(lambda component: component[:, -1], met[-1])
@@ -195,10 +195,10 @@ def _under_each_flow(
     return jax.tree.map(lambda *components: np.concatenate(components)[back], *met)
 
 
-def _at_phase(
+def _advance_to_phase(
     options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, start: State, p: Parameters
 ) -> tuple[State, Maps]:
-    """States at t = 0 brought to the phase of the strobes, and the map of a period from there."""
+    """Advance states from t = 0 to the phase of the strobes, and return the map of a period from there."""
     if not options.phase:
         return start, batch.strobe()
     t, period = options.phase * batch.flow.period, batch.flow.period
@@ -212,8 +212,8 @@ def _at_phase(
     return lanes(iterate, (first, np.int32(1)), (start, p), periods=options.phase), strobe
 
 
-def carried(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters, count: int) -> tuple[State, State]:
-    """Of one lane: a state carried along parameters (values,), and the states (values, count) met at each of them."""
+def carry(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters, count: int) -> tuple[State, State]:
+    """Carry a state of one lane along parameters (values,); return it and the states (values, count) at each."""
 
     def at(z: State, p: Parameters) -> tuple[State, State]:
         states = strobe_states(strobe, iterate(strobe, transient, z, p), p, count)
@@ -223,23 +223,23 @@ def carried(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters
 
 
 def price(options: DiagramOptions, batch: LaneBatch) -> Price:
-    """Every strobe is kept; a carried state is one lane, against the map of one lane."""
+    """Return the price of keeping every strobe; a carried state is one lane, against the map of one lane."""
     if not options.carried:
-        return Price(recording(batch), map_alone(batch), "every strobe is kept")
+        return Price(recording_program(batch), map_alone(batch), "every strobe is kept")
     strobe, (values, strobes) = batch.map(), _PRICED
-    one = batch.take(slice(1))
-    p = {name: np.resize(found, (1, values)) for name, found in batch.p.items()}
+    first = batch.take(slice(1))
+    p = {name: np.resize(lane_values, (1, values)) for name, lane_values in batch.p.items()}
     program = PricedProgram(
-        carried,
+        carry,
         (strobe, np.zeros((), np.int32)),
-        (one.start, p),
+        (first.start, p),
         (1.0, 0.0, *strobe.turns),
         (strobes,),
         values * (strobes - 1),
         1,
         whole=True,
     )
-    return Price(program, map_alone(one, strobe, tile=1), "one lane after the other; every strobe is kept")
+    return Price(program, map_alone(first, strobe, tile=1), "one lane after the other; every strobe is kept")
 
 
 ANALYSIS = Analysis(

@@ -13,7 +13,14 @@ import xarray as xr
 from jaxnh.analyses.base import LANE, Analysis, Setting, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.trajectories.states import TILE, check_transient, count, section_attrs, settled, state_variables
+from jaxnh.analyses.trajectories.states import (
+    TILE,
+    check_transient,
+    count,
+    section_attrs,
+    settle_lanes,
+    state_variables,
+)
 from jaxnh.config.options.trajectories import PoincareOptions
 from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import ReturnMap
@@ -24,25 +31,25 @@ _PRICED_STROBES = 65
 
 
 def periods(options: PoincareOptions, lanes: int) -> float:
-    """Lane-periods of a run."""
+    """Return the lane-periods of a run."""
     return float(lanes * (options.transient + options.strobes - 1))
 
 
 def numbers(options: PoincareOptions) -> int:
-    """Numbers that a lane leaves."""
+    """Return how many numbers a lane leaves."""
     return 4 * options.strobes
 
 
 def check(options: PoincareOptions, setting: Setting) -> None:
-    """See that the first strobe is on the section."""
+    """Check that the first strobe is on the section."""
     check_transient(options.transient, setting)
 
 
 def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """States at `strobes` strobes after the transient, from the start states, dimensions (lane, strobe)."""
+    """Return states at `strobes` strobes after the transient, from the start states, dimensions (lane, strobe)."""
     strobe, (start, p) = batch.strobe(), batch.lanes
     with lanes.stage(f"poincare: {options.strobes} strobes of {batch.count:,} lanes", periods(options, batch.count)):
-        start = settled(lanes, strobe, options.transient, start, p, TILE)
+        start = settle_lanes(lanes, strobe, options.transient, start, p, TILE)
         states = lanes(
             strobe_states, (strobe,), (start, p), periods=options.strobes - 1, tile=TILE, static=(options.strobes,)
         )
@@ -55,18 +62,18 @@ def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
 
 
 def strobe_states(strobe: ReturnMap, state: State, p: Parameters, count: int) -> State:
-    """Of one lane: its state and those after each of the next periods, (count,)."""
+    """Return the state of one lane and those after each of the next periods, (count,)."""
     _, following = record(strobe, state, p, count - 1)
     return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), state, following)
 
 
 def price(options: PoincareOptions, batch: LaneBatch) -> Price:
-    """Every strobe is kept; the transient is the map alone."""
-    return Price(recording(batch, TILE), map_alone(batch, tile=TILE), "every strobe is kept")
+    """Return the price of keeping every strobe; the transient is the map alone."""
+    return Price(recording_program(batch, TILE), map_alone(batch, tile=TILE), "every strobe is kept")
 
 
-def recording(batch: LaneBatch, tile: int | None = None) -> PricedProgram:
-    """The program that keeps every strobe, of some periods."""
+def recording_program(batch: LaneBatch, tile: int | None = None) -> PricedProgram:
+    """Return the program that keeps every strobe, over `_PRICED_STROBES` of them."""
     strobe = batch.map()
     return PricedProgram(
         strobe_states,

@@ -10,7 +10,7 @@ from jax import lax
 from jaxnh.analyses.base import LANE, Analysis, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.trajectories.states import TILE, count, settled, state_variables
+from jaxnh.analyses.trajectories.states import TILE, count, settle_lanes, state_variables
 from jaxnh.config.options.trajectories import PortraitOptions
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap
@@ -22,21 +22,21 @@ _PRICED_PERIODS = 2
 
 
 def periods(options: PortraitOptions, lanes: int) -> float:
-    """Lane-periods of a run."""
+    """Return the lane-periods of a run."""
     return float(lanes * (options.transient + options.periods))
 
 
 def numbers(options: PortraitOptions) -> int:
-    """Numbers that a lane leaves."""
+    """Return how many numbers a lane leaves."""
     return 4 * options.periods * options.samples
 
 
 def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """Trajectories of `periods` periods after the transient, from the start states, dimensions (lane, time)."""
+    """Return trajectories of `periods` periods after the transient, from the start states, dimensions (lane, time)."""
     batch = batch.in_time()
     start, p = batch.lanes
     with lanes.stage(f"portrait: {options.periods} periods of {batch.count:,} lanes", periods(options, batch.count)):
-        start = settled(lanes, batch.strobe(), options.transient, start, p, TILE)
+        start = settle_lanes(lanes, batch.strobe(), options.transient, start, p, TILE)
         states = lanes(
             trajectory,
             (_parts(options, batch),),
@@ -56,7 +56,7 @@ def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
 
 
 def trajectory(parts: ReturnMap, state: State, p: Parameters, count: int) -> State:
-    """Of one lane: states (count · samples,) over `count` periods.
+    """Return the states (count · samples,) of one lane over `count` periods.
 
     `parts` are the maps over the parts of a period, stacked (`maps.build.make_parts`).
     """
@@ -72,7 +72,7 @@ def trajectory(parts: ReturnMap, state: State, p: Parameters, count: int) -> Sta
 
 
 def price(options: PortraitOptions, batch: LaneBatch) -> Price:
-    """Every sample ends a step, which is then shorter than that of the map."""
+    """Return the price of samples: each ends a step, which is then shorter than that of the map."""
     batch = batch.in_time()
     parts = _parts(options, batch)
     turns = (1.0, float(options.samples), *parts.turns)
@@ -81,7 +81,7 @@ def price(options: PortraitOptions, batch: LaneBatch) -> Price:
 
 
 def _parts(options: PortraitOptions, batch: LaneBatch) -> ReturnMap:
-    """The maps from sample to sample."""
+    """Return the maps from sample to sample."""
     parts = make_parts(batch.flow, batch.solver, batch.steps, options.samples, compensated=batch.compensated)
     return in_precision(parts, batch.precision)
 

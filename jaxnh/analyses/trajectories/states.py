@@ -1,4 +1,4 @@
-"""What the analyses that keep states have in common: transients, variables of states, sections in words, failures."""
+"""Functions shared by the analyses that keep states: transients, variables of states, sections in words, failures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, OptionError, Setting, named
+from jaxnh.analyses.base import Entry, OptionError, Setting, as_variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.section import Section, System, outputs, plot_plane, reports
@@ -19,10 +19,10 @@ TILE = 16
 """Lanes a tile where few lanes are followed for long: small tiles take a period sooner."""
 
 
-def settled(
+def settle_lanes(
     lanes: LaneRunner, strobe: Maps, transient: int, start: State, p: Parameters, tile: int | None = None
 ) -> State:
-    """Lanes after a transient: in calls of their own, of which a long one takes several, so that a run can stop."""
+    """Return lanes after a transient: in calls of their own, several for a long one, so that a run can stop."""
     if not transient:
         return start
     return lanes.iterate(strobe, transient, (start, p), tile=tile)
@@ -35,7 +35,7 @@ def state_variables(
     dims: tuple[str, ...],
     attrs: Mapping[str, str] | None = None,
 ) -> dict[str, Entry]:
-    """Coordinates and velocities of states, those first that it is drawn over, and the status of each trajectory.
+    """Return coordinates and velocities of states, the drawn ones first, and the status of each trajectory.
 
     Args:
         system: the flow or its section.
@@ -44,10 +44,13 @@ def state_variables(
         dims: names of the dimensions.
         attrs: attributes of each variable but the time.
     """
-    found = outputs(system.flow, states, t)
-    found = {**{name: found[name] for name in plot_plane(system)}, **found}
-    of = {name: named(dims, output, **(attrs if attrs and name != "t" else {})) for name, output in found.items()}
-    return of | {name: named(dims[:-1], output) for name, output in reports(system.flow, states).items()}
+    coordinates = outputs(system.flow, states, t)
+    coordinates = {**{name: coordinates[name] for name in plot_plane(system)}, **coordinates}
+    variables = {
+        name: as_variable(dims, output, **(attrs if attrs and name != "t" else {}))
+        for name, output in coordinates.items()
+    }
+    return variables | {name: as_variable(dims[:-1], output) for name, output in reports(system.flow, states).items()}
 
 
 _STATISTICS = (
@@ -60,24 +63,24 @@ _OF_ANGLES = ("max", "min")  # in [−π, π), where it has neither a mean nor a
 
 
 def statistics(variables: Mapping[str, Entry], dim: str) -> dict[str, Entry]:
-    """Variables over a last dimension reduced to NAME_max, NAME_min, NAME_mean and NAME_std; others as they are.
+    """Reduce variables over a last dimension to NAME_max, NAME_min, NAME_mean and NAME_std; keep others.
 
     Those of a trajectory that does not stay finite are NaN. Of an angle there are the first two.
     """
-    found = dict[str, Entry]()
+    reduced = dict[str, Entry]()
     for name, (dims, values, attrs) in variables.items():
         if dims[-1:] != (dim,):
-            found[name] = dims, values, attrs
+            reduced[name] = dims, values, attrs
             continue
-        for ending, words, of in _STATISTICS:
+        for ending, words, reduce in _STATISTICS:
             if ending in _OF_ANGLES or attrs.get("units") != "rad":
                 kept = {**attrs, "long_name": f"{words} {attrs['long_name']} at the {dim}s"}
-                found[f"{name}_{ending}"] = dims[:-1], of(values, axis=-1), kept
-    return found
+                reduced[f"{name}_{ending}"] = dims[:-1], reduce(values, axis=-1), kept
+    return reduced
 
 
 def section_attrs(batch: LaneBatch) -> dict[str, str]:
-    """Attributes of a group of crossings: which section they cross; none of a group of strobes."""
+    """Return the attributes of a group of crossings that name the section; none for a group of strobes."""
     section = batch.system
     if not isinstance(section, Section):
         return {}
@@ -85,11 +88,11 @@ def section_attrs(batch: LaneBatch) -> dict[str, str]:
 
 
 def count(data: xr.Dataset) -> dict[str, int]:
-    """Number of trajectories, and of those that have failed."""
+    """Return the number of trajectories, and of those that have failed."""
     return {"trajectories": data["status"].size, "failed": int(np.count_nonzero(data["status"]))}
 
 
 def check_transient(transient: int, setting: Setting) -> None:
-    """See that crossings are not counted from a start state that is on no section."""
+    """Check that crossings are not counted from a start state, which is on no section."""
     if setting.autonomous and not transient:
         raise OptionError("must be at least 1: the start state is not on the section", "transient")

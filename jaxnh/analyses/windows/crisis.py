@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnh.analyses.crises.band_phase import REFERENCE, repeats, turns_in_phase
+from jaxnh.analyses.crises.band_phase import REFERENCE, is_periodic, turns_in_phase
 
 _PATHS = 64  # of a round, at as many values
 _FIRST, _LONGER = 256, 4  # turns of paths of the first round; of every later one so many times those before
@@ -36,8 +36,8 @@ class Crisis(NamedTuple):
     error: float
 
 
-class Stays(NamedTuple):
-    """How long paths at values of the parameter have kept their phase.
+class PhaseStays(NamedTuple):
+    """Times for which paths at values of the parameter have kept their phase.
 
     Attributes:
         turns: around the bands, until the phase is lost or the path ends, (values,).
@@ -51,19 +51,19 @@ class Stays(NamedTuple):
 
 
 Paths = Callable[[Float[np.ndarray, " values"], int], Float[np.ndarray, "values points k"]]
-"""Paths on the bands at values of the parameter, of so many iterates, in sizes of the motion (`embedded`)."""
+"""Paths on the bands at values of the parameter, of so many iterates, in sizes of the motion (`embed_points`)."""
 
 
-def stays_of(paths: Float[np.ndarray, "values points k"], bands: int) -> Stays:
-    """How long paths keep their phase."""
+def measure_stays(paths: Float[np.ndarray, "values points k"], bands: int) -> PhaseStays:
+    """Measure how long paths keep their phase."""
     turns = np.array([turns_in_phase(path, bands) for path in paths])
     lost = turns < paths.shape[1] // bands
-    tells = np.array([gone or not repeats(path, bands) for gone, path in zip(lost.tolist(), paths, strict=True)])
-    return Stays(turns.astype(float), lost, tells)
+    tells = np.array([gone or not is_periodic(path, bands) for gone, path in zip(lost.tolist(), paths, strict=True)])
+    return PhaseStays(turns.astype(float), lost, tells)
 
 
 def locate_crisis(paths: Paths, start: float, stop: float, bands: int, most: int) -> Crisis | None:
-    """The value between two beyond which paths lose their phase; None: none does, or some do from the start on.
+    """Locate the value beyond which paths lose their phase; None: none does, or some do from the start on.
 
     Args:
         paths: on the bands.
@@ -73,11 +73,11 @@ def locate_crisis(paths: Paths, start: float, stop: float, bands: int, most: int
     """
     low, high = 0.0, abs(stop - start)
     sign, steps = np.sign(stop - start), min(_FIRST * bands, most)
-    rounds, found = list[tuple[np.ndarray, Stays]](), Crisis(np.nan, np.inf)
+    rounds, crisis = list[tuple[np.ndarray, PhaseStays]](), Crisis(np.nan, np.inf)
     while True:
-        at = np.linspace(low, high, _PATHS)
-        rounds.append((at, stays_of(paths(start + sign * at, steps), bands)))
-        lost = np.concatenate([at[stays.lost] for at, stays in rounds])
+        places = np.linspace(low, high, _PATHS)
+        rounds.append((places, measure_stays(paths(start + sign * places, steps), bands)))
+        lost = np.concatenate([places[stays.lost] for places, stays in rounds])
         if not len(lost) or lost.min() <= 0.0:
             return None
         first, spacing = float(lost.min()), (high - low) / (_PATHS - 1)
@@ -85,27 +85,27 @@ def locate_crisis(paths: Paths, start: float, stop: float, bands: int, most: int
             low, high = max(low - _LOWER * (high - low), 0.0), first
             continue
         if steps >= most:
-            value, error = _posterior(first, spacing, np.concatenate([at for at, _ in rounds]), _joined(rounds))
-            better = error < _BETTER * found.error
-            found = Crisis(start + float(sign) * value, error) if error < found.error else found
+            value, error = _posterior(first, spacing, np.concatenate([places for places, _ in rounds]), _join(rounds))
+            better = error < _BETTER * crisis.error
+            crisis = Crisis(start + float(sign) * value, error) if error < crisis.error else crisis
             if not better:
-                return found if np.isfinite(found.error) else None
+                return crisis if np.isfinite(crisis.error) else None
         low, high = max(first - _BEHIND * spacing, 0.0), first + _AHEAD * spacing
         steps = min(_LONGER * steps, most)
 
 
-def _joined(rounds: list[tuple[np.ndarray, Stays]]) -> Stays:
-    """What the paths of all rounds have done."""
-    return Stays(*(np.concatenate(column) for column in zip(*(stays for _, stays in rounds), strict=True)))
+def _join(rounds: list[tuple[np.ndarray, PhaseStays]]) -> PhaseStays:
+    """Concatenate the stays of all rounds."""
+    return PhaseStays(*(np.concatenate(column) for column in zip(*(stays for _, stays in rounds), strict=True)))
 
 
 def _posterior(
     first: float,
     spacing: float,
     at: Float[np.ndarray, " paths"],
-    stays: Stays,
+    stays: PhaseStays,
 ) -> tuple[float, float]:
-    """Mean and error of where phases begin to be lost, from how long each path has kept it.
+    """Return mean and error of the value where phases begin to be lost, from how long each path has kept it.
 
     The rate of losses is λ xᵞ at x beyond the crisis. Its logarithm is as likely to be anything: λ integrates to
     Γ(n)/(Σ xᵞ t)ⁿ times the product of xᵞ over the n paths that are lost. Losses have no memory: times count from the

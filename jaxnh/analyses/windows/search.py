@@ -80,7 +80,7 @@ def search(
     families: Callable[[float, float], Sequence[Family]],
     stage: Stage = nullcontext,
 ) -> list[list[Window]]:
-    """All windows that two lanes or more have settled in; those with the same ends, of twins by a symmetry, together.
+    """Return all windows that two lanes or more have settled in; twins by a symmetry, of the same ends, are together.
 
     Args:
         line: what lanes have settled on, at rising values.
@@ -90,21 +90,21 @@ def search(
         stage: shows what is done inside, by its label.
     """
     ends = float(line.value[0]), float(line.value[-1])
-    whole, found = families(*ends)[0], list[list[Window]]()
-    for first, last in runs_of(line.period):
+    whole, groups = families(*ends)[0], list[list[Window]]()
+    for first, last in period_runs(line.period):
         left = np.arange(first, last + 1)
         if _odd(line.period[left]).max() > limit:
             continue
         while len(left):  # lanes of another attractor may lie among those of a window
             least = line.period[left] == line.period[left].min()
-            new = _followed(line, left[least], left[~least].tolist(), orbits, families, stage)
-            for one in new:
-                _add(whole, found, one)
-            left = np.setdiff1d(left[~least], [k for one in new for k in one.lanes])
-    return [group for group in found if group[0].period <= limit and len(all_lanes(group)) > 1]
+            new = _follow_windows(line, left[least], left[~least].tolist(), orbits, families, stage)
+            for window in new:
+                _add(whole, groups, window)
+            left = np.setdiff1d(left[~least], [k for window in new for k in window.lanes])
+    return [group for group in groups if group[0].period <= limit and len(all_lanes(group)) > 1]
 
 
-def _followed(
+def _follow_windows(
     line: PeriodScan,
     mine: Int[np.ndarray, " some"],
     others: Sequence[int],
@@ -112,7 +112,7 @@ def _followed(
     families: Callable[[float, float], Sequence[Family]],
     stage: Stage,
 ) -> list[Window]:
-    """Windows of the orbits of some lanes of one period, with others that have settled on doubled ones."""
+    """Return the windows of orbits of lanes of one period, with other lanes on doubled orbits."""
     ends = float(line.value[0]), float(line.value[-1])
     every = orbits(mine)
     settled = {int(np.searchsorted(line.value, orbit.value)): orbit for orbit in every}
@@ -120,9 +120,9 @@ def _followed(
     waves = [every[:1], *(every[1 << k : 2 << k] for k in range(len(every).bit_length()))]
     low, high = (float(line.value[k]) for k in (max(mine[0] - 1, 0), min(mine[-1] + 1, len(line.value) - 1)))
     while True:
-        here = families(low, high)
-        new = _windows(here[0], grow(here, waves, int(line.period[mine[0]]), _STEPS, stage), line, settled, others)
-        unknown = {end.at for one in new for end in (one.begin, one.end) if np.isnan(end.value)}
+        levels = families(low, high)
+        new = _windows(levels[0], grow(levels, waves, int(line.period[mine[0]]), _STEPS, stage), line, settled, others)
+        unknown = {end.at for window in new for end in (window.begin, window.end) if np.isnan(end.value)}
         if unknown <= set(ends) or (low, high) == ends:
             return new
         wider = _WIDER * (high - low)
@@ -130,18 +130,18 @@ def _followed(
 
 
 def all_lanes(group: Sequence[Window]) -> Int[np.ndarray, " some"]:
-    """Numbers of the lanes of a window and its twins."""
-    return np.unique(np.concatenate([one.lanes for one in group]))
+    """Return the numbers of the lanes of a window and its twins."""
+    return np.unique(np.concatenate([window.lanes for window in group]))
 
 
-def runs_of(period: Int[np.ndarray, " lanes"]) -> list[tuple[int, int]]:
-    """First and last of neighbouring lanes, two or more, whose periods have the same odd factor."""
+def period_runs(period: Int[np.ndarray, " lanes"]) -> list[tuple[int, int]]:
+    """Return first and last of neighbouring lanes, two or more, whose periods have the same odd factor."""
     cuts = [0, *(np.flatnonzero(np.diff(_odd(period))) + 1).tolist(), len(period)]
     return [(first, end - 1) for first, end in pairwise(cuts) if period[first] and end - first > 1]
 
 
 def _odd(period: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
-    """The odd factor of periods; of none, which is 0, it is 0."""
+    """Return the odd factor of periods; 0 of 0, which stands for none."""
     return period // np.maximum(period & -period, 1)
 
 
@@ -151,7 +151,7 @@ def _odd(period: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
 def _windows(
     family: Family, tree: Tree, line: PeriodScan, settled: Mapping[int, SeedOrbit], doubled: Sequence[int]
 ) -> list[Window]:
-    """The windows of a tree that lanes have settled in.
+    """Return the windows of a tree that lanes have settled in.
 
     Args:
         family: the map.
@@ -160,7 +160,7 @@ def _windows(
         settled: the orbits of lanes of the shortest period, by number of the lane.
         doubled: numbers of the lanes of twice, four times, … of it.
     """
-    found, origins = list[Window](), list[Bifurcation | None]()
+    windows, origins = list[Window](), list[Bifurcation | None]()
     for number, branch in enumerate(tree.branches):
         for stretch, *outside in _stretches(family, branch):
             doubled_there = _born_in_doubling(branch, stretch, outside)
@@ -173,15 +173,15 @@ def _windows(
             mine = [k for k, orbit in settled.items() if is_on_branch(family, [_part(branch, stretch)], *orbit)]
             inside = PeriodScan(branch.value[[at]], np.array([branch.period]), branch.points[at, :1])
             to = float(branch.value[at if beyond is None else beyond])
-            found.append(Window(branch.period, np.array(mine, int), begin, end, inside, to))
+            windows.append(Window(branch.period, np.array(mine, int), begin, end, inside, to))
             origins.append(origin)
-    for k in [*doubled, *(k for k in settled if not any(k in one.lanes for one in found))]:
-        _assign(found, line, k)
-    return [one for one in _with_doubled(found, origins) if len(one.lanes)]
+    for k in [*doubled, *(k for k in settled if not any(k in window.lanes for window in windows))]:
+        _assign(windows, line, k)
+    return [window for window in _merge_doubled(windows, origins) if len(window.lanes)]
 
 
 def _born_in_doubling(branch: Branch, stretch: Int[np.ndarray, " some"], outside: Sequence[int | None]) -> int | None:
-    """The end of a branch, 0 or −1, where a stretch of it begins in a doubling of the orbit of half the period.
+    """Return the end of a branch, 0 or −1, where a stretch begins in a doubling of the orbit of half the period.
 
     A branch goes on to a point beyond the doubling, which is on the stretch or next to it.
     """
@@ -191,39 +191,39 @@ def _born_in_doubling(branch: Branch, stretch: Int[np.ndarray, " some"], outside
 
 
 def _origin(family: Family, tree: Tree, branch: Branch, end: int) -> Bifurcation | None:
-    """The doubling, of another branch of the tree, that a branch ends in."""
+    """Return the doubling, on another branch of the tree, that a branch ends in."""
     n = branch.period // 2
     last, before = (0, 1) if end == 0 else (-1, -2)
     near = _chord(family, branch, last, before) + _NEAR
     half = branch.points[last, :n] + 0.5 * family.wrap(branch.points[last, n:] - branch.points[last, :n])
-    some = [
-        one
-        for one in tree.bifurcations
-        if KINDS[one.kind] == ENDS[DOUBLED]
-        and len(one.points) == n
-        and abs(one.value - branch.value[last]) <= near * family.width
-        and same_orbit(family, one.points, half, near)
+    doublings = [
+        doubling
+        for doubling in tree.bifurcations
+        if KINDS[doubling.kind] == ENDS[DOUBLED]
+        and len(doubling.points) == n
+        and abs(doubling.value - branch.value[last]) <= near * family.width
+        and same_orbit(family, doubling.points, half, near)
     ]
-    return min(some, key=lambda one: abs(one.value - branch.value[last]), default=None)
+    return min(doublings, key=lambda doubling: abs(doubling.value - branch.value[last]), default=None)
 
 
-def _with_doubled(found: Sequence[Window], origins: Sequence[Bifurcation | None]) -> list[Window]:
-    """Windows that were not born in a doubling, each with the lanes of those that were, one from the other, from it."""
-    lanes = [set(one.lanes.tolist()) for one in found]
-    for k in sorted(range(len(found)), key=lambda k: -found[k].period):  # the longest first, on to those they are from
-        for place, one in enumerate(found):
-            if (origin := origins[k]) is not None and 2 * one.period == found[k].period:
-                here = [end for end in (one.begin, one.end) if end.kind == DOUBLED and end.value == origin.value]
-                lanes[place] |= lanes[k] if any(end.points is origin.points for end in here) else set()
+def _merge_doubled(windows: Sequence[Window], origins: Sequence[Bifurcation | None]) -> list[Window]:
+    """Return windows not born in a doubling, each with the lanes of all windows doubled from it."""
+    lanes = [set(window.lanes.tolist()) for window in windows]
+    for k in sorted(range(len(windows)), key=lambda k: -windows[k].period):  # the longest first
+        for place, window in enumerate(windows):
+            if (origin := origins[k]) is not None and 2 * window.period == windows[k].period:
+                ends = [end for end in (window.begin, window.end) if end.kind == DOUBLED and end.value == origin.value]
+                lanes[place] |= lanes[k] if any(end.points is origin.points for end in ends) else set()
     return [
-        one._replace(lanes=np.array(sorted(mine), int))
-        for one, mine, origin in zip(found, lanes, origins, strict=True)
+        window._replace(lanes=np.array(sorted(mine), int))
+        for window, mine, origin in zip(windows, lanes, origins, strict=True)
         if origin is None
     ]
 
 
 def _stretches(family: Family, branch: Branch) -> Iterator[tuple[Int[np.ndarray, " some"], int | None, int | None]]:
-    """Places of points of a branch that attract, from one bifurcation to the next, and those before and after.
+    """Yield places of points of a branch that attract between two bifurcations, and those before and after.
 
     Another branch that crosses ends a stretch: this is where an orbit with a symmetry goes over to the pair without.
     """
@@ -239,57 +239,58 @@ def _stretches(family: Family, branch: Branch) -> Iterator[tuple[Int[np.ndarray,
 
 
 def _part(branch: Branch, stretch: Int[np.ndarray, " some"]) -> Branch:
-    """A stretch of a branch, with a point more at either end."""
+    """Return a stretch of a branch, with a point more at either end."""
     first, last = max(int(stretch.min()) - 1, 0), int(stretch.max()) + 2
     way = PathVector(branch.way.points[first:last], branch.way.value[first:last])
     return replace(branch, points=branch.points[first:last], value=branch.value[first:last], way=way)
 
 
 def _end(family: Family, tree: Tree, number: int, inside: int, outside: int | None) -> End:
-    """What is between the last point of a stretch and the next one, or at the end of the branch."""
+    """Return the end between the last point of a stretch and the next one, or at the end of the branch."""
     branch = tree.branches[number]
-    here = float(branch.value[inside]), branch.points[inside], branch.multipliers[inside]
+    known = float(branch.value[inside]), branch.points[inside], branch.multipliers[inside]
     if outside is None:
         beyond = branch.ends[0 if inside == 0 else 1] == branches.RANGE
-        return End(_RANGE if beyond else _NOT_LOCATED, np.nan, np.nan, *here)
+        return End(_RANGE if beyond else _NOT_LOCATED, np.nan, np.nan, *known)
     place, chord = min(inside, outside), _chord(family, branch, inside, outside)
-    near = [one for one in tree.bifurcations if one.branch == number and abs(one.place - place) <= 1]
+    near = [event for event in tree.bifurcations if event.branch == number and abs(event.place - place) <= 1]
     if not near:  # listed with a branch that crosses, or the same one from another lane
         changes = np.signbit(branch.tests[inside]) != np.signbit(branch.tests[outside])
         shown = [kind for kind, change in zip(kinds(family), changes, strict=True) if change]
-        near = [one for one in tree.bifurcations if one.kind in shown and _beside(family, one, branch, inside, chord)]
+        events = [event for event in tree.bifurcations if event.kind in shown]
+        near = [event for event in events if _is_near(family, event, branch, inside, chord)]
     if not near:
-        return End(_NOT_LOCATED, np.nan, np.nan, *here)
-    found = min(near, key=lambda one: abs(one.place - place))
-    return End(ENDS.index(KINDS[found.kind]), found.value, found.error, here[0], found.points, found.multipliers)
+        return End(_NOT_LOCATED, np.nan, np.nan, *known)
+    event = min(near, key=lambda event: abs(event.place - place))
+    return End(ENDS.index(KINDS[event.kind]), event.value, event.error, known[0], event.points, event.multipliers)
 
 
 def _chord(family: Family, branch: Branch, one: int, other: int) -> float:
-    """Length from one point of a branch to another."""
+    """Return the length from one point of a branch to another."""
     gap = PathVector(branch.points[[other]] - branch.points[[one]], branch.value[[other]] - branch.value[[one]])
     return float(length(family, gap)[0])
 
 
-def _beside(family: Family, point: Bifurcation, branch: Branch, place: int, chord: float) -> bool:
+def _is_near(family: Family, point: Bifurcation, branch: Branch, place: int, chord: float) -> bool:
     """Whether a bifurcation is no further from a point of a branch than a step."""
     off = abs(point.value - branch.value[place]) / family.width
     return off <= 2.0 * chord and same_orbit(family, branch.points[place], point.points, 2.0 * chord)
 
 
-def _assign(found: list[Window], line: PeriodScan, k: int) -> None:
-    """Give a lane of a doubled orbit to the window whose doubling is nearest, and to its twin."""
-    away = [
-        min((_beyond(end, line, k, one.period) for end in (one.begin, one.end) if end.kind == DOUBLED), default=np.inf)
-        for one in found
-    ]
+def _assign(windows: list[Window], line: PeriodScan, k: int) -> None:
+    """Assign a lane of a doubled orbit to the window whose doubling is nearest, and to its twin."""
+    away = list[float]()
+    for window in windows:
+        doublings = [end for end in (window.begin, window.end) if end.kind == DOUBLED]
+        away.append(min((_distance_beyond(end, line, k, window.period) for end in doublings), default=np.inf))
     nearest = min(away, default=np.inf)
-    for place, one in enumerate(found):
+    for place, window in enumerate(windows):
         if away[place] <= nearest + _SAME * abs(line.value[-1] - line.value[0]) < np.inf:
-            found[place] = one._replace(lanes=np.append(one.lanes, k))
+            windows[place] = window._replace(lanes=np.append(window.lanes, k))
 
 
-def _beyond(end: End, line: PeriodScan, k: int, period: int) -> float:
-    """How far a lane is beyond a doubling; infinite where no orbits of the doubled period may be all the way to it."""
+def _distance_beyond(end: End, line: PeriodScan, k: int, period: int) -> float:
+    """Return the distance of a lane beyond a doubling; infinite where doubled orbits may not reach to it."""
     value = float(line.value[k])
     low, high = sorted((end.value, value))
     between = line.period[(line.value >= low) & (line.value <= high)]
@@ -300,20 +301,20 @@ def _beyond(end: End, line: PeriodScan, k: int, period: int) -> float:
 # ---- twins
 
 
-def _add(family: Family, found: list[list[Window]], new: Window) -> None:
-    """Add a window: to the lanes of one that is there, to its twins, or by itself."""
-    for group in found:
-        for place, one in enumerate(group):
-            if _same(family, one, new):
-                group[place] = one._replace(lanes=np.union1d(one.lanes, new.lanes))
+def _add(family: Family, groups: list[list[Window]], new: Window) -> None:
+    """Add a window: to the lanes of a known one, to its twins, or by itself."""
+    for group in groups:
+        for place, window in enumerate(group):
+            if _same_orbits(family, window, new):
+                group[place] = window._replace(lanes=np.union1d(window.lanes, new.lanes))
                 return
-        if _twins(family, group[0], new):
+        if _are_twins(family, group[0], new):
             group.append(new)
             return
-    found.append([new])
+    groups.append([new])
 
 
-def _same(family: Family, one: Window, other: Window) -> bool:
+def _same_orbits(family: Family, one: Window, other: Window) -> bool:
     """Whether two windows are of one orbit: its orbits at both ends are the same."""
     ends = (one.begin, other.begin), (one.end, other.end)
     return one.period == other.period and all(
@@ -321,7 +322,7 @@ def _same(family: Family, one: Window, other: Window) -> bool:
     )
 
 
-def _twins(family: Family, one: Window, other: Window) -> bool:
+def _are_twins(family: Family, one: Window, other: Window) -> bool:
     """Whether two windows begin and end at the same values."""
     ends = (one.begin, other.begin), (one.end, other.end)
     located = [(a, b) for a, b in ends if np.isfinite(a.value + b.value)]

@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, Table, flagged, variable
-from jaxnh.analyses.batch import Axis, LaneBatch, counted_in
+from jaxnh.analyses.base import Entry, Table, flag, variable
+from jaxnh.analyses.batch import Axis, LaneBatch, iterate_units
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.location import LocatedDoubling
 from jaxnh.analyses.windows.search import DOUBLED, ENDS, End, Window, all_lanes
@@ -47,33 +47,33 @@ def dataset(
     levels: int,
     batch: LaneBatch,
     line: PeriodScan,
-    found: Sequence[Sequence[Window]],
+    groups: Sequence[Sequence[Window]],
     doublings: Sequence[Sequence[LocatedDoubling]],
     limits: Sequence[LocatedValue],
     crises: Sequence[LocatedValue],
 ) -> xr.Dataset:
-    """Variables over (window,), and the doublings over (window, level)."""
-    axis, unit = batch.line, counted_in(batch.system)
-    value, error = np.full((2, len(found), levels), np.nan)
+    """Return the variables over (window,), and the doublings over (window, level)."""
+    axis, unit = batch.line, iterate_units(batch.system)
+    value, error = np.full((2, len(groups), levels), np.nan)
     for k, located in enumerate(doublings):
-        value[k, : len(located)] = [one.point.value for one in located]
-        error[k, : len(located)] = [one.error for one in located]
-    lanes = [all_lanes(group) for group in found]
-    count = [len(some) for some in lanes]
-    first, last = (np.array([line.value[some[end]] for some in lanes], float) for end in (0, -1))
-    period = np.array([group[0].period for group in found], np.int32)
+        value[k, : len(located)] = [doubling.point.value for doubling in located]
+        error[k, : len(located)] = [doubling.error for doubling in located]
+    lanes = [all_lanes(group) for group in groups]
+    count = [len(numbers) for numbers in lanes]
+    first, last = (np.array([line.value[numbers[end]] for numbers in lanes], float) for end in (0, -1))
+    period = np.array([group[0].period for group in groups], np.int32)
     variables = {
         axis.name: variable("searched", line.value[[0, -1]], axis.long_name, axis.units),
         "spacing": variable(
             (), float(np.diff(line.value).max()), f"largest distance of lanes in {axis.name}", axis.units
         ),
         "period": variable("window", period, "period of the orbits that the window begins with", counted_in=unit),
-        "orbits": variable("window", np.array([len(group) for group in found], np.int32), "number of such orbits"),
+        "orbits": variable("window", np.array([len(group) for group in groups], np.int32), "number of such orbits"),
         "lanes": variable("window", np.array(count, np.int32), "number of lanes that have settled in the window"),
         "first": variable("window", first, f"{axis.long_name} of the first of these lanes", axis.units),
         "last": variable("window", last, f"{axis.long_name} of the last of these lanes", axis.units),
-        **_end_variables("begin", "begin to attract", axis, [group[0].begin for group in found], batch),
-        **_end_variables("end", "cease to attract", axis, [group[0].end for group in found], batch),
+        **_end_variables("begin", "begin to attract", axis, [group[0].begin for group in groups], batch),
+        **_end_variables("end", "cease to attract", axis, [group[0].end for group in groups], batch),
         "doubling": variable(
             ("window", "level"),
             value,
@@ -85,9 +85,9 @@ def dataset(
         **_place_variables("limit", "where the doublings accumulate", axis, limits, _NO_LIMIT),
         **_place_variables("crisis", "where the bands beyond the doublings grow", axis, crises, _NO_CRISIS),
     }
-    warnings = _unlocated(axis.name, levels, found, doublings)
-    if not found:
-        warnings = [f"windows: {_searched(limit, axis.name, line.value)}: none was found"]
+    warnings = _missing_doublings(axis.name, levels, groups, doublings)
+    if not groups:
+        warnings = [f"windows: {_describe_search(limit, axis.name, line.value)}: none was found"]
     attrs = {
         "along": axis.name,
         "largest_period": limit,
@@ -97,13 +97,13 @@ def dataset(
 
 
 def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], batch: LaneBatch) -> dict[str, Entry]:
-    """The place, its error, its kind and the multipliers there of one end of all windows."""
+    """Return the place of one end of all windows, its error, its kind and the multipliers there."""
     multipliers = np.full((len(ends), batch.chart.dimension, 2), np.nan)
     for k, end in enumerate(ends):
         multipliers[k] = np.stack([np.real(end.multipliers), np.imag(end.multipliers)], axis=-1)
     return {
         **_place_variables(name, f"where orbits of the period {words}", axis, ends),
-        f"{name}_kind": flagged("window", [end.kind for end in ends], f"what is where they {words}", ENDS),
+        f"{name}_kind": flag("window", [end.kind for end in ends], f"what is where they {words}", ENDS),
         f"{name}_multipliers": variable(
             ("window", "multiplier", "part"),
             multipliers,
@@ -115,7 +115,7 @@ def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], batch
 def _place_variables(
     name: str, words: str, axis: Axis, places: Sequence[LocatedValue | End], comment: str = ""
 ) -> dict[str, Entry]:
-    """Values of the parameter and their errors."""
+    """Return values of the parameter and their errors."""
     value, error = (np.array([getattr(place, key) for place in places], float) for key in ("value", "error"))
     attrs = {"ancillary_variables": f"{name}_error", **({"comment": comment} if comment else {})}
     return {
@@ -124,32 +124,32 @@ def _place_variables(
     }
 
 
-def _unlocated(
-    name: str, levels: int, found: Sequence[Sequence[Window]], doublings: Sequence[Sequence[LocatedDoubling]]
+def _missing_doublings(
+    name: str, levels: int, groups: Sequence[Sequence[Window]], doublings: Sequence[Sequence[LocatedDoubling]]
 ) -> list[str]:
-    """Lines for the user: windows that end in a doubling, and of whose doublings some are not numbers."""
+    """Return warnings on windows that end in a doubling and of whose doublings some are not located."""
     return [
         f"windows: {len(located)} of {levels} doublings of the orbits of period {group[0].period} that double at "
         f"{name} = {group[0].end.value:.9g} were located within the sweep"
-        for group, located in zip(found, doublings, strict=True)
+        for group, located in zip(groups, doublings, strict=True)
         if group[0].end.kind == DOUBLED and len(located) < levels
     ]
 
 
-def _searched(limit: int, name: str, values: Float[np.ndarray, " lanes"]) -> str:
-    """In words, what was searched."""
+def _describe_search(limit: int, name: str, values: Float[np.ndarray, " lanes"]) -> str:
+    """Describe the search in words."""
     lane, where = f"one lane of {np.diff(values).max():.3g}", f"{name} = {values[0]:.6g} to {values[-1]:.6g}"
     return f"windows of periods up to {limit} wider than {lane} in {where}"
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
-    """A row a window: its period, where it begins, where its orbits double, and where the doublings accumulate."""
+    """Return a row for each window: period, ends, limit of the doublings, and crisis."""
     rows = []
     for k in range(data.sizes["window"]):
-        one = data.isel(window=k)
-        ends = (cell for name in ("begin", "end") for cell in (_known(one, name), _WORDS[int(one[f"{name}_kind"])]))
-        orbits, last = int(one["orbits"]), (_known(one, name) for name in ("limit", "crisis"))
-        rows.append((f"{int(one['period'])}{f' ×{orbits}' if orbits > 1 else ''}", *ends, *last))
+        row = data.isel(window=k)
+        ends = (cell for name in ("begin", "end") for cell in (_format(row, name), _WORDS[int(row[f"{name}_kind"])]))
+        orbits, last = int(row["orbits"]), (_format(row, name) for name in ("limit", "crisis"))
+        rows.append((f"{int(row['period'])}{f' ×{orbits}' if orbits > 1 else ''}", *ends, *last))
     heads = ("period", "from", "", "to", "", "limit", "crisis")
     lane = f"one lane of {float(data['spacing']):.3g}"
     words = f"windows of periods up to {data.attrs['largest_period']} wider than {lane}"
@@ -157,9 +157,9 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     return Table(f"Windows over {data.attrs['along']}", heads, tuple(rows), words, left=(2, 4), ruled=False)
 
 
-def _known(one: xr.Dataset, name: str) -> str:
-    """A number with its error in units of the last digit, in brackets."""
-    value, error = float(one[name]), float(one[f"{name}_error"])
+def _format(window: xr.Dataset, name: str) -> str:
+    """Return a number with its error in units of the last digit, in brackets."""
+    value, error = float(window[name]), float(window[f"{name}_error"])
     if not np.isfinite(value + error) or error <= 0.0:
         return "–"
     digits = min(max(math.ceil(-math.log10(error)), 0), _DIGITS)

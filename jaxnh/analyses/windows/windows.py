@@ -22,7 +22,7 @@ from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.continuation.known_branches import orbits_at
 from jaxnh.analyses.continuation.seeds import attractor_waves
-from jaxnh.analyses.crises.band_phase import embedded
+from jaxnh.analyses.crises.band_phase import embed_points
 from jaxnh.analyses.periodic.attractor_survey import strobe_points, survey_from_start
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined_maps, walk
 from jaxnh.analyses.windows.crisis import locate_crisis
@@ -42,12 +42,12 @@ _WORK = 3.0  # of a run, in those of settling: a guess
 
 
 def periods(options: WindowsOptions, lanes: int) -> float:
-    """Lane-periods of a run: a guess, as nobody knows how many windows there are."""
+    """Return the lane-periods of a run: a guess, as the number of windows is not known."""
     return _WORK * lanes * (options.transient + 2 * _DOUBLED * options.max_period)
 
 
 def check(options: WindowsOptions, setting: Setting) -> None:
-    """See that there is one axis, a parameter that lanes may differ in, with values to be neighbours."""
+    """Check that there is one axis, a parameter that lanes may differ in, with several values."""
     first, *others = setting.axes
     if first.kind != "lane":
         what = "a coordinate of the start state" if first.kind == "start" else "what all lanes of a program share"
@@ -62,22 +62,22 @@ def check(options: WindowsOptions, setting: Setting) -> None:
 
 
 def independent(options: WindowsOptions) -> bool:
-    """Never: a window is found by comparing neighbouring lanes."""
+    """Return False: a window is found by comparing neighbouring lanes."""
     return False
 
 
 def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """The windows that lanes along the first axis have settled in, in the order of the axis."""
+    """Return the windows that lanes along the first axis have settled in, in the order of the axis."""
     batch = batch.take(np.unique(batch.line.values, return_index=True)[1])
-    found = survey_from_start(batch, lanes, _DOUBLED * options.max_period, "windows", options.transient)
-    size = np.median(found.size[~found.failed], axis=0) if not found.failed.all() else found.size[0]
-    line = PeriodScan(batch.line.values, np.where(found.failed, 0, found.period), found.u)
+    survey = survey_from_start(batch, lanes, _DOUBLED * options.max_period, "windows", options.transient)
+    size = np.median(survey.size[~survey.failed], axis=0) if not survey.failed.all() else survey.size[0]
+    line = PeriodScan(batch.line.values, np.where(survey.failed, 0, survey.period), survey.u)
 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"windows: {label}", 0)
 
-    def orbits(some: Int[np.ndarray, " some"]) -> list[SeedOrbit]:
-        waves = attractor_waves(batch.take(some), lanes, line.u[some], line.period[some])
+    def orbits(subset: Int[np.ndarray, " some"]) -> list[SeedOrbit]:
+        waves = attractor_waves(batch.take(subset), lanes, line.u[subset], line.period[subset])
         return [orbit for wave in waves for orbit in wave]
 
     def families(low: float, high: float) -> list[Family]:
@@ -98,7 +98,7 @@ def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
 def _doublings(
     levels: int, batch: LaneBatch, lanes: LaneRunner, line: PeriodScan, window: Window, size: Float[np.ndarray, " d"]
 ) -> tuple[LocatedDoubling, ...]:
-    """Doublings of a window beyond its end: between its lanes, or as far beyond as the sweep goes."""
+    """Return the doublings of a window beyond its end: between its lanes, or as far beyond as the sweep goes."""
     if not levels or window.end.kind != DOUBLED:
         return ()
     value = float(window.inside.value[0])
@@ -117,7 +117,7 @@ def _doublings(
 
 
 def _limit(doublings: Sequence[LocatedDoubling]) -> LocatedValue:
-    """Where the doublings of a window accumulate."""
+    """Return the value where the doublings of a window accumulate."""
     if not doublings:
         return NOWHERE
     values, errors = (
@@ -136,7 +136,7 @@ def _crisis(
     limit: LocatedValue,
     size: Float[np.ndarray, " d"],
 ) -> LocatedValue:
-    """Where the bands beyond the doublings of a window grow, no further than the sweep goes."""
+    """Return the value where the bands beyond the doublings of a window grow, within the sweep."""
     start, (low, high) = limit.value, (float(end(batch.line.values)) for end in (np.min, np.max))
     if not most or window.period == 1 or not low < start < high:  # of one band no path is ever out of turn
         return NOWHERE
@@ -152,18 +152,18 @@ def _crisis(
         branch = follow_both_ways(family, begun, _STEPS)[0]
 
         def paths(values: Float[np.ndarray, " values"], count: int) -> Float[np.ndarray, "values points k"]:
-            found = (orbits_at(family, [branch], value) for value in values.tolist())
-            begin = np.stack([orbits[0, 0] if len(orbits) else points[0, 0] for orbits in found]) + _OFF * size
-            return embedded(_paths(batch.at(values), lanes, begin, _AWAY * n, count), turning, size)
+            seeds = (orbits_at(family, [branch], value) for value in values.tolist())
+            begin = np.stack([orbits[0, 0] if len(orbits) else points[0, 0] for orbits in seeds]) + _OFF * size
+            return embed_points(_paths(batch.at(values), lanes, begin, _AWAY * n, count), turning, size)
 
-        found = locate_crisis(paths, start, stop, n, most)
-    return LocatedValue(found.value, found.error + window.end.error) if found else NOWHERE
+        crisis = locate_crisis(paths, start, stop, n, most)
+    return LocatedValue(crisis.value, crisis.error + window.end.error) if crisis else NOWHERE
 
 
 def _paths(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], transient: int, count: int
 ) -> Float[np.ndarray, "lanes count d"]:
-    """Strobes of lanes after a transient, by as many calls of one program as they need."""
+    """Return strobes of lanes after a transient, by as many calls of one program as they need."""
     strobe, parts = batch.strobe(), list[np.ndarray]()
     for begun in range(0, count, _AT_ONCE):
         wait = 0 if begun else transient

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch as AnalysisScene
-from jaxnh.analyses.batch import spread
+from jaxnh.analyses.batch import broadcast_start
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
@@ -69,7 +69,7 @@ class Contestant(Splittings[TangentScene]):
 
     def _analysed(self, setting: Setting) -> AnalysisScene:
         x, y, n1, n2 = unit(self.scene.states[:1])[0].tolist()
-        start = spread(((x, y), (n1, n2)), len(self.scene.values))
+        start = broadcast_start(((x, y), (n1, n2)), len(self.scene.values))
         solver, steps, error = SPLITTINGS[setting.form], int(setting.knob), setting.errors.max
         return AnalysisScene(self.system, start, {"b": self.scene.values}, solver, steps, False, error)
 
