@@ -111,7 +111,7 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
     tori = np.flatnonzero(kind == _QUASIPERIODIC)
     if len(tori):
         taken = math.ceil(span[tori].max()) + transient
-        unsteady[tori] = unsteadiness(batch.take(tori).in_time(), lanes, taken, max(options.longer, 1) * taken)
+        unsteady[tori] = unsteadiness(batch.take(tori).without_section(), lanes, taken, max(options.longer, 1) * taken)
         kind[tori[~(unsteady[tori] <= _STEADY)]] = _UNDECIDED
     again = np.full(batch.count, -1)
     chaotic = np.flatnonzero(kind == _CHAOTIC)

@@ -143,9 +143,9 @@ def early_look(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:
 
 def first_look(batch: LaneBatch, lanes: LaneRunner, label: str, early: Timing) -> EarlySurvey:
     """What is seen of all lanes from their start states; the same for whichever analyses of a batch ask for it."""
-    if early not in batch.seen:
-        batch.seen[early] = _look(batch, lanes, first_points(batch, lanes), early, label)
-    return batch.seen[early]
+    if early not in batch.cache:
+        batch.cache[early] = _look(batch, lanes, first_points(batch, lanes), early, label)
+    return batch.cache[early]
 
 
 def _continued(
