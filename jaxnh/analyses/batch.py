@@ -96,7 +96,7 @@ class LaneBatch:
         return np.arange(self.count) if self.place is None else self.place
 
     @functools.cached_property
-    def seen(self) -> dict[Any, Any]:
+    def cache(self) -> dict[Any, Any]:
         """Intermediate results of one analysis that another one needs for the same lanes."""
         return {}
 
@@ -110,7 +110,7 @@ class LaneBatch:
         """The coordinates that its return map acts on."""
         return self.system.chart
 
-    def in_time(self) -> LaneBatch:
+    def without_section(self) -> LaneBatch:
         """Return the same batch without a section, for averages and paths over time."""
         return replace(self, system=self.flow, start=self.start.state) if self.flow is not self.system else self
 
@@ -131,7 +131,7 @@ class LaneBatch:
             raise ValueError("the lanes of this batch do not lie along one axis")
         return self.along
 
-    def at(self, values: Float[np.ndarray, " points"]) -> LaneBatch:
+    def at_values(self, values: Float[np.ndarray, " points"]) -> LaneBatch:
         """Return the batch at other values along the first axis, the start state and all else as in its first lane."""
         along = replace(self.line, values=np.asarray(values))
 
@@ -141,7 +141,7 @@ class LaneBatch:
         start, p = jax.tree.map(repeated, (self.start, dict(self.p)))
         return replace(self, start=start, p={**p, along.name: along.values}, place=None, along=along)
 
-    def under(self, system: System) -> LaneBatch:
+    def with_system(self, system: System) -> LaneBatch:
         """Return the batch with one system of its family, without the parameters that are part of this system."""
         assert self.family is not None
         p = {name: values for name, values in self.p.items() if name not in self.family.names}
@@ -149,8 +149,8 @@ class LaneBatch:
 
     def strobe(self, refinement: float = 1) -> Maps:
         """Return P with `refinement` times the steps that the accuracy asks for; for a family one for each value."""
-        if self.family is not None:
-            return self.family.maps(self.system, ("period", refinement), lambda one: self.under(one).map(refinement))
+        if (family := self.family) is not None:
+            return family.maps(self.system, ("period", refinement), lambda one: self.with_system(one).map(refinement))
         return self.map(refinement)
 
     def map(self, refinement: float = 1) -> ReturnMap:

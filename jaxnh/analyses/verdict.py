@@ -112,7 +112,7 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
     if len(tori):
         taken = math.ceil(span[tori].max()) + transient
         unsteady[tori] = unsteadiness(
-            batch.take(tori).in_time(), lanes, taken, max(options.confirmation_factor, 1) * taken
+            batch.take(tori).without_section(), lanes, taken, max(options.confirmation_factor, 1) * taken
         )
         kind[tori[~(unsteady[tori] <= _STEADY)]] = _UNDECIDED
     again = np.full(batch.count, -1)

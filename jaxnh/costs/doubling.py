@@ -117,7 +117,7 @@ def by_detection(
         watch, (near, far) = _Watch(), place.bracket
         while abs(far - near) > _DETECTED:
             values = np.linspace(near, far, _CANDIDATES)
-            row = batch.at(values)
+            row = batch.at_values(values)
             gap = lanes(
                 _recurrence,
                 (batch.strobe(), np.int32(transient)),
@@ -186,7 +186,7 @@ def by_interpolation(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket
 
 def _settle(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -> Float[np.ndarray, " d"]:
     """A point near the orbit at the stable end of the bracket."""
-    row = batch.at(np.array(place.bracket[:1]))
+    row = batch.at_values(np.array(place.bracket[:1]))
     strobe, start = batch.strobe(0.5), (row.chart.host_points(row.start), row.p)
     return lanes(section_map, (strobe, np.int32(_SETTLED)), start, periods=_SETTLED, tile=_TILE)[0]
 
@@ -197,7 +197,7 @@ def _narrow_bracket(
     """The orbit at the stable end of the part of a bracket in which its multiplier passes −1, and that part."""
     values = np.linspace(*bracket, _CANDIDATES)
     start = np.broadcast_to(u, (_CANDIDATES, len(u)))
-    orbit = orbits(lanes, batch.strobe(), start, batch.at(values).p, n)
+    orbit = orbits(lanes, batch.strobe(), start, batch.at_values(values).p, n)
     ok = (orbit.residual < CONVERGED) & np.all(np.isfinite(orbit.monodromy), axis=(1, 2))
     smallest = _smallest_multiplier(np.where(ok[:, None, None], orbit.monodromy, 0.0))
     first = _first(ok & (smallest < -1.0))

@@ -151,13 +151,13 @@ def _effect(
 def _map(batch: LaneBatch, flow: Flow) -> PricedProgram:
     """A period of a flow in time."""
     solver, steps = _solver(batch)
-    return map_alone(batch.in_time(), make_return_map(flow, solver, steps))
+    return map_alone(batch.without_section(), make_return_map(flow, solver, steps))
 
 
 def _general(batch: LaneBatch, flow: IsokineticParticle, constrained: bool) -> PricedProgram:
     """A period of the same forces by the general route, with the constraint and without it."""
     made = lagrangian(definition(flow.without & frozenset(EFFECTS), constrained), {"b": 0.0, **_numbers(flow)})
-    batch = batch.in_time()
+    batch = batch.without_section()
     velocity = tuple(np.asarray(v, float) for v in flow.velocity(np.float64(0.0), batch.start))
     still = np.zeros(batch.count)
     start = Motion(batch.start[0], velocity, (still, still))

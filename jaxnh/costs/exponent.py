@@ -51,7 +51,7 @@ def price(batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset | None:
 
 def _measure(batch: LaneBatch, lanes: LaneRunner, value: float, averaged: Int[np.ndarray, " times"]) -> xr.Dataset:
     """The analysis at every averaging time, the last of which gives the reference."""
-    near = batch.at(value + _SPACING * np.arange(_LANES))
+    near = batch.at_values(value + _SPACING * np.arange(_LANES))
     averages = []
     _exponents(near, lanes, int(averaged[0]))  # compiles
     for periods in averaged:
@@ -92,7 +92,7 @@ def _dataset(
     seconds, cpu_seconds = ([getattr(average, kind) for average in averages] for kind in ("seconds", "cpu_seconds"))
     variables = {
         "averaging_periods": variable(
-            "averaging_periods", averaged, "averaging time", counted_in=iterate_units(batch.in_time().system)
+            "averaging_periods", averaged, "averaging time", counted_in=iterate_units(batch.without_section().system)
         ),
         "quantile": variable("quantile", np.array(_QUANTILES), "part of the lanes below"),
         "error": variable(spread, errors, "distance of the largest exponent from a longer run", unit),

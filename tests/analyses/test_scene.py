@@ -81,7 +81,7 @@ def test_random_starts_go_by_the_place_along_the_first_axis():
 
 def test_scene_along_its_first_axis():
     scene = own(scene_of(constant_speed(), START, B, *STEPS), a=0.4)
-    there = scene.at(np.array([1.0, 2.0]))
+    there = scene.at_values(np.array([1.0, 2.0]))
     assert {name: values.tolist() for name, values in there.p.items()} == {"b": [1.0, 2.0], "a": [0.4, 0.4]}
     assert there.line.values.tolist() == [1.0, 2.0]
     assert there.chart.host_points(there.start).shape == (2, 3)

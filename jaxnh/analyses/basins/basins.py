@@ -59,7 +59,7 @@ def check(options: BasinsOptions, setting: Setting) -> None:
 
 def choose(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:
     """Choose the steps of a period after the first window, the same for all lanes of a sweep: fewer if worthwhile."""
-    batch = batch.in_time()
+    batch = batch.without_section()
     if batch.count * max(1, options.n_starts) < _MANY:
         return {"steps": batch.steps}
     subset = np.unique(np.linspace(0, batch.count - 1, min(batch.count, _SAMPLED)).round().astype(int))
@@ -74,7 +74,7 @@ def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
 
     With random starts `start` is a dimension after the lanes.
     """
-    batch = batch.in_time()
+    batch = batch.without_section()
     rows = (batch.count, options.n_starts) if options.n_starts else (batch.count,)
     with lanes.stage(f"basins: {math.prod(rows):,} lanes to their attractors", periods(options, batch.count)):
         starting, steps = _draw_starts(options, batch)[0], _with_settled_steps(batch).steps
@@ -153,7 +153,7 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
 
 def _with_settled_steps(batch: LaneBatch) -> LaneBatch:
     """Return the batch in time, with as many steps as its lanes need near their attractors."""
-    return replace(batch.in_time(), steps=batch.chosen.get("basins", {}).get("steps", batch.steps))
+    return replace(batch.without_section(), steps=batch.chosen.get("basins", {}).get("steps", batch.steps))
 
 
 def _draw_starts(options: BasinsOptions, batch: LaneBatch) -> tuple[LaneBatch, dict[str, np.ndarray]]:
@@ -236,7 +236,7 @@ def _coordinates(batch: LaneBatch, lanes: LaneRunner, judged: Attractors) -> dic
 
 def price(options: BasinsOptions, batch: LaneBatch) -> Price:
     """Return the price of a period of a window, with its means, against the map alone."""
-    batch = batch.in_time()
+    batch = batch.without_section()
     strobe, parts = maps(batch)
     turns = (float(BLOCKS), 1.0, *((float(parts),) if parts else ()), *strobe.turns)
     program = PricedProgram(window_averages, (strobe, np.int32(1)), batch.lanes, turns, (parts,), BLOCKS, whole=True)

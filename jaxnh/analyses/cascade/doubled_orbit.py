@@ -64,7 +64,7 @@ def doubled_lanes(
     growth = np.sqrt(np.abs(distances / distances[-1]))
     amplitude = np.outer(growth, sizes).ravel()
     value = np.repeat(born.value + distances, _AMPLITUDES)
-    p = batch.at(value).p
+    p = batch.at_values(value).p
     each = np.tile(size, (len(value), 1))
     orbit = orbits(lanes, batch.strobe(), origin + amplitude[:, None] * direction, p, 2 * n, each)
     ok = (orbit.residual < CONVERGED) & (largest_multiplier(orbit.monodromy) < 1.0)

@@ -139,13 +139,13 @@ def _map(batch: LaneBatch, lanes: LaneRunner, plain: ReturnMap, exact: Maps) -> 
 
     def period(u: Sum, w: Sum, value: tuple[float, float]) -> tuple[Sum, Sum]:
         n = len(u[0])
-        p = {key: Double(np.asarray(own), np.zeros(n)) for key, own in batch.at(np.full(n, value[0])).p.items()}
+        p = {key: Double(np.asarray(own), np.zeros(n)) for key, own in batch.at_values(np.full(n, value[0])).p.items()}
         p[name] = p[name]._replace(lo=np.full(n, value[1]))
         moved = lanes(push_point, (plain, np.int64(0)), (Double(*u), Double(*w), p), tile=_TILE)
         return tuple(moved.image), tuple(moved.vector)
 
     def slopes(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
-        lane = (u, batch.at(values).p)
+        lane = (u, batch.at_values(values).p)
         return lanes(derivatives, (exact, np.int32(1)), lane, tile=PERIOD_TILE, static=(name,))
 
     return _Map(period, slopes)

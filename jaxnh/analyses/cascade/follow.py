@@ -220,7 +220,7 @@ class _Steps:
 
     def survey(self, values: Float[np.ndarray, " lanes"], label: str) -> PeriodScan:
         """Lanes at these values of the first axis, on their attractors."""
-        row = self.batch.at(values)
+        row = self.batch.at_values(values)
         start = first_points(row, self._lanes)
         attractors = survey(row, self._lanes, start, self.limit, label, TRANSIENT, only_doublings=True)
         if not attractors.failed.all():

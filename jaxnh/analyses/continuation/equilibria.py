@@ -39,7 +39,7 @@ def equilibria(
         steps: how branches are followed.
         stage: shows what is done inside, by its label.
     """
-    still = replace(batch.in_time(), along=batch.line)
+    still = replace(batch.without_section(), along=batch.line)
     many, _ = random_start_batch(still, starts, seed, box)
     u, values = many.system.chart.host_points(many.start), np.repeat(batch.line.values, starts)
     size = np.ptp(u, axis=0) / 2.0

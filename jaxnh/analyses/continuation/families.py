@@ -44,7 +44,7 @@ def orbit_family(
         if not len(u):
             return _nothing(u)
         tile = few if len(u) <= 2 * few else _TILE
-        return lanes(derivatives, shared, (u, batch.at(values).p), tile=tile, static=(name,))
+        return lanes(derivatives, shared, (u, batch.at_values(values).p), tile=tile, static=(name,))
 
     return Family(period, batch.chart.wrap, size, *ends)
 
@@ -75,12 +75,12 @@ def equilibrium_family(
     batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]
 ) -> Family:
     """Equilibria of the field of a batch's flow, which has no clock; sizes as of the flow's own coordinates."""
-    name, batch = batch.line.name, replace(batch.in_time(), along=batch.line)
+    name, batch = batch.line.name, replace(batch.without_section(), along=batch.line)
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
-        return lanes(field, (batch.flow,), (u, batch.at(values).p), tile=_TILE, static=(name,))
+        return lanes(field, (batch.flow,), (u, batch.at_values(values).p), tile=_TILE, static=(name,))
 
     return Family(period, batch.chart.wrap, size, *ends, field=True)
 

@@ -62,7 +62,7 @@ class _RateRun(NamedTuple):
 
 def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equilibrium:
     """Detect which lanes of an autonomous flow are at rest, or come to rest, after so many units of time."""
-    batch = batch.in_time()
+    batch = batch.without_section()
     run = lanes(_run, (batch.strobe(), batch.flow, np.int32(units)), batch.lanes, periods=units)
     largest, third, fourth, (change, closer, exact) = run
     never = largest <= _NEVER * largest.max(axis=1, keepdims=True)

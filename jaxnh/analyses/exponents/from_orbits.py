@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns, parts_of
-from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey_early, survey
+from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey, survey_early
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, orbits
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State

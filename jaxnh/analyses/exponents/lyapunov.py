@@ -110,7 +110,7 @@ def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
 
     Also choose the refinement of the steps, where tangents need more of them than states.
     """
-    batch, k = batch.in_time(), tangents(options, batch.in_time())
+    batch, k = batch.without_section(), tangents(options, batch.without_section())
     if k == 1:
         return {"parts": 1}
     parts, growth = _parts_needed(batch, lanes, k)
@@ -120,7 +120,7 @@ def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
 
 def run(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Compute the `exponents` largest exponents of every lane, their errors, and the sum rule where all are known."""
-    batch = batch.in_time()
+    batch = batch.without_section()
     chosen = batch.chosen.get("lyapunov") or choose(options, batch, lanes)
     parts, refinement = chosen["parts"], chosen.get("refinement", 1)
     batch = replace(batch, steps=refinement * batch.steps)
@@ -413,7 +413,7 @@ def kaplan_yorke(exponents: Float[np.ndarray, "lanes k"]) -> Float[np.ndarray, "
 
 def program(batch: LaneBatch, k: int, parts: int = _PRICED_PARTS) -> PricedProgram:
     """Return the program of a period of k tangents, orthonormalised so many times; for none the map alone."""
-    batch = batch.in_time()
+    batch = batch.without_section()
     if not k:
         return map_alone(batch)
     state, p = batch.lanes

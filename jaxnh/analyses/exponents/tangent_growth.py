@@ -77,7 +77,7 @@ class Quadrature(NamedTuple):
 def quadrature(batch: LaneBatch) -> Quadrature | ParameterFamily[Quadrature]:
     """Return nodes and maps of the quadrature; for a family one for each value."""
     if batch.family is not None:
-        return batch.family.derive("quadrature", lambda system: _nodes(batch.under(system)))
+        return batch.family.derive("quadrature", lambda system: _nodes(batch.with_system(system)))
     return _nodes(batch)
 
 
@@ -99,8 +99,8 @@ def _nodes(batch: LaneBatch) -> Quadrature:
 def parts_of(batch: LaneBatch, parts: int, refinement: int = 1) -> Maps:
     """Return the stacked maps between orthonormalisations, `parts` a period, with `refinement` times the steps."""
     if batch.family is not None:
-        key = parts, refinement
-        return batch.family.maps(batch.system, key, lambda system: cut_period(batch.under(system), parts, refinement))
+        maps, key = batch.family.maps, (parts, refinement)
+        return maps(batch.system, key, lambda system: cut_period(batch.with_system(system), parts, refinement))
     return cut_period(batch, parts, refinement)
 
 

@@ -143,9 +143,9 @@ def early_timing(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:
 
 def survey_early(batch: LaneBatch, lanes: LaneRunner, label: str, early: Timing) -> EarlySurvey:
     """Survey all lanes from their start states, once for all analyses of a batch."""
-    if early not in batch.seen:
-        batch.seen[early] = _survey_at(batch, lanes, first_points(batch, lanes), early, label)
-    return batch.seen[early]
+    if early not in batch.cache:
+        batch.cache[early] = _survey_at(batch, lanes, first_points(batch, lanes), early, label)
+    return batch.cache[early]
 
 
 def _survey_late(

@@ -92,7 +92,7 @@ def period_map(batch: LaneBatch, lanes: LaneRunner, strobe: Maps) -> Period:
     """P and ∂P/∂u at points and values of the first axis."""
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
-        return lanes(derivatives, (strobe, np.int32(1)), (u, batch.at(values).p), tile=PERIOD_TILE)
+        return lanes(derivatives, (strobe, np.int32(1)), (u, batch.at_values(values).p), tile=PERIOD_TILE)
 
     return period
 
@@ -104,7 +104,7 @@ def walk(
     strobe = batch.strobe()
     while len(points) < n:
         here = points[: n - len(points)]
-        p = batch.at(np.full(len(here), value)).p
+        p = batch.at_values(np.full(len(here), value)).p
         image = lanes(section_map, (strobe, np.int32(len(points))), (here, p), tile=ORBIT_TILE)
         points = np.concatenate([points, image])
     return points

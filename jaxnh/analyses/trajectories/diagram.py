@@ -184,7 +184,7 @@ def _carry_through_flows(
     first, met = batch.take(order[:1]), []
     state = first.start
     for value in batch.line.values[order].tolist():
-        at_value = first.under(batch.family.at((value,)))
+        at_value = first.with_system(batch.family.at((value,)))
         p = at_value.p
         begun, strobe = _advance_to_phase(options, at_value, lanes, state, p)
         state = settle_lanes(lanes, strobe, options.transient, state if met else begun, p, tile=1)

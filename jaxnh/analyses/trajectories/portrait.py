@@ -33,7 +33,7 @@ def numbers(options: PortraitOptions) -> int:
 
 def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Return trajectories of `periods` periods after the transient, from the start states, dimensions (lane, time)."""
-    batch = batch.in_time()
+    batch = batch.without_section()
     start, p = batch.lanes
     with lanes.stage(f"portrait: {options.periods} periods of {batch.count:,} lanes", periods(options, batch.count)):
         start = settle_lanes(lanes, batch.strobe(), options.transient, start, p, TILE)
@@ -73,7 +73,7 @@ def trajectory(parts: ReturnMap, state: State, p: Parameters, count: int) -> Sta
 
 def price(options: PortraitOptions, batch: LaneBatch) -> Price:
     """Return the price of samples: each ends a step, which is then shorter than that of the map."""
-    batch = batch.in_time()
+    batch = batch.without_section()
     parts = _parts(options, batch)
     turns = (1.0, float(options.samples), *parts.turns)
     program = PricedProgram(trajectory, (parts,), batch.lanes, turns, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)

@@ -154,7 +154,7 @@ def _crisis(
         def paths(values: Float[np.ndarray, " values"], count: int) -> Float[np.ndarray, "values points k"]:
             seeds = (orbits_at(family, [branch], value) for value in values.tolist())
             begin = np.stack([orbits[0, 0] if len(orbits) else points[0, 0] for orbits in seeds]) + _OFF * size
-            return embed_points(_paths(batch.at(values), lanes, begin, _AWAY * n, count), turning, size)
+            return embed_points(_paths(batch.at_values(values), lanes, begin, _AWAY * n, count), turning, size)
 
         crisis = locate_crisis(paths, start, stop, n, most)
     return LocatedValue(crisis.value, crisis.error + window.end.error) if crisis else NOWHERE
