@@ -380,7 +380,7 @@ def test_random_starts(tmp_path):
     ("options", "sweep", "message"),
     [
         ({"n_starts": 4}, {}, "needs a box to draw from"),
-        ({"box": {"x": [0.0, 1.0]}}, {}, "needs starts, their number"),
+        ({"box": {"x": [0.0, 1.0]}}, {}, "needs n_starts, their number"),
         ({"n_starts": 4, "box": {"x": [1.0, 0.0]}}, {}, "the first number must be the lower one, not 1 and 0"),
         ({"n_starts": 4, "box": {"z": [0.0, 1.0]}}, {}, "there is no coordinate z; known are x, v"),
         ({"n_starts": 4, "box": {"x": [0.0, 1.0]}}, {"v": {"values": [0.0]}}, "random starts and the axis v of start"),

@@ -168,7 +168,7 @@ def test_options_of_random_starts_go_with_them_alone(tmp_path):
         "system: {constraint: constant_speed}\nsweep: {b: {values: [1]}}\n"
         "analyses:\n  diagram: {start: up, n_starts: 3}\n"
     )
-    with pytest.raises(ConfigError, match=r":4: analyses\.diagram\.starts: starts goes with start: random"):
+    with pytest.raises(ConfigError, match=r":4: analyses\.diagram\.n_starts: n_starts goes with start: random"):
         load(config)
 
 
