@@ -30,7 +30,7 @@ LANE = "lane"
 
 
 class OptionError(InputError):
-    """Options that a batch or sweep has no place for.
+    """Options that do not suit a batch or sweep.
 
     Attributes:
         key: the option, "" for the analysis as such.
@@ -104,7 +104,7 @@ def as_variable(dims: Sequence[str] | str, output: Output, **attrs: Any) -> Entr
 
 
 class Table(NamedTuple):
-    """A table for the terminal, all of it text.
+    """A table of text for the terminal.
 
     Attributes:
         title: stands above it.
@@ -156,11 +156,11 @@ Starts = Callable[[LaneBatch], tuple[State, Int[np.ndarray, " starts"]]]
 """Batch to random start states of its lanes, and the number of the lane of each."""
 
 
-def _always(options: Any) -> bool:
+def _independent(options: Any) -> bool:
     return True
 
 
-def _few(options: Any) -> int:
+def _default_numbers(options: Any) -> int:
     return 64
 
 
@@ -168,11 +168,11 @@ def _no_starts(_: Any) -> None:
     return None
 
 
-def _nothing(data: xr.Dataset) -> Mapping[str, int]:
+def _count_none(data: xr.Dataset) -> Mapping[str, int]:
     return {}
 
 
-def _all_right(options: Any, setting: Setting) -> None:
+def _accept(options: Any, setting: Setting) -> None:
     return None
 
 
@@ -212,15 +212,15 @@ class Analysis:
     periods: Callable[[Any, int], float]
     run: Callable[..., xr.Dataset]
     whole: SweepReduction | None = None
-    independent: Callable[[Any], bool] = _always
+    independent: Callable[[Any], bool] = _independent
     stackable: bool = False
-    numbers: Callable[[Any], int] = _few
+    numbers: Callable[[Any], int] = _default_numbers
     choose: Callable[[Any, LaneBatch, LaneRunner], Mapping[str, int]] | None = None
     starts: Callable[[Any], Starts | None] = _no_starts
-    count: Callable[[xr.Dataset], Mapping[str, int]] = _nothing
+    count: Callable[[xr.Dataset], Mapping[str, int]] = _count_none
     classes: Callable[[xr.Dataset], Int[np.ndarray, ...]] | None = None
     smooth: tuple[str, ...] = ()
-    check: Callable[[Any, Setting], None] = _all_right
+    check: Callable[[Any, Setting], None] = _accept
     table: Callable[[xr.Dataset, Mapping[str, np.ndarray], str], Table] | None = None
     other_tables: Mapping[str, Callable[[xr.Dataset], Table]] = field(
         default_factory=dict[str, Callable[[xr.Dataset], Table]]

@@ -163,10 +163,10 @@ class LaneBatch:
 def select(tree: Any, lanes: slice | Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"]) -> Any:
     """Return a subset of the lanes of a pytree whose leaves have the lanes as first axis."""
 
-    def some(leaf: np.ndarray) -> np.ndarray:
+    def take(leaf: np.ndarray) -> np.ndarray:
         return leaf[lanes]
 
-    return jax.tree.map(some, tree)
+    return jax.tree.map(take, tree)
 
 
 def broadcast_start(start: State, lanes: int) -> State:

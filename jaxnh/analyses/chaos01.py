@@ -115,17 +115,17 @@ def growth_rates(signals: Signals, angles: Float[Array, " angles"], scale: Array
     steps = jnp.arange(1.0, longest + 1)
     means = reduce(add, [jnp.mean(signal) ** 2 for signal in signals])
 
-    def one(c: Array) -> Array:
+    def correlate(c: Array) -> Array:
         phase = c * jnp.arange(1.0, count + 1)
         walks = [(jnp.cumsum(s * jnp.cos(phase)), jnp.cumsum(s * jnp.sin(phase))) for s in signals]
 
         def displacement(n: Array) -> Array:
             used = count - longest
 
-            def moved(walk: Array) -> Array:
+            def shift(walk: Array) -> Array:
                 return lax.dynamic_slice(walk, (n.astype(int),), (used,)) - walk[:used]
 
-            return reduce(add, [jnp.mean(moved(p) ** 2 + moved(q) ** 2) for p, q in walks])
+            return reduce(add, [jnp.mean(shift(p) ** 2 + shift(q) ** 2) for p, q in walks])
 
         moved = lax.map(displacement, steps) - means * (1 - jnp.cos(steps * c)) / (1 - jnp.cos(c))
         n = steps - jnp.mean(steps)
@@ -134,7 +134,7 @@ def growth_rates(signals: Signals, angles: Float[Array, " angles"], scale: Array
         correlation = jnp.mean(n * d) / jnp.sqrt(jnp.mean(n**2)) / jnp.where(spread > 0, spread, 1.0)
         return jnp.where(spread > _NO_MOTION * scale, correlation, 0.0)
 
-    return lax.map(one, angles)
+    return lax.map(correlate, angles)
 
 
 def price(options: Chaos01Options, batch: LaneBatch) -> Price:

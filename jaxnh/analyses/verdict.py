@@ -173,7 +173,7 @@ def _classify_without_clock(
     """Return the kinds of lanes of an autonomous flow that are neither chaotic nor quasiperiodic."""
     if not len(kind):
         return kind
-    with lanes.stage(f"verdict: {batch.count} lanes, whether they rest", batch.count * units):
+    with lanes.stage(f"verdict: detecting equilibria of {batch.count} lanes", batch.count * units):
         still, fading, *_ = detect_equilibrium(batch, lanes, units)
     cycle = np.where(fading, _UNDECIDED, _LIMIT_CYCLE)
     return np.where(still, _EQUILIBRIUM, np.where(kind == _PERIODIC, cycle, kind)).astype(np.int8)
@@ -191,7 +191,7 @@ def find_timeless(batch: LaneBatch, lanes: LaneRunner, which: Int[np.ndarray, " 
 def _recurrences(batch: LaneBatch, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
     """Return the `recurrence_lag` of lanes, each so many periods from its start."""
     lags, strobe = np.zeros(batch.count, int), batch.strobe()
-    with lanes.stage(f"verdict: {batch.count} chaotic lanes, longer", float(np.sum(taken + 3 * _LONGEST))):
+    with lanes.stage(f"verdict: following {batch.count} chaotic lanes", float(np.sum(taken + 3 * _LONGEST))):
         for count in np.unique(taken):
             group = np.flatnonzero(taken == count)
             shared, cost = (strobe, np.int32(count)), int(count) + 3 * _LONGEST
@@ -206,7 +206,7 @@ def unsteadiness(batch: LaneBatch, lanes: LaneRunner, begun: int, count: int) ->
     is lost.
     """
     each = BLOCKS * max(count // (2 * BLOCKS), 1)
-    with lanes.stage(f"verdict: {batch.count} lanes that look quasiperiodic, longer", batch.count * (begun + 2 * each)):
+    with lanes.stage(f"verdict: following {batch.count} quasiperiodic lanes", batch.count * (begun + 2 * each)):
         state = lanes.iterate(batch.strobe(), begun, batch.lanes)
         first = average_window(batch, lanes, state, each)
         second = average_window(batch, lanes, first.state, each)

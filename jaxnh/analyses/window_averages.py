@@ -42,7 +42,7 @@ class WindowAverages(NamedTuple):
 
     Attributes:
         state: at the end.
-        whole: smooth means over the look, (F,).
+        whole: smooth means over the window, (F,).
         halves: smooth means over its halves, (2, F).
         blocks: plain means over sixteenths of it, (BLOCKS, F).
         low, high: of each section coordinate, (d,).

@@ -1,1 +1,1 @@
-"""Basins of attraction: lanes to their attractors, and what these are."""
+"""Basins of attraction: attractors, and the lanes that lead to each."""

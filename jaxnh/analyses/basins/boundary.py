@@ -1,4 +1,4 @@
-"""How intricate the boundary of basins is, from the labels of a plane of start states: no lane is run for it.
+"""Measures of the boundary of basins, from the labels of a plane of start states: no lane is run for it.
 
 - basin entropy (Daza, Wagemakers, Georgeot, Guéry-Odelin, Sanjuán, Sci. Rep. 6 (2016) 31416): the mean over boxes of
   5 × 5 starts of −Σ p ln p, p the share of a label in the box; boundary basin entropy: the mean over boxes of more than

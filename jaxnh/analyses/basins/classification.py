@@ -10,9 +10,9 @@
   motion: what looks so is a cycle whose exponent is not resolved, or the ghost of one, and nothing is said of it.
 
 What is quasiperiodic or chaotic also has to contract phase volume (`volume`): a conservative motion is no attractor.
-Every one of them has to stay: of a lane that had settled, the means over a look sixteen times as long are those that it
-had; what is chaotic has not begun to repeat itself thousands of periods later. Where means have settled and an exponent
-is positive, as on an unstable cycle in an invariant plane, a motion begun beside it has to stay on its set.
+Every one of them has to stay: of a lane that had settled, the means over a window sixteen times as long are unchanged;
+what is chaotic has not begun to repeat itself thousands of periods later. Where means have settled and an exponent is
+positive, as on an unstable cycle in an invariant plane, a motion begun beside it has to stay on its set.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ NONE = -1
 PERIODIC, QUASIPERIODIC, CHAOTIC, _, _, EQUILIBRIUM, LIMIT_CYCLE = range(len(KINDS))
 
 LONGER = 16
-"""The look that confirms an attractor is so many times as long as that at which a lane was done."""
+"""The window that confirms an attractor is so many times as long as that at which a lane was done."""
 
 POINTS = 512
 """Points of an attractor that are kept."""
@@ -77,7 +77,7 @@ class Attractors(NamedTuple):
         exponent: largest Lyapunov exponent, 1/time; without a clock but for that along the flow, (reps,).
         multiplier: largest modulus of the multipliers of a periodic orbit, else NaN, (reps,).
         u: a point of it in section coordinates, (reps, d).
-        means: smooth means of the features over the long look, (reps, F).
+        means: smooth means of the features over the long window, (reps, F).
         unit: what these may be wrong by where the motion is regular, (reps, F).
         size: of the motion, (reps, d).
         points: in section coordinates, (reps, points, d).
@@ -110,18 +110,18 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
         longest: periods that a lane may take.
     """
     look = lot.time // 2
-    seen, state = _average_confirming_window(batch, lanes, lot)
-    size = np.where(batch.chart.angles, 1.0, np.maximum(seen.largest, lot.least))
+    window, state = _average_confirming_window(batch, lanes, lot)
+    size = np.where(batch.chart.angles, 1.0, np.maximum(window.largest, lot.least))
     unit = 2.0 * SETTLED_TO * units(np.array(batch.chart.angles), size)
     with np.errstate(invalid="ignore"):
-        stays = np.all(np.abs(seen.whole - lot.means) <= lot.unit + unit, axis=1) | (lot.known == RESTLESS)
+        stays = np.all(np.abs(window.whole - lot.means) <= lot.unit + unit, axis=1) | (lot.known == RESTLESS)
     u = points_at(batch, lanes, state)
     count = batch.count
     kind, period = np.full(count, NONE, np.int8), np.zeros(count, np.int64)
     exponent, multiplier = np.full((2, count), np.nan)
     moved_on = batch_from_points(batch, lanes, u)
     if batch.flow.autonomous:
-        equilibria = find_equilibria(moved_on, lanes, u, lot.size, seen)
+        equilibria = find_equilibria(moved_on, lanes, u, lot.size, window)
         at_rest = equilibria.exists & stays
         kind[at_rest & equilibria.stable], exponent[at_rest] = EQUILIBRIUM, equilibria.exponent[at_rest]
         u[at_rest] = equilibria.u[at_rest]
@@ -143,7 +143,7 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
     steps = np.zeros_like(points)
     if len(left):
         kind[left], exponent[left] = _exponent_kinds(
-            moved_on.take(left), lanes, select(seen, left), LONGER * look[left]
+            moved_on.take(left), lanes, select(window, left), LONGER * look[left]
         )
         cloud = record_points(moved_on.take(left), lanes, _CLOUD)
         drift = _drift(batch.chart, cloud[:, -POINTS:], size[left])
@@ -161,7 +161,7 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
     if len(subset):
         sets = (points[subset], steps[subset], size[subset], margin[subset])
         kind[subset[_leave_sets(moved_on.take(subset), lanes, u[subset], sets)]] = NONE
-    means = np.asarray(seen.whole)
+    means = np.asarray(window.whole)
     return Attractors(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
 
 
@@ -240,8 +240,8 @@ def _average_confirming_window(batch: LaneBatch, lanes: LaneRunner, lot: Lot) ->
         parts.append(average_window(batch.take(group), lanes, begun, LONGER * length))
         order.append(group)
     back = np.argsort(np.concatenate(order))
-    seen = jax.tree.map(lambda *leaves: np.concatenate(leaves)[back], *parts)
-    return seen, seen.state
+    window = jax.tree.map(lambda *leaves: np.concatenate(leaves)[back], *parts)
+    return window, window.state
 
 
 # ---- periodic
@@ -256,12 +256,12 @@ def _orbits(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
 
 
 def _exponent_kinds(
-    batch: LaneBatch, lanes: LaneRunner, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]
+    batch: LaneBatch, lanes: LaneRunner, window: WindowAverages, looked: Int[np.ndarray, " lanes"]
 ) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
     """Return kinds by the largest exponents, and the exponent that decides."""
     clock, period = not batch.flow.autonomous, batch.flow.period
     if not clock and batch.flow.exponents == 1:  # along the flow there is one alone
-        around = _comes_back(batch, seen, looked)
+        around = _comes_back(batch, window, looked)
         return np.where(around, LIMIT_CYCLE, NONE).astype(np.int8), np.full(batch.count, np.nan)
     options = LyapunovOptions(transient=_LAGS, periods=_AVERAGED, exponents=min(2, batch.flow.exponents))
     spectrum = exponents_of(options, batch, lanes)
@@ -280,25 +280,25 @@ def _exponent_kinds(
         if len(batch.chart.angles) == 2 and sum(batch.chart.angles) < 2:  # Poincaré and Bendixson: nothing but cycles
             kind[:] = NONE
         kind[largest + error < 0.0] = LIMIT_CYCLE
-        kind[(kind != CHAOTIC) & ~_comes_back(batch, seen, looked)] = NONE
+        kind[(kind != CHAOTIC) & ~_comes_back(batch, window, looked)] = NONE
     return kind, largest
 
 
 def _comes_back(
-    batch: LaneBatch, seen: WindowAverages, looked: Int[np.ndarray, " lanes"]
+    batch: LaneBatch, window: WindowAverages, looked: Int[np.ndarray, " lanes"]
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether a motion without a clock has gone to and fro or around: a slow passage goes one way."""
     turns = np.array(batch.chart.angles)
-    fro = ~turns & (seen.path > _TO_AND_FRO * (seen.high - seen.low)) & (seen.high > seen.low)
-    turned = turns & (np.abs(_mean_turns(turns, seen)) * looked[:, None] * points_a_unit(batch) > _TURNED)
+    fro = ~turns & (window.path > _TO_AND_FRO * (window.high - window.low)) & (window.high > window.low)
+    turned = turns & (np.abs(_mean_turns(turns, window)) * looked[:, None] * points_a_unit(batch) > _TURNED)
     return np.any(fro | turned, axis=1)
 
 
-def _mean_turns(turns: Bool[np.ndarray, " d"], seen: WindowAverages) -> Float[np.ndarray, "lanes d"]:
+def _mean_turns(turns: Bool[np.ndarray, " d"], window: WindowAverages) -> Float[np.ndarray, "lanes d"]:
     """Return the mean turn of every angle from point to point, zero for other coordinates."""
-    mean_turns, place = np.zeros((len(seen.whole), len(turns))), 0
+    mean_turns, place = np.zeros((len(window.whole), len(turns))), 0
     for i, turning in enumerate(turns):
-        mean_turns[:, i] = seen.whole[:, place + 2] if turning else 0.0
+        mean_turns[:, i] = window.whole[:, place + 2] if turning else 0.0
         place += 3 if turning else 2
     return mean_turns
 

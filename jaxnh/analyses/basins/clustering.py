@@ -1,9 +1,9 @@
-"""Lanes to attractors over a whole sweep: which lanes are alike, which of them are judged, and which are on what.
+"""Assignment of lanes to attractors over a whole sweep: clusters of like lanes, and lanes judged for each.
 
 Means say which lanes may be on one attractor, and are no evidence that they are: attractors that a symmetry relates may
 share all of them. What counts is where lanes are.
 
-Host code over what lanes and attractors have left; `point` says everywhere which value of the parameters a lane is at,
+Host code on records of lanes and attractors; `point` says everywhere which value of the parameters a lane is at,
 as lanes at different ones have nothing to do with each other.
 """
 

@@ -1,8 +1,8 @@
-"""Lanes to their attractors, each by itself: looked at again and again, twice as long each time, until it has settled.
+"""Lanes run to their attractors, each by itself: averaged over windows, each twice as long, until it has settled.
 
-A lane has settled where its means over both halves of a look agree. It is restless where they are far apart, or no
-nearer than in the look before: chaos, a motion too long for the look, or a slow approach; which of these it is, the
-whole sweep will say. Neither depends on other lanes.
+A lane has settled where its means over both halves of a window agree. It is restless where they are far apart, or no
+nearer than in the window before: chaos, a motion too long for the window, or a slow approach; which of these it is,
+the whole sweep decides. Neither depends on other lanes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from jaxnh.systems.flow import NOT_FINITE, STATUS, Flow
 from jaxnh.systems.state import State, error_components
 
 SETTLED_TO = 1e-4
-"""Difference of means over both halves of a look of a lane that has settled, in sizes of the motion."""
+"""Difference of means over both halves of a window of a lane that has settled, in sizes of the motion."""
 
 _LEAST = 1e-4  # of the size at the start: a coordinate that vanishes on an attractor is as large as that
 _RESTLESS = 1e-2  # likewise, of one whose motion is no slow approach
@@ -39,12 +39,12 @@ class Lot(NamedTuple):
         known: `OPEN`, `SETTLED`, `RESTLESS`, `FAILED` or `CONSERVATIVE`, (lanes,).
         time: periods since the start, (lanes,).
         status: number in `STATUS`, (lanes,).
-        gap: between means over both halves of the last look, the largest in sizes of the motion, (lanes,).
-        means: smooth ones over the last look, (lanes, F).
+        gap: between means over both halves of the last window, the largest in sizes of the motion, (lanes,).
+        means: smooth ones over the last window, (lanes, F).
         unit: how well these are known where a lane has settled, (lanes, F).
         u: section coordinates at the end, (lanes, d).
-        size: of the motion, its largest coordinates over the last look and the one before, (lanes, d).
-        least: what the size is at least, (lanes, d): a coordinate that vanishes on an attractor decays for ever.
+        size: of the motion, its largest coordinates over the last window and the one before, (lanes, d).
+        least: lower bound of the size, (lanes, d): a coordinate that vanishes on an attractor decays for ever.
     """
 
     known: Int8[np.ndarray, " lanes"]
@@ -81,14 +81,14 @@ def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, st
     if begun is None:
         return lot
     batch, active = (replace(one, steps=steps or one.steps) for one in (batch, active))
-    seen = average_window(active, lanes, begun.state, transient // 2)
+    window = average_window(active, lanes, begun.state, transient // 2)
     lot.least[finite] = _LEAST * np.fmax(np.abs(points_at(active, lanes, active.start)), begun.largest)
-    lot.size[finite] = np.fmax(seen.largest, lot.least[finite])
-    lot.time[finite], lot.u[finite] = transient, points_at(batch, lanes, seen.state)
-    lot.gap[finite] = _gap(seen, units(np.array(batch.chart.angles), np.fmax(begun.largest, seen.largest)))
-    _fail(lot, finite, batch.flow, seen.state)
+    lot.size[finite] = np.fmax(window.largest, lot.least[finite])
+    lot.time[finite], lot.u[finite] = transient, points_at(batch, lanes, window.state)
+    lot.gap[finite] = _gap(window, units(np.array(batch.chart.angles), np.fmax(begun.largest, window.largest)))
+    _fail(lot, finite, batch.flow, window.state)
     left = lot.known[finite] == OPEN
-    _extend_windows(batch, lanes, lot, finite[left], select(seen.state, left), transient, longest)
+    _extend_windows(batch, lanes, lot, finite[left], select(window.state, left), transient, longest)
     return lot
 
 
@@ -114,42 +114,42 @@ def _extend_windows(
     turns = np.array(batch.chart.angles)
     while len(active) and 2 * elapsed <= longest:
         active_batch = batch.take(active)
-        seen = average_window(active_batch, lanes, state, elapsed)
+        window = average_window(active_batch, lanes, state, elapsed)
         elapsed *= 2
         before = lot.size[active]
-        lot.size[active] = np.fmax(before, seen.largest)
+        lot.size[active] = np.fmax(before, window.largest)
         scale = units(turns, lot.size[active])
-        gap = _gap(seen, scale)
+        gap = _gap(window, scale)
         settled, restless = gap <= SETTLED_TO, (gap > _RESTLESS) | (gap > _FALLS * lot.gap[active])
         known = np.where(settled, SETTLED, np.where(restless, RESTLESS, OPEN)).astype(np.int8)
         lot.known[active], lot.time[active], lot.gap[active] = known, elapsed, gap
-        lot.means[active], lot.unit[active] = seen.whole, 2.0 * SETTLED_TO * scale
-        lot.u[active] = points_at(batch, lanes, seen.state)
-        _fail(lot, active, batch.flow, seen.state)
+        lot.means[active], lot.unit[active] = window.whole, 2.0 * SETTLED_TO * scale
+        lot.u[active] = points_at(batch, lanes, window.state)
+        _fail(lot, active, batch.flow, window.state)
         if 2 * elapsed > longest:
-            _escape(lot, active, seen, before, turns)
-        lot.size[active] = np.fmax(seen.largest, lot.least[active])
+            _escape(lot, active, window, before, turns)
+        lot.size[active] = np.fmax(window.largest, lot.least[active])
         left = lot.known[active] == OPEN
-        active, state = active[left], select(seen.state, left)
+        active, state = active[left], select(window.state, left)
 
 
-def _gap(seen: WindowAverages, scale: Float[np.ndarray, "some F"]) -> Float[np.ndarray, " some"]:
+def _gap(window: WindowAverages, scale: Float[np.ndarray, "some F"]) -> Float[np.ndarray, " some"]:
     """Return the largest difference of the means over both halves of a window, in sizes of the motion."""
     with np.errstate(invalid="ignore"):
-        apart = np.abs(seen.halves[:, 0] - seen.halves[:, 1])
+        apart = np.abs(window.halves[:, 0] - window.halves[:, 1])
         return np.max(apart / np.where(scale > 0.0, scale, 1.0), axis=1)
 
 
 def _escape(
     lot: Lot,
     subset: Int[np.ndarray, " some"],
-    seen: WindowAverages,
+    window: WindowAverages,
     before: Float[np.ndarray, "some d"],
     turns: np.ndarray,
 ) -> None:
     """Mark lanes that go to infinity: not done, and in the last window beyond all positions before."""
-    beyond = np.maximum(seen.low, -seen.high) > 0.99 * before
-    grows = beyond & (seen.largest > _GROWN * before) & ~turns
+    beyond = np.maximum(window.low, -window.high) > 0.99 * before
+    grows = beyond & (window.largest > _GROWN * before) & ~turns
     gone = np.any(grows, axis=1) & np.isin(lot.known[subset], (OPEN, RESTLESS))
     lot.known[subset[gone]], lot.status[subset[gone]] = FAILED, STATUS.index("escaped")
 

@@ -1,7 +1,8 @@
-"""How many steps a period needs once lanes are near their attractors, where starts far from them need more.
+"""Steps of a period for lanes near their attractors, where starts far from them need more.
 
-What a map errs by in a period depends on where a lane is: on a start box far beyond the attractors forces are strong,
-and the steps that the accuracy of a sweep asks for are those of its corners. After a first look most of that is over.
+The error of a map in a period depends on the state of a lane: on a start box far beyond the attractors forces are
+strong, and the steps that the accuracy of a sweep asks for are those of its corners. After a first window most of that
+is over.
 """
 
 from __future__ import annotations

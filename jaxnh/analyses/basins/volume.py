@@ -1,4 +1,4 @@
-"""How fast phase volume contracts along lanes. Where it does not, there is no attractor that a lane could come to."""
+"""Contraction of phase volume along lanes. Where there is none, there is no attractor that a lane could reach."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a chaotic attractor grows or shrinks suddenly along a parameter, more than by its trend. Host code.
+"""Sudden growth of chaotic attractors along a parameter, beyond their trend. Host code.
 
 A chaotic attractor changes with the parameter, and is known by finitely many points: from one value to the next some of
 it is always off what is known of it at the other. In a crisis it is off by more than from there to the values beside,

@@ -39,7 +39,7 @@ class Equilibrium(NamedTuple):
         still: whether a lane is at rest, where nothing grows, (lanes,).
         fading: whether its motion is dying down, (lanes,).
         exponents, error: real parts of the linearisation's eigenvalues at the equilibrium, largest first, in units of
-            1/time, (lanes, d); not a number where Newton finds no equilibrium, as where there are many side by side.
+            1/time, (lanes, d); NaN where Newton finds no equilibrium, as where there are many side by side.
     """
 
     still: Bool[np.ndarray, " lanes"]
@@ -93,10 +93,10 @@ def _run(strobe: ReturnMap, flow: Flow, count: ArrayLike, state: State, p: Param
     def rate(y: State) -> Array:
         return jnp.stack(rates(flow, y, p))
 
-    def at(u: Float[Array, " d"]) -> Array:
+    def rate_at(u: Float[Array, " d"]) -> Array:
         return rate(flow.chart.state(u))
 
-    def on(n: ArrayLike, state: State) -> tuple[State, Array]:
+    def advance(n: ArrayLike, state: State) -> tuple[State, Array]:
         def unit(_: Array, carry: tuple[State, Array]) -> tuple[State, Array]:
             y = strobe(carry[0], p)
             return y, jnp.maximum(carry[1], jnp.abs(rate(y)))
@@ -105,12 +105,12 @@ def _run(strobe: ReturnMap, flow: Flow, count: ArrayLike, state: State, p: Param
 
     quarter = jnp.asarray(count) // 4
     first = jnp.abs(rate(state))
-    state, half = on(count - 2 * quarter, state)
-    state, third = on(quarter, state)
-    state, fourth = on(quarter, state)
+    state, half = advance(count - 2 * quarter, state)
+    state, third = advance(quarter, state)
+    state, fourth = advance(quarter, state)
     largest = jnp.max(jnp.stack([first, half, third, fourth]), axis=0)
     u, change = flow.chart.point(state), []
     for _ in range(3):
-        change.append(jax.jacfwd(at)(u))
-        u = u - solve(change[-1], at(u))
+        change.append(jax.jacfwd(rate_at)(u))
+        u = u - solve(change[-1], rate_at(u))
     return _RateRun(largest, third, fourth, tuple(change))

@@ -34,12 +34,12 @@ def find_equilibria(
     lanes: LaneRunner,
     u: Float[np.ndarray, "lanes d"],
     size: Float[np.ndarray, "lanes d"],
-    seen: WindowAverages,
+    window: WindowAverages,
 ) -> Equilibria:
     """Find zeros of the field that lanes have come to: near their points, against their range in a window."""
     equilibria = equilibria_from_starts(batch, lanes, u, size)
     apart = np.abs(batch.chart.wrap(equilibria.u - u))
-    near = np.all(apart <= _NEAR * (seen.high - seen.low) + _rounding(batch, size), axis=1)
+    near = np.all(apart <= _NEAR * (window.high - window.low) + _rounding(batch, size), axis=1)
     exponent = np.where(near, equilibria.exponent, np.nan)
     return Equilibria(equilibria.exists & near, equilibria.stable & near, equilibria.u, exponent)
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
-from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns, parts_of
+from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns, period_parts
 from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey, survey_early
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, orbits
 from jaxnh.systems.flow import Flow
@@ -170,7 +170,7 @@ def _carry_tangents(
     Args:
         growth: of lanes near their orbits, a period before the point u of the orbit.
     """
-    strobes, k, p = parts_of(batch, parts, refinement), len(growth.tangents), dict(batch.p)
+    strobes, k, p = period_parts(batch, parts, refinement), len(growth.tangents), dict(batch.p)
     growth, _ = advance_turns(lanes, strobes, growth, p, np.ones_like(n), tile=ORBIT_TILE)
     growth = growth._replace(state=lanes(_state_at, (batch.system,), (u,), tile=ORBIT_TILE))
     rates, moved = np.full((2, len(u), k), np.inf)

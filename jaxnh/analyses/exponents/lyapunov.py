@@ -40,9 +40,9 @@ from jaxnh.analyses.exponents.tangent_growth import (
     average,
     begin,
     cut_period,
-    one_by_one,
-    parts_of,
+    period_parts,
     quadrature,
+    split_stack,
 )
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.config.options.base import BLOCKS
@@ -138,7 +138,7 @@ def averages(
     which gives their exponents at once, unless all averages are to go on `to_the_end`.
     """
     count, k, lead = batch.count, tangents(options, batch), int(batch.flow.autonomous)
-    strobes = parts_of(batch, parts)
+    strobes = period_parts(batch, parts)
     nodes = quadrature(batch) if batch.flow.contraction and every_exponent(options, batch) else None
     aligning = options.transient // _ALIGNING
     settling = options.transient - aligning
@@ -266,7 +266,7 @@ def _step_error(
     if not len(subset):
         return np.zeros((0, len(growth.logs)))
     p = select(dict(batch.p), subset)
-    coarse, fine = (average(lanes, parts_of(batch, parts, n), growth, p, _COMPARED)[1] for n in (1, 2))
+    coarse, fine = (average(lanes, period_parts(batch, parts, n), growth, p, _COMPARED)[1] for n in (1, 2))
     return 2.0 * np.abs(coarse - fine)[:, : len(growth.logs)]
 
 
@@ -301,7 +301,7 @@ def _parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tan
         single = parts == _PILOT_PARTS
         strobes = cut_period(batch, parts)
         loss = 0.0
-        for strobe in one_by_one(strobes, cut_period(batch, 1)) * _PILOT_PERIODS if single else (strobes,):
+        for strobe in split_stack(strobes, cut_period(batch, 1)) * _PILOT_PERIODS if single else (strobes,):
             growth, _ = average(lanes, strobe, growth, p, 1 if single else _PILOT_PERIODS)
             loss = float(np.max(growth.loss, initial=loss, where=np.isfinite(growth.loss)))
         if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
@@ -324,7 +324,7 @@ def _refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState
     periods = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts)
     while refinement < _MOST_REFINED:
         pieces = (refinement * parts, 2 * refinement * parts)
-        coarse, fine = (one_by_one(cut_period(batch, n, n // parts), room) for n in pieces)
+        coarse, fine = (split_stack(cut_period(batch, n, n // parts), room) for n in pieces)
         now, apart, whole = growth, *np.zeros((2, 1, 1))
         for i in range(len(coarse) * periods):
             i %= len(coarse)

@@ -96,7 +96,7 @@ def _nodes(batch: LaneBatch) -> Quadrature:
     return Quadrature(flow, in_precision(maps, batch.precision), t, (half[:, None] * _PANEL_WEIGHTS).ravel())
 
 
-def parts_of(batch: LaneBatch, parts: int, refinement: int = 1) -> Maps:
+def period_parts(batch: LaneBatch, parts: int, refinement: int = 1) -> Maps:
     """Return the stacked maps between orthonormalisations, `parts` a period, with `refinement` times the steps."""
     if batch.family is not None:
         maps, key = batch.family.maps, (parts, refinement)
@@ -111,7 +111,7 @@ def cut_period(batch: LaneBatch, parts: int, refinement: int = 1) -> ReturnMap:
     return in_precision(strobe, batch.precision)
 
 
-def one_by_one(strobes: ReturnMap, roomy: ReturnMap) -> list[ReturnMap]:
+def split_stack(strobes: ReturnMap, roomy: ReturnMap) -> list[ReturnMap]:
     """Split a stack into stacks of one map, padded like those of `roomy`, so that one program serves both."""
 
     def row(leaf: ArrayLike, like: ArrayLike, k: int) -> np.ndarray:

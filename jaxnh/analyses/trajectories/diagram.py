@@ -90,10 +90,10 @@ def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     with lanes.stage(label, periods(options, batch.count)):
         if options.start == "random":
             dims = (LANE, "start", "strobe")
-            states = _side_by_side(options, batch, lanes, *random_starts(options, batch))
+            states = _run_side_by_side(options, batch, lanes, *random_starts(options, batch))
             states = jax.tree.map(lambda leaf: leaf.reshape(batch.count, options.n_starts, -1), states)
         elif options.start == "fixed":
-            states = _side_by_side(options, batch, lanes, *batch.lanes)
+            states = _run_side_by_side(options, batch, lanes, *batch.lanes)
         else:
             states = _carry_in_turn(options, batch, lanes)
     t = np.array([options.phase * batch.flow.period])
@@ -130,7 +130,9 @@ def starts(options: DiagramOptions) -> Starts | None:
     return lambda batch: (random_starts(options, batch)[0], np.repeat(np.arange(batch.count), options.n_starts))
 
 
-def _side_by_side(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, start: State, p: Parameters) -> State:
+def _run_side_by_side(
+    options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner, start: State, p: Parameters
+) -> State:
     """Run a lane for each start state and its parameters: components (lanes, strobes)."""
     state, strobe = _advance_to_phase(options, batch, lanes, start, p)
     state = settle_lanes(lanes, strobe, options.transient, state, p)

@@ -1,4 +1,4 @@
-"""Windows of stable orbits along the first axis: lanes in runs, the orbits followed both ways to where they change.
+"""Windows of stable orbits along the first axis: orbits of runs of lanes, followed both ways to their bifurcations.
 
 A run is neighbouring lanes whose periods differ by powers of two. Orbits of the shortest period of a run are followed
 (`continuation.family_tree`), those of half of it where they were born in a doubling, as far as they are stable.
@@ -40,7 +40,7 @@ class End(NamedTuple):
 
     Attributes:
         kind: number in `ENDS`.
-        value, error: of the parameter; not numbers where there is no bifurcation.
+        value, error: of the parameter; NaN where there is no bifurcation.
         at: the value of the parameter next to it that is known to attract.
         points: the orbit there, or the last one that attracts, (n, d).
         multipliers: of it, (d,).
@@ -55,7 +55,7 @@ class End(NamedTuple):
 
 
 class Window(NamedTuple):
-    """A stretch of a branch where orbits of one period attract, beside which those of twice, four times, … of it may.
+    """A stretch of a branch where orbits of one period attract; next to it those of twice, four times, … of it may.
 
     Attributes:
         period: of the orbits.

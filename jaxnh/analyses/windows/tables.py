@@ -32,7 +32,7 @@ _WORDS = ("fold", "branch point", "range", "not located", "torus", "doubling")
 
 
 class LocatedValue(NamedTuple):
-    """A value of the parameter and its error; not numbers where there is none, or it was not looked for."""
+    """A value of the parameter and its error; NaN where there is none, or it was not searched for."""
 
     value: float
     error: float
