@@ -61,7 +61,7 @@ class BifurcationPoints(NamedTuple):
         error: of the value of the parameter, by rounding and interpolation, (some,).
         bend: second derivative of the parameter along the curve, in widths of the range, (some,).
         orbits: there.
-        found: whether there is one, (some,).
+        exists: whether there is one, (some,).
     """
 
     share: Float[np.ndarray, " some"]
@@ -69,7 +69,7 @@ class BifurcationPoints(NamedTuple):
     error: Float[np.ndarray, " some"]
     bend: Float[np.ndarray, " some"]
     orbits: CurveOrbits
-    found: Bool[np.ndarray, " some"]
+    exists: Bool[np.ndarray, " some"]
 
 
 def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
@@ -134,7 +134,7 @@ def locate(
         best.value[some_good] = value[good]
         size = length(family, part.chord)[good] * widths[some_good]
         best.error[some_good], best.bend[some_good] = error[good], bend[good] / family.width / size**2
-        best.found[some_good], sharp[some_good] = True, blur[good]
+        best.exists[some_good], sharp[some_good] = True, blur[good]
         centre[some_good] = best.share[some_good]
         inside = np.abs(root[good]) <= 1.0
         widths[some_good] /= np.where(inside, _NARROWER, 1.0)
@@ -144,7 +144,7 @@ def locate(
     at_root = _at_roots(family, stretch, best.share)
     ways = _crossing_directions(family, stretch, best.share, at_root)
     orbits = at_root._replace(value=best.value, way=ways[0], other_way=ways[1])
-    return best._replace(orbits=orbits, found=best.found & at_root.converged)
+    return best._replace(orbits=orbits, exists=best.exists & at_root.converged)
 
 
 def neutral_pair(family: Family, orbits: CurveOrbits) -> Bool[np.ndarray, " some"]:

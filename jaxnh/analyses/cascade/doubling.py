@@ -90,11 +90,13 @@ def run(options: DoublingOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
 
 def _dataset(system: System, axis: Axis, levels: int, cascade: Cascade) -> xr.Dataset:
     """Points as the variables of the contract, NaN where a level was not found."""
-    name, count = axis.name, len(cascade.found)
+    name, count = axis.name, len(cascade.doublings)
     refined, rounding, value_error = np.full((3, levels), np.nan), np.full(levels, np.nan), np.full(levels, np.nan)
-    refined[:, :count] = np.reshape([[point.value for point in level.refined] for level in cascade.found], (count, 3)).T
-    rounding[:count] = [level.point.error for level in cascade.found]
-    value_error[:count] = [level.error for level in cascade.found]
+    refined[:, :count] = np.reshape(
+        [[point.value for point in level.refined] for level in cascade.doublings], (count, 3)
+    ).T
+    rounding[:count] = [level.point.error for level in cascade.doublings]
+    value_error[:count] = [level.error for level in cascade.doublings]
     value = refined[1]
     delta, delta_error = _deltas(value, rounding)
     delta_error += np.abs(np.diff([_deltas(each, rounding)[0] for each in refined], axis=0)).sum(axis=0)
@@ -188,7 +190,7 @@ def _widths(system: System, cascade: Cascade) -> tuple[Float[np.ndarray, " even"
     The width is the largest distance of a point from that half a period later, in sizes of the motion: near the
     extremum of the map that the motion contracts to, where it falls by α a level, elsewhere faster.
     """
-    even = [level for level in cascade.found if len(level.point.orbit) % 2 == 0]
+    even = [level for level in cascade.doublings if len(level.point.orbit) % 2 == 0]
 
     def width(orbit: Float[np.ndarray, "n d"]) -> float:
         apart = system.chart.wrap(orbit - np.roll(orbit, len(orbit) // 2, axis=0))

@@ -101,9 +101,9 @@ def append_extended(batch: LaneBatch, cascade: Cascade, extended: ExtendedDoubli
     How far four times the steps move them is what they move the last one of float64 by: from one doubling to the next
     this changes by as much as they are apart, of which there is less and less.
     """
-    count = len(cascade.found)
+    count = len(cascade.doublings)
     pairs = [(_to_float64(coarse), _to_float64(fine)) for coarse, fine in zip(*extended, strict=True)][count:]
-    shift = cascade.found[-1].refined[2].value - cascade.found[-1].refined[1].value if pairs else 0.0
+    shift = cascade.doublings[-1].refined[2].value - cascade.doublings[-1].refined[1].value if pairs else 0.0
     more = [LocatedDoubling((coarse, fine, fine._replace(value=fine.value + shift))) for coarse, fine in pairs]
     end = cascade.end
     if len(extended.fine) > count:
@@ -112,7 +112,7 @@ def append_extended(batch: LaneBatch, cascade: Cascade, extended: ExtendedDoubli
         end = lost if len(extended.fine) < levels else ""
     low, high = batch.line.values.min(), batch.line.values.max()
     outside = cascade.outside or any(not low <= located.point.value <= high for located in more)
-    return cascade._replace(found=(*cascade.found, *more), end=end, outside=outside)
+    return cascade._replace(doublings=(*cascade.doublings, *more), end=end, outside=outside)
 
 
 class _Map(NamedTuple):
@@ -157,8 +157,8 @@ def _locate(
     """The doubling after those known, of each map."""
     size, wrap, level = cascade.size, batch.chart.wrap, len(known)
     points: list[ExtendedPoint | None] = []  # of the first maps, where the others start from them
-    if level < len(cascade.found):
-        starts = [from_float64(at.value, at.orbit, at.vector) for at in cascade.found[level].refined[:_MAPS]]
+    if level < len(cascade.doublings):
+        starts = [from_float64(at.value, at.orbit, at.vector) for at in cascade.doublings[level].refined[:_MAPS]]
     elif level > 1 and (first := next_doubling(*maps[0], [known[0] for known in known], size, wrap)) is not None:
         points.append(first)
         starts = [predict_on_finer_map(first, known[-1][0], before, wrap) for before in known[-1][1:]]

@@ -42,14 +42,14 @@ class Cascade(NamedTuple):
 
     Attributes:
         period: n.
-        found: the doublings.
+        doublings: each with its place on the axis.
         size: of the motion in each section coordinate, (d,).
         end: where there are fewer than were looked for, how it ended; what was searched stands in a second line.
         outside: whether a doubling lies beyond the lanes' values of the first axis.
     """
 
     period: int
-    found: tuple[LocatedDoubling, ...]
+    doublings: tuple[LocatedDoubling, ...]
     size: Float[np.ndarray, " d"]
     end: str
     outside: bool = False
@@ -57,7 +57,7 @@ class Cascade(NamedTuple):
     @property
     def points(self) -> tuple[DoublingPoint, ...]:
         """The doublings."""
-        return tuple(located.point for located in self.found)
+        return tuple(located.point for located in self.doublings)
 
 
 def follow(batch: LaneBatch, lanes: LaneRunner, levels: int, *, search: bool = False) -> Cascade:
@@ -101,7 +101,7 @@ def follow_line(
     steps.size = size
     first = (start for start in starts(line) if start.line.sign == line.sign and start.runs[0].first == 0)
     start = next(first, None)
-    return _follow_run(steps, start, levels).found if start is not None else ()
+    return _follow_run(steps, start, levels).doublings if start is not None else ()
 
 
 def survey_limit(levels: int) -> int:

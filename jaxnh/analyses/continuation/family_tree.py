@@ -185,10 +185,10 @@ def _locate(
     Also the critical vectors of real multipliers, and how many sign changes led to nothing.
     """
     first = locate(families[0], stretch)
-    neutral = np.isin(stretch.kind, (NEIMARK_SACKER, HOPF)) & first.found
+    neutral = np.isin(stretch.kind, (NEIMARK_SACKER, HOPF)) & first.exists
     neutral[neutral] = neutral_pair(families[0], first.orbits.take(neutral))
-    some = np.flatnonzero(first.found & ~neutral)
-    lost = int(np.sum(~first.found))
+    some = np.flatnonzero(first.exists & ~neutral)
+    lost = int(np.sum(~first.exists))
     stretch, first = (jax.tree.map(lambda leaf: leaf[some], part) for part in (stretch, first))
     if not len(some):
         return [], first.orbits, np.zeros(first.orbits.points.shape), lost
@@ -196,7 +196,7 @@ def _locate(
     value = second.orbits.value
     error = np.abs(value - first.orbits.value) + np.abs(third.orbits.value - value)
     error += np.maximum(second.error, third.error)
-    sure = np.flatnonzero(second.found & third.found & np.isfinite(error))
+    sure = np.flatnonzero(second.exists & third.exists & np.isfinite(error))
     orbits, kind = second.orbits.take(sure), stretch.kind[sure]
     normal, values = cubic(families[1], orbits, kind), eigenvalues(families[1], orbits)
     coefficient = np.where(kind == FOLD, second.bend[sure], normal.coefficient)
