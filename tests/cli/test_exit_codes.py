@@ -56,7 +56,7 @@ def broken(*_, **__):
 def test_a_fault_of_the_program_is_no_damage(made, tmp_path, command, monkeypatch, name, debug):
     """A sound file and a program that fails: code 1 and one line, and the traceback where it is asked for."""
     monkeypatch.setattr(inspection, "_facts", broken)
-    monkeypatch.setattr(results, "laid_out", broken)
+    monkeypatch.setattr(results, "lay_out", broken)
     monkeypatch.setattr("jaxnh.cli.arguments.read_config", broken)
     if debug:
         monkeypatch.setenv("JAXNH_DEBUG", "1")

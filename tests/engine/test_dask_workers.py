@@ -50,7 +50,7 @@ def test_result_that_is_lost_with_its_worker(slow, tmp_path):
         return futures
 
     receipts = []
-    with mock.patch("jaxnh.engine.dask_workers._ended", ended):
+    with mock.patch("jaxnh.engine.dask_workers._finished", ended):
         dask_workers._run_stage(
             client, tmp_path, mock.Mock(id="0123456789"), [mock.Mock(Piece, number=3)], lambda: None, receipts.append
         )
