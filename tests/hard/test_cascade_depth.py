@@ -65,7 +65,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     edge = 10.0**-n_edges
     b = np.concatenate([first.value + edge / kappa, first.value - edge / kappa])
     start = np.tile(constant_speed().chart.host_points(START), (len(b), 1))
-    scene = SCENE.at(b)
+    scene = SCENE.at_values(b)
     found = attractor_survey.survey(scene, lanes, start, 16, "hard", 512)
     found = attractor_survey.polish_beyond_doublings(lanes, scene.strobe(), dict(scene.p), found)
     wanted = np.repeat([1, 2], len(edge))
@@ -96,7 +96,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
     axes.legend()
     battery.picture(picture, "edge", "Multipliers on both sides of a doubling")
     if battery.full:
-        scene = SCENE.at(b)
+        scene = SCENE.at_values(b)
         done = {"period": period.run(period.PeriodOptions(max_period=16), scene, lanes)}
         done["lyapunov"] = lyapunov.run(lyapunov.LyapunovOptions(transient=512, periods=1024), scene, lanes)
         done["chaos01"] = chaos01.run(chaos01.Chaos01Options(transient=512), scene, lanes)
@@ -112,7 +112,7 @@ def test_on_the_edge_of_a_doubling(battery, lanes, first):
 def test_deep_in_the_cascade(battery, lanes, one_period):
     """Doubling points up to 1024 → 2048, and stable orbits between them closed and with all their multipliers."""
     deepest = 11 if battery.full else 7
-    points = follow(SCENE.at(np.linspace(5.5275, 5.4525, 48)), lanes, deepest).points
+    points = follow(SCENE.at_values(np.linspace(5.5275, 5.4525, 48)), lanes, deepest).points
     assert all(point.error < 1e-12 for point in points)  # rounding
     assert [len(point.orbit) for point in points] == [2**k for k in range(deepest)]
     b = np.array([point.value for point in points])
