@@ -67,7 +67,7 @@ def price(experiment: Experiment, output: Path | None, repeats: int, began: floa
 
 
 def _check_replaceable(path: Path) -> None:
-    """See that a file that is there is of this command, and no name of a figure is taken.
+    """Check that a file that is there is of this command, and no name of a figure is taken.
 
     Raises:
         ArgumentError: it is not.

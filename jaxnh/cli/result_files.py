@@ -8,7 +8,7 @@ from jaxnh.exceptions import InputError
 
 
 def check_result(file: Path) -> None:
-    """See that a result is there, as a file.
+    """Check that a result is there, as a file.
 
     Raises:
         InputError: it is not; the message says where a run of it has been begun.

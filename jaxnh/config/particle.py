@@ -132,7 +132,7 @@ class Particle(SystemBlock):
         return {"x1": initial.x1, "x2": initial.x2, "y1": initial.y1}
 
     def check(self, initial: Initial, sweep: SweepBlock) -> None:
-        """See that parameters, start state and sweep go together."""
+        """Check that parameters, start state and sweep go together."""
         for name in sweep.grids:
             self._check_axis(name, initial)
         self._check_coupling(sweep)
@@ -142,7 +142,7 @@ class Particle(SystemBlock):
         self._check_values(_Values(self, initial, sweep))
 
     def _check_axis(self, name: str, initial: Initial) -> None:
-        """See that what is swept is there, and has no second value elsewhere."""
+        """Check that what is swept is there, and has no second value elsewhere."""
         if name not in self.axes:
             message = f"{name} does not go with {self.constraint}; what can be swept is {', '.join(self.axes)}"
             if name == "y2":
@@ -167,7 +167,7 @@ class Particle(SystemBlock):
             raise rule(message, "system.b", *(f"sweep.{name}" for name in names), "system")
 
     def _check_values(self, values: _Values) -> None:
-        """See that the values of parameters and start go together in all lanes."""
+        """Check that the values of parameters and start go together in all lanes."""
 
 
 class _Values:
@@ -200,7 +200,7 @@ class PrescribedSpeed(Particle):
     prescribed: ClassVar[bool] = True
 
     def check(self, initial: Initial, sweep: SweepBlock) -> None:
-        """See that parameters, start state and sweep go together, and the speed at t = 0 is enough for x2."""
+        """Check that parameters, start state and sweep go together, and the speed at t = 0 is enough for x2."""
         super().check(initial, sweep)
         if initial.y2 is not None:
             raise rule("y2 follows from the constraint; leave it out", "initial.y2", "system.constraint")

@@ -47,7 +47,7 @@ class LostError(RunError):
 
 
 def check(where: str) -> None:
-    """See that a cluster is named as it can be.
+    """Check that a cluster is named as it can be.
 
     Raises:
         ArgumentError: it is not, or Dask is not installed.

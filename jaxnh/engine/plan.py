@@ -205,7 +205,7 @@ def decide(
 def check_size(
     experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: LaneExecutor
 ) -> None:
-    """See that a sweep is one that is run unasked: of no more than `MOST_LANES` lanes and `_LONGEST_RUN`.
+    """Check that a sweep is one that is run unasked: of no more than `MOST_LANES` lanes and `_LONGEST_RUN`.
 
     The time is that of its lane-periods in turns of the loop of the map, as fast as in the calibration.
 

@@ -182,7 +182,7 @@ class _Run:
                 self._drop(error.piece, error.why)
 
     def _join(self, stage: Job, every: Sequence[Piece]) -> None:
-        """See that the other parts have done their tiles of a level, and do what is made of all tiles.
+        """Check that the other parts have done their tiles of a level, and do what is made of all tiles.
 
         Raises:
             _Waiting: they have not.

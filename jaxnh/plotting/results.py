@@ -164,7 +164,7 @@ def _choose_coordinates(data: xr.Dataset, choice: Choice) -> xr.Dataset:
 
 
 def _check_chosen(groups: _Groups, choice: Choice) -> None:
-    """See that every choice is of some group.
+    """Check that every choice is of some group.
 
     Raises:
         ArgumentError: no group has such coordinates.
