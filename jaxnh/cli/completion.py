@@ -32,7 +32,7 @@ def complete(commands: list[str]) -> int:
 
 
 def overrides(ctx: typer.Context, incomplete: str) -> list[str]:
-    """What `KEY=VALUE` can begin with: dotted keys of a config, as its schema has them, or values of a key.
+    """Completions of `KEY=VALUE`: dotted keys of a config, as its schema has them, or values of a key.
 
     Where the config is there and names a user's file, its names are among them, and keys of the particle are not.
     """

@@ -37,7 +37,7 @@ _LOG_WIDTH = 130  # columns where the output goes to a file
 
 
 class PricedExperiment(NamedTuple):
-    """What is priced: an experiment, its lanes along the first axis that they do not share, and a runner."""
+    """An experiment to be priced: its lanes along the first axis that they do not share, and a runner."""
 
     experiment: Experiment
     batch: LaneBatch

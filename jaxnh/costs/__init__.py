@@ -11,7 +11,7 @@ from jaxnh.costs import doubling, exponent, tables
 
 
 class Study(NamedTuple):
-    """What the accuracy of an analysis costs.
+    """A study of what the accuracy of an analysis costs.
 
     Attributes:
         price: (batch along the first axis, lane runner) to its dataset; None where the sweep has nothing to measure.

@@ -87,7 +87,7 @@ class _Counter:
         return loop
 
     def _values(self, name: str, arguments: list[Any], loop: Loop, seen: set[int]) -> Any:
-        """What a computation comes to; its operations go to a loop, where they have not been seen."""
+        """Count a computation; its operations go to a loop, where they have not been seen."""
         values: dict[str, Any] = {}
         types = {line["name"]: line["type"] for line in self._computations[name]}
         root = None

@@ -40,7 +40,7 @@ class ComputedPiece(NamedTuple):
 
 
 def spent(lanes: LaneExecutor, seconds: float) -> SecondsSpent:
-    """What a runner has spent so far, in so many seconds."""
+    """Cost of an executor so far, in so many seconds."""
     device = f"{len(lanes.devices)} x {lanes.devices[0].device_kind} ({lanes.devices[0].platform})"
     return SecondsSpent(seconds, lanes.accounts.compile_seconds, lanes.accounts.lane_periods, device)
 
@@ -159,7 +159,7 @@ def _combine_tiles(
     gather: Callable[[str], xr.Dataset],
     earlier: float,
 ) -> ComputedPiece:
-    """What an analysis makes of all its tiles."""
+    """Compute what an analysis makes of all its tiles."""
     began, before = time.perf_counter() - earlier, spent(lanes, 0.0)
     [(analysis, options)] = [(a, o) for a, o in requested if a.name == piece.names[0]]
     assert analysis.whole is not None

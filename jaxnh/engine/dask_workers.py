@@ -258,7 +258,7 @@ def _lanes() -> LaneExecutor:
 
 
 class _Task(NamedTuple):
-    """What all pieces of a job have in common: a level's where the sweep has levels."""
+    """Data common to all pieces of a job: a level's where the sweep has levels."""
 
     experiment: Experiment
     job: Job

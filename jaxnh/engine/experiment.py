@@ -181,7 +181,7 @@ class Experiment(Config):
         return particle_flow(self.system, parameters)
 
     def flow(self, shared: Mapping[str, float] | None = None) -> Flow:
-        """What moves, in continuous time.
+        """The system in continuous time.
 
         Args:
             shared: values of shared axes; the first value of each where it is not named.
@@ -191,7 +191,7 @@ class Experiment(Config):
         return self._flow({**swept, **(shared or {})})
 
     def dynamics(self, shared: Mapping[str, float] | None = None) -> System:
-        """What return maps are of: the flow, or its section where it has no clock and that is asked for.
+        """The system of return maps: the flow, or its section where it has no clock and that is asked for.
 
         Args:
             shared: as of `flow`.
@@ -293,7 +293,7 @@ class Experiment(Config):
         return hashlib.sha256(canonical.encode()).hexdigest()
 
     def _content(self) -> dict[str, Any]:
-        """What decides the numbers, defaults written out."""
+        """All that decides the numbers, defaults written out."""
         return self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
 
 

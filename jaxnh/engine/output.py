@@ -64,6 +64,6 @@ def file_of(output: Path) -> Path:
 
 
 def other_than(experiment: Experiment, user_text: str | None) -> str:
-    """What something is of that is not of this config, made with a user's file of that text."""
+    """Say how a result differs from one of this config, made with a user's file of that text."""
     own = experiment.user_file
     return f"another text of {own.path}" if own and user_text not in (None, own.text) else "another config"

@@ -108,7 +108,7 @@ def plan_of(experiment: Experiment, calibration: Calibration) -> Plan:
 def choose(
     experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: LaneExecutor
 ) -> dict[str, dict[str, int]]:
-    """What analyses choose from a whole sweep: of several values of the shared axes the largest."""
+    """Settings that analyses choose from a whole sweep: of several values of the shared axes the largest."""
     choices: dict[str, dict[str, int]] = {}
     choosing = [(a, options) for a, options in requested if a.choose and a.independent(options)]
     most = None if experiment.sweep.lanes <= MOST_LANES else _MOST_CHOOSING
@@ -258,14 +258,14 @@ def numbers_of(analyses: Requested) -> int:
 
 
 def count_warnings(name: str, counts: Mapping[str, int]) -> tuple[str, ...]:
-    """What is to be said of the trajectories of an analysis over the whole sweep."""
+    """Warnings on the trajectories of an analysis over the whole sweep."""
     if not (counts.get("trajectories") and counts["failed"]):
         return ()
     return (f"{name}: {counts['failed']} of {counts['trajectories']} trajectories are not finite at their end",)
 
 
 class Clock(NamedTuple):
-    """What the lanes of a sweep are strobed by.
+    """The strobe of the lanes of a sweep.
 
     Attributes:
         period: strobe period, or one for each value of the shared axes, in C order, where it is not the same for all.

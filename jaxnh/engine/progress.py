@@ -10,7 +10,7 @@ from jaxnh.exceptions import JaxnhWarning
 
 
 class Progress(Protocol):
-    """What is told of a computation while it goes on. A method may raise an exception to stop it."""
+    """Progress of a computation, as it is reported. A method may raise an exception to stop it."""
 
     def start(self, label: str, total: float) -> None:
         """A stage begins whose work is `total` lane-periods, 0 where that is not known."""

@@ -35,7 +35,7 @@ def attributes(experiment: Experiment, job: Job, total: SecondsSpent, command: s
 
 
 def warnings_of(job: Job, receipts: Mapping[int, TileRecord]) -> dict[str, tuple[str, ...]]:
-    """What is to be said of every group of a job as a whole, from the receipts of all pieces by their numbers."""
+    """Warnings for every group of a job as a whole, from the receipts of all pieces by their numbers."""
     counts = {name: Counter[str]() for name in job.groups}
     for name, tally in counts.items():
         for piece in job.sources(name):

@@ -62,7 +62,7 @@ class RunOptions(NamedTuple):
 
 
 class RunSummary(NamedTuple):
-    """What a run has come to.
+    """Summary of a run.
 
     Attributes:
         job: what was decided for the sweep.
@@ -376,7 +376,7 @@ class _Run:
             self._shown.advance(cost.get(receipt.number, 0.0))
 
     def _spent(self) -> SecondsSpent:
-        """What all runs have spent on what is there."""
+        """Cost of all runs for the pieces that are there."""
         costs = [tiles.origin(self._folder).spent, *(receipt.spent for receipt in self._receipts.values())]
         return SecondsSpent(
             self._earlier + time.perf_counter() - self._began,

@@ -89,7 +89,7 @@ class Session:
         self._plans: list[tuple[tuple[Axis, ...], bool, frozenset[str], Plan]] = []
 
     def _repr_html_(self) -> str:
-        """What a notebook shows of it: its experiment, and what calibration has chosen so far; nothing is computed."""
+        """HTML for a notebook: its experiment, and what calibration has chosen so far; nothing is computed."""
         title, *facts = map(escape, self._describe())
         return "<br>".join([f"<b>{title}</b>", *facts])
 

@@ -82,7 +82,7 @@ def configure(devices: int | None = None) -> None:
 
 
 def machine(device: Any, flags: str | None = None) -> dict[str, str]:
-    """What the bits of a result rest on beside the versions of libraries: the kind of processor, and XLA's options.
+    """The machine, on which bits rest beside the versions of libraries: the kind of processor, and XLA's options.
 
     Args:
         device: of JAX.

@@ -16,7 +16,7 @@ Content = Mapping[str, Any]
 
 
 def content_of(experiment: Experiment) -> dict[str, Any]:
-    """What the config of an experiment says."""
+    """Return the content of the config of an experiment."""
     return dict(from_text(experiment.text).data)
 
 

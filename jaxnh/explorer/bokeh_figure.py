@@ -13,7 +13,7 @@ from jaxnh.explorer.recording import source_of
 
 
 def bokeh_figure(result: xr.DataTree, quantity: str | None = None) -> figure:
-    """What the explorer shows of a result first: planes over its first two axes, or the diagram over the first.
+    """Return what the explorer shows of a result first: planes over its first two axes, or the diagram over the first.
 
     Args:
         result: of `open_result` or `run`.

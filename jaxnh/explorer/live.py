@@ -106,7 +106,7 @@ class LiveDiagram:
             yield Picture(raster(values, points, view.window), whole, words, notes)
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
-        """What is computed of a lane."""
+        """Compute the facts of a lane."""
         return self.sessions.lane(view, where)
 
     def batch_text(self, view: View) -> str:

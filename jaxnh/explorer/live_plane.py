@@ -114,7 +114,7 @@ class LivePlane:
             level //= 2
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
-        """What is computed of a lane, and of basins that are known, the attractor that it leads to."""
+        """Compute the facts of a lane, and of basins that are known, the attractor that it leads to."""
         known = dict(self._basins[1]) if self._basins and self._basins[0] == view else {}
         if known:
             at = {self.sessions.dims[name]: value for name, value in where.items()}

@@ -61,7 +61,7 @@ class Page:
         document.js_on_event("connection_lost", CustomJS(code=LOST))
 
     def _upward(self, view: View) -> str:
-        """What lies upward in a view, in words."""
+        """The quantity that is drawn upward in a view, in words."""
         return self._source.axis_words[view.second] if view.second else self._source.variables[view.variable]
 
     # ---- layout

@@ -25,7 +25,7 @@ Options = Mapping[str, Mapping[str, Any]]
 
 
 def analyses_of(quantity: str, own: Mapping[str, Mapping[str, Any] | None]) -> Options:
-    """What says a quantity in full: the options of a config, of exponents the largest alone.
+    """Options that compute a quantity in full: the options of a config, of exponents the largest alone.
 
     Args:
         own: analyses of the config.

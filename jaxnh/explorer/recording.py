@@ -26,7 +26,7 @@ _Attrs = Mapping[str, Any]
 
 
 def open_recording(path: Path) -> PictureSource:
-    """What `source_of` finds in a result file.
+    """A drawing that a result file has, with its source.
 
     Raises:
         InputError: there is no such file, or neither a plane nor a diagram in it.
@@ -65,7 +65,7 @@ def source_of(tree: xr.DataTree, name: str) -> PictureSource:
 
 
 class _Recording:
-    """What every source of a file has, beside what it draws."""
+    """Members common to all sources of a file."""
 
     computes = False
     parameters: tuple[Parameter, ...] = ()
@@ -81,7 +81,7 @@ class _Recording:
         self._note = f"from {name}{at}; nothing is computed here"
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
-        """What the file has of the lane that is nearest to values of the axes."""
+        """The facts that the file has of the lane that is nearest to values of the axes."""
         groups = {
             name: _at(data, where).load()
             for name, data in self._groups.items()
@@ -125,7 +125,7 @@ class RecordedDiagram(_Recording):
         yield Picture(some, data, f"{len(inside):,} values", (self._note,))
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
-        """What the file has of the lane that is nearest to a value of the axis."""
+        """The facts that the file has of the lane that is nearest to a value of the axis."""
         return super().lane(view, _nearest(self._data, where))
 
 
@@ -161,7 +161,7 @@ class RecordedPlane(_Recording):
         yield Picture(plane_raster(pixels), data, words, (self._note,), pixels)
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
-        """What the file has of the lane that is nearest to values of the axes."""
+        """The facts that the file has of the lane that is nearest to values of the axes."""
         return super().lane(view, _nearest(self._planes[view.variable], where))
 
 

@@ -22,7 +22,7 @@ def report_html(report: LaneReport) -> str:
 
 
 def lines(report: LaneReport) -> Iterator[tuple[str, str]]:
-    """What is known, and what it is called."""
+    """Known facts of a lane with their names."""
     groups = report.groups
     if any("computed" in data and not int(data["computed"]) for data in groups.values()):
         yield "from a coarser level", "this lane was not computed; it has what a neighbour of its kind has"

@@ -27,7 +27,7 @@ _COOKIE = "jaxnh_token"
 
 
 class _Refusal(RequestHandler):
-    """What one who has no token gets."""
+    """The answer to a request without a token."""
 
     def get(self) -> None:
         self.set_status(403)

@@ -153,7 +153,7 @@ class Sessions:
         return batch.batch_text(self.content, view, analyses, self.coordinates, solver, title)
 
     def notes(self, view: View, known: CalibratedSession) -> tuple[str, ...]:
-        """What one has to know of the accuracy of a picture."""
+        """The accuracy of a picture, in words."""
         plan = known.session.plan
         over = ", ".join(f"{name} in {low:g}..{high:g}" for name, (low, high) in known.ends.items())
         notes = [f"{plan.solver.name}, {plan.steps} steps, error of one period {plan.error_estimate:.1g} over {over}"]

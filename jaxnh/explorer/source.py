@@ -13,7 +13,7 @@ from jaxnh.plotting.pixels import Pixels
 
 
 def axis_title(words: str, units: str) -> str:
-    """What an axis of a drawing is called: words, and units where there are some and the user has said them."""
+    """The name of an axis of a drawing: words, and units where there are some and the user has said them."""
     return f"{words} ({units})" if units not in ("", "1") else words
 
 
@@ -36,7 +36,7 @@ class Picture(NamedTuple):
 
 
 class LaneReport(NamedTuple):
-    """What is known of one lane so far.
+    """Facts of one lane, as far as they are known.
 
     Attributes:
         where: values of the axes and of other parameters, by name.
@@ -89,7 +89,7 @@ class PictureSource(Protocol):
         ...
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
-        """What is known of the lane at values of the axes, more with each report."""
+        """Yield what is known of the lane at values of the axes, more with each report."""
         ...
 
     def batch_text(self, view: View) -> str:

@@ -145,7 +145,7 @@ def _name_attractors(group: xr.Dataset | None, most: int) -> list[_Attractor]:
 
 
 def attractor_words(group: xr.Dataset) -> dict[int, str]:
-    """What each attractor of a group is: its number, its kind, and the period of what is periodic."""
+    """Describe each attractor of a group: its number, its kind, and the period of what is periodic."""
     kind, meaning = group["kind"].to_numpy(), meanings(group["kind"])
     periods = group["period"].to_numpy() if "period" in group else np.zeros(len(kind), int)
     descriptions = {}

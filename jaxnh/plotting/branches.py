@@ -117,7 +117,7 @@ def _below(group: xr.Dataset, name: str, parameter: str, ax: Axes) -> np.ndarray
 
 
 def _label(drawn: xr.DataArray) -> str:
-    """What the points of an orbit are, the coordinate's name within the words as a symbol where it is one."""
+    """Label of the points of an orbit, the coordinate's name within the words as a symbol where it is one."""
     name = str(drawn.name).removesuffix("_points")
     words = words_of(drawn)
     return axis_label(drawn, words.replace(f" {name} ", f" {symbol_of(name)} ", 1) if is_symbol(name) else words)

@@ -27,7 +27,7 @@ _FEW, _MANY = 7, 10  # values with a colour each of the one palette, and of the 
 
 
 class Colouring(NamedTuple):
-    """What decides the colour of each point.
+    """The quantity that decides the colour of each point.
 
     Attributes:
         values: over some of the dimensions of what is drawn.
@@ -68,7 +68,7 @@ class Colouring(NamedTuple):
 
 
 def colouring(name: str, data: xr.Dataset, groups: Iterable[xr.Dataset]) -> Colouring:
-    """What a colour by a name means for a group: a dimension or an axis of it, or a variable of a lane in any group.
+    """Resolve a colour by a name for a group: a dimension or an axis of it, or a variable of a lane in any group.
 
     Raises:
         ArgumentError: there is nothing of the name; the message says what there is.

@@ -45,7 +45,7 @@ def require_variables(data: xr.Dataset, *names: str) -> list[xr.DataArray]:
 
 
 def label_of(data: xr.Dataset) -> str:
-    """What the panel shows in words; "" where these are the variable's own."""
+    """The quantity of the panel in words; "" where these are the variable's own."""
     return str(data.attrs.get("panel_label", ""))
 
 
@@ -56,7 +56,7 @@ def levels_of(data: xr.Dataset) -> list[float]:
 
 
 def label_of_first(data: xr.Dataset) -> str:
-    """What the first of the variables is in words, where one alone is shown; "" as of `label_of`."""
+    """The first of the variables in words, where one alone is shown; "" as of `label_of`."""
     return label_of(data) if len(variables_of(data)) == 1 else ""
 
 

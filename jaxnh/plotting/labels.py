@@ -32,7 +32,7 @@ def symbol_of(name: str, index: int | str = "") -> str:
 
 
 def axis_label(variable: xr.DataArray, words: str = "", symbol: str = "") -> str:
-    """What a variable is in words, its symbol where it has one, and its units.
+    """Label of a variable: its words, its symbol where it has one, and its units.
 
     Args:
         words: in place of the variable's own, and of the symbol that its name makes.
@@ -59,7 +59,7 @@ def with_units(label: str, variable: xr.DataArray) -> str:
 
 
 def title_of(data: xr.Dataset, axes: Iterable[str]) -> str:
-    """What stands above a drawing: the values of some axes that a dataset is at, and the section that it is on."""
+    """Title of a drawing: the values of some axes that a dataset is at, and the section that it is on."""
     parts = [f"{symbol_of(name)} = {float(np.asarray(data[name]).item()):.10g}" for name in axes]
     if "section" in data.attrs:
         parts.append(f"on {data.attrs['section']}")
@@ -67,7 +67,7 @@ def title_of(data: xr.Dataset, axes: Iterable[str]) -> str:
 
 
 def words_of(variable: xr.DataArray) -> str:
-    """What a variable is in words, without its name."""
+    """Words of a variable, without its name."""
     return _words(variable)[0]
 
 

@@ -40,7 +40,7 @@ class Plane(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """What a colour stands for; `edge` is the colour of what is drawn over pixels of this one, where there is any."""
+    """Meaning of a colour; `edge` is the colour of what is drawn over pixels of this one, where there is any."""
 
     colour: str
     words: str
@@ -167,7 +167,7 @@ def plane_of(data: xr.Dataset) -> Plane:
 
 
 def _range_names() -> list[str]:
-    """What the colours of whole numbers stand for."""
+    """Meanings of the colours of whole numbers."""
     names = []
     for first, following in zip(_PERIODS, (*_PERIODS[1:], None), strict=True):
         last = None if following is None else following - 1

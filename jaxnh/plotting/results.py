@@ -50,7 +50,7 @@ _Groups = Mapping[str, xr.Dataset]
 
 
 class Choice(NamedTuple):
-    """What a user has chosen of how results are drawn.
+    """A user's choice of how results are drawn.
 
     Attributes:
         coordinates: names that panels are of in place of their own: of one those over an axis, of two planes.
@@ -339,7 +339,7 @@ def _of_group(name: str) -> Iterator[None]:
 
 
 def _provenance(attrs: Mapping[str, object]) -> list[str]:
-    """What the numbers are from, in one line; nothing for a dataset that does not say.
+    """The origin of the numbers in one line; nothing for a dataset that does not say.
 
     Raises:
         ResultError: the attributes of a result are not all there.

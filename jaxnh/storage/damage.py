@@ -12,7 +12,7 @@ READING = (OSError, KeyError, RuntimeError, ValueError, TypeError)
 
 
 def fault_of(path: Path, error: Exception) -> Exception:
-    """What an error in the reading of a result is: damage, if the file does not fit its checksums; else that error.
+    """Classify an error in the reading of a result: damage, if the file does not fit its checksums; else that error.
 
     A file without checksums is called damaged where HDF5 cannot read it, which is an `OSError`.
     """

@@ -77,7 +77,7 @@ def merge(
 
 
 def gather(folder: Path, job: Job, name: str) -> xr.Dataset:
-    """What the tiles of an analysis say, as one dataset over the whole sweep.
+    """Gather the tiles of an analysis as one dataset over the whole sweep.
 
     Raises:
         ResultError: a tile cannot be read.
@@ -196,14 +196,14 @@ class _Common:
         self._warnings: dict[str, None] = {}
 
     def add(self, attrs: Mapping[Any, Any]) -> None:
-        """Those of a piece."""
+        """Add the attributes of a piece."""
         own = {str(key): value for key, value in attrs.items() if key != "warnings"}
         self._warnings |= dict.fromkeys(filter(None, str(attrs.get("warnings", "")).split("\n")))
         known = own if self._attrs is None else self._attrs
         self._attrs = {key: value for key, value in known.items() if key in own and _text(own[key]) == _text(value)}
 
     def attributes(self, more: Sequence[str]) -> store.Attributes:
-        """Those of the whole, with more warnings."""
+        """Attributes of the whole, with more warnings."""
         warnings = dict.fromkeys((*self._warnings, *more))
         return {**(self._attrs or {}), **({"warnings": "\n".join(warnings)} if warnings else {})}
 
@@ -352,7 +352,7 @@ class _MergedGroup:
         return _Slabs(store.create(self._group, name, whole.shape, dtype, chunks))
 
     def finish(self, warnings: Sequence[str]) -> None:
-        """What is known at the end: collected variables, hashes, scales, and attributes of the whole."""
+        """Write what is known at the end: collected variables, hashes, scales, and attributes of the whole."""
         for name, target in self._targets.items():
             store.variable(self._group, name).attrs[store.DATA] = target.finish()
         store.attach(self._group, {name: whole.dims for name, whole in self._whole.items()})

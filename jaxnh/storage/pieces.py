@@ -41,7 +41,7 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class Job:
-    """What is decided once for a sweep and holds for every process that works on it.
+    """Decisions made once for a sweep, which hold for every process that works on it.
 
     Attributes:
         config_sha256: hash of the config.

@@ -26,7 +26,7 @@ class LevelOf(NamedTuple):
 
 
 class Method(NamedTuple):
-    """What a period is computed with.
+    """The method that a period is computed with.
 
     Attributes:
         solver: its name.

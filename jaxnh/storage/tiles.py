@@ -36,7 +36,7 @@ _PATIENCE = 1.0  # seconds; another part has the lock of the whole for as long a
 
 
 class SecondsSpent(NamedTuple):
-    """What a piece has cost: seconds, of these compiling, lane-periods, and the devices."""
+    """Cost of a piece: seconds, of these compiling, lane-periods, and the devices."""
 
     seconds: float
     compile_seconds: float
@@ -150,7 +150,7 @@ def read_job(folder: Path) -> Job | None:
 
 
 class Origin(NamedTuple):
-    """What a job was made for: the YAML, the text of the user's file if it names one, and what making it has cost."""
+    """Origin of a job: the YAML, the text of the user's file if it names one, and what making it has cost."""
 
     config: str
     user_text: str | None
@@ -183,7 +183,7 @@ def publish(folder: Path, job: Job, origin: Origin) -> Job:
 
 
 def origin(folder: Path) -> Origin:
-    """What the job of a folder was made for.
+    """Read the origin of the job of a folder.
 
     Raises:
         ResultError: the folder is gone.
@@ -246,7 +246,7 @@ def _title(job: Job, piece: Piece) -> str:
 
 
 def receipt(folder: Path, job: Job, piece: Piece) -> TileRecord:
-    """What a piece that is there says of itself.
+    """Read the record of a piece that is there.
 
     Raises:
         DamagedError: it says something that does not fit, or cannot be read.

@@ -165,7 +165,7 @@ class Calibration:
         raise self._refusal(target, self._errors(*nearest[:3]))
 
     def _refusal(self, target: float, errors: Float[np.ndarray, " samples"]) -> AccuracyError:
-        """What to say when the least errors there are exceed the target."""
+        """Explain why the least errors there are exceed the target."""
         worst = self._largest_at(errors)
         where = _place(self._samples, worst)
         sample = jax.tree.map(lambda leaf: leaf[worst], self._samples)
@@ -339,7 +339,7 @@ class Calibration:
         return finest, gaps, steps * solver.stages
 
     def _rounding_of_sums(self) -> float:
-        """What plain sums cost the most sensitive samples, in the worst of a few tables.
+        """Error that plain sums cost the most sensitive samples, in the worst of a few tables.
 
         The roundings of one table may happen to be small in it; those of the lanes of the sweep will not all be.
         """
@@ -384,7 +384,7 @@ class Calibration:
         return whole
 
     def _image(self, strobe: Callable[[int], ReturnMap], samples: _Samples) -> list[np.ndarray]:
-        """What a map makes of the samples, component by component, without what flows only report."""
+        """Images of the samples under a map, component by component, without what flows only report."""
         states = self._by_flow(iterate, lambda row: (strobe(row), np.int32(1)), samples, 1)
         return [np.array(leaf) for leaf in jax.tree.leaves(error_components(states))]
 

@@ -44,21 +44,21 @@ def fault_of(system: System, state: State, p: Parameters) -> str:
 
 
 def explain_motion(system: System, state: State, p: Parameters, length: float) -> str:
-    """What to say of the sample of the largest error where its motion, so long, nearly loses something; "": nothing."""
+    """Explain the largest error where the motion of its sample, so long, nearly loses something; "": nothing."""
     state = state if system.flow is system else state.state
     why = _explain_loss(system.flow, state, p, length)
     return why and f"; {why}"
 
 
 def explain_long_returns(lengths: Float[np.ndarray, " samples"], worst: int) -> str:
-    """What to say of the sample of the largest error where returns to a section take so long; "": nothing."""
+    """Explain the largest error where returns of its sample to a section take so long; "": nothing."""
     if lengths[worst] > _LONG * np.nanmedian(lengths):
         return f"; it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
     return ""
 
 
 def explain_slow_convergence(fall: Sequence[tuple[int, float]]) -> str:
-    """What to say where references of more and more kicks come together so slowly; "": nothing."""
+    """Explain why references of more and more kicks come together so slowly; "": nothing."""
     if observed_order(fall) < _NOT_SMOOTH:
         return (
             "; more steps lessen it so slowly as where the equations jump or have corners (sign, abs, where): "
@@ -77,7 +77,7 @@ def observed_order(fall: Sequence[tuple[int, float]]) -> float:
 
 
 def _explain_loss(flow: Flow, y: State, p: Parameters, length: float) -> str:
-    """What a motion from a state at t = 0 nearly loses in a time, as seen roughly: the classical method of order 4."""
+    """Say what a motion from a state at t = 0 nearly loses in a time, by the classical method of order 4."""
     h = length / _ROUGHLY
     times = h * np.arange(_ROUGHLY)
 

@@ -18,7 +18,7 @@ from jaxnh.engine.experiment import Experiment
 
 @dataclass(frozen=True)
 class Decision:
-    """What holds for a whole sweep.
+    """A decision that holds for a whole sweep.
 
     Attributes:
         solver: its name.

@@ -76,7 +76,7 @@ def name_of(
 
 
 def environment() -> str:
-    """What decides every number: versions, the text of this package, settings of JAX."""
+    """All that decides the numbers: versions, the text of this package, settings of JAX."""
     settings = {name: str(getattr(jax.config, name, None)) for name in _SETTINGS}
     return json.dumps([_versions(), settings, os.environ.get("EQX_ON_ERROR")])
 
@@ -92,7 +92,7 @@ def _versions() -> list[str]:
 
 
 def of_devices(devices: Sequence[Any]) -> str:
-    """What computes: devices, processor, and XLA's options."""
+    """The computing hardware: devices, processor, and XLA's options."""
     first = devices[0]
     kinds = [(one.platform, one.device_kind, one.id) for one in devices]
     return json.dumps([kinds, first.client.platform_version, machine(first), host()], sort_keys=True)

@@ -32,7 +32,7 @@ class CallFingerprints:
         return digest.hexdigest()
 
     def _digest(self, leaf: Any) -> bytes:
-        """That of the content of an array."""
+        """Digest of the content of an array."""
         if not isinstance(leaf, np.ndarray):
             return _content(leaf)
         if id(leaf) not in self._known:

@@ -30,7 +30,7 @@ def folder() -> Path | None:
 
 
 def find(name: str) -> bytes | None:
-    """What is kept by a name; None where nothing is, or nothing sound."""
+    """Return the content kept under a name; None where there is none, or nothing sound."""
     where = folder()
     try:
         content = (where / name).read_bytes() if where else b""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass
 class Accounts:
-    """What calls have cost so far.
+    """Cost of the calls so far.
 
     Attributes:
         lane_periods: periods integrated, summed over lanes (derivatives count once).

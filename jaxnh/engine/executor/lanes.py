@@ -207,7 +207,7 @@ def _own(family: ParameterFamily[Any], lanes: tuple[Any, ...]) -> Mapping[str, A
 
 
 def _without(family: ParameterFamily[Any], lanes: tuple[Any, ...]) -> tuple[Any, ...]:
-    """What lanes have, without the parameters of a family."""
+    """The arguments of lanes without the parameters of a family."""
     p = _own(family, lanes)
     rest = {name: values for name, values in p.items() if name not in family.names}
     return tuple(rest if part is p else part for part in lanes)

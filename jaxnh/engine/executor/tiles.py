@@ -86,7 +86,7 @@ class DeviceTiles:
         return self._programs.find(call.function, call.static, call.shared, lanes, self._devices, self._accounts)
 
     def _on_devices(self, shared: tuple[Any, ...]) -> list[Any]:
-        """What all lanes see alike, its arrays on all devices: tables of a map go there once, and not in every call."""
+        """Place the arguments that all lanes share on all devices: tables go there once, not in every call."""
         leaves = jax.tree.leaves(shared)
         for k, leaf in enumerate(leaves):
             if isinstance(leaf, np.ndarray | float):

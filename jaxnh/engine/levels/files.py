@@ -26,7 +26,7 @@ def is_there(folder: Path, stage: Job) -> bool:
 
 
 def read(folder: Path, job: Job, stage: Job) -> Level | None:
-    """What a level computes, from the one before; data are read from its file where they are used.
+    """Lanes that a level computes, from the one before; data are read from its file where they are used.
 
     Args:
         job: of all levels.

@@ -63,7 +63,7 @@ def axes_of(axes: Sequence[Axis], job: Job) -> tuple[Axis, ...]:
 
 
 def level_of(job: Job, results: Mapping[str, xr.Dataset], coarser: Mapping[str, xr.Dataset]) -> Level | None:
-    """What the job of a level computes; None for a job without levels.
+    """Lanes that the job of a level computes; None for a job without levels.
 
     Args:
         results: groups of the result of the level before, none for the first level.
@@ -163,7 +163,7 @@ def _insert_lanes(computed: xr.Dataset, mask: Bool[np.ndarray, " lanes"], around
 
 
 def _from_coarser(data: xr.Dataset, piece: Piece, names: Sequence[str], smooth: Sequence[str]) -> xr.Dataset:
-    """What the level before says of the lanes of a piece: where it has a lane its own, else its lower neighbours'.
+    """Numbers of the level before for the lanes of a piece: where it has a lane its own, else its lower neighbours'.
 
     What only some axes have is left out.
     """
