@@ -49,6 +49,9 @@ class ParameterFamily(Generic[Tree]):
 
     def groups(self, p: Mapping[str, ArrayLike]) -> tuple[list[Values], Int[np.ndarray, " lanes"]]:
         """Values that lanes have, and for every lane the number of its own among them."""
+        if len(self.names) == 1:  # a sort of numbers, many times as fast as one of columns
+            values, group = np.unique(np.asarray(p[self.names[0]], float), return_inverse=True)
+            return [(value,) for value in values.tolist()], group
         columns = np.stack([np.asarray(p[name], float) for name in self.names])
         values, group = np.unique(columns, axis=1, return_inverse=True)
         return [tuple(column) for column in values.T.tolist()], group.ravel()

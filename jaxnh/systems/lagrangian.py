@@ -333,8 +333,3 @@ def lagrangian(
     m = len(jax.eval_shape(lambda q, t: constraint_functions(equations, len(q))(*q, *q, t), zeros, zeros[0]))
     angles, ignorable = marked(definition, "angles"), marked(definition, "ignorable")
     return Lagrangian(define, dict(parameters), of_lanes, names, angles, "period" in definition, m, ignorable)
-
-
-def zero_motion(k: int) -> Motion:
-    """All zero: k coordinates and velocities of floats, and nothing to report."""
-    return Motion((0.0,) * k, (0.0,) * k, (0.0, 0.0))
