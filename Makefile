@@ -77,6 +77,7 @@ test: $(INSTALLED)
 	$(RUN)/ruff format --check .
 	$(RUN)/lint-imports --no-cache
 	$(RUN)/python -m sweeps.checks.names
+	$(RUN)/python -m sweeps.checks.quoted_names
 	$(MAKE) --jobs=2 --keep-going check_types check_tests
 
 check_types: $(INSTALLED)

@@ -240,8 +240,10 @@ def test_price_of_every_effect(tmp_path, capsys):
     assert not np.any(measured == 1.0)  # two programs that were timed are never equal to the last bit
     tangents = [columns["operations"][rows[f"tangent {k}"]] for k in (1, 2, 3)]
     assert columns["operations_without"][rows["tangent 1"]] < tangents[0] < tangents[1] < tangents[2]
-    assert columns["stored"][rows["portrait"]] == 4 * 8 * 2 * 16  # four numbers of eight bytes a sample
-    assert columns["stored"][rows["poincare"]] == 4 * 8 * 2048
+    assert (
+        columns["stored"][rows["portrait"]] == 4 * 8 * 2 * 16 + 1
+    )  # four numbers of eight bytes a sample, and a status
+    assert columns["stored"][rows["poincare"]] == 4 * 8 * 2048 + 1
     out = capsys.readouterr().out
     assert all(any(line.startswith(what) for line in out.splitlines()) for what in rows)
 

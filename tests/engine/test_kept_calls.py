@@ -184,7 +184,7 @@ import numpy as np
 from jaxnh.engine.experiment import load
 from jaxnh.engine.axes import points
 from jaxnh.engine.cache.fingerprints import CallFingerprints
-from jaxnh.engine.executor.grouped_blocks import of_block
+from jaxnh.engine.executor.grouped_blocks import evaluate_block
 from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
@@ -195,7 +195,7 @@ at = points(experiment, experiment.axes, tuple(np.arange(4) for _ in experiment.
 for steps in (40, 80):
     strobe = make_return_map(at.system, SOLVERS[sys.argv[2]], steps)
     print(CallFingerprints().of(iterate, (strobe, np.int32(3)), (at.start, at.p), (), 8))
-    print(CallFingerprints().of(of_block, (strobe, np.int32(3)), (at.start, at.p), ((iterate, ()),), 8))
+    print(CallFingerprints().of(evaluate_block, (strobe, np.int32(3)), (at.start, at.p), ((iterate, ()),), 8))
 """
 
 
