@@ -33,18 +33,18 @@ from jaxnh.exceptions import (
 )
 
 if TYPE_CHECKING:
-    from jaxnh.config.options import BasinsOptions as Basins
-    from jaxnh.config.options import BranchesOptions as Branches
-    from jaxnh.config.options import Chaos01Options as Chaos01
-    from jaxnh.config.options import CurvesOptions as Curves
-    from jaxnh.config.options import DiagramOptions as Diagram
-    from jaxnh.config.options import DoublingOptions as Doubling
-    from jaxnh.config.options import LyapunovOptions as Lyapunov
-    from jaxnh.config.options import PeriodOptions as Period
-    from jaxnh.config.options import PoincareOptions as Poincare
-    from jaxnh.config.options import PortraitOptions as Portrait
-    from jaxnh.config.options import VerdictOptions as Verdict
-    from jaxnh.config.options import WindowsOptions as Windows
+    from jaxnh.analyses.options import BasinsOptions as Basins
+    from jaxnh.analyses.options import BranchesOptions as Branches
+    from jaxnh.analyses.options import Chaos01Options as Chaos01
+    from jaxnh.analyses.options import CurvesOptions as Curves
+    from jaxnh.analyses.options import DiagramOptions as Diagram
+    from jaxnh.analyses.options import DoublingOptions as Doubling
+    from jaxnh.analyses.options import LyapunovOptions as Lyapunov
+    from jaxnh.analyses.options import PeriodOptions as Period
+    from jaxnh.analyses.options import PoincareOptions as Poincare
+    from jaxnh.analyses.options import PortraitOptions as Portrait
+    from jaxnh.analyses.options import VerdictOptions as Verdict
+    from jaxnh.analyses.options import WindowsOptions as Windows
     from jaxnh.engine.experiment import Experiment, load
     from jaxnh.engine.session import Session, run
     from jaxnh.explorer.bokeh_figure import bokeh_figure
@@ -80,7 +80,7 @@ def __getattr__(name: str) -> object:
     if name in _HOMES:
         return getattr(import_module(f"jaxnh.{_HOMES[name]}"), name)
     if name in __all__:  # options of an analysis, by its name
-        return import_module("jaxnh.config.options").OPTIONS[name.lower()]
+        return import_module("jaxnh.analyses.options").OPTIONS[name.lower()]
     raise AttributeError(f"module jaxnh has no attribute {name}")
 
 

@@ -12,7 +12,7 @@ from conftest import ROOT
 
 import jaxnh
 from jaxnh.__main__ import COMMANDS
-from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.registry import ANALYSES
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [page for page in PAGES if "_build" not in page.parts]

@@ -26,7 +26,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import jaxnh
-from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.maps import general_flow

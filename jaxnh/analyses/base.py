@@ -1,6 +1,6 @@
 """Definition of an analysis: options and a batch (`batch`) in, a dataset out, and its cost (`price`). No files.
 
-An analysis is one file: its numbers and its table for the terminal; `analyses.ANALYSES` lists them, `config.options`
+An analysis is one file: its numbers and its table for the terminal; `registry` lists them, `analyses.options`
 has what each can be asked for, and `plotting.descriptions` says how they are drawn. Its dataset has the lanes as
 dimension `LANE`, which the engine turns into the axes of the sweep.
 """
@@ -16,8 +16,8 @@ import xarray as xr
 from jaxtyping import Int
 
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
+from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.price import Price
-from jaxnh.config.options.base import Options
 from jaxnh.exceptions import InputError
 from jaxnh.systems.flow import Flow, Output
 from jaxnh.systems.state import State

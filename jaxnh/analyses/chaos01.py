@@ -26,8 +26,8 @@ from jaxtyping import Array, Float
 
 from jaxnh.analyses.base import LANE, Analysis, as_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.options.chaos import Chaos01Options
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.config.options.chaos import Chaos01Options
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import reports

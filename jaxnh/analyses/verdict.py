@@ -52,10 +52,10 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from jaxnh.analyses.base import LANE, Analysis, as_variable, flag, number_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
+from jaxnh.analyses.options.base import BLOCKS
+from jaxnh.analyses.options.chaos import VerdictOptions
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.window_averages import average_window, extents
-from jaxnh.config.options.base import BLOCKS
-from jaxnh.config.options.chaos import VerdictOptions
 from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import NOT_FINITE, Flow, Parameters, status

@@ -19,8 +19,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.smooth_window import half_window_weights
-from jaxnh.config.options.base import BLOCKS
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap

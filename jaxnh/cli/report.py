@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from jaxnh.analyses import GROUPS
+from jaxnh.analyses.registry import GROUPS
 from jaxnh.cli.inspection import failed_in
 from jaxnh.cli.terminal import show
 from jaxnh.config.messages import join_words

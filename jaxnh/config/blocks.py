@@ -25,16 +25,14 @@ from pydantic import (
     model_validator,
 )
 
+from jaxnh.analyses.options import OPTIONS
+from jaxnh.analyses.options.base import Block, Options, rule
 from jaxnh.config.messages import close_match, show_value
-from jaxnh.config.options import OPTIONS
-from jaxnh.config.options.base import Block, Options, rule
 from jaxnh.config.solver_names import NYSTROM, SOLVERS, SPLITTINGS
+from jaxnh.maps.limits import LONGEST_RETURN
 
 MOST_LANES = 10_000_000
 """Lanes of a sweep, the product of its axes, that are run unasked: a dozen variables of them fill a gigabyte."""
-
-LONGEST_RETURN = 200.0
-"""Time without a crossing after which a lane has failed, in units of the flow's own, where nothing is said."""
 
 
 class OrderedBlock(Block):

@@ -14,12 +14,12 @@ from typing import Any, TypeVar
 
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
+from jaxnh.analyses.options import OPTIONS
+from jaxnh.analyses.options.base import Block, rule
 from jaxnh.config.blocks import Accuracy, Analyses, Levels, PublishedValues, SystemBlock
 from jaxnh.config.fitting import check_accuracy
 from jaxnh.config.layout import layout
 from jaxnh.config.messages import Layout, close_match, first_fault
-from jaxnh.config.options import OPTIONS
-from jaxnh.config.options.base import Block, rule
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, Sweep
 from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_source import ConfigSource, read

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from jaxnh.analyses.options import OPTIONS
+from jaxnh.analyses.options.base import Options, rule
 from jaxnh.config.blocks import Accuracy
 from jaxnh.config.messages import join_words
-from jaxnh.config.options import OPTIONS
-from jaxnh.config.options.base import Options, rule
 from jaxnh.config.solver_names import NYSTROM, PROCESSED, RUNGE_KUTTA, SPLITTINGS
 
 

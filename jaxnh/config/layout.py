@@ -7,9 +7,9 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
+from jaxnh.analyses.options import OPTIONS
 from jaxnh.config.blocks import EvenGrid, PublishedValues, ValueGrid
 from jaxnh.config.messages import Layout
-from jaxnh.config.options import OPTIONS
 from jaxnh.config.yaml_tree import KeyPath
 
 

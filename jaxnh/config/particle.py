@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import ConfigDict, Field, field_validator
 
+from jaxnh.analyses.options.base import rule
 from jaxnh.config.blocks import (
     EvenGrid,
     Grid,
@@ -21,7 +22,6 @@ from jaxnh.config.blocks import (
     ValueGrid,
 )
 from jaxnh.config.messages import close_match, join_words, show_value
-from jaxnh.config.options.base import rule
 from jaxnh.systems.particle_parameters import EFFECTS, strobe_period
 
 _START_Y2 = math.sqrt(0.99)  # of the paper's start, at its speed of one

@@ -11,9 +11,9 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
+from jaxnh.analyses.options.base import Block, rule
 from jaxnh.config.blocks import EvenGrid, Grid, InitialBlock, SectionBlock, SweepBlock, SystemBlock, ValueGrid
 from jaxnh.config.messages import explain_unknown
-from jaxnh.config.options.base import Block, rule
 from jaxnh.systems.user_text import OF_RESULTS, Names
 
 

@@ -19,8 +19,8 @@ import xarray as xr
 from jaxnh.analyses.base import LANE, Analysis, Entry, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.config.options.base import Options
 from jaxnh.costs.operations import count
 from jaxnh.costs.stage import StagelessRunner
 from jaxnh.engine.executor.lanes import LaneExecutor

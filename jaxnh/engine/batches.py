@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 from jaxnh.analyses.base import Analysis
 from jaxnh.analyses.batch import Axis
-from jaxnh.config.options.base import Options
+from jaxnh.analyses.options.base import Options
 from jaxnh.engine.executor.lanes import TILE
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, SweepLanes
 from jaxnh.analyses.batch import Axis, LaneBatch
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.axes import SweepPoints, places_of, points, points_along, points_together, to_axes, whole_to_axes
 from jaxnh.engine.batches import Requested, lanes_of, stackable

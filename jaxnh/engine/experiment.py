@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 from pydantic import PrivateAttr
 from pydantic_core import PydanticCustomError
 
-from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, Setting
 from jaxnh.analyses.batch import Axis
+from jaxnh.analyses.options.base import Options
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.config.config import Config, UserConfig, config_of, load_config
 from jaxnh.config.messages import fault_of_rule
-from jaxnh.config.options.base import Options
 from jaxnh.config.particle import PoincareSection
 from jaxnh.config.user_system import UserSection
 from jaxnh.config.yaml_source import from_dict, from_text

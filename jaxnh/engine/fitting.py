@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import Analysis, OptionError, Setting
+from jaxnh.analyses.options.base import Options, rule
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.config.blocks import Levels
 from jaxnh.config.messages import join_words
-from jaxnh.config.options.base import Options, rule
 
 
 def check_analysis(analysis: Analysis, options: Options, setting: Setting) -> None:

@@ -14,11 +14,11 @@ import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
 
-from jaxnh.analyses import ANALYSES, GROUPS
 from jaxnh.analyses.base import Analysis
 from jaxnh.analyses.batch import Axis
+from jaxnh.analyses.options.base import Options
+from jaxnh.analyses.registry import ANALYSES, GROUPS
 from jaxnh.config.blocks import MOST_LANES
-from jaxnh.config.options.base import Options
 from jaxnh.engine import dask_workers
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import Requested, batches

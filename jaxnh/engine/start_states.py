@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxnh.analyses.options.base import rule
 from jaxnh.config.messages import join_words
-from jaxnh.config.options.base import rule
 from jaxnh.config.user_system import UserInitial, UserSweep
 from jaxnh.systems.flow import STATUS, Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian, Motion

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from jaxnh.config.options.base import BLOCKS
+from jaxnh.analyses.options.base import BLOCKS
 
 OF_LANES = ("lyapunov", "period", "verdict", "chaos01")
 """Analyses whose lanes are by themselves, in the order that they are offered in."""

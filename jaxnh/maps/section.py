@@ -14,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnh.config.blocks import LONGEST_RETURN
+from jaxnh.maps.limits import LONGEST_RETURN
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import NO_RETURN, Flow, Output, Parameters, status
 from jaxnh.systems.state import Number, State, Vector, error_components

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxnh
-from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.levels.levels import lanes_near_changes
 
 

@@ -12,8 +12,8 @@ from jaxnh.analyses.exponents.errors import (
     widen_to_sum_rule,
     widen_to_zero,
 )
+from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.smooth_window import half_window_weights
-from jaxnh.config.options.base import BLOCKS
 
 PERIODS, LANES = 1024, 2000
 

@@ -7,7 +7,7 @@ import pytest
 
 import jaxnh
 from jaxnh.analyses.exponents.lyapunov import SOURCES
-from jaxnh.config.options.base import BLOCKS
+from jaxnh.analyses.options.base import BLOCKS
 
 UNCALIBRATED = True
 OSCILLATOR = """

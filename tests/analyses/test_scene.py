@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from measure import scene_of
 
-from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, OptionError, Setting, SweepLanes
 from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.cascade import follow
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.analyses.trajectories import diagram, poincare
 from jaxnh.maps.section import Section
 from jaxnh.solvers import SPLITTINGS

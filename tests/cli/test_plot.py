@@ -15,7 +15,7 @@ from hand_made import doublings, exponents, states, tree, write
 from matplotlib.image import imread
 
 from jaxnh import plot
-from jaxnh.analyses import GROUPS
+from jaxnh.analyses.registry import GROUPS
 from jaxnh.engine.experiment import load
 from jaxnh.plotting import results as figures
 from jaxnh.plotting.descriptions import describe

@@ -15,7 +15,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
 from jaxnh.engine.experiment import Experiment, load

@@ -9,10 +9,10 @@ import sys
 import pytest
 from conftest import ROOT
 
-from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.options import OPTIONS
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.config import solver_names
 from jaxnh.config.config import load_config
-from jaxnh.config.options import OPTIONS
 from jaxnh.engine.experiment import load
 from jaxnh.exceptions import ConfigError, UserFileError
 from jaxnh.solvers import NYSTROM, RUNGE_KUTTA, SOLVERS, SPLITTINGS
@@ -90,7 +90,7 @@ def test_a_jax_that_cannot_be_imported_is_not_noticed(tmp_path):
     assert "titel: unknown key (did you mean title?)" in done.stderr
 
 
-@pytest.mark.parametrize("module", ["jaxnh.config.options", "jaxnh.config.config", "jaxnh.systems.user_text"])
+@pytest.mark.parametrize("module", ["jaxnh.analyses.options", "jaxnh.config.config", "jaxnh.systems.user_text"])
 def test_options_and_blocks_import_no_jax(module):
     code = f"import sys, {module}; assert not {{'jax', 'equinox', 'diffrax', 'xarray'}} & sys.modules.keys()"
     subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)

@@ -14,11 +14,12 @@ from conftest import ROOT
 from measure import scene_of
 from unforced import ANGLE, LANES, SPLITTING, START, P, write_config
 
-from jaxnh.analyses import ANALYSES, chaos01, verdict
+from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.base import LANE
 from jaxnh.analyses.batch import broadcast_start
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.analyses.trajectories import diagram, poincare
 from jaxnh.cli import pricing
 from jaxnh.costs.operations import count

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from measure import scene_of
 
-from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.batch import LaneBatch
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import compute

@@ -7,7 +7,7 @@ import pytest
 from conftest import session_of
 from measure import some_slow
 
-from jaxnh.analyses import ANALYSES as KINDS
+from jaxnh.analyses.registry import ANALYSES as KINDS
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import lanes_near_changes
 from jaxnh.exceptions import ConfigError

@@ -8,7 +8,7 @@ import pytest
 from conftest import lanes_with_kept_programs
 from measure import some_slow
 
-from jaxnh.analyses import ANALYSES
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine import compute as pieces
 from jaxnh.engine import plan as work
 from jaxnh.engine.executor.lanes import LaneExecutor

@@ -304,7 +304,7 @@ def test_misuse_is_said_in_words(session, case):
 
 def test_options_are_typed():
     """Each analysis has its options under its own name, and they are those of a config."""
-    from jaxnh.analyses import ANALYSES
+    from jaxnh.analyses.registry import ANALYSES
 
     for name, analysis in ANALYSES.items():
         assert getattr(jaxnh, name.capitalize()) is analysis.options

@@ -25,12 +25,12 @@ from jaxnh.analyses.basins.settling import FAILED, Lot, settle
 from jaxnh.analyses.basins.steps_after_transient import choose_steps
 from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_units, select
+from jaxnh.analyses.options.base import BLOCKS
+from jaxnh.analyses.options.basins import BasinsOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.random_starts import check_box, random_start_batch
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.window_averages import average_window, maps, window_averages
-from jaxnh.config.options.base import BLOCKS
-from jaxnh.config.options.basins import BasinsOptions
 from jaxnh.maps.section import outputs
 from jaxnh.systems.flow import Output
 

@@ -31,11 +31,11 @@ from jaxnh.analyses.basins.volume import keeps_volume
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.equilibria.search import find_equilibria
 from jaxnh.analyses.exponents.lyapunov import run as exponents_of
+from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.verdict import KINDS, exceeds_shear, find_timeless, is_contracting, largest_across, nearly_zero
 from jaxnh.analyses.window_averages import WindowAverages, average_window, maps, points_a_unit, units
-from jaxnh.config.options.chaos import LyapunovOptions
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
 from jaxnh.systems.chart import Chart

@@ -23,8 +23,8 @@ from jaxnh.analyses.cascade.extended_precision import (
 )
 from jaxnh.analyses.cascade.follow import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
+from jaxnh.analyses.options.orbits import DoublingOptions
 from jaxnh.analyses.periodic.location import price_of_orbits
-from jaxnh.config.options.orbits import DoublingOptions
 from jaxnh.maps.section import System
 
 _LIMITS = ("delta_limit", "alpha", "limit")  # each with its error

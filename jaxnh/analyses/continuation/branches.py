@@ -30,10 +30,10 @@ from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
+from jaxnh.analyses.options.orbits import BranchesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
-from jaxnh.config.options.orbits import BranchesOptions
 from jaxnh.orbits.branches import StepControl
 
 _WORK = 3.0  # of a run, in those of settling: a guess

@@ -30,9 +30,9 @@ from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.families import orbit_family, parameter_plane
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves
+from jaxnh.analyses.options.orbits import CurvesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
-from jaxnh.config.options.orbits import CurvesOptions
 from jaxnh.orbits.branches import StepControl
 from jaxnh.orbits.codimension_two import POINTS, Special, special_points
 from jaxnh.orbits.curve_errors import errors_of_points, errors_of_special, refine_curve

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from scipy.special import stdtrit
 
 from jaxnh.analyses.exponents.tangent_growth import TangentState
+from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.smooth_window import half_window_weights, window_weights
-from jaxnh.config.options.base import BLOCKS
 
 _FEWEST = 4  # means of a batch that an error is taken from
 _ROUNDING = 1e-10  # of a smooth average a period

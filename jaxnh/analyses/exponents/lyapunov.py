@@ -44,9 +44,9 @@ from jaxnh.analyses.exponents.tangent_growth import (
     quadrature,
     split_stack,
 )
+from jaxnh.analyses.options.base import BLOCKS
+from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.config.options.base import BLOCKS
-from jaxnh.config.options.chaos import LyapunovOptions
 from jaxnh.maps.section import reports
 from jaxnh.systems.flow import NOT_FINITE, status
 

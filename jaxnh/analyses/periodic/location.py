@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
-from jaxnh.config.options.base import Options
 from jaxnh.maps.family import Maps, padded_like
 from jaxnh.maps.iterate import Derivatives, derivatives, section_map
 from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch, refine_doubling

@@ -8,10 +8,10 @@ from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, as_variable, number_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
+from jaxnh.analyses.options.orbits import PeriodOptions
 from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey_from_start
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
-from jaxnh.config.options.orbits import PeriodOptions
 from jaxnh.systems.flow import NOT_FINITE, status
 
 

@@ -19,6 +19,7 @@ from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, Starts
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.options.trajectories import DiagramOptions
 from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.section_points import points_at, states_at
@@ -31,7 +32,6 @@ from jaxnh.analyses.trajectories.states import (
     state_variables,
     statistics,
 )
-from jaxnh.config.options.trajectories import DiagramOptions
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import iterate

@@ -12,6 +12,7 @@ import xarray as xr
 
 from jaxnh.analyses.base import LANE, Analysis, Setting, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.options.trajectories import PoincareOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.trajectories.states import (
     TILE,
@@ -21,7 +22,6 @@ from jaxnh.analyses.trajectories.states import (
     settle_lanes,
     state_variables,
 )
-from jaxnh.config.options.trajectories import PoincareOptions
 from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters

@@ -9,9 +9,9 @@ from jax import lax
 
 from jaxnh.analyses.base import LANE, Analysis, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.options.trajectories import PortraitOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.trajectories.states import TILE, count, settle_lanes, state_variables
-from jaxnh.config.options.trajectories import PortraitOptions
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision

@@ -23,12 +23,12 @@ from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.continuation.known_branches import orbits_at
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.crises.band_phase import embed_points
+from jaxnh.analyses.options.orbits import WindowsOptions
 from jaxnh.analyses.periodic.attractor_survey import strobe_points, survey_from_start
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined_maps, walk
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
 from jaxnh.analyses.windows.tables import NOWHERE, OWN_NAMES, LocatedValue, dataset, table
-from jaxnh.config.options.orbits import WindowsOptions
 from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
 from jaxnh.orbits.branches import StepControl, follow_both_ways
 

@@ -24,9 +24,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Int
 
-from jaxnh.analyses import ANALYSES
 from jaxnh.analyses.base import LANE, variable
 from jaxnh.analyses.batch import Axis
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.storage.hdf5 import DATA
 from jaxnh.storage.pieces import Job, Piece
 

@@ -1,10 +1,10 @@
 """Options of the analyses, by the key of each in YAML: modules that import no JAX, so that a config is read at once."""
 
-from jaxnh.config.options.base import Options
-from jaxnh.config.options.basins import BasinsOptions
-from jaxnh.config.options.chaos import Chaos01Options, LyapunovOptions, VerdictOptions
-from jaxnh.config.options.orbits import BranchesOptions, CurvesOptions, DoublingOptions, PeriodOptions, WindowsOptions
-from jaxnh.config.options.trajectories import DiagramOptions, PoincareOptions, PortraitOptions
+from jaxnh.analyses.options.base import Options
+from jaxnh.analyses.options.basins import BasinsOptions
+from jaxnh.analyses.options.chaos import Chaos01Options, LyapunovOptions, VerdictOptions
+from jaxnh.analyses.options.orbits import BranchesOptions, CurvesOptions, DoublingOptions, PeriodOptions, WindowsOptions
+from jaxnh.analyses.options.trajectories import DiagramOptions, PoincareOptions, PortraitOptions
 
 OPTIONS: dict[str, type[Options]] = {
     options.__name__.removesuffix("Options").lower(): options

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from jaxnh.config.options.base import Options, rule
+from jaxnh.analyses.options.base import Options, rule
 
 _FOR_RANDOM = ("n_starts", "seed", "box")
 

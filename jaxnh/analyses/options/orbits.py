@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field, model_validator
 
-from jaxnh.config.options.base import Options, Side, rule
+from jaxnh.analyses.options.base import Options, Side, rule
 
 
 class PeriodOptions(Options):

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from jaxnh.config.options.base import BLOCKS, Options
+from jaxnh.analyses.options.base import BLOCKS, Options
 
 
 class LyapunovOptions(Options):

@@ -1,0 +1,36 @@
+"""All analyses by name, the only place that lists them."""
+
+from jaxnh.analyses import chaos01, verdict
+from jaxnh.analyses.base import Analysis
+from jaxnh.analyses.basins import basins
+from jaxnh.analyses.cascade import doubling
+from jaxnh.analyses.continuation import branches, curves
+from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.periodic import period
+from jaxnh.analyses.trajectories import diagram, poincare, portrait
+from jaxnh.analyses.windows import windows
+
+_MODULES = (
+    doubling,
+    lyapunov,
+    period,
+    portrait,
+    poincare,
+    diagram,
+    chaos01,
+    verdict,
+    basins,
+    branches,
+    curves,
+    windows,
+)
+
+ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}
+"""Every analysis by its key in YAML."""
+
+GROUPS: dict[str, Analysis] = {
+    group: analysis
+    for name, analysis in ANALYSES.items()
+    for group in (name, *(analysis.whole.brings if analysis.whole else ()))
+}
+"""The analysis that makes a group of a result, by its name."""
