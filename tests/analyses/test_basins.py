@@ -11,7 +11,8 @@ from measure import scene_of
 from scipy.integrate import solve_ivp
 
 import jaxnh
-from jaxnh.analyses.basins.classification import NONE, classify, stays_near
+from jaxnh.analyses.basins.classification import NONE, classify
+from jaxnh.analyses.basins.paths import stays_near
 from jaxnh.analyses.basins.settling import SETTLED, settle
 from jaxnh.analyses.basins.tables import wilson
 from jaxnh.analyses.verdict import KINDS

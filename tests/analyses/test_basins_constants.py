@@ -67,9 +67,10 @@ def test_labels_stay(usual, monkeypatch, name, value):
     """
     scene, before, kinds = usual
     assert np.all(before > 0)
-    for module in (settling, classification):
-        if hasattr(module, name):
-            monkeypatch.setattr(module, name, value)
+    having = [module for module in (settling, classification) if hasattr(module, name)]
+    assert having
+    for module in having:
+        monkeypatch.setattr(module, name, value)
     after, found = labels(SCENES[scene]())
     assert found == kinds
     moved = [np.bincount(after[before == number]).argmax() for number in range(1, before.max() + 1)]

@@ -18,9 +18,10 @@ from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, Setting, Starts, SweepLanes, SweepReduction, variable
 from jaxnh.analyses.basins.boundary import boundary_variables, check_plane
-from jaxnh.analyses.basins.classification import POINTS, Attractors, batch_from_points, record_points
+from jaxnh.analyses.basins.classification import POINTS, Attractors
 from jaxnh.analyses.basins.clustering import find_attractors, join_attractors
 from jaxnh.analyses.basins.continuation import ContinuedAttractors, Grid, continue_attractors
+from jaxnh.analyses.basins.paths import batch_from_points, record_points
 from jaxnh.analyses.basins.settling import FAILED, Lot, settle
 from jaxnh.analyses.basins.steps_after_transient import choose_steps
 from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares

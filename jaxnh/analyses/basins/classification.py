@@ -20,11 +20,18 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jaxtyping import Array, Bool, Float, Int, Int8
+from jaxtyping import Bool, Float, Int, Int8
 
+from jaxnh.analyses.basins.paths import (
+    LAGS,
+    batch_from_points,
+    drift_across,
+    flow_steps,
+    pad_points,
+    record_points,
+    recurrence_drift,
+)
 from jaxnh.analyses.basins.point_sets import lie_within, point_set, spacing
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, SETTLED_TO, Lot
 from jaxnh.analyses.basins.volume import keeps_volume
@@ -35,11 +42,7 @@ from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.verdict import KINDS, exceeds_shear, find_timeless, is_contracting, largest_across, nearly_zero
-from jaxnh.analyses.window_averages import WindowAverages, average_window, maps, points_a_unit, units
-from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.section import rates
-from jaxnh.systems.chart import Chart
-from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.analyses.window_averages import WindowAverages, average_window, points_a_unit, units
 from jaxnh.systems.state import State
 
 NONE = -1
@@ -51,16 +54,10 @@ LONGER = 16
 POINTS = 512
 """Points of an attractor that are kept."""
 
-FOLLOWED = 4
-"""Periods that restless lanes are followed to see whether they are on an attractor."""
 
 _CLOUD = 4096  # points that others' ends are held against
 _AVERAGED = 1024  # periods that exponents are averages over
-_LAGS = 64
-_EVERY = 4  # point of a cloud without a clock is held against those after it
-_NEAREST = 3  # steps of Gauss and Newton to the nearest point of a path
 _NEAR_ORBIT = 0.01  # sizes: what ends so near to an orbit may be on it
-_BOXED = 6  # coordinates
 _WIDER = 1.5  # than the largest distance of a point of a cloud from its earlier half
 _REPEATS = 1e-6  # sizes a period: chaos parts points from rounding to more than that
 _ASIDE, _GOLDEN = 1e-6, (np.sqrt(5.0) - 1.0) / 2.0  # sizes beside a motion, and what directions are made from
@@ -109,7 +106,6 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
         longest_period: of periodic orbits.
         longest: periods that a lane may take.
     """
-    look = lot.time // 2
     window, state = _average_confirming_window(batch, lanes, lot)
     size = np.where(batch.chart.angles, 1.0, np.maximum(window.largest, lot.least))
     unit = 2.0 * SETTLED_TO * units(np.array(batch.chart.angles), size)
@@ -120,40 +116,32 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
     kind, period = np.full(count, NONE, np.int8), np.zeros(count, np.int64)
     exponent, multiplier = np.full((2, count), np.nan)
     moved_on = batch_from_points(batch, lanes, u)
+    left = np.flatnonzero(stays)
     if batch.flow.autonomous:
         equilibria = find_equilibria(moved_on, lanes, u, lot.size, window)
         at_rest = equilibria.exists & stays
         kind[at_rest & equilibria.stable], exponent[at_rest] = EQUILIBRIUM, equilibria.exponent[at_rest]
         u[at_rest] = equilibria.u[at_rest]
         left = np.flatnonzero(stays & ~equilibria.exists)
-    elif not np.any(stays):
-        left = np.zeros(0, int)
-    else:
-        subset = np.flatnonzero(stays)
-        orbits = _orbits(batch.take(subset), lanes, u[subset], longest_period)
+    elif len(left):
+        orbits = _orbits(batch.take(left), lanes, u[left], longest_period)
         on_orbit = orbits.period > 0
-        periodic = subset[on_orbit]
+        periodic = left[on_orbit]
         kind[periodic], period[periodic] = PERIODIC, orbits.period[on_orbit]
         multiplier[periodic], u[periodic] = orbits.multiplier[on_orbit], orbits.u[on_orbit]
         with np.errstate(divide="ignore"):
             exponent[periodic] = np.log(multiplier[periodic]) / (period[periodic] * batch.flow.period)
-        left = subset[~on_orbit]
+        left = left[~on_orbit]
     near, margin = np.full((2, count), _NEAR_ORBIT)
     points = record_points(batch_from_points(batch, lanes, u), lanes, POINTS)
     steps = np.zeros_like(points)
     if len(left):
-        kind[left], exponent[left] = _exponent_kinds(
-            moved_on.take(left), lanes, select(window, left), LONGER * look[left]
+        looked = LONGER * (lot.time // 2)[left]
+        kind[left], exponent[left], cloud = _classify_recurrent(
+            moved_on.take(left), lanes, (u[left], size[left]), select(window, left), looked, longest
         )
-        cloud = record_points(moved_on.take(left), lanes, _CLOUD)
-        drift = _drift(batch.chart, cloud[:, -POINTS:], size[left])
-        passing = kind[left] == QUASIPERIODIC
-        across = _drift_across(batch, select((cloud, size[left]), passing)) if batch.flow.autonomous else drift[passing]
-        passing[passing] = across * LONGER * look[left][passing] < 1.0
-        kind[left[passing | ((kind[left] == CHAOTIC) & (drift <= _REPEATS))]] = NONE
-        kind[left[_keep_volume(moved_on.take(left), lanes, u[left], kind[left], longest)]] = NONE
         points, steps = pad_points(points, steps, _CLOUD)
-        points[left], steps[left] = cloud, _steps(batch.take(left), lanes, cloud)
+        points[left], steps[left] = cloud, flow_steps(batch.take(left), lanes, cloud)
         for k in left:
             near[k] = _WIDER * spacing(batch.chart, points[k], np.zeros_like(steps[k]), size[k])
             margin[k] = max(_WIDER * spacing(batch.chart, points[k], steps[k], size[k]), _NEAR_ORBIT)
@@ -163,71 +151,6 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
         kind[subset[_leave_sets(moved_on.take(subset), lanes, u[subset], sets)]] = NONE
     means = np.asarray(window.whole)
     return Attractors(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
-
-
-def pad_points(
-    points: Float[np.ndarray, "reps points d"], steps: Float[np.ndarray, "reps points d"], count: int
-) -> tuple[Float[np.ndarray, "reps count d"], Float[np.ndarray, "reps count d"]]:
-    """Pad points and their steps to `count`: the last point is repeated, without a step."""
-    more = [(0, 0), (0, count - points.shape[1]), (0, 0)]
-    return np.pad(points, more, mode="edge"), np.pad(steps, more)
-
-
-def batch_from_points(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> LaneBatch:
-    """Return the same lanes started from section points."""
-    return LaneBatch(**{**batch.__dict__, "start": states_at(batch, lanes, u)})
-
-
-def follow_paths(
-    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
-) -> Float[np.ndarray, "lanes points d"]:
-    """Return points of lanes that go on from u, which is the first of them."""
-    strobe, parts = maps(batch)
-    return lanes(_follow_path, (strobe,), (u, dict(batch.p)), periods=FOLLOWED, static=(parts,))
-
-
-def _follow_path(strobe: ReturnMap, u: Array, p: Parameters, parts: int) -> Float[Array, "points d"]:
-    chart = strobe.chart
-
-    def follow(state: State, _: None) -> tuple[State, Array]:
-        if parts:
-            state, _ = lax.scan(lambda z, part: (part(z, p), None), state, strobe)
-        else:
-            state = strobe(state, p)
-        return state, chart.point(state)
-
-    return jnp.concatenate([u[None], lax.scan(follow, chart.state(u), length=FOLLOWED)[1]])
-
-
-def stays_near(
-    turns: Bool[np.ndarray, " d"],
-    paths: Float[np.ndarray, "lanes followed d"],
-    points: Float[np.ndarray, "points d"],
-    edge: Float[np.ndarray, " d"],
-) -> Bool[np.ndarray, " lanes"]:
-    """Whether all points of paths lie in boxes of these edges that contain some of the points, or next to one.
-
-    Boxes are looked up by number, in the order of the points: a million lanes take a second. Of more than six
-    coordinates the first six are looked at.
-    """
-    turns, paths, points, edge = turns[:_BOXED], paths[..., :_BOXED], points[:, :_BOXED], edge[:_BOXED]
-    around = np.where(turns, np.ceil(2 * np.pi / edge), np.inf)  # boxes
-    lowest = np.where(turns, -np.pi, points.min(axis=0))
-    own = np.unique(np.floor((points - lowest) / edge), axis=0)
-    steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * len(edge), indexing="ij"), axis=-1).reshape(-1, 1, len(edge))
-    boxes = (own + steps).reshape(-1, len(edge))
-    boxes = np.where(turns, np.mod(boxes, around), boxes)
-    place = np.floor((paths - lowest) / edge)
-    place = np.where(turns, np.mod(place, around), place)
-    first = boxes.min(axis=0)
-    counts = boxes.max(axis=0) - first + 1.0
-    with np.errstate(invalid="ignore"):
-        inside = np.all((place >= first) & (place < first + counts), axis=-1)
-    weights = np.concatenate([np.cumprod(counts[::-1])[-2::-1], [1.0]])
-    known = np.unique((boxes - first) @ weights)
-    at = np.where(inside, np.where(inside[..., None], place - first, 0.0) @ weights, -1.0)
-    there = np.minimum(np.searchsorted(known, at), len(known) - 1)
-    return np.all(known[there] == at, axis=1)
 
 
 def _average_confirming_window(batch: LaneBatch, lanes: LaneRunner, lot: Lot) -> tuple[WindowAverages, State]:
@@ -255,6 +178,33 @@ def _orbits(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
 # ---- all others
 
 
+def _classify_recurrent(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    ends: tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d"]],
+    window: WindowAverages,
+    looked: Int[np.ndarray, " lanes"],
+    longest: int,
+) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"], Float[np.ndarray, "lanes points d"]]:
+    """Return kinds of motions on no orbit and no equilibrium, the exponents that decide, and points of the motions.
+
+    Args:
+        ends: points that the motions go on from, and sizes of the motions.
+        looked: periods of the window.
+        longest: periods that a lane may take.
+    """
+    u, size = ends
+    kind, exponent = _exponent_kinds(batch, lanes, window, looked)
+    cloud = record_points(batch, lanes, _CLOUD)
+    drift = recurrence_drift(batch.chart, cloud[:, -POINTS:], size)
+    passing = kind == QUASIPERIODIC
+    across = drift_across(batch, select((cloud, size), passing)) if batch.flow.autonomous else drift[passing]
+    passing[passing] = across * looked[passing] < 1.0
+    kind[passing | ((kind == CHAOTIC) & (drift <= _REPEATS))] = NONE
+    kind[_keep_volume(batch, lanes, u, kind, longest)] = NONE
+    return kind, exponent, cloud
+
+
 def _exponent_kinds(
     batch: LaneBatch, lanes: LaneRunner, window: WindowAverages, looked: Int[np.ndarray, " lanes"]
 ) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
@@ -263,7 +213,7 @@ def _exponent_kinds(
     if not clock and batch.flow.exponents == 1:  # along the flow there is one alone
         around = _comes_back(batch, window, looked)
         return np.where(around, LIMIT_CYCLE, NONE).astype(np.int8), np.full(batch.count, np.nan)
-    options = LyapunovOptions(transient=_LAGS, periods=_AVERAGED, exponents=min(2, batch.flow.exponents))
+    options = LyapunovOptions(transient=LAGS, periods=_AVERAGED, exponents=min(2, batch.flow.exponents))
     spectrum = exponents_of(options, batch, lanes)
     every, errors = spectrum["exponents"].to_numpy(), spectrum["exponents_error"].to_numpy()
     largest, error = (every[:, 0], errors[:, 0]) if clock else largest_across(every, errors)
@@ -301,79 +251,6 @@ def _mean_turns(turns: Bool[np.ndarray, " d"], window: WindowAverages) -> Float[
         mean_turns[:, i] = window.whole[:, place + 2] if turning else 0.0
         place += 3 if turning else 2
     return mean_turns
-
-
-def _drift(
-    chart: Chart, points: Float[np.ndarray, "lanes points d"], size: Float[np.ndarray, "lanes d"]
-) -> Float[np.ndarray, " lanes"]:
-    """Return how far points move a period, in sizes, after the lag at which they recur best."""
-    drift, scale = np.full(len(points), np.inf), np.where(size > 0.0, size, 1.0)[:, None]
-    for lag in range(1, _LAGS + 1):
-        moved = np.abs(chart.wrap(points[:, lag:] - points[:, :-lag])) / scale
-        drift = np.fmin(drift, moved.max(axis=(1, 2)) / lag)
-    return drift
-
-
-def _drift_across(
-    batch: LaneBatch, motion: tuple[Float[np.ndarray, "lanes points d"], Float[np.ndarray, "lanes d"]]
-) -> Float[np.ndarray, " lanes"]:
-    """Return the drift of autonomous motions: across the flow, after the time at which they recur best.
-
-    Paths between points are parabolas, through a point and those beside it.
-    """
-    drift, wrap = np.full(len(motion[0]), np.inf), batch.chart.wrap
-    for k, (points, size) in enumerate(zip(*motion, strict=True)):
-        scale = np.where(size > 0.0, size, 1.0)
-        steps = wrap(np.diff(points, axis=0)) / scale
-        velocity, bend = 0.5 * (steps[1:] + steps[:-1]), 0.5 * (steps[1:] - steps[:-1])  # of all but both ends
-        first = np.arange(1, len(points) // 2, _EVERY)
-        for lag in range(2, len(points) // 2 - 1):  # the path at a lag of one begins with the point itself
-            away = wrap(points[first + lag] - points[first]) / scale
-            v, c = velocity[first + lag - 1], bend[first + lag - 1]
-            if np.max(np.abs(away) - np.abs(v) - np.abs(c)) >= lag * drift[k]:  # however near the paths come
-                continue
-            at = np.zeros(len(first))
-            for _ in range(_NEAREST):
-                slope = v + 2.0 * at[:, None] * c
-                there = away + at[:, None] * (v + at[:, None] * c)
-                along = np.sum(slope * slope, axis=1)
-                at = np.clip(at - np.sum(slope * there, axis=1) / np.where(along > 0.0, along, 1.0), -1.0, 1.0)
-            there = away + at[:, None] * (v + at[:, None] * c)
-            drift[k] = min(drift[k], np.abs(there).max() / lag)
-    return drift * points_a_unit(batch)
-
-
-def record_points(batch: LaneBatch, lanes: LaneRunner, count: int) -> Float[np.ndarray, "lanes points d"]:
-    """Return successive points of lanes: strobes, or for an autonomous flow several in a unit of time."""
-    strobe, parts = maps(batch)
-    return lanes(_record, (strobe,), batch.lanes, periods=count, static=(count, parts))
-
-
-def _record(strobe: ReturnMap, state: State, p: Parameters, count: int, parts: int) -> Float[Array, "points d"]:
-    def point(state: State, strobe: ReturnMap) -> tuple[State, Array]:
-        after = strobe(state, p)
-        return after, strobe.chart.point(after)
-
-    if not parts:
-        return lax.scan(lambda state, _: point(state, strobe), state, length=count)[1]
-    points = lax.scan(lambda state, _: lax.scan(point, state, strobe), state, length=-(-count // parts))[1]
-    return points.reshape(-1, points.shape[-1])[:count]
-
-
-def _steps(
-    batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "lanes points d"]
-) -> Float[np.ndarray, "lanes points d"]:
-    """Return the displacement along the flow in the time between recorded points, zero with a clock."""
-    if not batch.flow.autonomous:
-        return np.zeros_like(points)
-    each = batch.take(np.repeat(np.arange(batch.count), points.shape[1]))
-    rates = lanes(_rate, (batch.flow,), (points.reshape(-1, points.shape[2]), dict(each.p)))
-    return rates.reshape(points.shape) * (batch.flow.period / points_a_unit(batch))
-
-
-def _rate(flow: Flow, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
-    state = flow.chart.state(u)
-    return jnp.stack(rates(flow, state, p))
 
 
 def _leave_sets(

@@ -24,10 +24,8 @@ from jaxnh.analyses.basins.classification import (
     POINTS,
     Attractors,
     classify,
-    follow_paths,
-    pad_points,
-    stays_near,
 )
+from jaxnh.analyses.basins.paths import follow_paths, pad_points, stays_near
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
 from jaxnh.analyses.basins.settling import CONSERVATIVE, OPEN, RESTLESS, SETTLED, Lot, resume
 from jaxnh.analyses.basins.volume import keeps_volume

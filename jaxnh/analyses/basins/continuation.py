@@ -17,8 +17,9 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Attractors, batch_from_points
+from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Attractors
 from jaxnh.analyses.basins.clustering import Assignment, match, same_orbits, same_within
+from jaxnh.analyses.basins.paths import batch_from_points
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, resume, settle
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.crises.band_phase import embed_points

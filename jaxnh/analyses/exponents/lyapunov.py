@@ -12,7 +12,6 @@ tangents are those across it, one fewer, and no section is needed.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -34,6 +33,7 @@ from jaxnh.analyses.exponents.errors import (
     widen_to_zero,
 )
 from jaxnh.analyses.exponents.from_orbits import OrbitExponents, early_orbits, find_orbits, no_orbits, orbit_exponents
+from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refinement_needed
 from jaxnh.analyses.exponents.tangent_growth import (
     TangentState,
     advance,
@@ -42,7 +42,6 @@ from jaxnh.analyses.exponents.tangent_growth import (
     cut_period,
     period_parts,
     quadrature,
-    split_stack,
 )
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
@@ -53,16 +52,9 @@ from jaxnh.systems.flow import NOT_FINITE, status
 SOURCES = ("average", "smooth_average", "orbit", "equilibrium")
 """Meanings of the flags 0 to 3 of `exponents_method`."""
 
-_LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left
-_LARGEST_SEEN = 24.0  # beyond that a loss drowns in rounding
-_MOST_PARTS = 1024
-_PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
 _COMPARED = 16  # periods in which a smooth average is held against one with twice the steps
-_TANGENT_ERROR = 1e-4  # of the logarithm of a tangent's growth a period, and of its modulus where that is above one
-_TANGENT_ERRORS = 100.0  # or so many times the error of the map, of a coarse target
-_MOST_REFINED = 16
 _PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
 _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
@@ -113,8 +105,8 @@ def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     batch, k = batch.without_section(), tangents(options, batch.without_section())
     if k == 1:
         return {"parts": 1}
-    parts, growth = _parts_needed(batch, lanes, k)
-    refinement = _refinement_needed(batch, lanes, growth, parts)
+    parts, growth = parts_needed(batch, lanes, k)
+    refinement = refinement_needed(batch, lanes, growth, parts)
     return {"parts": parts} | ({"refinement": refinement} if refinement > 1 else {})
 
 
@@ -261,7 +253,7 @@ def _step_error(
     """Return twice the change by twice the steps in the growth over a few periods from the present states.
 
     Regular motions from one state stay together for that long. In plain averages this is far below the scatter, as
-    steps are chosen for tangents as well (`_refinement_needed`).
+    steps are chosen for tangents as well (`refinement_needed`).
     """
     if not len(subset):
         return np.zeros((0, len(growth.logs)))
@@ -278,66 +270,6 @@ def every_exponent(options: LyapunovOptions, batch: LaneBatch) -> bool:
 def tangents(options: LyapunovOptions, batch: LaneBatch) -> int:
     """Return how many tangents are carried: one for each exponent that is wanted and not known."""
     return min(options.exponents, batch.flow.exponents - int(batch.flow.autonomous))
-
-
-def _pilots(batch: LaneBatch) -> LaneBatch:
-    """Return a sample of lanes across a sweep."""
-    return batch.take(np.unique(np.linspace(0, batch.count - 1, _PILOT_LANES).round().astype(int)))
-
-
-def _parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, TangentState]:
-    """Return orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
-
-    Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
-    bounds what a longer part does; where that is all that rounding lets one see, a smaller part is looked at. Also
-    these lanes some periods from their start.
-    """
-    few = _pilots(batch)
-    parts = _PILOT_PARTS
-    while True:
-        state, p = few.lanes
-        growth = lanes(begin, (batch.system,), (state,), static=(k,))
-        # The first number of parts one at a time, through the program of a whole period, which is needed anyway.
-        single = parts == _PILOT_PARTS
-        strobes = cut_period(batch, parts)
-        loss = 0.0
-        for strobe in split_stack(strobes, cut_period(batch, 1)) * _PILOT_PERIODS if single else (strobes,):
-            growth, _ = average(lanes, strobe, growth, p, 1 if single else _PILOT_PERIODS)
-            loss = float(np.max(growth.loss, initial=loss, where=np.isfinite(growth.loss)))
-        if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
-            break
-        parts *= 4
-    return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / _LARGEST_LOSS, 1.0))), 1, _MOST_PARTS)), growth
-
-
-def _refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState, parts: int) -> int:
-    """Return the factor of the steps, a power of two, beyond which doubling it does not change tangents.
-
-    Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
-    its polynomial can follow. Measured on lanes across the sweep, part by part from one state each, so that paths that
-    chaos parts do not count.
-    """
-    if not batch.target:
-        return 1
-    few, room = _pilots(batch), cut_period(batch, 1)
-    p, refinement, enough = dict(few.p), 1, max(_TANGENT_ERROR, _TANGENT_ERRORS * batch.error_estimate)
-    periods = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts)
-    while refinement < _MOST_REFINED:
-        pieces = (refinement * parts, 2 * refinement * parts)
-        coarse, fine = (split_stack(cut_period(batch, n, n // parts), room) for n in pieces)
-        now, apart, whole = growth, *np.zeros((2, 1, 1))
-        for i in range(len(coarse) * periods):
-            i %= len(coarse)
-            _, once = average(lanes, coarse[i], now, p, 1)
-            now, first = average(lanes, fine[2 * i], now, p, 1)
-            now, second = average(lanes, fine[2 * i + 1], now, p, 1)
-            apart, whole = apart + once - first - second, whole + np.abs(first + second)
-        apart, whole = (np.abs(values[:, : len(growth.logs)]) / periods for values in (apart, whole))
-        short = apart > enough * np.maximum(whole, 1.0)
-        if not np.any(short & np.isfinite(apart)):
-            break
-        refinement *= 2
-    return refinement
 
 
 def _dataset(

@@ -1,0 +1,84 @@
+"""How often a period tangents are orthonormalised, and how fine their steps are: measured on lanes across a sweep."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.exponents.tangent_growth import (
+    TangentState,
+    average,
+    begin,
+    cut_period,
+    split_stack,
+)
+
+_LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left
+_LARGEST_SEEN = 24.0  # beyond that a loss drowns in rounding
+_MOST_PARTS = 1024
+_PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
+_TANGENT_ERROR = 1e-4  # of the logarithm of a tangent's growth a period, and of its modulus where that is above one
+_TANGENT_ERRORS = 100.0  # or so many times the error of the map, of a coarse target
+_MOST_REFINED = 16
+
+
+def _pilots(batch: LaneBatch) -> LaneBatch:
+    """Return a sample of lanes across a sweep."""
+    return batch.take(np.unique(np.linspace(0, batch.count - 1, _PILOT_LANES).round().astype(int)))
+
+
+def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, TangentState]:
+    """Return orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
+
+    Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
+    bounds what a longer part does; where that is all that rounding lets one see, a smaller part is looked at. Also
+    these lanes some periods from their start.
+    """
+    few = _pilots(batch)
+    parts = _PILOT_PARTS
+    while True:
+        state, p = few.lanes
+        growth = lanes(begin, (batch.system,), (state,), static=(k,))
+        # The first number of parts one at a time, through the program of a whole period, which is needed anyway.
+        single = parts == _PILOT_PARTS
+        strobes = cut_period(batch, parts)
+        loss = 0.0
+        for strobe in split_stack(strobes, cut_period(batch, 1)) * _PILOT_PERIODS if single else (strobes,):
+            growth, _ = average(lanes, strobe, growth, p, 1 if single else _PILOT_PERIODS)
+            loss = float(np.max(growth.loss, initial=loss, where=np.isfinite(growth.loss)))
+        if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
+            break
+        parts *= 4
+    return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / _LARGEST_LOSS, 1.0))), 1, _MOST_PARTS)), growth
+
+
+def refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState, parts: int) -> int:
+    """Return the factor of the steps, a power of two, beyond which doubling it does not change tangents.
+
+    Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
+    its polynomial can follow. Measured on lanes across the sweep, part by part from one state each, so that paths that
+    chaos parts do not count.
+    """
+    if not batch.target:
+        return 1
+    few, room = _pilots(batch), cut_period(batch, 1)
+    p, refinement, enough = dict(few.p), 1, max(_TANGENT_ERROR, _TANGENT_ERRORS * batch.error_estimate)
+    periods = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts)
+    while refinement < _MOST_REFINED:
+        pieces = (refinement * parts, 2 * refinement * parts)
+        coarse, fine = (split_stack(cut_period(batch, n, n // parts), room) for n in pieces)
+        now, apart, whole = growth, *np.zeros((2, 1, 1))
+        for i in range(len(coarse) * periods):
+            i %= len(coarse)
+            _, once = average(lanes, coarse[i], now, p, 1)
+            now, first = average(lanes, fine[2 * i], now, p, 1)
+            now, second = average(lanes, fine[2 * i + 1], now, p, 1)
+            apart, whole = apart + once - first - second, whole + np.abs(first + second)
+        apart, whole = (np.abs(values[:, : len(growth.logs)]) / periods for values in (apart, whole))
+        short = apart > enough * np.maximum(whole, 1.0)
+        if not np.any(short & np.isfinite(apart)):
+            break
+        refinement *= 2
+    return refinement
