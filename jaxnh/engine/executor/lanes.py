@@ -16,8 +16,8 @@ from jaxnh.engine.executor.programs import Programs
 from jaxnh.engine.executor.tiles import Call, DeviceTiles, Tiles, count_of
 from jaxnh.engine.progress import NullProgress, Progress
 from jaxnh.engine.xla_options import machine
-from jaxnh.maps import iterate
 from jaxnh.maps.family import Maps, ParameterFamily
+from jaxnh.maps.iterate import iterate
 
 TILE = 256
 """Lanes a tile: large enough to hide what a kernel call costs, small enough for a core's first cache."""
@@ -150,7 +150,7 @@ class LaneExecutor:
         longest = max(1, _LONGEST // self._tile((maps,), tile))
         while n > 0:
             count = min(n, longest)
-            state = self(iterate.iterate, (maps, np.int32(count)), (state, p), periods=count, tile=tile)
+            state = self(iterate, (maps, np.int32(count)), (state, p), periods=count, tile=tile)
             n -= count
         return state
 
