@@ -11,7 +11,7 @@ class JaxnhError(Exception):
 
 
 class InputError(JaxnhError):
-    """What was asked for cannot be done: an argument, an option, a name or an output. Ask for something else."""
+    """A request that cannot be carried out: an argument, an option, a name or an output. Ask for something else."""
 
 
 class ArgumentError(InputError):

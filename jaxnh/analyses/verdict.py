@@ -238,7 +238,7 @@ def recurrence_lag(strobe: ReturnMap, count: ArrayLike, state: State, p: Paramet
 
 
 def ignores_time(strobe: ReturnMap, flow: Flow, times: Float[Array, " times"], state: State, p: Parameters) -> Array:
-    """Whether the right-hand side is the same at all times, to the bit, in states that a lane comes to."""
+    """Return whether the right-hand side is the same at all times, to the bit, in states that a lane comes to."""
     _, states = record(strobe, state, p, _LOOKS)
 
     def rates(t: Array) -> State:
@@ -254,7 +254,7 @@ def is_contracting(
     strobe_period: float,
     averaged: Int[np.ndarray, " lanes"],
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether the second exponent is known, and negative beyond what a torus leaves of it in a finite average."""
+    """Return whether the second exponent is known, and negative beyond what a torus leaves in a finite average."""
     if exponents.shape[1] < 2:
         return np.zeros(len(exponents), bool)
     return (exponents[:, 1] + errors[:, 1]) * averaged * strobe_period < -2.0 * np.log(averaged)
@@ -266,14 +266,14 @@ def exceeds_shear(
     iterates: Float[np.ndarray, " lanes"] | Int[np.ndarray, " lanes"] | int,
     each: Float[np.ndarray, " lanes"] | float,
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether an exponent averaged over so many iterates of a time each is above what shear on a torus leaves in it."""
+    """Return whether an exponent averaged over so many iterates is above what shear on a torus leaves in it."""
     return (largest - error) * (iterates * each) > 2.0 * np.log(iterates)
 
 
 def nearly_zero(
     largest: Float[np.ndarray, " lanes"], error: Float[np.ndarray, " lanes"], each: Float[np.ndarray, " lanes"] | float
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether an exponent is zero within a small error, with the time of an iterate."""
+    """Return whether an exponent is zero within a small error, with the time of an iterate."""
     return (np.abs(largest) <= error) & (error * each <= _SMALL_ERROR)
 
 

@@ -1,1 +1,1 @@
-"""What the commands share: exit codes, signals, progress and tables on a terminal."""
+"""The command line: commands, and what they share: exit codes, signals, progress and tables on a terminal."""

@@ -1,4 +1,4 @@
-"""How a command ends: exit codes with one line each, and signals that ask a run to stop. No numerics, no JAX."""
+"""The end of a command: exit codes with one line each, and signals that ask a run to stop. No numerics, no JAX."""
 
 from __future__ import annotations
 

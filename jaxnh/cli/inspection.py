@@ -1,4 +1,4 @@
-"""What `jaxnh.inspect` says of a result file: how it was made, what is in it, whether it is right. No JAX.
+"""Report of `jaxnh.inspect` on a result file: how it was made, what is in it, whether it is right. No JAX.
 
 Variables are read by h5py in blocks: a result may be larger than memory.
 """
@@ -191,7 +191,7 @@ def _worst_codes(item: h5py.Dataset, axes: Sequence[str]) -> np.ndarray:
 
 
 def _place(axes: Sequence[h5py.Dataset | None], place: Sequence[int]) -> str:
-    """Where a lane lies, in values of the axes."""
+    """Return where a lane lies, in values of the axes."""
     words = [f"{k if axis is None else axis[k]:.6g}" for axis, k in zip(axes, place, strict=True)]
     return words[0] if len(words) == 1 else f"({', '.join(words)})"
 

@@ -1,4 +1,4 @@
-"""What `jaxnh.cost` does: solvers or effects of a config priced, written, drawn and shown."""
+"""The work of `jaxnh.cost`: solvers or effects of a config priced, written, drawn and shown."""
 
 from __future__ import annotations
 

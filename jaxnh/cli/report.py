@@ -1,4 +1,4 @@
-"""What `jaxnh.sweep` says at its end: tables of analyses, warnings, accuracy and cost. No numerics."""
+"""Report of `jaxnh.sweep` at its end: tables of analyses, warnings, accuracy and cost. No numerics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run shows: progress with rate and time left, and tables at its end. No numerics."""
+"""Display of a run: progress with rate and time left, and tables at its end. No numerics."""
 
 from __future__ import annotations
 

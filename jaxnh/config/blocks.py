@@ -185,7 +185,7 @@ class SystemBlock(Block, abc.ABC):
         """Check that parameters, start state and sweep go together."""
 
     def has_clock(self, sweep: SweepBlock) -> bool | None:
-        """Whether a forcing or a disturbance keeps time; None where the config alone does not say."""
+        """Return whether a forcing or a disturbance keeps time; None where the config alone does not say."""
         return None
 
     @abc.abstractmethod

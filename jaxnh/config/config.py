@@ -1,4 +1,4 @@
-"""What a config says, as frozen records that are valid once they exist. Nothing here imports JAX.
+"""The content of a config, as frozen records that are valid once they exist. Nothing here imports JAX.
 
 The blocks of all systems are in blocks.py, of the particle in particle.py and of users' systems in user_system.py, the
 options of analyses in options/, what goes with what in fitting.py, YAML and its lines in yaml_source.py, words for a
@@ -127,7 +127,7 @@ class Config(Block):
 
     @property
     def label(self) -> str:
-        """What messages call it: the name of the file, or "experiment"."""
+        """Describe what messages call it: the name of the file, or "experiment"."""
         return str(self.source or "experiment")
 
     @property

@@ -1,4 +1,4 @@
-"""What of accuracy goes with which systems and analyses."""
+"""Rules on which accuracy goes with which systems and analyses."""
 
 from __future__ import annotations
 

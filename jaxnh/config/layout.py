@@ -1,4 +1,4 @@
-"""Which block stands at which key of a config, so that a fault is told in the words of the block that has it."""
+"""The block at each key of a config, so that a fault is told in the words of the block that has it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What pydantic found wrong with a config, in one line of plain words. The rules themselves are in the models."""
+"""Faults that pydantic finds in a config, in one line of plain words. The rules themselves are in the models."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _BOUNDS = {
 
 @dataclass(frozen=True)
 class Layout:
-    """Where in a config which model stands.
+    """The models at the places of a config.
 
     Attributes:
         models: path to the model there.
@@ -126,7 +126,7 @@ def join_words(words: Sequence[str]) -> str:
 
 
 def explain_unknown(key: str, known: Collection[str], others: Collection[str] = ()) -> str:
-    """What is wrong with a key that is not known; `others` are known where something else has been chosen."""
+    """Describe what is wrong with a key that is not known; `others` are known where something else has been chosen."""
     return f"unknown key{close_match(key, known) or close_match(key, others)}; {_keys(known)}"
 
 

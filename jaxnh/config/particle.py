@@ -120,11 +120,11 @@ class Particle(SystemBlock):
 
     @property
     def effects_left_out(self) -> frozenset[str]:
-        """Those named, of `systems.particle_parameters.EFFECTS`."""
+        """The effects that are named, of `systems.particle_parameters.EFFECTS`."""
         return frozenset(self.without or ())
 
     def has_clock(self, sweep: SweepBlock) -> bool:
-        """Whether there is a forcing or a disturbance."""
+        """Return whether there is a forcing or a disturbance."""
         return "forcing" not in self.effects_left_out
 
     def start(self, initial: Initial) -> Mapping[str, float]:
@@ -181,7 +181,7 @@ class _Values:
         return self._grids[name].grid() if self.swept(name) else np.array([self._single[name]], dtype=np.float64)
 
     def swept(self, name: str) -> bool:
-        """Whether there is an axis of this name."""
+        """Return whether there is an axis of this name."""
         return name in self._grids
 
     def keys(self, *names: str) -> Iterator[str]:
@@ -246,7 +246,7 @@ class DisturbedSpeed(PrescribedSpeed):
         super()._check_values(values)
 
     def has_clock(self, sweep: SweepBlock) -> bool:
-        """Whether there is a forcing or a disturbance."""
+        """Return whether there is a forcing or a disturbance."""
         return super().has_clock(sweep) or self.d != 0 or "d" in sweep.grids
 
 

@@ -48,11 +48,11 @@ class ConfigSource:
         return dump(self.tree) if self.given is None else self.given
 
     def is_overridden(self, key: KeyPath) -> bool:
-        """Whether the value of a key came from an override."""
+        """Return whether the value of a key came from an override."""
         return any(key[: len(root)] == root for root in self.overridden)
 
     def blame(self, keys: Sequence[KeyPath]) -> KeyPath:
-        """Of keys that do not go together, the one to report: an overridden one, else one that the file has."""
+        """Return the one to report of keys that do not go together: an overridden one, else one that the file has."""
         for wanted in (self.is_overridden, self.positions.__contains__):
             for key in keys:
                 if wanted(key):

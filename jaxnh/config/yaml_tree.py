@@ -37,7 +37,7 @@ _DEEPEST = 16
 
 
 class Fault(Exception):
-    """What is wrong with a piece of YAML, before it is known whose it is; lines count from 1."""
+    """A fault in a piece of YAML, before it is known whose it is; lines count from 1."""
 
     def __init__(self, message: str, line: int, key: KeyPath = ()) -> None:
         super().__init__(message)
@@ -218,7 +218,7 @@ def plain(node: Any, path: KeyPath = ()) -> Any:
 
 
 def tree_of(node: Any, positions: dict[KeyPath, tuple[int, int]], path: KeyPath = ()) -> Any:
-    """What a dict says as a tree that can be written as YAML, and the number of each key in its order.
+    """Describe what a dict says as a tree that can be written as YAML, and the number of each key in its order.
 
     Raises:
         Fault: a key that is not text, a value that YAML has no place for.

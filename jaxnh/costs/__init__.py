@@ -1,4 +1,4 @@
-"""What accuracy costs on a batch, a file a quantity: the map of one period, a doubling point, an exponent. No files."""
+"""Cost of accuracy on a batch, a file a quantity: the map of one period, a doubling point, an exponent. No files."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple

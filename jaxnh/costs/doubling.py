@@ -44,7 +44,7 @@ _BEHIND, _AHEAD = 2.0, 0.5  # ends of the bracket about the doubling, in distanc
 
 
 class DoublingBracket(NamedTuple):
-    """Where to look: the orbit of period n, stable at the first end of the bracket, doubles before the second."""
+    """A bracket: the orbit of period n, stable at the first end of the bracket, doubles before the second."""
 
     n: int
     bracket: tuple[float, float]

@@ -1,4 +1,4 @@
-"""What every effect of a batch costs, and every analysis: operations of the compiled programs with and without it.
+"""Cost of every effect of a system, and of every analysis: operations of the compiled programs with and without it.
 
 An effect is left out of the batch's own system and nothing else is changed: the same solver, the same steps. Times
 are of all processors, which other programs on the machine disturb less than that of the clock: of one program after the

@@ -116,7 +116,7 @@ def _even_places(axes: Sequence[Axis], wanted: Sequence[bool], most: int | None,
 
 
 def _even_counts(sizes: Sequence[int], most: int | None) -> list[int]:
-    """How many places to take along axes of these sizes: both ends, and beyond these no more than `most` in all.
+    """Return how many places to take along axes of these sizes: both ends, and beyond these no more than `most` in all.
 
     What a short axis does not need is left to the others.
     """

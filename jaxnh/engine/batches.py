@@ -1,4 +1,4 @@
-"""Which pieces of a sweep are computed together, and whether they may be of several values of the shared axes."""
+"""Pieces of a sweep that are computed together, and whether they may be of several values of the shared axes."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def batches(
 
 
 def stackable(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> bool:
-    """Whether lanes at several values of the axes that lanes share can go through one program.
+    """Return whether lanes at several values of the axes that lanes share can go through one program.
 
     All that such an axis changes has to be in the tables of maps with a clock.
     """
@@ -80,12 +80,12 @@ def stackable(experiment: Experiment, axes: Sequence[Axis], requested: Requested
 
 
 def lanes_of(piece: Piece, level: Level | None) -> int:
-    """How many lanes of a piece are computed."""
+    """Return how many lanes of a piece are computed."""
     return piece.lanes if level is None else int(level.wanted_in(piece).sum())
 
 
 def shared_values_a_tile(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> int:
-    """How many values of the shared axes a tile of a job may have: of all of them, or else 1."""
+    """Return how many values of the shared axes a tile of a job may have: of all of them, or else 1."""
     shared = [range(len(axis.values)) for axis in axes if axis.kind == "shared"]
     many = math.prod(map(len, shared)) > _MOST_COMPARED
     if many or not stackable(experiment, axes, requested, job):
@@ -94,7 +94,7 @@ def shared_values_a_tile(experiment: Experiment, axes: Sequence[Axis], requested
 
 
 def _alike(experiment: Experiment, axes: Sequence[Axis]) -> Callable[[set[tuple[int, ...]]], bool]:
-    """Whether flows at some places along the shared axes have the same period."""
+    """Return whether flows at some places along the shared axes have the same period."""
     shared = [axis for axis in axes if axis.kind == "shared"]
 
     @functools.cache

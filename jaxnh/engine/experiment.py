@@ -253,17 +253,17 @@ class Experiment(Config):
         return tuple(axes)
 
     def _is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
-        """Whether all lanes of a program must have the same of these values of a parameter."""
+        """Return whether all lanes of a program must have the same of these values of a parameter."""
         return flow.is_shared(name)
 
     @property
     def autonomous(self) -> bool:
-        """Whether the scene has no clock: neither forcing nor disturbance."""
+        """Return whether the scene has no clock: neither forcing nor disturbance."""
         return self.flow().autonomous
 
     @property
     def sectioned(self) -> bool:
-        """Whether the scene has no clock, and a section is given or an analysis needs one."""
+        """Return whether the scene has no clock, and a section is given or an analysis needs one."""
         needed = self.section is not None or not all(options.in_time for options in self.analyses.options().values())
         return needed and self.autonomous
 
@@ -315,7 +315,7 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
         return self._file.coordinates
 
     def _is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
-        """Whether the strobe period depends on a parameter: anywhere near its value, or between these."""
+        """Return whether the strobe period depends on a parameter: anywhere near its value, or between these."""
         picked = values[spread_indices(len(values), _MOST_CLOCKS)]
         return (
             flow.is_shared(name)

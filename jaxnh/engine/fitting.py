@@ -1,4 +1,4 @@
-"""What goes with what, of a flow that is made: an analysis with scene and sweep, levels with both."""
+"""Rules on a flow that is made: an analysis with scene and sweep, levels with both."""
 
 from __future__ import annotations
 

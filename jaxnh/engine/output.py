@@ -1,4 +1,4 @@
-"""What stands where a result is to be written, and whether one can be."""
+"""The place where a result is to be written: what stands there, and whether one can be."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxnh.storage.atomic import check_writable, target_of
 
 
 def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
-    """Whether a file is the result of this very experiment. Anything else is only replaced when that is asked for.
+    """Return whether a file is the result of this experiment. Anything else is only replaced when that is asked for.
 
     What a coarser level has left is not yet the result.
 

@@ -1,4 +1,4 @@
-"""What is decided once for a sweep. No files, no processes."""
+"""Decisions made once for a sweep. No files, no processes."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def calibrate(
 
 
 def start_samplers(requested: Requested) -> dict[str, Starts]:
-    """Where analyses have lanes start at random, by the analysis and those of its options that decide it."""
+    """Return where analyses have lanes start at random, by the analysis and those of its options that decide it."""
     starts = {}
     for analysis, options in requested:
         if (draw := analysis.starts(options)) is not None:
@@ -134,7 +134,7 @@ def job_of(
     tile: int | None = None,
     parts: int = 1,
 ) -> Job:
-    """How a sweep is cut, with what has been decided for it.
+    """Return how a sweep is cut, with what has been decided for it.
 
     Args:
         machine: what computes it (`xla_options.machine`).

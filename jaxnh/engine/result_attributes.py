@@ -1,4 +1,4 @@
-"""What a result says besides the numbers of its tiles: root attributes, and warnings of all lanes together."""
+"""Contents of a result besides the numbers of its tiles: root attributes, and warnings of all lanes together."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ GO_ON = "run the same command again to go on where it stopped"
 
 
 class RunOptions(NamedTuple):
-    """How a sweep is to be run.
+    """Options of a run of a sweep.
 
     Attributes:
         fresh: drop what an earlier run has left.
@@ -227,7 +227,7 @@ class _Run:
         return tiles.publish(self._folder, job, tiles.Origin(self._experiment.text, own and own.text, cost))
 
     def _machine_differences(self, job: Job) -> str:
-        """How the machines of a job differ from this one, which is to go on with it; "" where they do not.
+        """Return how the machines of a job differ from this one, which is to go on with it; "" where they do not.
 
         Joining tiles computes nothing, and Dask workers look for themselves.
         """
@@ -242,7 +242,7 @@ class _Run:
         return self._lanes
 
     def _find(self, job: Job, pieces: Sequence[Piece]) -> None:
-        """Which pieces are done; those that are there and of no use are dropped."""
+        """Return which pieces are done; those that are there and of no use are dropped."""
         there = self._sound_pieces(job, pieces)
         self._dropped.clear()
         self._earlier += sum(self._receipts[piece.number].spent.seconds for piece in there)

@@ -370,7 +370,7 @@ def as_progress(progress: ProgressCallback | Progress | None) -> Progress:
 
 
 def _within(axes: Sequence[Axis], known: Sequence[Axis]) -> bool:
-    """Whether a calibration of some axes holds for others: the same ones, between their ends."""
+    """Return whether a calibration of some axes holds for others: the same ones, between their ends."""
     ends = {axis.name: (axis.values.min(), axis.values.max()) for axis in known}
     if {axis.name for axis in axes} != set(ends):
         return False

@@ -86,7 +86,7 @@ def _sample_blocks(job: Job) -> list[Piece]:
 
 
 def _computed_lanes(path: Path, name: str, piece: Piece, job: Job) -> np.ndarray:
-    """Which lanes of a piece were computed, and not filled from a coarser level."""
+    """Return which lanes of a piece were computed, and not filled from a coarser level."""
     if not job.level:
         return np.ones(piece.lanes, bool)
     with h5py.File(path, "r") as file:

@@ -154,7 +154,7 @@ def cores() -> list[int]:
 
 
 def _has_started() -> bool:
-    """Whether JAX has started its devices. Their number can then be changed no more, which is how this is known."""
+    """Return whether JAX has started its devices. Their number can then be changed no more."""
     before = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
     try:
         jax.config.update("jax_num_cpu_devices", 2 if before == 1 else 1)

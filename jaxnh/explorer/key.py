@@ -1,4 +1,4 @@
-"""What the colours of a plane stand for, on the page: a legend, or a bar of a scale."""
+"""Meanings of the colours of a plane, on the page: a legend, or a bar of a scale."""
 
 from __future__ import annotations
 

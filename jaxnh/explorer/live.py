@@ -134,5 +134,5 @@ class LiveDiagram:
 
 
 def _failures(failed: Bool[np.ndarray, " columns"]) -> str:
-    """How many values have a state that is not finite, in words; nothing where there are none."""
+    """Return how many values have a state that is not finite, in words; nothing where there are none."""
     return f"; {np.count_nonzero(failed):,} failed, their states are not finite" if failed.any() else ""

@@ -1,4 +1,4 @@
-"""How the page looks, and what it says by itself when its server is gone."""
+"""Style of the page, and what it says by itself when its server is gone."""
 
 from __future__ import annotations
 

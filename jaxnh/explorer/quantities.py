@@ -1,4 +1,4 @@
-"""What can be seen in a plane, a number a lane, and the analyses that say it: in full, and in short at first."""
+"""Quantities that a plane can show, a number a lane, and the analyses that say it: in full, and in short at first."""
 
 from __future__ import annotations
 

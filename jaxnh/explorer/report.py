@@ -1,4 +1,4 @@
-"""What is known of a lane, in words."""
+"""Facts of a lane, in words."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ class TokenAuth(AuthProvider):
 
     @property
     def get_user(self) -> Callable[[Any], Any]:
-        """Of a request: "user", or None where it has no token."""
+        """The user of a request: "user", or None where it has no token."""
 
         def known(handler: Any) -> str | None:
             given = handler.get_argument("token", None) or handler.get_cookie(_COOKIE, "")
@@ -62,7 +62,7 @@ class TokenAuth(AuthProvider):
 
     @property
     def login_url(self) -> str:
-        """Where others are sent."""
+        """Return where others are sent."""
         return "/refused"
 
     @property
@@ -72,7 +72,7 @@ class TokenAuth(AuthProvider):
 
     @property
     def login_handler(self) -> type[RequestHandler]:
-        """Of that address."""
+        """The handler of that address."""
         return _Refusal
 
     @property

@@ -45,7 +45,7 @@ class CalibratedSession(NamedTuple):
     few: Session
 
     def holds(self, view: View, moved: Mapping[str, float]) -> bool:
-        """Whether a view lies within."""
+        """Return whether a view lies within."""
         wanted = {name: (value, value) for name, value in moved.items()} | dict(view.ranges)
         inside = set(wanted) <= set(self.ends) and all(
             self.ends[name][0] <= low and high <= self.ends[name][1] for name, (low, high) in wanted.items()
@@ -142,7 +142,7 @@ class Sessions:
             yield LaneReport(at, dict(groups), names is _SECOND_REPORT)
 
     def can_run(self, name: str) -> bool:
-        """Whether an analysis goes with the system, as what is seen on a section does not where none is given."""
+        """Return whether an analysis goes with the system, as none on a section does where none is given."""
         return goes_with(self._base, name, self.own.get(name))
 
     def batch_text(self, view: View, analyses: Mapping[str, Any], title: str) -> str:
@@ -204,7 +204,7 @@ class Sessions:
 
 
 def goes_with(experiment: Experiment, name: str, options: Mapping[str, Any] | None) -> bool:
-    """Whether an analysis with these options can be asked for of an experiment."""
+    """Return whether an analysis with these options can be asked for of an experiment."""
     try:
         experiment.variant({name: options or {}}, {})
     except InputError:

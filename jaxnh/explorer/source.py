@@ -1,4 +1,4 @@
-"""What a page shows: pictures of views and reports of lanes, whether they are computed or read."""
+"""Sources of a page: pictures of views and reports of lanes, whether they are computed or read."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Parameter(NamedTuple):
 
 
 class PictureSource(Protocol):
-    """Where pictures and reports come from.
+    """A source of pictures and reports.
 
     Attributes:
         title: what is shown, in words.

@@ -1,4 +1,4 @@
-"""What is looked at: ranges of one axis or two, what is drawn over them, and where one has been."""
+"""A view: ranges of one axis or two, what is drawn over them, and where one has been."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class View:
 
     @property
     def deepest(self) -> bool:
-        """Whether a narrower range of an axis has fewer doubles than lanes."""
+        """Return whether a narrower range of an axis has fewer doubles than lanes."""
         return any(
             high - low < 2 * self.counts[name] * float(np.spacing(max(abs(low), abs(high))))
             for name, (low, high) in self.ranges.items()

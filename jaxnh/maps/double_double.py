@@ -125,7 +125,7 @@ class Arithmetic(NamedTuple):
         return self.div(grown, self.add(grown, self.constant(2)))
 
     def less(self, a: Double, b: Double) -> Array:
-        """Whether a < b."""
+        """Return whether a < b."""
         less, least = (jnp.zeros_like(each.hi) if each.lo is None else each.lo for each in (a, b))
         return (a.hi < b.hi) | ((a.hi == b.hi) & (less < least))
 

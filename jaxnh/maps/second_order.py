@@ -1,4 +1,4 @@
-"""Which flows are x″ = F(x, t) − γ x′, so that methods of Nyström's step them, and how: found by tracing the field.
+"""Flows x″ = F(x, t) − γ x′, so that methods of Nyström's step them, and how: recognised by tracing the field.
 
 Damping that is linear is taken out of the steps exactly: u = x exp(γ t/2), t from the beginning of the step, obeys
 u″ = exp(γ t/2) F(x, t) + γ²/4 u, in which no velocity is left. Its exponentials are in the table of the steps.

@@ -1,4 +1,4 @@
-"""Where the steps of a period end, shared by all lanes: denser where they all turn faster. No solver here."""
+"""Times at which the steps of a period end, shared by all lanes: denser where they all turn faster. No solver here."""
 
 from __future__ import annotations
 

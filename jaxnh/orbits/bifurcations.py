@@ -148,7 +148,7 @@ def locate(
 
 
 def neutral_pair(family: Family, orbits: CurveOrbits) -> Bool[np.ndarray, " some"]:
-    """Whether two real multipliers of product one, or eigenvalues of sum zero, make the zero: no bifurcation."""
+    """Return whether two real multipliers of product one, or eigenvalues of sum zero, make the zero: no bifurcation."""
     nearest = critical(family, eigenvalues(family, orbits))
     off = np.abs(np.real(nearest)) if family.field else np.abs(np.abs(nearest) - 1.0)
     return ~(off < _ON_CIRCLE)

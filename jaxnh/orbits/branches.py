@@ -191,7 +191,7 @@ class _Course:
         self._bend = _join(self._bend, times(np.zeros(len(lanes)), now.way))
 
     def is_done(self, lane: int) -> bool:
-        """Whether a lane has come to its end."""
+        """Return whether a lane has come to its end."""
         return bool(self._end[lane] != START)
 
     def step(self) -> Int[np.ndarray, " some"]:
@@ -306,7 +306,7 @@ def _room(family: Family, now: CurveOrbits) -> Float[np.ndarray, " lanes"]:
 def _collapses(
     family: Family, now: CurveOrbits, taken: CurveOrbits
 ) -> tuple[Bool[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
-    """Whether orbits are, or have been on the way, ones of a shorter period; and whether they still are.
+    """Return whether orbits are, or have been on the way, ones of a shorter period; and whether they still are.
 
     That is a doubling that the branch is born in. Beyond it, it has the same orbits again, half a period on.
     """
@@ -323,7 +323,7 @@ def _collapses(
 def _passes(
     family: Family, begun: CurveOrbits, now: CurveOrbits, taken: CurveOrbits, near: Float[np.ndarray, " lanes"]
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether a step passes the orbit that its branch has begun with, whichever of its points comes first."""
+    """Return whether a step passes the orbit that its branch has begun with, whichever of its points comes first."""
     passes = np.zeros(len(now.value), bool)
     for m in range(now.points.shape[1]):
         points, way = np.roll(begun.points, m, 1), PathVector(np.roll(begun.way.points, m, 1), begun.way.value)

@@ -355,7 +355,7 @@ def _outside(plane: ParameterPlane, z: np.ndarray) -> Bool[np.ndarray, " lanes"]
 
 
 def _beyond(plane: ParameterPlane, z: np.ndarray) -> Bool[np.ndarray, "lanes 2"]:
-    """Which of the two parameters are out of their ranges."""
+    """Return which of the two parameters are out of their ranges."""
     unit = plane.high - plane.low
     return (z[:, -2:] < plane.low / unit) | (z[:, -2:] > plane.high / unit)
 
@@ -387,7 +387,7 @@ def _endings(
     taken: CurvePoints,
     step: np.ndarray,
 ) -> dict[int, Bool[np.ndarray, " lanes"]]:
-    """Which curves have come back to where they began, to orbits of half the period, or to real multipliers."""
+    """Return which curves have come back to where they began, to orbits of half the period, or to real multipliers."""
     begun = np.concatenate([history[0].z for history in histories])
     first = np.concatenate([history[0].way for history in histories])
     before, after = (np.sum((z - begun) * first, axis=1) for z in (now.z, taken.z))

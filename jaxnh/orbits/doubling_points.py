@@ -1,4 +1,4 @@
-"""Where the orbit of period n has a multiplier −1, from first derivatives of single periods alone. Host code.
+"""Points where the orbit of period n has a multiplier −1, from first derivatives of single periods alone. Host code.
 
 The test function is det(M + 1), M the product of the ∂P/∂u around the orbit: about 2 where the orbit is born from one
 of half its period, 0 where it doubles. It is the determinant of the linear equations around the orbit for a vector that

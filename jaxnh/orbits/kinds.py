@@ -32,7 +32,7 @@ def kinds(family: Family) -> tuple[int, ...]:
 
 
 def odd(family: Family) -> Bool[np.ndarray, " kinds"]:
-    """Which test functions change sign where a curve is followed the other way."""
+    """Return which test functions change sign where a curve is followed the other way."""
     return np.isin(kinds(family), (FOLD, BRANCH_POINT))
 
 
@@ -81,7 +81,7 @@ def eigenvalues(family: Family, orbits: CurveOrbits) -> Complex[np.ndarray, "lan
 
 
 def stable(family: Family, values: Complex[np.ndarray, "... d"]) -> np.ndarray:
-    """Whether orbits with these multipliers, or equilibria with these eigenvalues, attract."""
+    """Return whether orbits with these multipliers, or equilibria with these eigenvalues, attract."""
     return np.all(np.real(values) < 0.0 if family.field else np.abs(values) < 1.0, axis=-1)
 
 

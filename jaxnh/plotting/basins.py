@@ -42,7 +42,7 @@ class _Attractor(NamedTuple):
 
 
 def basins_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.Dataset] = ()) -> Axes:
-    """Which attractor every point of a plane leads to; grey where that is undecided, black where a lane has failed.
+    """Draw which attractor every point of a plane leads to; grey where undecided, black where a lane has failed.
 
     Args:
         data: one variable (axis, axis) of whole numbers: of an attractor from 1 on, 0 undecided, -1 failed.
@@ -62,7 +62,7 @@ def basins_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.
 
 
 def basin_pixels(data: xr.Dataset, over: Iterable[xr.Dataset] = ()) -> Pixels:
-    """Which attractor every point of a plane leads to, with their shares; as of `basins_chart`.
+    """Draw which attractor every point of a plane leads to, with their shares; as of `basins_chart`.
 
     Raises:
         ResultError: a variable is missing, or there are not two axes of more than one point.

@@ -138,7 +138,7 @@ def _add_legend(ax: Axes) -> None:
 def _bifurcation_points(
     marks: Iterable[xr.Dataset], parameter: str, count: int
 ) -> list[list[tuple[float, np.ndarray]]]:
-    """Of each branch the bifurcations on it: the parameter there, and the coordinate of the orbit's points."""
+    """Bifurcations on each branch: the parameter there, and the coordinate of the orbit's points."""
     turns: list[list[tuple[float, np.ndarray]]] = [[] for _ in range(count)]
     for group in marks:
         if parameter in group and "branch" in group:

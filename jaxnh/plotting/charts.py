@@ -100,7 +100,7 @@ def _with_curves(over: Iterable[xr.Dataset], plane: Plane, ax: Axes) -> Axes:
 
 
 def _doublings(cascade: xr.Dataset, plane: Plane, ax: Axes) -> None:
-    """Where the period doubles, a curve a level, of a cascade that lies along the axis across."""
+    """Draw where the period doubles, a curve a level, of a cascade that lies along the axis across."""
     name, up = str(plane.x.name), str(plane.y.name)
     if name not in cascade.data_vars or up not in cascade.dims:
         return

@@ -89,12 +89,12 @@ def colouring(name: str, data: xr.Dataset, groups: Iterable[xr.Dataset]) -> Colo
 
 
 def _of_a_lane(variable: xr.DataArray, axes: set[str]) -> bool:
-    """Whether a variable is one number of each lane, or of each of some."""
+    """Return whether a variable is one number of each lane, or of each of some."""
     return bool(variable.dims) and set(map(str, variable.dims)) <= axes and variable.dtype.kind in "iuf"
 
 
 def _of_lanes(data: xr.Dataset) -> Colouring:
-    """Of a group without a dimension of starts: every lane is one, with its place as its name."""
+    """Colouring of a group without a dimension of starts: every lane is a start, with its place as its name."""
     names = axes_of(data)
     numbers = _numbers(variables_of(data)[0], names, START)
     if numbers.size > _MANY:

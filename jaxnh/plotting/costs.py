@@ -164,7 +164,7 @@ def _parameter(data: xr.Dataset) -> str:
 
 
 def _at(data: xr.Dataset) -> str:
-    """Where on the first axis a group is, if it says so in an attribute of that name."""
+    """Return where on the first axis a group is, if it says so in an attribute of that name."""
     name = next(iter(declared_axes(data)), "")
     return f"{symbol_of(name)} = {float(data.attrs[name]):.6g}, " if name in data.attrs else ""
 

@@ -1,4 +1,4 @@
-"""How each group of a result is drawn, by its name and its variables; attributes, which arithmetic drops, have no say.
+"""Drawing of groups of a result, by name and variables; attributes, which arithmetic drops, have no say.
 
 A dataset of another origin may say it itself: by the attribute `panel` the kind of panel, by `panel_variables` of what,
 by `panel_label` in which words and by `panel_levels` where lines are, and by `axes` over what.

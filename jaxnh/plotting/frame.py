@@ -21,7 +21,7 @@ def new_axes(ax: Axes | None) -> Axes:
 
 
 def narrow(ax: Axes) -> bool:
-    """Whether axes are in a figure as wide as a column."""
+    """Return whether axes are in a figure as wide as a column."""
     figure = ax.get_figure(root=True)
     return figure is not None and figure.get_figwidth() < NARROW
 

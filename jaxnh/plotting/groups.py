@@ -1,4 +1,4 @@
-"""How a group is drawn (`descriptions`): the kind of panel, what it shows, and along which axes."""
+"""Panels of groups (`descriptions`): the kind of panel, what it shows, and along which axes."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def at_place(data: xr.Dataset, place: Mapping[str, int]) -> xr.Dataset:
 
 
 def same_plane(points: xr.Dataset, trajectories: xr.Dataset) -> bool:
-    """Whether points are to be drawn over trajectories: of the same lanes, and in the same plane."""
+    """Return whether points are to be drawn over trajectories: of the same lanes, and in the same plane."""
     axes = axes_of(points)
     return (
         "section" not in points.attrs

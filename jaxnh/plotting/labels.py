@@ -1,4 +1,4 @@
-"""What figures call variables: words, symbols and units, from their names and attributes."""
+"""Labels of variables in figures: words, symbols and units, from their names and attributes."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def axis_label(variable: xr.DataArray, words: str = "", symbol: str = "") -> str
 
 
 def is_symbol(name: str) -> bool:
-    """Whether a name is a symbol and no word: "x1" and "theta_dot" are, "period" is not."""
+    """Return whether a name is a symbol and no word: "x1" and "theta_dot" are, "period" is not."""
     return _letters(name.removesuffix("_dot")) is not None
 
 

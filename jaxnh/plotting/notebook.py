@@ -1,4 +1,4 @@
-"""What a notebook shows of a result: what it is, its errors, and a small picture, above xarray's own list.
+"""Display of a result in a notebook: what it is, its errors, and a small picture, above xarray's own list.
 
 Nothing of it is made, and matplotlib is not imported, until a notebook asks for it.
 """

@@ -62,7 +62,7 @@ PANELS: Mapping[str, Kind] = {
 
 
 def has_pixels(data: xr.Dataset) -> bool:
-    """Whether a group is of a kind that is a plane of pixels where it has two axes."""
+    """Return whether a group is of a kind that is a plane of pixels where it has two axes."""
     kind = PANELS.get(kind_of(data))
     return kind is not None and kind.pixels is not None
 

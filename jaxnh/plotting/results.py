@@ -289,12 +289,12 @@ def _over_an_axis(
 
 
 def _most_points(kind: Kind) -> int:
-    """Of the axes beside the first, that get a panel each."""
+    """Number of values of the axes beside the first that get a panel each."""
     return _MOST_POINTS if kind.each == "point" else 1
 
 
 def _has_chart(data: xr.Dataset) -> bool:
-    """Whether a group is drawn over two axes at once."""
+    """Return whether a group is drawn over two axes at once."""
     kind = PANELS.get(kind_of(data))
     if kind is None or kind.chart is None:
         return False
@@ -356,7 +356,7 @@ def _provenance(attrs: Mapping[str, object]) -> list[str]:
 
 
 def _of_level(attrs: Mapping[str, object], groups: _Groups) -> list[str]:
-    """Which level of a sweep it is, and what share of it was computed; nothing where there are no levels."""
+    """Return which level of a sweep it is, and what share of it was computed; nothing where there are no levels."""
     shares = [float(data["computed"].mean()) for data in groups.values() if "computed" in data.variables]
     if "levels" not in attrs or not shares:
         return []

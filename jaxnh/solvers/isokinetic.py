@@ -138,7 +138,7 @@ class IsokineticSplitting(diffrax.AbstractSolver):
 
     @property
     def processed(self) -> bool:
-        """Whether a processor stands at the ends of a map."""
+        """Return whether a processor stands at the ends of a map."""
         return bool(self.processor[1])
 
     def most_steps(self, kicks: int) -> int:

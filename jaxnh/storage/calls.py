@@ -1,4 +1,4 @@
-"""What a run has computed of pieces in hand: results of calls of programs, in a file beside the tiles. No JAX.
+"""Journal of pieces in hand: results of calls of programs, in a file beside the tiles. No JAX.
 
 A piece may take hours, as a state that is carried along a parameter does. The results of its calls are appended to one
 file every few seconds, so that a run that is killed loses no more. A later run makes the same calls in the same order,

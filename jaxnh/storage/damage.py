@@ -1,4 +1,4 @@
-"""Whether a file that could not be read is damaged: said where its checksums or HDF5 say so, never by default."""
+"""Damage of a file that could not be read: said where its checksums or HDF5 say so, never by default."""
 
 from __future__ import annotations
 

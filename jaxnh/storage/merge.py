@@ -162,7 +162,7 @@ class _Whole:
         self._there: dict[tuple[tuple[int, int], ...], str] = {}
 
     def place(self, piece: Piece, values: np.ndarray, digest: Callable[[], str]) -> Slab | None:
-        """Where the values of a piece go; None if equal ones are there already, as it varies along no axis that is cut.
+        """Return where values of a piece go; None if equal ones are there, as they vary along no axis that is cut.
 
         Raises:
             DamagedError: they are not of that shape and type, or others are there.

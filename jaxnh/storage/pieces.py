@@ -1,4 +1,4 @@
-"""How a sweep is cut: pieces of work over its axes, and where their variables lie in the whole. No files."""
+"""Cutting of a sweep: pieces of work over its axes, and where their variables lie in the whole. No files."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Job:
 
     @property
     def step(self) -> int:
-        """How many values of an axis of the sweep it is from one of this level to the next."""
+        """Return how many values of an axis of the sweep it is from one of this level to the next."""
         return 2 ** (self.levels - self.level) if self.level else 1
 
     def stages(self) -> list[Job]:
@@ -129,7 +129,7 @@ class Job:
         return tuple(group for name in self.order for group in brought.get(name, (name,)))
 
     def is_whole(self, piece: Piece) -> bool:
-        """Whether a piece is made of all tiles together."""
+        """Return whether a piece is made of all tiles together."""
         return piece.names in self.wholes
 
     def sources(self, group: str) -> list[Piece]:
@@ -200,7 +200,7 @@ def tile_lanes(work: float, numbers: float, lanes: int) -> int:
 
 
 def slab(dims: Sequence[str], piece: Piece, axes: Sequence[str]) -> tuple[slice, ...]:
-    """Where a piece's variable with these dimensions lies in that of the whole; other dimensions are whole.
+    """Return where a piece's variable with these dimensions lies in that of the whole; other dimensions are whole.
 
     Args:
         axes: names of the axes, in the order of the piece.
@@ -240,7 +240,7 @@ def share(job: Job, part: tuple[int, int], work: Mapping[int, float]) -> list[Pi
 
 
 def _rooms(loads: Sequence[float], more: float) -> list[float]:
-    """How much of something more makes loads as equal as it can: the lower ones are filled up to one level."""
+    """Return how much of something more makes loads as equal as it can: the lower ones are filled up to one level."""
     level = next(
         level
         for number in range(len(loads), 0, -1)

@@ -1,4 +1,4 @@
-"""How a result was made: its root attributes, from plain values. No JAX, and nothing of how a command was called."""
+"""Origin of a result: its root attributes, from plain values. No JAX, and nothing of how a command was called."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LIBRARIES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
 
 
 class LevelOf(NamedTuple):
-    """Which level of a sweep a result is of, from 1, of how many, and which lanes a level adds: "all" or "boundary"."""
+    """The level of a result, from 1, of how many, and which lanes a level adds: "all" or "boundary"."""
 
     level: int
     levels: int

@@ -71,11 +71,11 @@ class DefinedFlow(Flow):
 
     @property
     def autonomous(self) -> bool:
-        """Whether there is no clock."""
+        """Return whether there is no clock."""
         return not self.clock
 
     def is_shared(self, name: str) -> bool:
-        """Whether the strobe period depends on a parameter."""
+        """Return whether the strobe period depends on a parameter."""
         return name in self.values and _decides_the_clock(self.define, self.values, name)
 
     def definition(self, p: Parameters) -> Definition:
@@ -84,7 +84,7 @@ class DefinedFlow(Flow):
 
 
 def _decides_the_clock(define: Callable[..., Definition], values: Mapping[str, ArrayLike], name: str) -> bool:
-    """Whether a parameter has a part in the period, or the unit of time, that a definition says.
+    """Return whether a parameter has a part in the period, or the unit of time, that a definition says.
 
     The definition is traced. Where it makes its period by functions of plain numbers alone, values near by are
     compared.

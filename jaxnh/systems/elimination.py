@@ -67,7 +67,7 @@ def known(x: Number) -> Number:
 
 
 def is_zero(x: Number) -> bool:
-    """Whether a component is known to vanish."""
+    """Return whether a component is known to vanish."""
     return isinstance(x, float) and x == 0.0
 
 
@@ -88,7 +88,7 @@ def minus(x: Number, y: Number) -> Number:
 
 
 def is_positive_definite(mass: list[list[Number]]) -> bool:
-    """Whether a mass matrix is known, and positive definite."""
+    """Return whether a mass matrix is known, and positive definite."""
     if not all(isinstance(entry, float) for row in mass for entry in row):
         return False
     return bool(np.linalg.eigvalsh(np.array(mass)).min() > 1e-8 * np.abs(mass).max())

@@ -25,7 +25,7 @@ _MOST = 6  # velocities among which those are looked for that constraints give
 
 
 class Explicit(NamedTuple):
-    """Which velocities constraints give.
+    """The velocities that constraints give.
 
     Attributes:
         given: their numbers.

@@ -86,7 +86,7 @@ class Flow(eqx.Module):
 
     @abc.abstractmethod
     def is_shared(self, name: str) -> bool:
-        """Whether all lanes of a program must have the same value of a parameter: it changes their clock or table."""
+        """Return whether all lanes of a program share the value of a parameter: it changes their clock or table."""
 
     @property
     @abc.abstractmethod
@@ -103,7 +103,7 @@ class Flow(eqx.Module):
     @property
     @abc.abstractmethod
     def autonomous(self) -> bool:
-        """Whether there is no clock."""
+        """Return whether there is no clock."""
 
     def density(self, t: np.ndarray) -> np.ndarray:
         """Steps a unit of time, up to a factor, that suit all lanes; t of any shape."""

@@ -59,7 +59,7 @@ class FreeParticle(Lagrangian):
 
     @property
     def autonomous(self) -> bool:
-        """Whether there is no clock."""
+        """Return whether there is no clock."""
         return "forcing" in self.without
 
     def start(self, coordinates: Mapping[str, ArrayLike]) -> Motion:

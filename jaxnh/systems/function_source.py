@@ -127,7 +127,7 @@ def _defaults(function: FunctionType, known: Mapping[str, Any]) -> dict[str, Any
 
 
 def _installed(function: FunctionType) -> bool:
-    """Whether a function is of a module that other processes can import by its name, and not of the user's own."""
+    """Return whether a function is of a module that other processes can import by name, and not the user's own."""
     if function.__module__.split(".")[0] == __name__.split(".")[0]:
         return True
     path = getattr(sys.modules.get(function.__module__), "__file__", None)
@@ -143,7 +143,7 @@ def _home(value: Any) -> tuple[str, str] | None:
 
 
 def _is_literal(value: Any) -> bool:
-    """Whether the text of a value is the value."""
+    """Return whether the text of a value is the value."""
     if isinstance(value, tuple | list):
         return all(map(_is_literal, value))
     if isinstance(value, dict):

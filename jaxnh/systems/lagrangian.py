@@ -164,7 +164,7 @@ class Lagrangian(DefinedFlow):
         return Motion(y.v, solved.a, (zero, jnp.where(solved.singular, jnp.nan, zero)))
 
     def fault_at(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
-        """Which matrix is singular at a state, and for which velocities."""
+        """Return which matrix is singular at a state, and for which velocities."""
         equations, k = self.equations(p), len(y.q)
         if not bool(accelerations(equations, y.q, y.v, t).singular):
             return ""
@@ -253,7 +253,7 @@ class Lagrangian(DefinedFlow):
 
     @property
     def explicit(self) -> Explicit | None:
-        """Which velocities the constraints give; None where there are none."""
+        """Return which velocities the constraints give; None where there are none."""
         return _explicit(jax.tree.structure(self), tuple(np.shape(leaf) for leaf in jax.tree.leaves(self)))
 
     @property

@@ -132,17 +132,17 @@ class IsokineticParticle(Flow):
 
     @property
     def forced(self) -> bool:
-        """Whether there is a forcing."""
+        """Return whether there is a forcing."""
         return "forcing" not in self.without
 
     @property
     def disturbed(self) -> bool:
-        """Whether there is a disturbance of the speed."""
+        """Return whether there is a disturbance of the speed."""
         return "disturbance" not in self.without
 
     @property
     def autonomous(self) -> bool:
-        """Whether there is no clock: neither forcing nor disturbance."""
+        """Return whether there is no clock: neither forcing nor disturbance."""
         return not self.forced and not self.disturbed
 
     @property
@@ -312,7 +312,7 @@ def _namespace(t: Number) -> Number:
 
 
 def _vanishes(x: Number) -> bool:
-    """Whether a number is known, and zero."""
+    """Return whether a number is known, and zero."""
     return isinstance(x, float | int) and x == 0
 
 

@@ -72,7 +72,7 @@ def _advice(tree: ast.Module, text: str, here: tuple[int, int, int, int], names:
 
 
 def _holds(node: ast.AST, here: tuple[int, int, int, int]) -> bool:
-    """Whether an expression or statement has a place in it."""
+    """Return whether an expression or statement has a place in it."""
     if not isinstance(node, ast.expr | ast.stmt) or node.end_lineno is None or node.end_col_offset is None:
         return False
     begin, end = (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)

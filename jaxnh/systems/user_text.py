@@ -72,7 +72,7 @@ def with_velocities(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def can_be_states(names: Sequence[str]) -> bool:
-    """Whether names differ from each other and from what else results have."""
+    """Return whether names differ from each other and from what else results have."""
     return len(set(names)) == len(names) and not set(names) & set(BESIDE_STATES)
 
 

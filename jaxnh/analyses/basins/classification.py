@@ -237,7 +237,7 @@ def _exponent_kinds(
 def _comes_back(
     batch: LaneBatch, window: WindowAverages, looked: Int[np.ndarray, " lanes"]
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether a motion without a clock has gone to and fro or around: a slow passage goes one way."""
+    """Return whether a motion without a clock has gone to and fro or around: a slow passage goes one way."""
     turns = np.array(batch.chart.angles)
     fro = ~turns & (window.path > _TO_AND_FRO * (window.high - window.low)) & (window.high > window.low)
     turned = turns & (np.abs(_mean_turns(turns, window)) * looked[:, None] * points_a_unit(batch) > _TURNED)
@@ -256,7 +256,7 @@ def _mean_turns(turns: Bool[np.ndarray, " d"], window: WindowAverages) -> Float[
 def _leave_sets(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], sets: tuple[np.ndarray, ...]
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether motions from points beside those of lanes leave the sets that the lanes are on.
+    """Return whether motions from points beside those of lanes leave the sets that the lanes are on.
 
     So they do from a cycle in a symmetry's invariant plane that attracts in that plane alone.
 
@@ -279,7 +279,7 @@ def _keep_volume(
     kind: Int8[np.ndarray, " lanes"],
     longest: int,
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether quasiperiodic or chaotic motions keep phase volume: these are no attractors."""
+    """Return whether quasiperiodic or chaotic motions keep phase volume: these are no attractors."""
     kept, recurrent = np.zeros(batch.count, np.bool_), np.flatnonzero(np.isin(kind, (QUASIPERIODIC, CHAOTIC)))
     if len(recurrent):
         kept[recurrent] = keeps_volume(batch.take(recurrent), lanes, u[recurrent], longest)

@@ -129,7 +129,7 @@ def _search(
 def _far_from_leaders(
     chart: Chart, lot: Lot, judged: Attractors, cluster: Int[np.ndarray, " lanes"]
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether a lane is far from the leader of its cluster, which is on no attractor, as beside a repeller."""
+    """Return whether a lane is far from the leader of its cluster, which is on no attractor, as beside a repeller."""
     away = np.zeros(len(cluster), np.bool_)
     for k in np.flatnonzero(judged.kind == NONE).tolist():
         members = np.flatnonzero(cluster == k)
@@ -206,7 +206,7 @@ def _distances(
 def _stay_near(
     batch: LaneBatch, target: Attractors, paths: Float[np.ndarray, "lanes followed d"]
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether paths stay near an attractor."""
+    """Return whether paths stay near an attractor."""
     edge = target.near * np.where(target.size > 0.0, target.size, 1.0)
     return stays_near(np.array(batch.chart.angles), paths, target.points, edge)
 
@@ -294,7 +294,7 @@ def _match_attractors(
     largest: Float[np.ndarray, " d"],
     same_point: Bool[np.ndarray, " others"],
 ) -> Bool[np.ndarray, " others"]:
-    """Whether each attractor at the same point is the given one: orbits share a point, others fill one set."""
+    """Return whether each attractor at the same point is the given one: orbits share a point, others fill one set."""
     if one.kind in (PERIODIC, EQUILIBRIUM):
         return same_orbits(batch.chart, one, others, largest) & same_point
     alike = (others.kind == one.kind) & same_point
@@ -304,7 +304,7 @@ def _match_attractors(
 
 
 def same_set(chart: Chart, one: Attractors, other: Attractors) -> bool:
-    """Whether two motions fill the same set: the points of each lie within the spacing of the other's.
+    """Return whether two motions fill the same set: the points of each lie within the spacing of the other's.
 
     Of chaos the points of one are enough, as a finite look need not have visited all of it.
     """
@@ -319,7 +319,7 @@ def same_set(chart: Chart, one: Attractors, other: Attractors) -> bool:
 def same_orbits(
     chart: Chart, one: Attractors, others: Attractors, largest: Float[np.ndarray, " d"]
 ) -> Bool[np.ndarray, " others"]:
-    """Whether each attractor is an equilibrium or orbit of the same kind and period through the point `u`."""
+    """Return whether each attractor is an equilibrium or orbit of the same kind and period through the point `u`."""
     turns = int(one.period)
     points = others.points[:, :turns] if turns else others.u[:, None]
     apart = np.abs(chart.wrap(points - one.u))

@@ -66,7 +66,7 @@ def stays_near(
     points: Float[np.ndarray, "points d"],
     edge: Float[np.ndarray, " d"],
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether all points of paths lie in boxes of these edges that contain some of the points, or next to one.
+    """Return whether all points of paths lie in boxes of these edges that contain some of the points, or next to one.
 
     Boxes are looked up by number, in the order of the points: a million lanes take a second. Of more than six
     coordinates the first six are looked at.

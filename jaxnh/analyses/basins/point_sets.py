@@ -94,7 +94,7 @@ def spacing(
 def lie_within(
     of: PointSet, points: Float[np.ndarray, "points d"], size: Float[np.ndarray, " d"], margin: float
 ) -> Bool[np.ndarray, " points"]:
-    """Whether points lie within a margin, in sizes, of a set."""
+    """Return whether points lie within a margin, in sizes, of a set."""
     return np.all(np.abs(offsets(of, points)) <= margin * np.where(size > 0.0, size, 1.0), axis=1)
 
 

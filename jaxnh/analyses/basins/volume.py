@@ -32,7 +32,7 @@ A lane that settles on an attractor brings distances of order one down to `settl
 def keeps_volume(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], longest: int
 ) -> Bool[np.ndarray, " lanes"]:
-    """Whether the phase volume about lanes from u changes by a negligible amount in `longest` periods.
+    """Return whether the phase volume about lanes from u changes by a negligible amount in `longest` periods.
 
     The contraction is a mean under a smooth window: on a regular motion it converges as fast as other means do.
     """

@@ -164,7 +164,7 @@ def _follow_curves(
 
 
 def _passes(plane: ParameterPlane, curve: Curve, seed: _Seed) -> bool:
-    """Whether a curve goes through a bifurcation, whichever of the orbit's points comes first."""
+    """Return whether a curve goes through a bifurcation, whichever of the orbit's points comes first."""
     if curve.kind != seed.kind or curve.period != len(seed.points):
         return False
     track = curve.track.z

@@ -140,7 +140,7 @@ def _follow_branches(
 
 
 def _is_known(family: Family, known: Sequence[Branch], branch: Branch) -> bool:
-    """Whether all of a branch, as far as some of its points tell, is on others."""
+    """Return whether all of a branch, as far as some of its points tell, is on others."""
     some = np.unique(np.linspace(0, len(branch.value) - 1, _LOOKED_AT).round().astype(int)).tolist()
     return all(is_on_branch(family, known, branch.points[i], float(branch.value[i])) for i in some)
 
@@ -230,7 +230,7 @@ def _middle(family: Family, points: Float[np.ndarray, "n d"]) -> Float[np.ndarra
 
 
 def _same(family: Family, one: Bifurcation, other: Bifurcation) -> bool:
-    """Whether two branches have a bifurcation in common."""
+    """Return whether two branches have a bifurcation in common."""
     near = _SAME_POINT * family.width + one.error + other.error
     if one.kind != other.kind or abs(one.value - other.value) > near:
         return False

@@ -1,4 +1,4 @@
-"""Whether an orbit lies on a branch that is known. Host code: branches are cubics between their points."""
+"""Comparison of orbits with the branches that are known. Host code: branches are cubics between their points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _HALVINGS = 40
 def is_on_branch(
     family: Family, branches: Sequence[Branch], points: Float[np.ndarray, "n d"], value: float, near: float = SAME
 ) -> bool:
-    """Whether an orbit at a value of the parameter is on one of the branches, whichever of its points comes first."""
+    """Return whether an orbit at a parameter value is on one of the branches, whichever of its points comes first."""
     there = orbits_at(family, [branch for branch in branches if branch.period == len(points)], value)
     return bool(len(there) and _apart(family, there, points).min() <= near)
 
@@ -39,7 +39,7 @@ def orbits_at(family: Family, branches: Sequence[Branch], value: float) -> Float
 
 
 def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"], near: float) -> bool:
-    """Whether two orbits are as near as this in lengths, whichever of their points comes first."""
+    """Return whether two orbits are as near as this in lengths, whichever of their points comes first."""
     return len(one) == len(other) and bool(_apart(family, one[None], other)[0] <= near)
 
 

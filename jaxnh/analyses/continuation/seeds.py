@@ -93,7 +93,7 @@ def _returns(
 def _is_least(
     points: Float[np.ndarray, "some n d"], wrap: Wrap, size: Float[np.ndarray, " d"]
 ) -> Bool[np.ndarray, " some"]:
-    """Whether orbits have no period shorter than their number of points."""
+    """Return whether orbits have no period shorter than their number of points."""
     least, n = np.ones(len(points), bool), points.shape[1]
     for m in (m for m in range(1, n) if n % m == 0):
         least &= np.max(np.abs(wrap(points - np.roll(points, m, 1))) / size, axis=(1, 2)) > _SAME

@@ -1,4 +1,4 @@
-"""Whether a path on n bands that are visited in turn keeps its phase, as far as its own points tell. Host code.
+"""The phase of a path on n bands that are visited in turn, as far as its own points tell. Host code.
 
 On disjoint bands the place of a point tells its phase, the number of iterates modulo n. Bands meet at an unstable orbit
 that bounds them: beyond the crisis a path sometimes crosses the stable manifold of that orbit and goes on in the place
@@ -67,7 +67,7 @@ def _first_alarm(votes: Float[np.ndarray, " turns"]) -> int | None:
 
 
 def is_periodic(path: Float[np.ndarray, "points d"], bands: int) -> bool:
-    """Whether a path has become periodic, as in a window: it then tells nothing of the bands at its parameter."""
+    """Return whether a path has become periodic, as in a window: it then tells nothing of the bands there."""
     last = min(_REPEATS * bands, len(path) // 2)
     tail = path[-last:]
     lags = range(1, min(_LAGS, len(path) - last) + 1)

@@ -25,7 +25,7 @@ _NO_TREND = 0.05  # sizes: what stands for the trend where there is none
 def sudden_growths(
     clouds: Sequence[Float[np.ndarray, "points d"]], values: Float[np.ndarray, " clouds"]
 ) -> Bool[np.ndarray, " steps"]:
-    """Whether an attractor grows or shrinks suddenly from each value to the next, (clouds − 1,).
+    """Return whether an attractor grows or shrinks suddenly from each value to the next, (clouds − 1,).
 
     Args:
         clouds: points of it at each value, in sizes of the motion.
@@ -66,7 +66,7 @@ def keep_common_growths(
 
 
 def _twins(values: Sequence[int], own: np.ndarray, other_values: Sequence[int], other: np.ndarray) -> bool:
-    """Whether two attractors may be images of each other."""
+    """Return whether two attractors may be images of each other."""
     if list(values) != list(other_values) or len(values) < _FEWEST:
         return False
     return bool(np.all(np.abs(own - other) <= _ALIKE * np.maximum(np.abs(own), np.abs(other))))

@@ -1,4 +1,4 @@
-"""Whether a motion without a clock comes to rest, and the exponents there: from its rates and how they change there.
+"""Detection of autonomous motions that come to rest, and the exponents there: from its rates and how they change there.
 
 A lane is at rest where over the last quarter of a run no coordinate changes at more than 10⁻⁶ of its largest rate,
 nor faster than in the quarter before, and where the rates' linearisation there has no direction that grows: a slow

@@ -243,7 +243,7 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
 
 
 def _has_orbits(options: LyapunovOptions, batch: LaneBatch) -> bool:
-    """Whether orbits of lanes are searched for: of a strobe map, whose multipliers are right to rounding."""
+    """Return whether orbits of lanes are searched for: of a strobe map, whose multipliers are right to rounding."""
     return options.method != "averages" and not batch.flow.autonomous and batch.precision == "float64"
 
 
@@ -263,7 +263,7 @@ def _step_error(
 
 
 def every_exponent(options: LyapunovOptions, batch: LaneBatch) -> bool:
-    """Whether all exponents are asked for, so that there is a sum rule."""
+    """Return whether all exponents are asked for, so that there is a sum rule."""
     return options.exponents >= batch.flow.exponents
 
 

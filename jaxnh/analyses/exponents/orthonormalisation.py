@@ -1,4 +1,4 @@
-"""How often a period tangents are orthonormalised, and how fine their steps are: measured on lanes across a sweep."""
+"""Number of orthonormalisations of tangents a period, and refinement of their steps: measured on sample lanes."""
 
 from __future__ import annotations
 

@@ -68,5 +68,5 @@ class DiagramOptions(Options):
 
     @property
     def carried(self) -> bool:
-        """Whether the state at one value of the first axis is the start state at the next."""
+        """Return whether the state at one value of the first axis is the start state at the next."""
         return self.start in ("up", "down")

@@ -241,7 +241,7 @@ def _recurrences(
     least: int,
     only_doublings: bool,
 ) -> Bool[np.ndarray, "periods lanes"]:
-    """Whether n may be the period of a lane, for n from 0 to a limit: a multiple of the least after which points recur.
+    """Return which n up to a limit may be the period of a lane: multiples of the least after which points recur.
 
     Newton decides: points that nearly recur do so too where a lane is still on its way. Just after a doubling an orbit
     and its daughter cannot be told apart; points of other multiples of the least are apart from each other, and recur

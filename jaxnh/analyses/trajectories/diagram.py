@@ -53,7 +53,7 @@ def periods(options: DiagramOptions, lanes: int) -> float:
 
 
 def independent(options: DiagramOptions) -> bool:
-    """Whether lanes are independent: a carried state depends on the values before."""
+    """Return whether lanes are independent: a carried state depends on the values before."""
     return not options.carried
 
 

@@ -272,7 +272,7 @@ def _chord(family: Family, branch: Branch, one: int, other: int) -> float:
 
 
 def _is_near(family: Family, point: Bifurcation, branch: Branch, place: int, chord: float) -> bool:
-    """Whether a bifurcation is no further from a point of a branch than a step."""
+    """Return whether a bifurcation is no further from a point of a branch than a step."""
     off = abs(point.value - branch.value[place]) / family.width
     return off <= 2.0 * chord and same_orbit(family, branch.points[place], point.points, 2.0 * chord)
 
@@ -315,7 +315,7 @@ def _add(family: Family, groups: list[list[Window]], new: Window) -> None:
 
 
 def _same_orbits(family: Family, one: Window, other: Window) -> bool:
-    """Whether two windows are of one orbit: its orbits at both ends are the same."""
+    """Return whether two windows are of one orbit: its orbits at both ends are the same."""
     ends = (one.begin, other.begin), (one.end, other.end)
     return one.period == other.period and all(
         a.kind == b.kind and same_orbit(family, a.points, b.points, _NEAR) for a, b in ends
@@ -323,7 +323,7 @@ def _same_orbits(family: Family, one: Window, other: Window) -> bool:
 
 
 def _are_twins(family: Family, one: Window, other: Window) -> bool:
-    """Whether two windows begin and end at the same values."""
+    """Return whether two windows begin and end at the same values."""
     ends = (one.begin, other.begin), (one.end, other.end)
     located = [(a, b) for a, b in ends if np.isfinite(a.value + b.value)]
     near = all(abs(a.value - b.value) <= _SAME * family.width + a.error + b.error for a, b in located)

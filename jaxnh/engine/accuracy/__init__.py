@@ -1,1 +1,1 @@
-"""Which solver and steps meet an accuracy."""
+"""Choice of solver and steps that meet an accuracy."""

@@ -1,4 +1,4 @@
-"""Which solver and how many steps a period meet an accuracy, measured on sample lanes of the sweep itself."""
+"""The solver and the steps a period that meet an accuracy, measured on sample lanes of the sweep itself."""
 
 from __future__ import annotations
 
@@ -260,7 +260,7 @@ class Calibration:
     def _differing(
         self, maps: Callable[[int], ReturnMap], samples: _Samples, images: State
     ) -> Float[np.ndarray, "lanes periods"]:
-        """How far maps take states (lanes, periods) from images of theirs."""
+        """Return how far maps take states (lanes, periods) from images of theirs."""
         periods = jax.tree.leaves(images)[0].shape[1]
         lane = np.repeat(np.arange(len(samples.row)), periods)
         each = samples.take(lane)._replace(states=jax.tree.map(np.ravel, samples.states))
@@ -268,7 +268,7 @@ class Calibration:
         return _gaps(self._image(maps, each), theirs).reshape(-1, periods)
 
     def _at_rest(self, samples: _Samples) -> Bool[np.ndarray, "samples periods"]:
-        """Where lanes cross their section so slowly that they have come to rest on it: their time is then no number."""
+        """Return where lanes cross their section so slowly that they rest on it: their time is then no number."""
         if self._flows[0] is self._flows[0].flow:
             return np.zeros(jax.tree.leaves(samples.states)[0].shape, bool)
         speed = np.abs(self._by_flow(_crossing_rates, lambda row: (self._flows[row],), samples, 0))
@@ -397,7 +397,7 @@ def _effective_order(few: int, before: float, many: int, after: float, order: fl
 
 
 def _place(samples: _Samples, number: int) -> str:
-    """Where in the sweep a sample lies, in values of its axes."""
+    """Return where in the sweep a sample lies, in values of its axes."""
     return ", ".join(f"{name} = {values[number]:.9g}" for name, values in samples.where.items())
 
 
@@ -407,7 +407,7 @@ def _crossing_rates(section: Section, states: Crossing, p: Parameters) -> Float[
 
 
 def _is_escaping(states: State) -> Bool[np.ndarray, "lanes periods"]:
-    """Where a lane is on its way to infinity: not finite within two periods, as motion that blows up does ever faster.
+    """Return where a lane goes to infinity: not finite within two periods, as motion that blows up does ever faster.
 
     No number of steps gives such a period an error that means anything; the lane is marked as failed where it is run.
     """

@@ -1,1 +1,1 @@
-"""What is kept from run to run: executables, calibrations."""
+"""Things kept from run to run: executables, calibrations."""

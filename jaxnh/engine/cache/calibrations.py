@@ -1,4 +1,4 @@
-"""What was decided for a sweep, kept from run to run as its programs are: a later run calibrates nothing.
+"""Decisions for a sweep, kept from run to run as its programs are: a later run calibrates nothing.
 
 The solver and its steps follow from the experiment, the package, the libraries and the machine alone, bit for bit. The
 parts of a sweep, the jobs of a cluster, and a run after another of the same config decide once.

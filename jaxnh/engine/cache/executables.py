@@ -83,7 +83,7 @@ def environment() -> str:
 
 @cache
 def _versions() -> list[str]:
-    """Of Python and libraries, and the text of this package."""
+    """Versions of Python and libraries, and a hash of the text of this package."""
     text = hashlib.sha256()
     for path in sorted(Path(__file__).parents[2].rglob("*.py")):
         content = path.read_bytes()

@@ -1,4 +1,4 @@
-"""What a call of a program is, the same in every process: a stopped run's results are found again by it."""
+"""Fingerprints of calls of programs, the same in every process: a stopped run's results are found again by it."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ _HEAD = 64 + 1  # of a file: the checksum of what follows
 
 
 def folder() -> Path | None:
-    """Where things are kept; None where they are not."""
+    """Return where things are kept; None where they are not."""
     root = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     if not root or "://" in root or os.environ.get("JAXNH_KEEP_PROGRAMS") == "0":
         return None

@@ -1,4 +1,4 @@
-"""What a lane executor has spent."""
+"""The costs of a lane executor."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ def path_of(folder: Path, stage: Job) -> Path:
 
 
 def is_there(folder: Path, stage: Job) -> bool:
-    """Whether the result of a level is there, and sound."""
+    """Return whether the result of a level is there, and sound."""
     try:
         verify(path_of(folder, stage))
     except (DamagedError, ResultError):

@@ -49,7 +49,7 @@ class Level:
     coarser: Mapping[str, xr.Dataset]
 
     def wanted_in(self, piece: Piece) -> Bool[np.ndarray, " lanes"]:
-        """Which lanes of a piece are computed."""
+        """Return which lanes of a piece are computed."""
         return self.wanted[_box(piece)].ravel()
 
     def share(self) -> float:
@@ -91,7 +91,7 @@ def level_of(job: Job, results: Mapping[str, xr.Dataset], coarser: Mapping[str, 
 
 
 def lanes_near_changes(kinds: Iterable[Int[np.ndarray, ...]], shape: tuple[int, ...]) -> Bool[np.ndarray, ...]:
-    """Which lanes of a level of this shape lie near a change of any of these kinds in the level before.
+    """Return which lanes of a level of this shape lie near a change of any of these kinds in the level before.
 
     Args:
         kinds: over the axes, each with as many values as the level before has, and then any other dimensions.
@@ -118,7 +118,7 @@ def _reduce_neighbours(values: np.ndarray, pick: Callable[[np.ndarray, np.ndarra
 
 
 def _has_partial_axes(data: xr.Dataset, names: Sequence[str]) -> bool:
-    """Whether a variable has some of the axes, but not all."""
+    """Return whether a variable has some of the axes, but not all."""
     met = [set(map(str, item.dims)) & set(names) for name, item in data.variables.items() if name not in names]
     return any(0 < len(axes) < len(names) for axes in met)
 
