@@ -1,6 +1,6 @@
 """One verdict a lane from all criteria together: what kind of motion it is, or undecided, or failed.
 
-The rule, with λ1 the largest exponent, ε its error bar of 95 % (`exponents.errors`), n the period found by Newton (0:
+The rule, with λ1 the largest exponent, ε its error bar of 95 % (`exponents.errors`), n the period by Newton (0:
 none up to the limit), μ its largest multiplier, K the 0–1 test, T the strobe period and N the periods that λ1 was
 averaged over:
 

@@ -108,7 +108,7 @@ def extended_doubling(
 def next_doubling(
     period: ExtendedPeriod, slopes: Slopes, known: Sequence[ExtendedPoint], size: Float[np.ndarray, " d"], wrap: Wrap
 ) -> ExtendedPoint | None:
-    """The doubling that follows two or more; None where it is not found. The last orbit has more than one point.
+    """The doubling that follows two or more; None where it is not located. The last orbit has more than one point.
 
     Args:
         period, slopes, size, wrap: as in `extended_doubling`.

@@ -118,7 +118,7 @@ class _Branches(NamedTuple):
 def find_doubled(
     strobe: ReturnMap, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
 ) -> Orbit:
-    """An orbit of period 2n near the doubling that it was born in, from a point of it that `find_orbits` has found.
+    """An orbit of period 2n near the doubling that it was born in, from a point of it that `find_orbits` gives.
 
     There P²ⁿ(u) = u has three roots that grow together, the orbits of period 2n and n: a residual of 10⁻⁹ is an error
     of 10⁻³ in u, and rounding alone leaves ε/√(1 − μ) in the multiplier. With Q = Pⁿ and the two points m ± a v of the

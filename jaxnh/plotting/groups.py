@@ -66,7 +66,7 @@ def declared_axes(data: xr.Dataset) -> tuple[str, ...]:
 
 
 def parameter_of(data: xr.Dataset) -> str:
-    """The parameter that a group is found along: what it says, or the first axis.
+    """The parameter that a group lies along: what it says, or the first axis.
 
     Raises:
         ResultError: it is no variable of the group.
@@ -97,7 +97,7 @@ def long_axes(data: xr.Dataset) -> tuple[str, ...]:
 def other_axes(data: xr.Dataset) -> tuple[str, ...]:
     """Axes of more than one point beside the one that a panel of the whole group is over.
 
-    Where the first axis has become a variable, as in a cascade that is found along it, these are all that are left.
+    Where the first axis has become a variable, as in a cascade that lies along it, these are all that are left.
     """
     long, declared = long_axes(data), declared_axes(data)
     if declared and declared[0] in data.data_vars:

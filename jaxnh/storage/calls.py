@@ -47,10 +47,10 @@ class JournalEntry(NamedTuple):
 
 
 class CallJournal:
-    """Results of the calls for some pieces: those found in a folder, and those that are added.
+    """Results of the calls for some pieces: those in a folder, and those that are added.
 
     Attributes:
-        seconds: that what was found has cost.
+        seconds: cost of the results in the folder.
     """
 
     def __init__(self, folder: Path, job: Job, pieces: Sequence[Piece]) -> None:

@@ -207,7 +207,7 @@ class Lagrangian(DefinedFlow):
     def project(self, t: ArrayLike, y: Motion, p: Parameters, *, trust: bool = True) -> Motion:
         """The state brought back to f = 0 along M⁻¹ Aᵀ, or marked as failed: not a number from there on.
 
-        Newton on the multipliers with the matrix of the state itself. The largest |f| found here is kept in `watch`.
+        Newton on the multipliers with the matrix of the state itself. The largest |f| met here is kept in `watch`.
         Without trust a state that is still off f = 0 is no failure.
         """
         equations, k = self.equations(p), len(y.q)

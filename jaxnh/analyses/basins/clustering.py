@@ -61,7 +61,7 @@ def find_attractors(
 ) -> Assignment:
     """Return the attractors of lanes that have been run by themselves, extending in place lanes that are on none.
 
-    Judging takes as long as lanes have gone on before, so that after a round in which no attractor was found half as
+    Judging takes as long as lanes have gone on before, so that after a round without a new attractor half as
     many are judged: all rounds together cost no more than a few of the first.
 
     Args:
@@ -101,7 +101,7 @@ def _search(
     """Match lanes to attractors and judge the others, at most so many clusters at a value of the parameters.
 
     Lanes of one cluster may still be on several attractors, as those that a symmetry relates share means: while new
-    ones are found, the lanes of a cluster that are on none of them are judged in turn. So are, a few times, those
+    ones are known, the lanes of a cluster that are on none of them are judged in turn. So are, a few times, those
     whose leader is on no attractor but elsewhere.
     """
     match(batch, lanes, lot, point, assignment)

@@ -41,7 +41,7 @@ def doubled_lanes(
     size: Float[np.ndarray, " d"],
     distances: Float[np.ndarray, " distances"],
 ) -> PeriodScan:
-    """Lanes at some distances beyond a doubling, on the stable orbit of twice the period where Newton has found it.
+    """Lanes at some distances beyond a doubling, on the stable orbit of twice the period where Newton converges on it.
 
     Args:
         batch: the batch; its lanes but for their values of the first axis.
@@ -53,7 +53,7 @@ def doubled_lanes(
         distances: from the doubling along the first axis, with sign, nearest first.
 
     Returns:
-        A lane a distance, of period 0 where none was found.
+        A lane a distance, of period 0 where there is none.
     """
     n, chart = len(born.orbit), batch.chart
     at = int(np.argmax(np.linalg.norm(born.vector / size, axis=1)))
@@ -80,7 +80,7 @@ def doubled_lanes(
 def long_doubled_orbit(
     period: Period, born: DoublingPoint, distance: float, gap: float, size: Float[np.ndarray, " d"], wrap: Wrap
 ) -> Float[np.ndarray, "2n d"] | None:
-    """The stable orbit of twice the period at a distance beyond a doubling of even period; None where none was found.
+    """The stable orbit of twice the period at a distance beyond a doubling of even period; None where there is none.
 
     Args:
         period: P and ∂P/∂u over lanes.

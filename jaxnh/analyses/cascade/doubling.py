@@ -43,7 +43,7 @@ def periods(options: DoublingOptions, lanes: int) -> float:
 
 
 def independent(options: DoublingOptions) -> bool:
-    """Never: a cascade is found by comparing neighbouring lanes."""
+    """Return False: a cascade comes from comparing neighbouring lanes."""
     return False
 
 
@@ -89,7 +89,7 @@ def run(options: DoublingOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
 
 
 def _dataset(system: System, axis: Axis, levels: int, cascade: Cascade) -> xr.Dataset:
-    """Points as the variables of the contract, NaN where a level was not found."""
+    """Points as the variables of the contract, NaN where a level was not located."""
     name, count = axis.name, len(cascade.doublings)
     refined, rounding, value_error = np.full((3, levels), np.nan), np.full(levels, np.nan), np.full(levels, np.nan)
     refined[:, :count] = np.reshape(
@@ -160,7 +160,7 @@ def _extended(
 
 
 def _warnings(axis: Axis, levels: int, cascade: Cascade) -> str:
-    """Lines for the user: how many levels are missing, what was searched, and which were found outside the sweep."""
+    """Lines for the user: how many levels are missing, what was searched, and which lie outside the sweep."""
     lines = []
     if cascade.end:
         end, *more = cascade.end.split("\n")

@@ -54,7 +54,7 @@ class ExtendedDoublings(NamedTuple):
     """Doublings of maps with the steps that the accuracy asks for and with twice as many.
 
     Attributes:
-        coarse, fine: as many as were found one after the other.
+        coarse, fine: as many as were located one after the other.
     """
 
     coarse: tuple[ExtendedPoint, ...]
@@ -96,7 +96,7 @@ def extended_doublings(batch: LaneBatch, lanes: LaneRunner, cascade: Cascade, le
 
 
 def append_extended(batch: LaneBatch, cascade: Cascade, extended: ExtendedDoublings, levels: int) -> Cascade:
-    """The cascade with the doublings, rounded, that extended precision has found beyond those of float64.
+    """The cascade with the doublings, rounded, that extended precision locates beyond those of float64.
 
     How far four times the steps move them is what they move the last one of float64 by: from one doubling to the next
     this changes by as much as they are apart, of which there is less and less.

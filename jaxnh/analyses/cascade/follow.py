@@ -93,7 +93,7 @@ def follow_line(
     Args:
         batch: lanes along the first axis; its own values of it play no part here.
         lanes: runs lanes.
-        line: the first of its lanes has an orbit that attracts, the others what a survey has found there.
+        line: the first of its lanes has an orbit that attracts, the others the results of a survey there.
         levels: doublings looked for.
         size: of the motion in each section coordinate.
     """
@@ -148,7 +148,7 @@ def _follow_run(steps: _Steps, start: Start, levels: int) -> Cascade:
 
 
 def _next_level(steps: _Steps, start: Start, known: list[_Level]) -> _Level | None:
-    """The next doubling beyond those found from a start."""
+    """The next doubling beyond those known from a start."""
     n, sign = start.period << len(known), start.line.sign
     if n > _LONG and len(known) > 1:
         points = [level.located.point for level in known]
@@ -207,7 +207,7 @@ class _Steps:
         batch: lanes along the first axis; its own values of it play no part here.
         limit: largest period that surveys look for.
         size: of the motion in each section coordinate, (d,).
-        tried: doublings found from the end of a run, by its period, value and direction.
+        tried: number of doublings from the end of a run, by its period, value and direction.
     """
 
     def __init__(self, batch: LaneBatch, lanes: LaneRunner, limit: int) -> None:

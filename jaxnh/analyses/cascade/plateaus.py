@@ -1,6 +1,6 @@
 """Lanes along the first axis on their attractors: their runs of equal periods, and where a cascade may begin in them.
 
-Host code over what a survey has found; nothing is integrated here.
+Host code over the results of a survey; nothing is integrated here.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def _next_run(runs: list[Plateau], i: int) -> int | None:
 
 
 def describe_periods(line: PeriodScan, name: str, limit: int) -> str:
-    """Describe which periods a survey up to a limit has found where along the axis of that name."""
+    """Describe which periods a survey up to a limit gives where along the axis of that name."""
     runs = line.runs()
     decided = [run for run in runs if run.period]
     shown = sorted(sorted(decided, key=lambda run: -run.lanes)[:_SHOWN])

@@ -16,7 +16,7 @@ from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.random_starts import Box, random_start_batch
 from jaxnh.orbits.branches import StepControl
 
-_FARTHEST = 100.0  # sizes of the box: equilibria found further out are none of those looked for
+_FARTHEST = 100.0  # sizes of the box: equilibria further out are none of those looked for
 
 
 def equilibria(

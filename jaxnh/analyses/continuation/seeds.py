@@ -20,7 +20,7 @@ from jaxnh.orbits.shooting import Wrap, orbits_from_afar
 _FIRST_WAVE = 8  # lanes; every later wave has twice as many, half as far apart
 _WINDOWS, _WINDOW = 4, 16  # of a motion: the nearest return in each of so many stretches of so many strobes
 _SAME = 1e-6  # sizes of the motion: orbits this near are one
-_FARTHEST = 100.0  # sizes of the motion: orbits found further out are none of this motion
+_FARTHEST = 100.0  # sizes of the motion: orbits further out are none of this motion
 
 
 def attractor_waves(

@@ -75,7 +75,7 @@ class Averages(NamedTuple):
             of volume, and of volume by quadrature, (lanes, blocks, sums).
         smooth: smooth averages over the whole, its first and its second half, without the last sum, (lanes, 3, sums).
         blocks: number of blocks that were run, (lanes,).
-        settled: exponents of the lanes that were found on orbits by the end of the first block, which needed no others.
+        settled: exponents of the lanes that were on orbits by the end of the first block, which needed no others.
     """
 
     growth: TangentState

@@ -49,7 +49,7 @@ class Survey(NamedTuple):
     Attributes:
         period: least period of the attractor, 0 where it is none up to the limit, (lanes,).
         u: a point of the orbit in section coordinates, (lanes, d).
-        residual: largest component of Pⁿ(u) − u in sizes of the motion, NaN where no orbit was found, (lanes,).
+        residual: largest component of Pⁿ(u) − u in sizes of the motion, NaN where there is no orbit, (lanes,).
         multiplier: largest modulus of the multipliers, NaN likewise, (lanes,).
         monodromy: ∂Pⁿ/∂u at the point, NaN likewise, (lanes, d, d).
         failed: whether the state of the lane is not finite, (lanes,).
@@ -86,7 +86,7 @@ def survey(
 ) -> Survey:
     """Attractor and period (from `least` up to a limit) of every lane of a batch, from start points u.
 
-    Lanes whose orbit is not found early are looked at again after the whole transient. The period is a multiple of the
+    Lanes without an orbit by then are looked at again after the whole transient. The period is a multiple of the
     least n after which the points roughly recur; with `only_doublings`, for a cascade, 2, 4, 8, … times that alone are
     tried.
 

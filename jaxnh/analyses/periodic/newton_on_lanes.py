@@ -18,7 +18,7 @@ from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
 
 CONVERGED = 1e-7
-"""Residual of an orbit that Newton has found, in sizes of the motion."""
+"""Largest residual of an orbit on which Newton has converged, in sizes of the motion."""
 
 ORBIT_TILE = 64
 """Lanes a tile of programs that follow orbits."""

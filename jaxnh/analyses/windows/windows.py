@@ -62,7 +62,7 @@ def check(options: WindowsOptions, setting: Setting) -> None:
 
 
 def independent(options: WindowsOptions) -> bool:
-    """Return False: a window is found by comparing neighbouring lanes."""
+    """Return False: windows come from comparing neighbouring lanes."""
     return False
 
 

@@ -54,6 +54,6 @@ def find(name: str | None) -> Decision | None:
 
 
 def keep(name: str | None, decision: Decision) -> None:
-    """Have a decision found by later runs; where it cannot be kept, it is not."""
+    """Keep a decision for later runs, where that is possible."""
     if name:
         store.keep(name, json.dumps(asdict(decision)).encode())

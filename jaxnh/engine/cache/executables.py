@@ -1,4 +1,4 @@
-"""Compiled programs kept from run to run, found by what they are made of: a later run traces nothing.
+"""Compiled programs kept from run to run under a hash of what they are made of: a later run traces nothing.
 
 A program is named by a hash of all that decides it: the source of the package, versions of libraries, XLA's options,
 the processor, devices, the function with everything that it closes over, static arguments, and the shapes of all
@@ -202,7 +202,7 @@ def find(name: str, inputs: Any, devices: Sequence[Any]) -> Any:
 
 
 def keep(name: str, program: Any) -> None:
-    """Have a program that `compiling` has made found by later runs; where it cannot be kept, it is not."""
+    """Keep a program that `compiling` has made for later runs, where that is possible."""
     if store.folder() is None:
         return
     try:

@@ -1,4 +1,4 @@
-"""Fingerprints of calls of programs, the same in every process: a stopped run's results are found again by it."""
+"""Fingerprints of calls of programs, the same in every process: a stopped run's results are known by them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of what is kept from run to run, in the folder `jaxnh` of JAX's cache, each found by a name of what decides it.
+"""Files of what is kept from run to run, in the folder `jaxnh` of JAX's cache, each under a name of what decides it.
 
 One that is cut off, damaged or of another name is none, and is written anew. One that nothing has asked for in sixty
 days, as those of an earlier version, is removed when another is written. JAXNH_KEEP_PROGRAMS=0 switches all of it off.
@@ -45,7 +45,7 @@ def find(name: str) -> bytes | None:
 
 
 def keep(name: str, data: bytes) -> None:
-    """Have something found by later runs; where it cannot be kept, it is not."""
+    """Keep something for later runs, where that is possible."""
     where = folder()
     if where is None:
         return

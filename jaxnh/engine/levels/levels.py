@@ -5,7 +5,7 @@ near a change of the kind of motion in the level before: a lane of that level is
 also across a corner, is of another kind, and a lane of this level where it or any of its neighbours is such a lane.
 Rules tried on the full chart of exponents and periods over b and d at 256 x 256 (`configs/chart_b_d.yaml`), with 4
 levels: this one computes 32 % of the lanes, and 0.09 % of the places are of another kind than in full. With the lanes
-    at a change alone, and then again those at a change that is found, until there is none, it is 23 % and 0.4 %; with
+    at a change alone, and then again those at a new change, until there is none, it is 23 % and 0.4 %; with
     one more ring about the changes 39 % and less than 0.01 %. After this rule another round in the same level finds
     0.03 % of the places, and is not made. At 1024 x 1024 (`sweeps/timing/adaptive_charts.py`) 3 levels compute 23 % of
     the lanes, and 0.19 % are of another kind, 4 levels 20 % and 0.22 %.
@@ -151,7 +151,7 @@ def mark_computed(group: xr.Dataset, lanes: xr.Dataset) -> xr.Dataset:
 
 
 def _insert_lanes(computed: xr.Dataset, mask: Bool[np.ndarray, " lanes"], around: xr.Dataset) -> xr.Dataset:
-    """Lanes that were found at their places among others."""
+    """Lanes looked up at their places among others."""
     content = {}
     for name, item in computed.variables.items():
         values = item.values
