@@ -62,7 +62,6 @@ class GeneralStrobe(ReturnMap):
         grid: ends of the steps, (capacity + 1,); the last one repeats where not all are in use.
         steps: how many are in use; None of the only one, which is no loop.
         values: what time alone decides, at the stages of all steps, each (capacity, stages).
-        rolled: whether the stages of a step are a loop; None: where written out they are too many equations.
     """
 
     system: Flow
@@ -70,7 +69,6 @@ class GeneralStrobe(ReturnMap):
     grid: ArrayLike
     steps: ArrayLike | None
     values: tuple[Any, ...] = ()
-    rolled: bool | None = eqx.field(static=True, default=None)
 
     @property
     def most_lanes(self) -> int | None:
@@ -88,12 +86,13 @@ class GeneralStrobe(ReturnMap):
     def _rolls(self, tangents: int) -> bool:
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return False
-        if self.rolled is not None:
-            return self.rolled
+        if self.solver.rolled is not None:
+            return self.solver.rolled
         return time_split(self.system).size * (1 + tangents) * self.solver.stages > _LARGEST_STEP
 
     def as_loop(self) -> GeneralStrobe:
-        return replace(self, rolled=True) if isinstance(self.solver, WrittenOutRungeKutta) else self
+        written_out = isinstance(self.solver, WrittenOutRungeKutta)
+        return replace(self, solver=replace(self.solver, rolled=True)) if written_out else self
 
     def rescaled_time(self, factor: ArrayLike) -> GeneralStrobe:
         """The map over so many times the time, of a flow without a clock."""
@@ -267,16 +266,14 @@ def _split(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> TimeSplit:
     return TimeSplit(rate, system, (state, dict.fromkeys(system.lane_parameters, 0.0)))
 
 
-def general_strobe(
-    system: Flow, solver: diffrax.AbstractSolver, grid: np.ndarray, *, rolled: bool | None = None
-) -> GeneralStrobe:
+def general_strobe(system: Flow, solver: diffrax.AbstractSolver, grid: np.ndarray) -> GeneralStrobe:
     """The map over a grid (steps + 1,), or stacked maps of one flow over grids (parts, steps + 1)."""
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
     values: tuple[Any, ...] = ()
     if isinstance(solver, WrittenOutRungeKutta):
         grid, times = stage_times(grid, solver.c[: solver.stages])
         values = tuple(np.asarray(value) for value in time_split(system).table(times, system))
-    return GeneralStrobe(stack_leaves(system, parts), solver, grid, np.full(parts, count, np.int32), values, rolled)
+    return GeneralStrobe(stack_leaves(system, parts), solver, grid, np.full(parts, count, np.int32), values)
 
 
 def stage_times(grid: np.ndarray, c: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:

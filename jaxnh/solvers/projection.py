@@ -44,7 +44,3 @@ class ProjectedSolver(diffrax.AbstractSolver):
         y1, _, _, solver_state, result = self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
         y1 = self.system.project(t1, y1, args)
         return y1, None, {"y0": y0, "y1": y1}, solver_state, result
-
-    def rolled_step(self, terms: Any, t0: Any, t1: Any, y0: State, args: Any) -> State:
-        """State after one step, computed by a smaller program; see `WrittenOutRungeKutta.rolled_step`."""
-        return self.system.project(t1, self.solver.rolled_step(terms, t0, t1, y0, args), args)

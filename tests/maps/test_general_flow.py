@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import diffrax
 import jax
@@ -62,7 +63,7 @@ def test_steps_are_diffeqsolve_with_projected_steps(name, flow, rolled):
     (system, start), solver = FLOWS[flow], RUNGE_KUTTA[name]
     start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
     grid = step_grid(system, 100, (0.0, system.period))
-    strobe = general_strobe(system, solver, grid, rolled=rolled)
+    strobe = general_strobe(system, replace(solver, rolled=rolled), grid)
     assert strobe.turns == ((100.0, float(solver.stages)) if rolled else (100.0,))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(system.rhs), ProjectedSolver(solver, system), 0.0, system.period, None, start, args=p,
@@ -79,7 +80,8 @@ def test_rolled_steps_are_those_written_out(solver):
     system, start = FLOWS["constrained"]
     start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
     rolled, written_out = (
-        moved(general_strobe(system, solver, np.array([0.0, 0.1]), rolled=rolled), start, p) for rolled in (True, False)
+        moved(general_strobe(system, replace(solver, rolled=rolled), np.array([0.0, 0.1])), start, p)
+        for rolled in (True, False)
     )
     for one, other in zip(jax.tree.leaves(rolled), jax.tree.leaves(written_out), strict=True):
         assert abs(float(one) - float(other)) < 2 * 15 * 40 * UNIT
