@@ -9,16 +9,19 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from jaxnh.analyses.base import LANE, SweepLanes
+from jaxnh.analyses.base import LANE, Analysis, SweepLanes
 from jaxnh.analyses.batch import Axis, LaneBatch
+from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.accuracy.calibration import Plan
+from jaxnh.engine.accuracy.cost_model import lanes_a_tile
 from jaxnh.engine.axes import SweepPoints, places_of, points, points_along, points_together, to_axes, whole_to_axes
 from jaxnh.engine.batches import Requested, lanes_of, stackable
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level, fill_level, mark_computed
 from jaxnh.solvers import SOLVERS
+from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.storage.pieces import Job, Piece
 from jaxnh.storage.tiles import SecondsSpent
 
@@ -63,7 +66,14 @@ def batch_of(
 
 def plan_of_job(job: Job) -> Plan:
     """The solver and steps of a job."""
-    return Plan(SOLVERS[job.solver], job.steps, job.compensated, job.error_estimate)
+    solver = SOLVERS[job.solver]
+    return Plan(in_loop(solver) if job.rolled else solver, job.steps, job.compensated, job.error_estimate)
+
+
+def executor_for(analysis: Analysis, options: Options, count: int, lanes: LaneExecutor) -> LaneExecutor:
+    """The executor in tiles for a sweep of so many lanes, of an analysis that has no others than these."""
+    by_lane = analysis.independent(options) and analysis.starts(options) is None
+    return lanes.in_tiles(lanes_a_tile(count)) if by_lane else lanes
 
 
 # ---- pieces
@@ -145,7 +155,8 @@ def _groups(
     for name in names:
         analysis = ANALYSES[name]
         needed = ({need: groups[need] for need in analysis.needs},) if analysis.needs else ()
-        groups[name] = analysis.run(options[name], lane_batch, lanes, *needed)
+        few = executor_for(analysis, options[name], job.lanes, lanes)
+        groups[name] = analysis.run(options[name], lane_batch, few, *needed)
     return groups
 
 

@@ -15,11 +15,12 @@ from jaxnh.analyses.base import Starts
 from jaxnh.analyses.batch import Axis, LaneBatch, select
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
+from jaxnh.engine.accuracy.cost_model import LOOP_OVER_WRITTEN_OUT, lanes_a_tile, quickest_form
 from jaxnh.engine.axes import SweepPoints, points, sample_places
 from jaxnh.engine.batches import Requested, lanes_of, shared_values_a_tile
 from jaxnh.engine.cache import calibrations
 from jaxnh.engine.cache.calibrations import Decision
-from jaxnh.engine.compute import batch_of
+from jaxnh.engine.compute import batch_of, executor_for
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.tiles import inner_trip_count
 from jaxnh.engine.experiment import Experiment
@@ -28,6 +29,7 @@ from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.section import Section
 from jaxnh.solvers import SOLVERS
+from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.storage.pieces import Job, Piece, tile_lanes
 from jaxnh.storage.provenance import versions
 
@@ -105,6 +107,15 @@ def plan_of(experiment: Experiment, calibration: Calibration) -> Plan:
         raise AccuracyError(f"{experiment.label}: accuracy.target: {error}") from None
 
 
+def in_quickest_form(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> Plan:
+    """The plan with the steps in the form that is quickest for so many lane-periods, compiling included."""
+    lanes = experiment.sweep.lanes
+    tile = lanes_a_tile(lanes)
+    work = work_of(requested, lanes) * plan.steps * -(-lanes // tile) * tile
+    first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
+    return plan._replace(solver=quickest_form(plan.solver, first.system.flow, work))
+
+
 def choose(
     experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: LaneExecutor
 ) -> dict[str, dict[str, int]]:
@@ -119,7 +130,8 @@ def choose(
         for analysis, options in choosing:
             assert analysis.choose is not None
             before = choices.setdefault(analysis.name, {})
-            for key, number in analysis.choose(options, lane_batch, lanes).items():
+            few = executor_for(analysis, options, experiment.sweep.lanes, lanes)
+            for key, number in analysis.choose(options, lane_batch, few).items():
                 before[key] = max(number, before.get(key, number))
     return choices
 
@@ -153,6 +165,7 @@ def job_of(
         steps=plan.steps,
         compensated=plan.compensated,
         error_estimate=plan.error_estimate,
+        rolled=bool(getattr(plan.solver, "rolled", False)),
         chosen=chosen,
         order=tuple(analysis.name for analysis, _ in requested),
         independent=tuple(analysis.name for analysis, _ in split),
@@ -188,13 +201,15 @@ def decide(
     axes, requested = experiment.axes, experiment.requested()
     name = calibrations.name_of(experiment, lanes.devices, lanes.tile)
     if kept := calibrations.find(name):
-        plan, chosen = Plan(SOLVERS[kept.solver], kept.steps, kept.compensated, kept.error_estimate), kept.chosen
+        plan = Plan(SOLVERS[kept.solver], kept.steps, kept.compensated, kept.error_estimate)
+        plan, chosen = in_quickest_form(experiment, axes, plan, requested), kept.chosen
         lanes.accounts.fastest = min(lanes.accounts.fastest, kept.fastest)
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
     else:
         with lanes.stage("accuracy: errors of one period on sample lanes", 0):
             plan = plan_of(experiment, calibrate(experiment, axes, lanes, experiment.accuracy.only_target))
+            plan = in_quickest_form(experiment, axes, plan, requested)
             if not asked:
                 check_size(experiment, axes, plan, requested, lanes)
             chosen = choose(experiment, axes, plan, requested, lanes)
@@ -215,7 +230,8 @@ def check_size(
     count = experiment.sweep.lanes
     work = work_of(requested, count) * count
     first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
-    turns = inner_trip_count((batch_of(first, plan, experiment.precision).strobe(),))
+    looped = batch_of(first, plan._replace(solver=in_loop(plan.solver)), experiment.precision)  # as calibrations are
+    turns = inner_trip_count((looped.strobe(),)) / (1.0 if looped.solver == plan.solver else LOOP_OVER_WRITTEN_OUT)
     seconds = work * turns * lanes.accounts.fastest if math.isfinite(lanes.accounts.fastest) else 0.0
     if count > MOST_LANES or seconds > _LONGEST_RUN:
         size = f", {8e-9 * count:.2g} GB a variable" if count > MOST_LANES else ""

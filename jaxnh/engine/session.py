@@ -28,7 +28,15 @@ from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.from_python import System, experiment_of
 from jaxnh.engine.levels.levels import Level, axes_of, level_of
 from jaxnh.engine.output import check_output, file_of, is_there
-from jaxnh.engine.plan import calibrate, choose, count_warnings, job_of, plan_of, start_samplers
+from jaxnh.engine.plan import (
+    calibrate,
+    choose,
+    count_warnings,
+    in_quickest_form,
+    job_of,
+    plan_of,
+    start_samplers,
+)
 from jaxnh.engine.progress import CallbackProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.run import RunOptions, run_to_file
@@ -272,7 +280,7 @@ class Session:
                 f", and {MOST_LANES:,} is the most in memory; a run with an output may have more"
             )
         axes, requested, lanes = experiment.axes, experiment.requested(), self._lanes
-        plan = self._plan_for(experiment, axes)
+        plan = in_quickest_form(experiment, axes, self._plan_for(experiment, axes), requested)
         chosen = choose(experiment, axes, plan, requested, lanes)
         job = job_of(experiment, axes, plan, chosen, requested, lanes.machine)
         whole, of_lanes = dict[str, xr.Dataset](), dict[str, xr.Dataset]()

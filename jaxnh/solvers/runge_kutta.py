@@ -7,6 +7,7 @@ costs ten times the arithmetic. Here every stage is an expression of its own, an
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import diffrax
@@ -131,6 +132,11 @@ class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
 
         none = jnp.zeros((count, *begun.shape), begun.dtype)
         return state(count, lax.fori_loop(0, count, stage, none))
+
+
+def in_loop(solver: Any) -> Any:
+    """A solver with its stages in a loop, where it can have them so, which needs the least compiling."""
+    return replace(solver, rolled=True) if isinstance(solver, WrittenOutRungeKutta) else solver
 
 
 def _times(rate: Any, h: Any) -> Any:

@@ -47,6 +47,7 @@ class Job:
         config_sha256: hash of the config.
         versions: of the package and the libraries that the numbers rest on.
         solver, steps, compensated, error_estimate: what a period is computed with.
+        rolled: whether the stages of a step are a loop.
         chosen: what analyses have chosen from the whole sweep.
         order: names of the analyses in the order of the result.
         independent: those whose lanes know nothing of each other; the others are run along the whole first axis.
@@ -68,6 +69,7 @@ class Job:
     steps: int
     compensated: bool
     error_estimate: float
+    rolled: bool
     chosen: Mapping[str, Mapping[str, int]]
     order: tuple[str, ...]
     independent: tuple[str, ...]

@@ -28,6 +28,7 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
+from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State, error_components
 
@@ -357,7 +358,7 @@ class Calibration:
 
         @functools.lru_cache(_MAPS_KEPT)
         def of(row: int) -> ReturnMap:
-            return make_return_map(self._flows[row], solver, steps, compensated=compensated)
+            return make_return_map(self._flows[row], in_loop(solver), steps, compensated=compensated)
 
         return of
 

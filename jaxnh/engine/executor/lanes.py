@@ -71,6 +71,12 @@ class LaneExecutor:
         first, count, programs = self.devices[:1], len(self.devices) * _RUNNERS_A_CORE, Programs()
         return [LaneExecutor(self._progress, first, self.tile, programs) for _ in range(count)]
 
+    def in_tiles(self, tile: int) -> LaneExecutor:
+        """This executor with tiles of at most so many lanes; programs and accounts stay common."""
+        smaller = copy.copy(self)
+        smaller.tile = min(tile, self.tile)
+        return smaller
+
     def through(self, wrap: Callable[[Tiles], Tiles]) -> LaneExecutor:
         """This executor with something around its tiles, as a journal of their results; accounts stay common."""
         wrapped = copy.copy(self)
@@ -198,7 +204,7 @@ class LaneExecutor:
         if any(isinstance(part, ParameterFamily) and not part.together for part in shared):
             return _FEW
         most = [most for part in shared if (most := getattr(part, "most_lanes", None))]
-        return min(tile or self.tile, *most) if most else tile or self.tile
+        return min(self.tile, *most, tile or self.tile)
 
 
 def _own(family: ParameterFamily[Any], lanes: tuple[Any, ...]) -> Mapping[str, Any]:

@@ -1,0 +1,44 @@
+"""What compiling costs beside running: the form of a step and the lanes of a tile that are quickest for a job.
+
+The rates are fixed ones, of one core with AVX-512. A rate that is measured where a job runs would let its plan, and so
+the last bits of chaotic lanes, depend on how busy the machine was; and the two forms cost the same within a factor of
+two over a decade of lanes, so that another machine's rates would gain little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from jaxnh.maps.general_flow import time_split
+from jaxnh.solvers import Solver, WrittenOutRungeKutta
+from jaxnh.systems.flow import Flow
+
+LOOP_OVER_WRITTEN_OUT = 4.0
+"""Time of a step with its stages in a loop over that of one written out, at a full tile."""
+
+_COMPILING = 8e-4  # seconds to trace and compile an equation of a step that is written out
+_LOOPED = 2e-10  # seconds more for a coordinate at a stage of a lane-step, where the stages are a loop
+_TILES = ((16, 8), (128, 32), (512, 128))  # lanes of a sweep up to which a tile has so many
+_LARGEST_TILE = 256
+
+
+def quickest_form(solver: Solver, flow: Flow, lane_steps: float) -> Solver:
+    """The solver with its stages in a loop where a job ends sooner with the loop's short compiling than with its own.
+
+    Written out, a step has every equation of the field and every sum over stages once a stage, with tangents or
+    without; in a loop each stage sums over all stages, those of zero weight too.
+
+    Args:
+        lane_steps: steps that all lanes of the job take together, those that fill up tiles too.
+    """
+    if not isinstance(solver, WrittenOutRungeKutta) or solver.rolled is not None:
+        return solver
+    d = flow.chart.dimension
+    equations = time_split(flow).size + solver.stages * d / 2.0
+    looped = _LOOPED * lane_steps * d < _COMPILING * equations
+    return replace(solver, rolled=True) if looped else solver
+
+
+def lanes_a_tile(lanes: int) -> int:
+    """Lanes of a tile for a sweep of so many: a lane of one costs what those that fill its tile cost."""
+    return next((tile for most, tile in _TILES if lanes <= most), _LARGEST_TILE)
