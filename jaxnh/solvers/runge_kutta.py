@@ -127,8 +127,8 @@ class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
             return [moved[j] for j in range(len(leaves))]
 
         def stage(i: Any, rates: Any) -> Any:
-            k = jnp.stack(field(i, state(i, rates))) * h
-            return lax.dynamic_update_slice_in_dim(rates, k[None], i, 0)
+            moved = jnp.stack(_times(field(i, state(i, rates)), h))
+            return lax.dynamic_update_slice_in_dim(rates, moved[None], i, 0)
 
         none = jnp.zeros((count, *begun.shape), begun.dtype)
         return state(count, lax.fori_loop(0, count, stage, none))
