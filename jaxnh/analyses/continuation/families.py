@@ -1,6 +1,6 @@
-"""The family of maps that a batch is over its first axis, for `orbits.arclength`: of orbits, or of equilibria.
+"""The family of maps that a batch is over its first axis, for `orbits.continuation.arclength`: of orbits, or of equilibria.
 
-And over two of its parameters, for `orbits.curves`.
+And over two of its parameters, for `orbits.continuation.curves`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.section import rates
-from jaxnh.orbits.arclength import Family
-from jaxnh.orbits.curves import ParameterPlane
+from jaxnh.orbits.continuation.arclength import Family
+from jaxnh.orbits.continuation.curves import ParameterPlane
 from jaxnh.systems.flow import Flow, Parameters
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long
