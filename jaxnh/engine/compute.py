@@ -18,9 +18,10 @@ from jaxnh.engine.batches import Requested, lanes_of, stackable
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level, fill_level, mark_computed
+from jaxnh.jobs.cutting import Piece
+from jaxnh.jobs.job import Job
+from jaxnh.jobs.provenance import SecondsSpent
 from jaxnh.solvers import SOLVERS
-from jaxnh.storage.pieces import Job, Piece
-from jaxnh.storage.tiles import SecondsSpent
 
 
 class ComputedPiece(NamedTuple):
@@ -63,7 +64,8 @@ def batch_of(
 
 def plan_of_job(job: Job) -> Plan:
     """The solver and steps of a job."""
-    return Plan(SOLVERS[job.solver], job.steps, job.compensated, job.error_estimate)
+    plan = job.plan
+    return Plan(SOLVERS[plan.solver], plan.steps, plan.compensated, plan.error_estimate)
 
 
 # ---- pieces
@@ -88,10 +90,10 @@ def compute(
         level: of the job of one, which lanes are computed, and what the others are filled with.
         earlier: seconds that a stopped run has spent on them, of which a journal has the results.
     """
-    if job.is_whole(batch[0]):
+    if job.cutting.is_whole(batch[0]):
         return [_combine_tiles(experiment, axes, requested, job, piece, lanes, gather, earlier) for piece in batch]
     began, before = time.perf_counter() - earlier, spent(lanes, 0.0)
-    line = batch[0].names != job.independent
+    line = batch[0].names != job.cutting.independent
     places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
     if level is not None:
         wanted = np.concatenate([level.wanted_in(piece) for piece in batch])
@@ -137,9 +139,10 @@ def _groups(
     if line:
         at = (points_along if axes[0].kind == "shared" else points)(experiment, axes, places)
     else:
-        at = (points_together if stackable(experiment, axes, requested, job) else points)(experiment, axes, places)
-    place = places[0] * job.step
-    lane_batch = batch_of(at, plan_of_job(job), experiment.precision, job.chosen, place, axes[0] if line else None)
+        stacked = stackable(experiment, axes, requested, job.plan.solver)
+        at = (points_together if stacked else points)(experiment, axes, places)
+    place = places[0] * job.cutting.step
+    lane_batch = batch_of(at, plan_of_job(job), experiment.precision, job.plan.chosen, place, axes[0] if line else None)
     options = {analysis.name: options for analysis, options in requested}
     groups: dict[str, xr.Dataset] = {}
     for name in names:
@@ -163,19 +166,20 @@ def _combine_tiles(
     began, before = time.perf_counter() - earlier, spent(lanes, 0.0)
     [(analysis, options)] = [(a, o) for a, o in requested if a.name == piece.names[0]]
     assert analysis.whole is not None
-    number = np.arange(job.lanes).reshape(job.shape)
+    shape = job.cutting.shape
+    number = np.arange(job.cutting.lanes).reshape(shape)
     shared = [k for k, axis in enumerate(axes) if axis.kind == "shared"]
     rows = []
-    for at in np.ndindex(*(job.shape[k] for k in shared)):
+    for at in np.ndindex(*(shape[k] for k in shared)):
         chosen = dict(zip(shared, at, strict=True))
         some = number[tuple(chosen.get(k, slice(None)) for k in range(len(axes)))].ravel()
-        places = np.unravel_index(some, job.shape)
+        places = np.unravel_index(some, shape)
         at_row = points(experiment, axes, places)
-        place = places[0] * job.step
-        rows.append((some, batch_of(at_row, plan_of_job(job), experiment.precision, job.chosen, place)))
+        place = places[0] * job.cutting.step
+        rows.append((some, batch_of(at_row, plan_of_job(job), experiment.precision, job.plan.chosen, place)))
     data = gather(analysis.name)
     groups = analysis.whole.run(options, SweepLanes(tuple(axes), tuple(rows)), lanes, data)
-    if job.level:
+    if job.cutting.level:
         groups = {name: mark_computed(group, data) for name, group in groups.items()}
     after = spent(lanes, time.perf_counter() - began)
     cost = after._replace(

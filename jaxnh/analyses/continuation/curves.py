@@ -1,7 +1,8 @@
 """Curves of bifurcations over two parameters: folds, doublings and Neimark–Sacker bifurcations of periodic orbits.
 
 Bifurcations to begin with are those of the branches over the first axis at some values of the second, from what lanes
-settle on there (`branches`). What follows is for all curves of one kind and period together (`orbits.continuation.curves`).
+settle on there (`branches`). All curves of one kind and period are then followed together
+(`orbits.continuation.curves`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The family of maps that a batch is over its first axis, for `orbits.continuation.arclength`: of orbits, or of equilibria.
-
-And over two of its parameters, for `orbits.continuation.curves`.
-"""
+"""Families of maps of a batch for `orbits.continuation`: of orbits or equilibria over its first axis, or over two."""
 
 from __future__ import annotations
 

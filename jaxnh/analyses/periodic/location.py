@@ -1,4 +1,4 @@
-"""Location of a doubling of a batch: `orbits.bifurcations.doubling_points` on lanes, with the map in several refinements."""
+"""Location of a doubling of a batch: `bifurcations.doubling_points` on lanes, with the map in several refinements."""
 
 from __future__ import annotations
 
