@@ -46,7 +46,8 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import VerdictOptions as Verdict
     from jaxnh.analyses.options import WindowsOptions as Windows
     from jaxnh.engine.experiment import Experiment, load
-    from jaxnh.engine.session import Session, run
+    from jaxnh.engine.run_experiment import run
+    from jaxnh.engine.session import Session
     from jaxnh.explorer.bokeh_figure import bokeh_figure
     from jaxnh.plotting.meanings import labels
     from jaxnh.plotting.results import figure
@@ -72,7 +73,7 @@ _HOMES = {
     "lagrangian": "systems.lagrangian",
     "load": "engine.experiment",
     "open_result": "storage.hdf5",
-    "run": "engine.session",
+    "run": "engine.run_experiment",
 }
 
 

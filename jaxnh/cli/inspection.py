@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.table import Table
 
 from jaxnh.exceptions import InputError, ResultError
+from jaxnh.jobs.attributes import steps_in_words
 from jaxnh.storage import hdf5 as store
-from jaxnh.storage.provenance import steps_in_words
 
 if TYPE_CHECKING:
     import xarray as xr

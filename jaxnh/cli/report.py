@@ -13,8 +13,8 @@ from jaxnh.cli.terminal import show
 from jaxnh.config.messages import join_words
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.run import RunSummary
+from jaxnh.jobs.attributes import steps_in_words
 from jaxnh.storage.hdf5 import read_attrs, read_group
-from jaxnh.storage.provenance import steps_in_words
 
 _LOG_WIDTH = 100  # columns of a table that goes to a file
 
@@ -23,12 +23,12 @@ def report(
     experiment: Experiment, path: Path, outcome: RunSummary, part: tuple[int, int] | None, *, quiet: bool
 ) -> None:
     """Print what a run has come to."""
-    job, total = outcome.job, outcome.spent
+    plan, cutting, total = outcome.job.plan, outcome.job.cutting, outcome.spent
     if not outcome.whole and part:
         if not quiet:
             print(f"part {part[0]}/{part[1]}: {outcome.pieces[0]} of {outcome.pieces[1]} tiles")
         return
-    for name in job.groups:
+    for name in cutting.groups:
         if not quiet:
             _show_table(experiment, path, name)
         warnings = list(filter(None, str(read_attrs(path, name).get("warnings", "")).split("\n")))
@@ -38,13 +38,13 @@ def report(
         return
     unit = "unit of time" if experiment.autonomous else "period"
     print(
-        f"{job.solver} in {experiment.precision}, {steps_in_words(read_attrs(path), unit)}, "
-        f"error of one {'return' if experiment.sectioned else unit} {job.error_estimate:.1e}; "
+        f"{plan.solver} in {experiment.precision}, {steps_in_words(read_attrs(path), unit)}, "
+        f"error of one {'return' if experiment.sectioned else unit} {plan.error_estimate:.1e}; "
         f"{total.lane_periods:,.0f} lane-periods"
     )
-    if job.levels > 1:
-        share = float(read_group(path, job.groups[0])["computed"].mean())
-        print(f"{job.levels} levels; {share:.1%} of {job.lanes:,} lanes computed")
+    if cutting.levels > 1:
+        share = float(read_group(path, cutting.groups[0])["computed"].mean())
+        print(f"{cutting.levels} levels; {share:.1%} of {cutting.lanes:,} lanes computed")
     if outcome.run_seconds:
         rest = outcome.seconds - outcome.compile_seconds - outcome.run_seconds
         parts = f"compile {outcome.compile_seconds:.1f} s, run {outcome.run_seconds:.1f} s"

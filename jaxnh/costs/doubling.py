@@ -27,7 +27,7 @@ from jaxnh.costs.stage import StagelessRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.orbits.doubling_points import doubling_point, follow_branch, refine_doubling
+from jaxnh.orbits.bifurcations.doubling_points import doubling_point, follow_branch, refine_doubling
 from jaxnh.orbits.newton import Orbit
 from jaxnh.orbits.shooting import Period
 from jaxnh.systems.flow import Parameters

@@ -15,9 +15,9 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.base import LANE, Entry, variable
 from jaxnh.analyses.batch import Axis
 from jaxnh.engine.experiment import Experiment
+from jaxnh.jobs.cutting import Piece
 from jaxnh.maps.family import ParameterFamily
 from jaxnh.maps.section import System
-from jaxnh.storage.pieces import Piece
 from jaxnh.systems.state import State
 
 _MOST_ROWS = 8  # values of shared axes that samples of a sweep are taken at

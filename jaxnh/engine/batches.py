@@ -13,10 +13,11 @@ from jaxnh.analyses.options.base import Options
 from jaxnh.engine.executor.lanes import TILE
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level
+from jaxnh.jobs.cutting import Cutting, Piece
+from jaxnh.jobs.job import Job
 from jaxnh.maps.build import scheme_of
 from jaxnh.maps.family import GROUPS
 from jaxnh.solvers import SOLVERS
-from jaxnh.storage.pieces import Job, Piece
 
 Requested = Sequence[tuple[Analysis, Options]]
 
@@ -39,23 +40,25 @@ def batches(
 
     They are of the same values of the axes that lanes share, or where it can be of several that have the same period.
     """
-    numbers = sum(a.numbers(options) for a, options in requested if a.name in job.independent)
+    cutting = job.cutting
+    numbers = sum(a.numbers(options) for a, options in requested if a.name in cutting.independent)
     share = sum(lanes_of(piece, level) for piece in pieces) // (_BATCHES * devices)
-    most, held = max(job.tile, devices * TILE, min(_LANES, share)), max(job.tile, _BYTES // (8 * max(1, numbers)))
+    most = max(cutting.tile, devices * TILE, min(_LANES, share))
+    held = max(cutting.tile, _BYTES // (8 * max(1, numbers)))
     most_values = 1
-    if stackable(experiment, axes, requested, job):
+    if stackable(experiment, axes, requested, job.plan.solver):
         most_values = max(1, min(GROUPS, len(pieces) // (_BATCHES * devices)))
     alike = _alike(experiment, axes)
     groups: list[list[Piece]] = []
     computed, there, places = 0, 0, set[tuple[int, ...]]()  # lanes and shared places of the last batch
     for piece in pieces:
-        last, of_piece = groups[-1] if groups else [], shared_places(piece, job)
+        last, of_piece = groups[-1] if groups else [], shared_places(piece, cutting)
         follows = bool(last) and piece.number == last[-1].number + 1
         fits = computed + lanes_of(piece, level) <= most and there + piece.lanes <= held
         near = of_piece <= places
         if not near and len(of_piece | places) <= most_values:
             near = alike(of_piece | places)
-        if follows and fits and near and piece.names == job.independent == last[-1].names:
+        if follows and fits and near and piece.names == cutting.independent == last[-1].names:
             last.append(piece)
         else:
             groups.append([piece])
@@ -65,7 +68,7 @@ def batches(
     return groups
 
 
-def stackable(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> bool:
+def stackable(experiment: Experiment, axes: Sequence[Axis], requested: Requested, solver: str) -> bool:
     """Return whether lanes at several values of the axes that lanes share can go through one program.
 
     All that such an axis changes has to be in the tables of maps with a clock.
@@ -73,10 +76,10 @@ def stackable(experiment: Experiment, axes: Sequence[Axis], requested: Requested
     shared = {axis.name: float(axis.values[0]) for axis in axes if axis.kind == "shared"}
     if not shared or experiment.precision != "float64":
         return False
-    if not all(analysis.stackable for analysis, _ in requested if analysis.name in job.independent):
+    if not all(analysis.stackable for analysis, options in requested if analysis.independent(options)):
         return False
     flow = experiment.flow(shared)
-    return not flow.autonomous and scheme_of(flow, SOLVERS[job.solver]).stacked
+    return not flow.autonomous and scheme_of(flow, SOLVERS[solver]).stacked
 
 
 def lanes_of(piece: Piece, level: Level | None) -> int:
@@ -84,11 +87,11 @@ def lanes_of(piece: Piece, level: Level | None) -> int:
     return piece.lanes if level is None else int(level.wanted_in(piece).sum())
 
 
-def shared_values_a_tile(experiment: Experiment, axes: Sequence[Axis], requested: Requested, job: Job) -> int:
-    """Return how many values of the shared axes a tile of a job may have: of all of them, or else 1."""
+def shared_values_a_tile(experiment: Experiment, axes: Sequence[Axis], requested: Requested, solver: str) -> int:
+    """Return how many values of the shared axes a tile may have: of all of them, or else 1."""
     shared = [range(len(axis.values)) for axis in axes if axis.kind == "shared"]
     many = math.prod(map(len, shared)) > _MOST_COMPARED
-    if many or not stackable(experiment, axes, requested, job):
+    if many or not stackable(experiment, axes, requested, solver):
         return 1
     return GROUPS if _alike(experiment, axes)(set(itertools.product(*shared))) else 1
 
@@ -105,7 +108,7 @@ def _alike(experiment: Experiment, axes: Sequence[Axis]) -> Callable[[set[tuple[
     return lambda places: len(set(map(period, places))) <= 1
 
 
-def shared_places(piece: Piece, job: Job) -> set[tuple[int, ...]]:
+def shared_places(piece: Piece, cutting: Cutting) -> set[tuple[int, ...]]:
     """Places of a piece along the shared axes."""
-    ends = zip(piece.begin, piece.end, job.axes, strict=True)
+    ends = zip(piece.begin, piece.end, cutting.axes, strict=True)
     return set(itertools.product(*(range(begin, end) for begin, end, (_, _, shared) in ends if shared)))

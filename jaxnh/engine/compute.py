@@ -20,10 +20,11 @@ from jaxnh.engine.batches import Requested, lanes_of, stackable
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level, fill_level, mark_computed
+from jaxnh.jobs.cutting import Piece
+from jaxnh.jobs.job import Job
+from jaxnh.jobs.provenance import SecondsSpent
 from jaxnh.solvers import SOLVERS
 from jaxnh.solvers.runge_kutta import in_loop
-from jaxnh.storage.pieces import Job, Piece
-from jaxnh.storage.tiles import SecondsSpent
 
 
 class ComputedPiece(NamedTuple):
@@ -66,8 +67,9 @@ def batch_of(
 
 def plan_of_job(job: Job) -> Plan:
     """The solver and steps of a job."""
-    solver = SOLVERS[job.solver]
-    return Plan(in_loop(solver) if job.rolled else solver, job.steps, job.compensated, job.error_estimate)
+    plan = job.plan
+    solver = SOLVERS[plan.solver]
+    return Plan(in_loop(solver) if plan.rolled else solver, plan.steps, plan.compensated, plan.error_estimate)
 
 
 def executor_for(analysis: Analysis, options: Options, count: int, lanes: LaneExecutor) -> LaneExecutor:
@@ -98,10 +100,10 @@ def compute(
         level: of the job of one, which lanes are computed, and what the others are filled with.
         earlier: seconds that a stopped run has spent on them, of which a journal has the results.
     """
-    if job.is_whole(batch[0]):
+    if job.cutting.is_whole(batch[0]):
         return [_combine_tiles(experiment, axes, requested, job, piece, lanes, gather, earlier) for piece in batch]
     began, before = time.perf_counter() - earlier, spent(lanes, 0.0)
-    line = batch[0].names != job.independent
+    line = batch[0].names != job.cutting.independent
     places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
     if level is not None:
         wanted = np.concatenate([level.wanted_in(piece) for piece in batch])
@@ -147,15 +149,16 @@ def _groups(
     if line:
         at = (points_along if axes[0].kind == "shared" else points)(experiment, axes, places)
     else:
-        at = (points_together if stackable(experiment, axes, requested, job) else points)(experiment, axes, places)
-    place = places[0] * job.step
-    lane_batch = batch_of(at, plan_of_job(job), experiment.precision, job.chosen, place, axes[0] if line else None)
+        stacked = stackable(experiment, axes, requested, job.plan.solver)
+        at = (points_together if stacked else points)(experiment, axes, places)
+    place = places[0] * job.cutting.step
+    lane_batch = batch_of(at, plan_of_job(job), experiment.precision, job.plan.chosen, place, axes[0] if line else None)
     options = {analysis.name: options for analysis, options in requested}
     groups: dict[str, xr.Dataset] = {}
     for name in names:
         analysis = ANALYSES[name]
         needed = ({need: groups[need] for need in analysis.needs},) if analysis.needs else ()
-        few = executor_for(analysis, options[name], job.lanes, lanes)
+        few = executor_for(analysis, options[name], job.cutting.lanes, lanes)
         groups[name] = analysis.run(options[name], lane_batch, few, *needed)
     return groups
 
@@ -174,19 +177,20 @@ def _combine_tiles(
     began, before = time.perf_counter() - earlier, spent(lanes, 0.0)
     [(analysis, options)] = [(a, o) for a, o in requested if a.name == piece.names[0]]
     assert analysis.whole is not None
-    number = np.arange(job.lanes).reshape(job.shape)
+    shape = job.cutting.shape
+    number = np.arange(job.cutting.lanes).reshape(shape)
     shared = [k for k, axis in enumerate(axes) if axis.kind == "shared"]
     rows = []
-    for at in np.ndindex(*(job.shape[k] for k in shared)):
+    for at in np.ndindex(*(shape[k] for k in shared)):
         chosen = dict(zip(shared, at, strict=True))
         some = number[tuple(chosen.get(k, slice(None)) for k in range(len(axes)))].ravel()
-        places = np.unravel_index(some, job.shape)
+        places = np.unravel_index(some, shape)
         at_row = points(experiment, axes, places)
-        place = places[0] * job.step
-        rows.append((some, batch_of(at_row, plan_of_job(job), experiment.precision, job.chosen, place)))
+        place = places[0] * job.cutting.step
+        rows.append((some, batch_of(at_row, plan_of_job(job), experiment.precision, job.plan.chosen, place)))
     data = gather(analysis.name)
     groups = analysis.whole.run(options, SweepLanes(tuple(axes), tuple(rows)), lanes, data)
-    if job.level:
+    if job.cutting.level:
         groups = {name: mark_computed(group, data) for name, group in groups.items()}
     after = spent(lanes, time.perf_counter() - began)
     cost = after._replace(

@@ -25,10 +25,11 @@ from jaxnh.engine.journal import with_journal
 from jaxnh.engine.levels import files
 from jaxnh.engine.levels.levels import Level, axes_of
 from jaxnh.exceptions import ArgumentError, DamagedError, RunError, Stopped
+from jaxnh.jobs.cutting import Piece
+from jaxnh.jobs.job import Job
 from jaxnh.storage import tiles
 from jaxnh.storage.calls import CallJournal
 from jaxnh.storage.merge import gather
-from jaxnh.storage.pieces import Job, Piece
 from jaxnh.storage.tiles import TileRecord
 
 _RETRIES = 2
@@ -273,7 +274,7 @@ def _task(folder: Path, job_id: str) -> _Task:
         raise RuntimeError(f"{folder}, as a worker sees it, is not the folder of this run")
     origin = tiles.origin(folder)
     experiment = Experiment.from_text(origin.config, origin.user_text)
-    return _Task(experiment, job, files.read(folder, whole, job))
+    return _Task(experiment, job, files.read(folder, whole.cutting, job.cutting))
 
 
 def _machine() -> dict[str, str]:
@@ -286,21 +287,21 @@ def _piece(folder: str, job_id: str, number: int) -> TileRecord:
     with _AT_ONCE:
         lanes = _lanes()
         experiment, job, level = _task(Path(folder), job_id)
-        if other := xla_options.describe_differences(job.machine, lanes.machine):
+        if other := xla_options.describe_differences(job.provenance.machine, lanes.machine):
             raise RuntimeError(f"the tiles are {other}")
-        piece = job.pieces()[number - job.first]
+        piece = job.cutting.pieces()[number - job.cutting.first]
         with contextlib.suppress(FileNotFoundError, DamagedError):
             return tiles.check(Path(folder), job, piece)
         calls = CallJournal(Path(folder), job, [piece])
         with with_journal(lanes, calls) as keeping:
             [done] = compute(
                 experiment,
-                axes_of(experiment.axes, job),
+                axes_of(experiment.axes, job.cutting),
                 experiment.requested(),
                 job,
                 [piece],
                 keeping,
-                lambda name: gather(Path(folder), job, name),
+                lambda name: gather(Path(folder), job.cutting, name),
                 level,
                 calls.seconds,
             )

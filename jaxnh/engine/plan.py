@@ -26,12 +26,13 @@ from jaxnh.engine.executor.tiles import inner_trip_count
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level
 from jaxnh.exceptions import AccuracyError
+from jaxnh.jobs.cutting import Cutting, Piece, tile_lanes
+from jaxnh.jobs.job import Job, NumericalPlan
+from jaxnh.jobs.provenance import Provenance, versions
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.section import Section
 from jaxnh.solvers import SOLVERS
 from jaxnh.solvers.runge_kutta import in_loop
-from jaxnh.storage.pieces import Job, Piece, tile_lanes
-from jaxnh.storage.provenance import versions
 
 _MOST_CHOOSING = 1 << 16  # lanes of a sweep with more than are run unasked that analyses choose by
 _LONGEST_RUN = 86400.0  # seconds that a sweep may take unasked: what takes days is a slip, or work for a cluster
@@ -158,25 +159,21 @@ def job_of(
     if tile is None:
         tile = tile_lanes(work_of(split, count), numbers_of(split), count)
         parts *= _TILES_A_PART if parts > 1 else 1
-    job = Job(
-        config_sha256=experiment.sha256,
-        versions=versions(),
-        solver=plan.solver.name,
-        steps=plan.steps,
-        compensated=plan.compensated,
-        error_estimate=plan.error_estimate,
-        rolled=bool(getattr(plan.solver, "rolled", False)),
-        chosen=chosen,
+    cutting = Cutting(
         order=tuple(analysis.name for analysis, _ in requested),
         independent=tuple(analysis.name for analysis, _ in split),
         axes=tuple((axis.dim, len(axis.values), axis.kind == "shared") for axis in axes),
         tile=min(tile, -(-count // parts)),
+        shared_values=shared_values_a_tile(experiment, axes, requested, plan.solver.name),
         wholes=tuple((analysis.name, *analysis.whole.brings) for analysis, _ in requested if analysis.whole),
-        machine=machine,
         levels=experiment.levels.count if experiment.levels else 1,
         refine=experiment.levels.refine if experiment.levels else "",
     )
-    return replace(job, shared_values=shared_values_a_tile(experiment, axes, requested, job))
+    return Job(
+        NumericalPlan(plan.solver.name, *plan[1:], chosen, bool(getattr(plan.solver, "rolled", False))),
+        cutting,
+        Provenance(experiment.sha256, versions(), machine),
+    )
 
 
 def decide(
@@ -257,14 +254,14 @@ def work_of(analyses: Requested, lanes: int) -> float:
 
 
 def work_of_pieces(
-    requested: Requested, job: Job, pieces: Sequence[Piece], level: Level | None = None
+    requested: Requested, cutting: Cutting, pieces: Sequence[Piece], level: Level | None = None
 ) -> dict[int, float]:
     """Expected lane-periods of pieces, by their numbers; of those made of all tiles, few and not known before."""
     options = {analysis.name: (analysis, options) for analysis, options in requested}
     kinds = {piece.names for piece in pieces}
-    each = {names: work_of([options[name] for name in names if name in options], job.lanes) for names in kinds}
+    each = {names: work_of([options[name] for name in names if name in options], cutting.lanes) for names in kinds}
     return {
-        piece.number: 0.0 if job.is_whole(piece) else each[piece.names] * lanes_of(piece, level) for piece in pieces
+        piece.number: 0.0 if cutting.is_whole(piece) else each[piece.names] * lanes_of(piece, level) for piece in pieces
     }
 
 

@@ -28,13 +28,14 @@ from jaxnh.engine.progress import InterruptibleProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes, warnings_of
 from jaxnh.engine.xla_options import configure, describe_differences
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
+from jaxnh.jobs.cutting import Piece, share
+from jaxnh.jobs.job import Job
+from jaxnh.jobs.provenance import SecondsSpent, versions
 from jaxnh.storage import tiles
 from jaxnh.storage.atomic import same_file
 from jaxnh.storage.calls import CallJournal, interrupted_batches
 from jaxnh.storage.merge import DamagedPieceError, gather, merge
-from jaxnh.storage.pieces import Job, Piece, share
-from jaxnh.storage.provenance import versions
-from jaxnh.storage.tiles import SecondsSpent, TileRecord
+from jaxnh.storage.tiles import TileRecord
 
 GO_ON = "run the same command again to go on where it stopped"
 
@@ -154,13 +155,14 @@ class _Run:
 
     def _stage(self, job: Job, stage: Job) -> None:
         """A level of the sweep, or without levels all of it, from what is there of it to its result."""
-        part, last = self._how.part, stage.level in (0, job.levels)
+        cutting = stage.cutting
+        part, last = self._how.part, cutting.level in (0, cutting.levels)
         if not self._how.merge:
-            self._level = files.read(self._folder, job, stage)
-        every = [piece for piece in stage.pieces() if not (part and stage.is_whole(piece))]
+            self._level = files.read(self._folder, job.cutting, cutting)
+        every = [piece for piece in cutting.pieces() if not (part and cutting.is_whole(piece))]
         mine = every
         if part:
-            mine = share(stage, part, work_of_pieces(self._requested, stage, every, self._level))
+            mine = share(cutting, part, work_of_pieces(self._requested, cutting, every, self._level))
         self._pieces += mine
         self._every += len(every)
         self._find(stage, mine)
@@ -190,12 +192,12 @@ class _Run:
         others = [piece for piece in every if piece.number not in self._receipts]
         there = self._sound_pieces(stage, others)
         if len(there) < len(others):
-            part, of = self._how.part or (1, 1)
+            (part, of), cutting = self._how.part or (1, 1), stage.cutting
             raise _Waiting(
-                f"part {part}/{of} of level {stage.level} of {stage.levels} is done, and {len(others) - len(there)} "
-                "tiles of other parts are not"
+                f"part {part}/{of} of level {cutting.level} of {cutting.levels} is done, "
+                f"and {len(others) - len(there)} tiles of other parts are not"
             )
-        last = [piece for piece in stage.pieces() if stage.is_whole(piece)]
+        last = [piece for piece in stage.cutting.pieces() if stage.cutting.is_whole(piece)]
         missing = set(last) - set(self._sound_pieces(stage, last))
         self._compute(stage, sorted(missing))
 
@@ -204,9 +206,10 @@ class _Run:
         job = tiles.read_job(self._folder)
         if job is not None:
             other = ""
-            if job.config_sha256 != self._experiment.sha256:
+            if job.provenance.config_sha256 != self._experiment.sha256:
                 other = f"of {other_than(self._experiment, tiles.origin(self._folder).user_text)}"
-            other = other or ("of other versions of the libraries" if dict(job.versions) != versions() else "")
+            elif dict(job.provenance.versions) != versions():
+                other = "of other versions of the libraries"
             other = other or self._machine_differences(job)
             if not other:
                 self._earlier = tiles.origin(self._folder).spent.seconds
@@ -231,9 +234,9 @@ class _Run:
 
         Joining tiles computes nothing, and Dask workers look for themselves.
         """
-        if self._how.dask or (self._how.merge and not job.wholes):
+        if self._how.dask or (self._how.merge and not job.cutting.wholes):
             return ""
-        return describe_differences(job.machine, self._make_lanes().machine)
+        return describe_differences(job.provenance.machine, self._make_lanes().machine)
 
     def _make_lanes(self) -> LaneExecutor:
         if self._lanes is None:
@@ -247,7 +250,7 @@ class _Run:
         self._dropped.clear()
         self._earlier += sum(self._receipts[piece.number].spent.seconds for piece in there)
         if there:
-            of = f" of level {job.level}" if job.level else ""
+            of = f" of level {job.cutting.level}" if job.cutting.level else ""
             self._progress.note(f"{len(there)} of {len(pieces)} tiles{of} are done; going on")
 
     def _sound_pieces(self, job: Job, pieces: Sequence[Piece]) -> list[Piece]:
@@ -272,22 +275,22 @@ class _Run:
     def _compute(self, job: Job, missing: list[Piece]) -> None:
         if not missing:
             return
-        last = [piece for piece in missing if job.is_whole(piece)]
-        missing = [piece for piece in missing if not job.is_whole(piece)]
+        last = [piece for piece in missing if job.cutting.is_whole(piece)]
+        missing = [piece for piece in missing if not job.cutting.is_whole(piece)]
         if self._how.merge and missing:
             lost = ", ".join(str(piece.number) for piece in missing[:8]) + (", …" if len(missing) > 8 else "")
             raise ArgumentError(
                 "merge", f"{len(missing)} of {len(self._pieces)} tiles are missing ({lost}); run their parts again"
             )
-        cost = work_of_pieces(self._requested, job, [*missing, *last], self._level)
+        cost = work_of_pieces(self._requested, job.cutting, [*missing, *last], self._level)
         if self._how.dask:
             self._run_stage(job, [*missing, *last], cost, lambda: self._on_workers(job, (missing, last), cost))
             return
         lanes = self._make_lanes()
         tile_batches = self._batches(job, missing, len(lanes.devices))
-        cut = [batch for batch in tile_batches if batch[0].names == job.independent]
+        cut = [batch for batch in tile_batches if batch[0].names == job.cutting.independent]
         if len(cut) > 1:
-            tile_batches = [batch for batch in tile_batches if batch[0].names != job.independent]
+            tile_batches = [batch for batch in tile_batches if batch[0].names != job.cutting.independent]
             pieces = [piece for batch in cut for piece in batch]
 
             def all_of_them() -> None:
@@ -306,13 +309,14 @@ class _Run:
         for numbers in interrupted_batches(self._folder, job):
             if rest.keys() >= set(numbers):  # those of another part are not ours to go on with
                 begun.append([rest.pop(number) for number in numbers])
-        axes = axes_of(self._experiment.axes, job)
+        axes = axes_of(self._experiment.axes, job.cutting)
         return begun + batches(self._experiment, axes, self._requested, job, list(rest.values()), devices, self._level)
 
     def _run_stage(self, job: Job, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""
         names = ", ".join(dict.fromkeys(name for piece in pieces for name in piece.names))
-        label = f"{names}: {len(pieces)} tiles{f' of level {job.level} of {job.levels}' if job.level else ''}"
+        of = f" of level {job.cutting.level} of {job.cutting.levels}" if job.cutting.level else ""
+        label = f"{names}: {len(pieces)} tiles{of}"
         self._shown.start(label, sum(cost[piece.number] for piece in pieces))
         self._progress.shown = NullProgress()
         try:
@@ -326,7 +330,7 @@ class _Run:
     ) -> None:
         """Compute batches one after the other; each is written while the next is computed."""
         written: list[Future[list[TileRecord]]] = []
-        axes = axes_of(self._experiment.axes, job)
+        axes = axes_of(self._experiment.axes, job.cutting)
 
         def settle() -> None:
             while written:
@@ -351,7 +355,7 @@ class _Run:
                             job,
                             batch,
                             keeping,
-                            lambda name: gather(self._folder, job, name),
+                            lambda name: gather(self._folder, job.cutting, name),
                             self._level,
                             calls.seconds,
                         )
@@ -392,15 +396,16 @@ class _Run:
 
     def _publish(self, stage: Job) -> None:
         """The result of a level, in the folder for the next one, and in place of the result that comes in the end."""
-        kept = files.path_of(self._folder, stage)
-        if not files.is_there(self._folder, stage):
+        kept = files.path_of(self._folder, stage.cutting)
+        if not files.is_there(self._folder, stage.cutting):
             self._merge(stage, kept)
         same_file(kept, self._path)
 
     def _merge(self, job: Job, path: Path) -> None:
         self._total = self._spent()
         attrs = attributes(self._experiment, job, self._total, self._how.command)
-        merge(path, attrs, self._folder, job, warnings_of(job, self._receipts), self._check)
+        counted = {number: receipt.counts for number, receipt in self._receipts.items()}
+        merge(path, attrs, self._folder, job.cutting, warnings_of(job.cutting, counted), self._check)
 
     def _summary(self, job: Job, *, whole: bool) -> RunSummary:
         lanes = self._lanes

@@ -7,7 +7,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.registry import ANALYSES, GROUPS
 from jaxnh.config.blocks import MOST_LANES
-from jaxnh.engine import dask_workers
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import Requested, batches
 from jaxnh.engine.compute import compute, spent
@@ -27,7 +25,6 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.from_python import System, experiment_of
 from jaxnh.engine.levels.levels import Level, axes_of, level_of
-from jaxnh.engine.output import check_output, file_of, is_there
 from jaxnh.engine.plan import (
     calibrate,
     choose,
@@ -39,12 +36,10 @@ from jaxnh.engine.plan import (
 )
 from jaxnh.engine.progress import CallbackProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes
-from jaxnh.engine.run import RunOptions, run_to_file
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import InputError
-from jaxnh.storage.hdf5 import open_result
-from jaxnh.storage.merge import assemble
-from jaxnh.storage.pieces import Job
+from jaxnh.jobs.assembly import assemble
+from jaxnh.jobs.job import Job
 
 ProgressCallback = Callable[[str, float, float], None]
 """(label, lane-periods done, lane-periods in all) of the stage in hand; an exception raised in it stops the call."""
@@ -285,81 +280,35 @@ class Session:
         job = job_of(experiment, axes, plan, chosen, requested, lanes.machine)
         whole, of_lanes = dict[str, xr.Dataset](), dict[str, xr.Dataset]()
         for stage in job.stages():
-            level = level_of(stage, whole, of_lanes)
+            level = level_of(stage.cutting, whole, of_lanes)
             whole, of_lanes = self._stage(experiment, requested, stage, level)
         for data in whole.values():
-            data.attrs["axes"] = " ".join(job.names)
+            data.attrs["axes"] = " ".join(job.cutting.names)
         return job, whole
 
     def _stage(
         self, experiment: Experiment, requested: Requested, job: Job, level: Level | None
     ) -> tuple[dict[str, xr.Dataset], dict[str, xr.Dataset]]:
         """The groups of the result of a sweep, or of a level of it, and what its lanes have left by themselves."""
-        lanes, axes = self._lanes, axes_of(experiment.axes, job)
+        lanes, cutting = self._lanes, job.cutting
+        axes = axes_of(experiment.axes, cutting)
         parts: dict[tuple[str, bool], list[Any]] = {}
         of_lanes: dict[str, xr.Dataset] = {}
-        counts = {name: Counter[str]() for name in job.groups}
+        counts = {name: Counter[str]() for name in cutting.groups}
 
         def gather(name: str) -> xr.Dataset:
-            of_lanes[name] = assemble(parts.pop((name, False)), job)
+            of_lanes[name] = assemble(parts.pop((name, False)), cutting)
             return of_lanes[name]
 
-        for batch in batches(experiment, axes, requested, job, job.pieces(), len(lanes.devices), level):
+        for batch in batches(experiment, axes, requested, job, cutting.pieces(), len(lanes.devices), level):
             for done in compute(experiment, axes, requested, job, batch, lanes, gather, level):
                 for name, data in done.groups.items():
-                    parts.setdefault((name, job.is_whole(done.piece)), []).append((done.piece, data))
+                    parts.setdefault((name, cutting.is_whole(done.piece)), []).append((done.piece, data))
                     counts[name].update(done.counts[name])
         said = {name: count_warnings(name, tally) for name, tally in counts.items()}
-        whole = {name: assemble(parts[name, job.is_whole(job.sources(name)[0])], job, said[name]) for name in counts}
+        made_of_all = {name: cutting.is_whole(cutting.sources(name)[0]) for name in counts}
+        whole = {name: assemble(parts[name, made_of_all[name]], cutting, said[name]) for name in counts}
         return whole, {**whole, **of_lanes}
-
-
-def run(
-    experiment: Experiment | object,
-    output: str | Path | None = None,
-    *,
-    progress: ProgressCallback | Progress | None = None,
-    fresh: bool = False,
-    dask: str | None = None,
-    tile: int | None = None,
-    yes: bool = False,
-) -> xr.DataTree:
-    """All analyses that an experiment asks for, as a tree with a dataset each.
-
-    Args:
-        output: a result file to write, by tiles in a folder beside it: a call that was stopped goes on where it
-            stopped, and a file that is there already is read. Without it everything stays in memory.
-        progress: told of all work; an exception raised in it, as `jaxnh.Stopped`, ends the call.
-        fresh: replace an output that is there.
-        dask: workers to use: "local", "local:N", "tcp://HOST:PORT" or a scheduler file; needs an output.
-        tile: lanes a tile of the output, by default some ten seconds of work.
-        yes: run a sweep into an output however large: of days, or of more than 10,000,000 lanes.
-
-    Raises:
-        InputError: an argument cannot be used.
-        AccuracyError: nothing meets the accuracy asked for.
-        RunError: the run cannot go on; the message says what is kept.
-
-    Warns:
-        JaxStartedWarning: JAX had started without the options of the package.
-    """
-    if not isinstance(experiment, Experiment):
-        raise InputError(
-            f"run takes an experiment, not {type(experiment).__name__}: jaxnh.load reads one from a file, and "
-            "a system in Python goes to jaxnh.Session"
-        )
-    configure()
-    if output is None:
-        if dask or tile:
-            raise InputError("dask and tile are for a run with an output")
-        return Session(experiment, progress=progress).tree()
-    if dask:
-        dask_workers.check(dask)
-    path = file_of(Path(output))
-    if not is_there(experiment, path, fresh=fresh):
-        check_output(path)
-        run_to_file(experiment, path, RunOptions(fresh=fresh, dask=dask, tile=tile, yes=yes), as_progress(progress))
-    return open_result(path)
 
 
 def _name_of(options: Options) -> str:

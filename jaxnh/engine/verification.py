@@ -16,8 +16,10 @@ from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import COMPUTED, axes_of
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ResultError, RunError
+from jaxnh.jobs.cutting import Cutting, Piece, slab, tile_shape
+from jaxnh.jobs.job import Job, NumericalPlan
+from jaxnh.jobs.provenance import Provenance
 from jaxnh.storage import hdf5
-from jaxnh.storage.pieces import Job, Piece, slab, tile_shape
 
 _LANES = 16
 
@@ -41,31 +43,33 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     # Of a user's system the text in the result alone, never a file that a config in it may name.
     experiment = Experiment.from_text(attrs["config"], attrs.get("system_file", ""))
     requested = experiment.requested()
-    job = Job(
-        config_sha256=attrs["config_sha256"],
-        versions={},
+    plan = NumericalPlan(
         solver=attrs["solver"],
         steps=int(attrs["steps_per_period"]),
         compensated=attrs["summation"] == "compensated",
         error_estimate=float(attrs["error_estimate"]),
         chosen=json.loads(attrs["auto_settings"]),
+        rolled=attrs["stages"] == "loop",
+    )
+    whole = Cutting(
         order=tuple(analysis.name for analysis, _ in requested),
         independent=tuple(analysis.name for analysis, options in requested if analysis.independent(options)),
         axes=tuple((axis.dim, len(axis.values), axis.kind == "shared") for axis in experiment.axes),
         tile=_LANES,
         levels=int(attrs.get("levels", 1)),
     )
-    job = job.stages()[int(attrs.get("level", 1)) - 1]
-    axes = axes_of(experiment.axes, job)
+    cutting = whole.stages()[int(attrs.get("level", 1)) - 1]
+    job = Job(plan, cutting, Provenance(attrs["config_sha256"], {}, {}))
+    axes = axes_of(experiment.axes, cutting)
     compared: dict[str, tuple[int, int]] = {a.name: (0, 0) for a, _ in requested if not a.whole}
     lanes = LaneExecutor()
-    for piece in _sample_blocks(job) if job.independent else ():
+    for piece in _sample_blocks(cutting) if cutting.independent else ():
         [done] = compute(experiment, axes, requested, job, [piece], lanes, _nothing_gathered)
         for name in filter(compared.__contains__, done.groups):
             data = done.groups[name]
-            computed = _computed_lanes(path, name, piece, job)
+            computed = _computed_lanes(path, name, piece, cutting)
             differs = np.zeros(piece.lanes, bool)
-            for ours, theirs in _pairs(path, name, data, piece, job):
+            for ours, theirs in _pairs(path, name, data, piece, cutting):
                 differs |= np.any(ours != theirs, axis=1)
             compared[name] = compared[name][0] + int(computed.sum()), compared[name][1] + int(differs[computed].sum())
     return compared
@@ -75,34 +79,36 @@ def _nothing_gathered(name: str) -> xr.Dataset:
     raise RunError(f"no tiles of {name} are kept")
 
 
-def _sample_blocks(job: Job) -> list[Piece]:
+def _sample_blocks(cutting: Cutting) -> list[Piece]:
     """Blocks at the beginning, in the middle and at the end of all axes."""
-    own = [k for k, (_, _, shared) in enumerate(job.axes) if not shared]
-    size = np.ones(len(job.axes), int)
-    size[own] = tile_shape([job.shape[k] for k in own], job.tile)
-    room = np.array(job.shape) - size
+    own = [k for k, (_, _, shared) in enumerate(cutting.axes) if not shared]
+    size = np.ones(len(cutting.axes), int)
+    size[own] = tile_shape([cutting.shape[k] for k in own], cutting.tile)
+    room = np.array(cutting.shape) - size
     begins = dict.fromkeys(tuple((room * k // 2).tolist()) for k in range(3))
-    return [Piece(0, job.independent, begin, tuple((np.array(begin) + size).tolist())) for begin in begins]
+    return [Piece(0, cutting.independent, begin, tuple((np.array(begin) + size).tolist())) for begin in begins]
 
 
-def _computed_lanes(path: Path, name: str, piece: Piece, job: Job) -> np.ndarray:
+def _computed_lanes(path: Path, name: str, piece: Piece, cutting: Cutting) -> np.ndarray:
     """Return which lanes of a piece were computed, and not filled from a coarser level."""
-    if not job.level:
+    if not cutting.level:
         return np.ones(piece.lanes, bool)
     with h5py.File(path, "r") as file:
         item = hdf5.variables(hdf5.groups(file)[name])[COMPUTED]
-        return hdf5.read(item, slab(job.names, piece, job.names)).ravel().astype(bool)
+        return hdf5.read(item, slab(cutting.names, piece, cutting.names)).ravel().astype(bool)
 
 
-def _pairs(path: Path, name: str, data: xr.Dataset, piece: Piece, job: Job) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _pairs(
+    path: Path, name: str, data: xr.Dataset, piece: Piece, cutting: Cutting
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The bytes of each lane, (lanes, bytes), as they come out now and as they stand in the file."""
     with h5py.File(path, "r") as file:
         group = hdf5.groups(file)[name]
         for key, item in data.variables.items():
             dims = tuple(map(str, item.dims))
-            if dims[: len(job.axes)] != job.names:
+            if dims[: len(cutting.axes)] != cutting.names:
                 continue
-            ours, theirs = item.values, hdf5.read(hdf5.variables(group)[str(key)], slab(dims, piece, job.names))
+            ours, theirs = item.values, hdf5.read(hdf5.variables(group)[str(key)], slab(dims, piece, cutting.names))
             if theirs.dtype != ours.dtype or theirs.shape != ours.shape:
                 yield np.zeros((piece.lanes, 1)), np.ones((piece.lanes, 1))
             else:

@@ -16,9 +16,9 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.exceptions import JaxnhError
+from jaxnh.jobs.attributes import steps_in_words
 from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import kind_of
-from jaxnh.storage.provenance import steps_in_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

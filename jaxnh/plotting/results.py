@@ -18,6 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnh.exceptions import ArgumentError, InputError, ResultError
+from jaxnh.jobs.attributes import steps_in_words
 from jaxnh.plotting.colouring import colouring
 from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import (
@@ -38,7 +39,6 @@ from jaxnh.plotting.panels import PANELS, Kind
 from jaxnh.plotting.planes import draw_lanes
 from jaxnh.plotting.reading import load_result
 from jaxnh.plotting.style import PAGE, Size, package_style
-from jaxnh.storage.provenance import steps_in_words
 
 _COORDINATES = {"density": 1, "curves": 1, "trajectories": 2, "points": 2}  # that a panel is of, by its kind
 _MOST_LANES = 12  # that get a panel each

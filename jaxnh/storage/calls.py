@@ -23,7 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from filelock import lock_descriptor
 
-from jaxnh.storage.pieces import Job, Piece
+from jaxnh.jobs.cutting import Piece
+from jaxnh.jobs.job import Job
 
 _OFTEN = 5.0  # seconds of work that may be lost
 _BYTES = 1 << 25  # a second that are written at most, on average: a few per cent of what a disk takes

@@ -18,12 +18,13 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import h5py
 import numpy as np
 
 from jaxnh.exceptions import DamagedError, ResultError
+from jaxnh.jobs.arrays import DATA, Attributes, Hash, as_text, checksum, index_words, plain
 from jaxnh.storage.atomic import Sink, replace_atomically
 from jaxnh.storage.chunks import row_chunks
 
@@ -32,9 +33,6 @@ if TYPE_CHECKING:
 
 SEAL = "content_sha256"
 """Root attribute: hash of all names, shapes, dimensions and attributes, those with the hashes of the data included."""
-
-DATA = "sha256"
-"""Attribute of a variable: hash of its numbers as they lie in memory."""
 
 UNREADABLE = (OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryError)
 """What HDF5, h5py and xarray raise where tables or data of a file are damaged."""
@@ -51,21 +49,6 @@ _Item = TypeVar("_Item")
 
 class LayoutError(DamagedError, TypeError):
     """Something in a file that no result has, as a variable outside of groups; the message is a sentence."""
-
-
-Attributes = dict[str, Any]
-"""Attributes by name: text, numbers, or arrays of one dimension."""
-
-
-class Hash(Protocol):
-    """A checksum in the making."""
-
-    def update(self, data: Any, /) -> None:
-        """Add data."""
-
-    def hexdigest(self) -> str:
-        """The checksum of all data so far."""
-        ...
 
 
 class _VariableHeader(NamedTuple):
@@ -143,16 +126,6 @@ def _write_group(
     return attrs, written + attach(target, {one.name: one.dims for one in written})
 
 
-def with_indices(dataset: xr.Dataset) -> xr.Dataset:
-    """A dataset in which every dimension has a coordinate: 0, 1, ... where it had none."""
-    missing = [dim for dim in dataset.dims if dim not in dataset.variables]
-    return dataset.assign_coords({dim: (dim, np.arange(dataset.sizes[dim]), _index_words(str(dim))) for dim in missing})
-
-
-def _index_words(dim: str) -> dict[str, str]:
-    return {"long_name": f"index along {dim}", "units": "1"}
-
-
 def _coordinates(dataset: xr.Dataset, name: str) -> dict[str, str]:
     """The attribute by which CF names the coordinates of a variable that are no dimensions."""
     own = dataset.variables[name]
@@ -201,7 +174,7 @@ def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> list[_Var
             if dim not in scales:
                 if dim not in target:
                     index = np.arange(item.shape[axis])
-                    own = {**_index_words(dim), DATA: checksum(index).hexdigest()}
+                    own = {**index_words(dim), DATA: checksum(index).hexdigest()}
                     set_attributes(target.create_dataset(dim, data=index), own)
                     added.append(_VariableHeader(dim, index.shape, index.dtype.str, (dim,), own))
                 scales[dim] = variable(target, dim)
@@ -210,11 +183,6 @@ def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> list[_Var
             if name != dim:
                 item.dims[axis].attach_scale(scales[dim])
     return added
-
-
-def as_text(data: np.ndarray) -> np.ndarray:
-    """Text of any kind as NumPy's own; all else as it is."""
-    return data.astype(str) if data.dtype.kind in "OT" else data
 
 
 def as_stored(data: np.ndarray) -> np.ndarray:
@@ -363,16 +331,6 @@ def blocks(item: h5py.Dataset) -> Iterator[np.ndarray]:
 # ---- checksums
 
 
-def checksum(data: np.ndarray, begun: Hash | None = None) -> Hash:
-    """SHA-256 of an array, or of those before it and then this one."""
-    digest = begun or hashlib.sha256()
-    if data.dtype.kind == "U":
-        digest.update("".join(f"{word}\0" for word in data.ravel()).encode())
-    else:
-        digest.update(np.ascontiguousarray(data).data)
-    return digest
-
-
 def checksum_of(item: h5py.Dataset) -> str:
     """SHA-256 of the data of a variable, read in blocks."""
     digest: Hash = hashlib.sha256()
@@ -432,8 +390,3 @@ def _seal_of(attrs: Mapping[str, Any], groups: Iterable[tuple[str, Attributes, S
         for one in described:
             add(*one)
     return seal.hexdigest()
-
-
-def plain(value: Any) -> Any:
-    """An attribute as JSON takes it."""
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else repr(value)

@@ -24,24 +24,17 @@ import numpy as np
 from filelock import lock_descriptor
 
 from jaxnh.exceptions import BusyError, DamagedError, ResultError
+from jaxnh.jobs.cutting import Cutting, Piece
+from jaxnh.jobs.job import Job, NumericalPlan
+from jaxnh.jobs.provenance import Provenance, SecondsSpent
 from jaxnh.storage import hdf5 as store
 from jaxnh.storage.atomic import sync
-from jaxnh.storage.pieces import Job, Piece
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _JOB, _LOCK = "job.json", "lock"
 _PATIENCE = 1.0  # seconds; another part has the lock of the whole for as long as it takes to take its own
-
-
-class SecondsSpent(NamedTuple):
-    """Cost of a piece: seconds, of these compiling, lane-periods, and the devices."""
-
-    seconds: float
-    compile_seconds: float
-    lane_periods: float
-    device: str
 
 
 class TileRecord(NamedTuple):
@@ -138,12 +131,12 @@ def read_job(folder: Path) -> Job | None:
     """The job of a folder; None where there is none, or one that is damaged."""
     try:
         content = json.loads((folder / _JOB).read_text())
-        fields = content["job"]
+        plan, cutting, provenance = (content["job"][part] for part in ("plan", "cutting", "provenance"))
         for key in ("order", "independent"):
-            fields[key] = tuple(fields[key])
-        fields["wholes"] = tuple(map(tuple, fields["wholes"]))
-        fields["axes"] = tuple((name, size, shared) for name, size, shared in fields["axes"])
-        job = Job(**fields)
+            cutting[key] = tuple(cutting[key])
+        for key in ("axes", "wholes"):
+            cutting[key] = tuple(map(tuple, cutting[key]))
+        job = Job(NumericalPlan(**plan), Cutting(**cutting), Provenance(**provenance))
         return job if content["id"] == job.id else None
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
@@ -222,12 +215,12 @@ def write_piece(
     if not folder.is_dir():
         raise ResultError(f"{folder} is gone, and the tiles in it")
     attrs = {
-        "title": _title(job, piece),
-        "jaxnh_version": job.versions["jaxnh"],
-        "config_sha256": job.config_sha256,
+        "title": _title(job.cutting, piece),
+        "jaxnh_version": job.provenance.versions["jaxnh"],
+        "config_sha256": job.provenance.config_sha256,
         "job": job.id,
         "piece": piece.number,
-        "axes": " ".join(job.names),
+        "axes": " ".join(job.cutting.names),
         "begin": np.array(piece.begin, int),
         "end": np.array(piece.end, int),
         "counts": json.dumps(counts),
@@ -237,10 +230,10 @@ def write_piece(
     return TileRecord(piece.number, path, store.write(path, attrs, groups), spent, counts)
 
 
-def _title(job: Job, piece: Piece) -> str:
+def _title(cutting: Cutting, piece: Piece) -> str:
     places = [
         f"{name} {begin} to {end - 1} of {size}"
-        for name, size, begin, end in zip(job.names, job.shape, piece.begin, piece.end, strict=True)
+        for name, size, begin, end in zip(cutting.names, cutting.shape, piece.begin, piece.end, strict=True)
     ]
     return f"lanes of a sweep: {', '.join(places)}"
 
@@ -258,7 +251,7 @@ def receipt(folder: Path, job: Job, piece: Piece) -> TileRecord:
             names = set(store.groups(file))
         counts, spent = json.loads(attrs["counts"]), SecondsSpent(*json.loads(attrs["spent"]))
         seal, place = attrs[store.SEAL], (attrs["piece"], tuple(attrs["begin"]), tuple(attrs["end"]))
-        same_config, same_job = attrs["config_sha256"] == job.config_sha256, attrs["job"] == job.id
+        same_config, same_job = attrs["config_sha256"] == job.provenance.config_sha256, attrs["job"] == job.id
     except store.UNREADABLE as error:
         raise DamagedError("it is cut off or damaged") from error
     if not same_config:
@@ -301,6 +294,6 @@ def tidy(folder: Path) -> None:
         return
     with contextlib.suppress(BusyError, ResultError), hold(folder):
         job = read_job(folder)
-        pieces = [piece for stage in job.stages() for piece in stage.pieces()] if job else []
+        pieces = [piece for stage in job.cutting.stages() for piece in stage.pieces()] if job else []
         if all(piece_path(folder, piece).exists() for piece in pieces):
             clear(folder)

@@ -14,8 +14,8 @@ from test_known_doublings import doubling_of_roessler
 import jaxnh
 from jaxnh.analyses.continuation.branches import ANALYSIS
 from jaxnh.exceptions import ConfigError
-from jaxnh.orbits.branches import ENDS
-from jaxnh.orbits.kinds import KINDS
+from jaxnh.orbits.continuation.branches import ENDS
+from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
 
 

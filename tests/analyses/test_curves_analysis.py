@@ -12,9 +12,9 @@ from normal_form import normal_form
 import jaxnh
 from jaxnh.analyses.continuation import curves
 from jaxnh.exceptions import ConfigError
-from jaxnh.orbits.codimension_two import POINTS
-from jaxnh.orbits.curves import Curve, CurvePoints, ParameterPlane, join_unknowns
-from jaxnh.orbits.kinds import KINDS
+from jaxnh.orbits.bifurcations.codimension_two import POINTS
+from jaxnh.orbits.continuation.curves import Curve, CurvePoints, ParameterPlane, join_unknowns
+from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
 
 

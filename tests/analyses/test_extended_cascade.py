@@ -16,7 +16,7 @@ from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.double_double import Double
 from jaxnh.maps.extended_precision import extend_precision
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.extended_doublings import ExtendedPoint, extended_doubling, from_float64, next_doubling
+from jaxnh.orbits.bifurcations.extended_doublings import ExtendedPoint, extended_doubling, from_float64, next_doubling
 
 FEIGENBAUM = 4.669201609102990671853  # Briggs, Math. Comp. 57 (1991) 435
 ALPHA = 2.502907875095892822284  # the same

@@ -11,7 +11,7 @@ from heyoka_newton import bifurcation, section_map, strobe_map
 from measure import twin
 
 import jaxnh
-from jaxnh.orbits.kinds import KINDS
+from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
 
 

@@ -15,7 +15,7 @@ from jaxnh.analyses.windows.search import ENDS, all_lanes, period_runs, search
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.arclength import Family
+from jaxnh.orbits.continuation.arclength import Family
 
 
 def quadratic(x, a):

@@ -16,7 +16,7 @@ from jaxnh.analyses.batch import Axis
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES
 from jaxnh.engine.axes import places_of, points, sample_places, to_axes
 from jaxnh.engine.experiment import Experiment
-from jaxnh.storage.pieces import Job, Piece
+from jaxnh.jobs.cutting import Cutting, Piece
 
 KINDS = ("lane", "start", "shared")
 
@@ -84,8 +84,7 @@ def test_pieces_hold_every_lane_once(sizes, tile, order):
     """Of every analysis; a tile has one value of each shared axis, a line the whole first axis."""
     axes = tuple((f"q{k}", size, shared) for k, (size, shared) in enumerate(sizes))
     independent = tuple(name for name in order if name == "tiles")
-    job = Job("c" * 64, {"jaxnh": "0"}, "tsit5", 40, False, 1e-6, {}, order, independent, axes, tile)
-    found = job.pieces()
+    found = Cutting(axes, tile, order, independent).pieces()
     assert [piece.number for piece in found] == list(range(len(found)))
     for name in order:
         lanes = []

@@ -7,7 +7,7 @@ from distributed.client import FutureState
 
 from jaxnh.engine import dask_workers
 from jaxnh.exceptions import Stopped
-from jaxnh.storage.pieces import Piece
+from jaxnh.jobs.cutting import Piece
 
 
 class LostOnce:

@@ -20,9 +20,9 @@ from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.grouped_blocks import group_into_blocks
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.plan import job_of
+from jaxnh.jobs.cutting import slab
 from jaxnh.maps.family import ParameterFamily, stack
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.storage.pieces import slab
 from jaxnh.systems.particle import disturbed_speed
 
 UNCALIBRATED = True
@@ -105,7 +105,7 @@ def rows_of_batches(sweep, analyses, **system):
     experiment = Experiment.from_dict(content)
     requested, axes = experiment.requested(), experiment.axes
     job = job_of(experiment, axes, Plan(SOLVER, STEPS, False, 1e-6), {}, requested, {})
-    found = batches(experiment, axes, requested, job, job.pieces(), 2)
+    found = batches(experiment, axes, requested, job, job.cutting.pieces(), 2)
     return [len({piece.begin[1] for piece in batch}) for batch in found]
 
 
@@ -133,9 +133,9 @@ def test_tiles_of_several_rows():
     found = []
     for tile, rows in ((20, 1), (45, 2), (100, 5)):
         job = job_of(experiment, axes, plan, {"lyapunov": {"parts": 1}}, requested, {}, tile)
-        assert job.pieces()[0].shape == (20, rows)
+        assert job.cutting.pieces()[0].shape == (20, rows)
         whole = {}
-        for piece in job.pieces():
+        for piece in job.cutting.pieces():
             [done] = compute(experiment, axes, requested, job, [piece], lanes, None)
             for name, group in done.groups.items():
                 for variable, item in group.data_vars.items():
@@ -147,4 +147,4 @@ def test_tiles_of_several_rows():
     assert found[0] == found[1] == found[2]
     sweep["omega"] = {"values": [1.0, 2.0, 0.5]}
     unlike = Experiment.from_dict({**content, "sweep": {k: sweep[k] for k in ("b", "omega")}, "analyses": options})
-    assert job_of(unlike, unlike.axes, plan, {}, unlike.requested(), {}, 100).shared_values == 1
+    assert job_of(unlike, unlike.axes, plan, {}, unlike.requested(), {}, 100).cutting.shared_values == 1

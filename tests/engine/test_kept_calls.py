@@ -154,7 +154,7 @@ def _grown(by, x, pair):
 
 def test_call_stopped_between_tiles(tmp_path):
     """Its first lanes are found, on another number of devices as well; the account is that of all that is there."""
-    pieces = job().pieces()
+    pieces = job().cutting.pieces()
     x, pair = np.arange(40.0), (np.arange(40.0) % 3, np.arange(80.0).reshape(40, 2))
     expected = LaneExecutor(tile=4)(_grown, (np.float64(1.0),), (x, pair), periods=2)
     lanes = LaneExecutor(StopsAt(30), devices=jax.devices("cpu")[:2], tile=4)

@@ -65,8 +65,8 @@ def name_of(experiment, lanes):
 def test_a_second_run_calibrates_nothing(folder, calibrated):
     """Its job is the first one's in every bit, and no lane is run for it; a title decides nothing."""
     first = decided()
-    assert first.chosen["lyapunov"]
-    assert first.error_estimate > 0
+    assert first.plan.chosen["lyapunov"]
+    assert first.plan.error_estimate > 0
     runner = LaneExecutor()
     assert plan.decide(experiment("another title"), runner) == first
     assert runner.accounts.lane_periods == 0

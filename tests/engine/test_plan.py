@@ -13,7 +13,7 @@ from jaxnh.engine import compute as pieces
 from jaxnh.engine import plan as work
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
-from jaxnh.storage.pieces import Piece
+from jaxnh.jobs.cutting import Piece
 
 UNCALIBRATED = True
 COUNT = 600
@@ -60,11 +60,11 @@ def test_pieces_are_rows_of_the_whole(runners, name):
     All criteria together are compiled for two devices alone, which takes long enough; the next test cuts them too.
     """
     experiment, job = decided(f"{HEAD}  {name}: {OPTIONS[name]}\n", runners[2], 1 << 20)
-    [whole] = compute(experiment, job, job.pieces(), runners[2])
-    assert set(whole.groups) == set(job.independent)
+    [whole] = compute(experiment, job, job.cutting.pieces(), runners[2])
+    assert set(whole.groups) == set(job.cutting.independent)
     for first, end in ((0, 1), (37, 300), (COUNT - 2, COUNT)):
         runner = runners[2 if name == "verdict" else 1]
-        [done] = compute(experiment, job, [Piece(0, job.independent, (first,), (end,))], runner)
+        [done] = compute(experiment, job, [Piece(0, job.cutting.independent, (first,), (end,))], runner)
         for key, group in done.groups.items():
             assert set(group.variables) == set(whole.groups[key].variables)
             for variable_name, item in group.variables.items():
@@ -79,7 +79,7 @@ def test_pieces_computed_together_are_those_computed_alone(runners):
     experiment, job = decided(
         f"{HEAD}  poincare: {{transient: 4, strobes: 2}}\n  verdict: {OPTIONS['verdict']}\n", runners[2], 20
     )
-    neighbours = job.pieces()[1:4]
+    neighbours = job.cutting.pieces()[1:4]
     together = compute(experiment, job, neighbours, runners[2])
     for piece, one in zip(neighbours, together, strict=True):
         [alone] = compute(experiment, job, [piece], runners[2])

@@ -17,7 +17,7 @@ from jaxnh.analyses.cascade.follow import follow
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import attractor_survey, newton_on_lanes, period
 from jaxnh.maps.iterate import derivatives
-from jaxnh.orbits.doubling_points import doubling_point, follow_branch
+from jaxnh.orbits.bifurcations.doubling_points import doubling_point, follow_branch
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import CHART, constant_speed

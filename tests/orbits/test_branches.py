@@ -10,8 +10,8 @@ from measure import scene_of
 
 from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
-from jaxnh.orbits.branches import COLLAPSED, ENDS, RANGE, follow_both_ways
+from jaxnh.orbits.continuation.arclength import FINE, Family, along_parameter, correct
+from jaxnh.orbits.continuation.branches import COLLAPSED, ENDS, RANGE, follow_both_ways
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 

@@ -12,10 +12,10 @@ from measure import scene_of
 
 from jaxnh.analyses.continuation.families import parameter_plane
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.codimension_two import POINTS, special_points
-from jaxnh.orbits.curve_errors import errors_of_special, refine_curve
-from jaxnh.orbits.curves import CLOSED, RANGE, RESONANCE, ParameterPlane, follow_both_ways
-from jaxnh.orbits.kinds import DOUBLING, FOLD, NEIMARK_SACKER
+from jaxnh.orbits.bifurcations.codimension_two import POINTS, special_points
+from jaxnh.orbits.bifurcations.curve_errors import errors_of_special, refine_curve
+from jaxnh.orbits.continuation.curves import CLOSED, RANGE, RESONANCE, ParameterPlane, follow_both_ways
+from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 

@@ -13,8 +13,8 @@ from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.known_branches import is_on_branch
 from jaxnh.analyses.continuation.seeds import random_wave
 from jaxnh.maps.section import Section, begin
-from jaxnh.orbits.arclength import FINE, along_parameter, correct
-from jaxnh.orbits.branches import StepControl, follow_both_ways
+from jaxnh.orbits.continuation.arclength import FINE, along_parameter, correct
+from jaxnh.orbits.continuation.branches import StepControl, follow_both_ways
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.particle import constant_speed

@@ -17,7 +17,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import orbits
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.doubling_points import doubling_function, doubling_point, follow_branch, refine_doubling
+from jaxnh.orbits.bifurcations.doubling_points import doubling_function, doubling_point, follow_branch, refine_doubling
 from jaxnh.orbits.newton import find_doubled, find_orbits, look, solve3
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS

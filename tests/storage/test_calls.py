@@ -13,7 +13,7 @@ from jaxnh.storage import calls as storage
 from jaxnh.storage.calls import CallJournal, JournalEntry, interrupted_batches
 
 JOB = job(tile=2)
-PIECES = JOB.pieces()[1:3]
+PIECES = JOB.cutting.pieces()[1:3]
 RNG = np.random.default_rng(0)
 
 

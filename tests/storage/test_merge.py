@@ -16,10 +16,11 @@ from test_pieces import job
 from test_tiles import SPENT
 
 from jaxnh.exceptions import DamagedError, ResultError, RunError
+from jaxnh.jobs.arrays import with_indices
+from jaxnh.jobs.assembly import assemble
+from jaxnh.jobs.cutting import Piece, slab
 from jaxnh.storage import hdf5 as store
 from jaxnh.storage import merge, tiles
-from jaxnh.storage.merge import assemble
-from jaxnh.storage.pieces import Piece, slab
 
 ATTRS = {"title": "t", "jaxnh_version": "0"}
 DIAGRAM = ("diagram",)
@@ -84,11 +85,11 @@ WIDTHS = {
 def test_merged_file_is_the_file_written_at_once(tmp_path, tile, width):
     """Blocks that go over as they are and blocks that do not, whatever the tile: data, order and attributes."""
     plan = job(line(10_000), tile, DIAGRAM)
-    parts = [(piece, written(piece.begin[0], piece.end[0], width)) for piece in plan.pieces()]
+    parts = [(piece, written(piece.begin[0], piece.end[0], width)) for piece in plan.cutting.pieces()]
     for piece, data in parts:
         tiles.write_piece(tmp_path, plan, piece, {"diagram": data}, {}, SPENT)
     merged, plain = tmp_path / "merged.h5", tmp_path / "plain.h5"
-    merge.merge(merged, ATTRS, tmp_path, plan, {"diagram": ["one is lost"]})
+    merge.merge(merged, ATTRS, tmp_path, plan.cutting, {"diagram": ["one is lost"]})
     store.write(plain, ATTRS, {"diagram": written(0, 10_000, width)})
     store.verify(merged)
     ours, expected = store.read_group(merged, "diagram"), store.read_group(plain, "diagram")
@@ -103,8 +104,8 @@ def test_merged_file_is_the_file_written_at_once(tmp_path, tile, width):
         assert one["diagram/x1"].fletcher32
         assert one["diagram/x1"].shuffle
         assert one["diagram/x1"].compression == "gzip"
-    xr.testing.assert_equal(assemble(parts, plan, ["one is lost"]), ours)
-    assert assemble(parts, plan, ["one is lost"]).attrs == ours.attrs
+    xr.testing.assert_equal(assemble(parts, plan.cutting, ["one is lost"]), ours)
+    assert assemble(parts, plan.cutting, ["one is lost"]).attrs == ours.attrs
 
 
 def diagram(first, end, size=300, strobes=40):
@@ -144,7 +145,7 @@ def doubling():
 def test_one_axis_is_kept_as_it_was(tmp_path):
     """The file of a sweep over one axis: not an attribute, a type, a block or a bit differs, nor does its seal."""
     plan = job(line(300), 128, ("diagram", "doubling"))
-    for piece in plan.pieces():
+    for piece in plan.cutting.pieces():
         groups = (
             {"diagram": diagram(piece.begin[0], piece.end[0])} if piece.names == DIAGRAM else {"doubling": doubling()}
         )
@@ -157,7 +158,7 @@ def test_one_axis_is_kept_as_it_was(tmp_path):
         "strobe_period": np.float64(6.25),
     }
     path = tmp_path / "merged.h5"
-    merge.merge(path, attrs, tmp_path, plan, {"diagram": ["one is lost"]})
+    merge.merge(path, attrs, tmp_path, plan.cutting, {"diagram": ["one is lost"]})
     expected = structure(Path(__file__).parent / "one_axis.h5")
     assert structure(path) == expected
     assert {key: value for key, value, _ in expected[0]}[store.SEAL] == store.read_attrs(path)[store.SEAL]
@@ -208,8 +209,8 @@ def cut(data, piece, names):
 
 def parts_of(plan, groups):
     """Pieces with their groups, of which those of doubling have a warning of their own."""
-    for piece in plan.pieces():
-        found = {name: cut(groups[name], piece, plan.names) for name in piece.names}
+    for piece in plan.cutting.pieces():
+        found = {name: cut(groups[name], piece, plan.cutting.names) for name in piece.names}
         if piece.names == ("doubling",):
             found["doubling"] = found["doubling"].assign_attrs(warnings=f"at {piece.begin[1:]}\nincomplete")
         yield piece, found
@@ -253,25 +254,25 @@ def test_merged_is_assembled_is_written_at_once(tmp_path, monkeypatch, axes, til
     for piece, data in parts:
         tiles.write_piece(tmp_path, plan, piece, data, {}, SPENT)
     merged, plain = tmp_path / "merged.h5", tmp_path / "plain.h5"
-    attrs = {**ATTRS, "axes": " ".join(plan.names)}
-    merge.merge(merged, attrs, tmp_path, plan, {"diagram": ["two are lost"]})
+    attrs = {**ATTRS, "axes": " ".join(plan.cutting.names)}
+    merge.merge(merged, attrs, tmp_path, plan.cutting, {"diagram": ["two are lost"]})
     store.verify(merged)
     store.write(plain, attrs, groups)
     with store.open_result(merged) as tree:
-        assert tuple(tree.attrs["axes"].split()) == plan.names
-        for name in plan.order:
+        assert tuple(tree.attrs["axes"].split()) == plan.cutting.names
+        for name in plan.cutting.order:
             found, expected = tree[name].to_dataset().load(), store.read_group(plain, name)
             assert_same(found, expected)
-            assembled = assemble([(piece, data[name]) for piece, data in parts if name in data], plan)
+            assembled = assemble([(piece, data[name]) for piece, data in parts if name in data], plan.cutting)
             assert_same(assembled, expected)
             for key in assembled.variables:
                 assert assembled[key].attrs.items() <= found[key].attrs.items()
         assert tree["diagram"].attrs == {"start": "fixed", "warnings": "two are lost"}
         lines = tree["doubling"].attrs["warnings"].split("\n")
         assert lines.count("incomplete") == 1
-        assert len(lines) == 1 + np.prod(plan.shape[1:], dtype=int)
+        assert len(lines) == 1 + np.prod(plan.cutting.shape[1:], dtype=int)
     with h5py.File(merged) as one, h5py.File(plain) as other:
-        for name in plan.order:
+        for name in plan.cutting.order:
             assert list(one[name]) == list(other[name])
             assert {key: item.attrs[store.DATA] for key, item in one[name].items()} == {
                 key: item.attrs[store.DATA] for key, item in other[name].items()
@@ -291,11 +292,11 @@ def test_any_axes(tmp_path_factory, drawn, tile):
     parts = list(parts_of(plan, groups))
     for piece, data in parts:
         tiles.write_piece(folder, plan, piece, data, {}, SPENT)
-    merge.merge(folder / "merged.h5", ATTRS, folder, plan, {})
-    for name in plan.order:
+    merge.merge(folder / "merged.h5", ATTRS, folder, plan.cutting, {})
+    for name in plan.cutting.order:
         found = store.read_group(folder / "merged.h5", name)
-        assert_same(found, store.with_indices(groups[name]))
-        assert_same(assemble([(piece, data[name]) for piece, data in parts if name in data], plan), found)
+        assert_same(found, with_indices(groups[name]))
+        assert_same(assemble([(piece, data[name]) for piece, data in parts if name in data], plan.cutting), found)
 
 
 def test_large_variable_lies_in_blocks_that_fit_the_pieces(tmp_path, monkeypatch):
@@ -305,7 +306,7 @@ def test_large_variable_lies_in_blocks_that_fit_the_pieces(tmp_path, monkeypatch
     plan, groups = job(axes, 16, DIAGRAM), whole(axes, strobes=400)
     for piece, data in parts_of(plan, groups):
         tiles.write_piece(tmp_path, plan, piece, data, {}, SPENT)
-    merge.merge(tmp_path / "merged.h5", ATTRS, tmp_path, plan, {})
+    merge.merge(tmp_path / "merged.h5", ATTRS, tmp_path, plan.cutting, {})
     with h5py.File(tmp_path / "merged.h5") as file:
         assert file["diagram/x1"].chunks == (8, 1, 400)  # 8 rows of 6.4 kB together are less than 65 kB
         assert file["diagram/x1"].fletcher32
@@ -317,10 +318,10 @@ def test_large_variable_lies_in_blocks_that_fit_the_pieces(tmp_path, monkeypatch
 
 def test_damaged_piece_is_named_while_merging(tmp_path):
     plan = job(line(3000), 1024, DIAGRAM)
-    for piece in plan.pieces():
+    for piece in plan.cutting.pieces():
         data = written(piece.begin[0], piece.end[0], 40)
         tiles.write_piece(tmp_path, plan, piece, {"diagram": data}, {}, SPENT)
-    bad = plan.pieces()[1]
+    bad = plan.cutting.pieces()[1]
     path = tiles.piece_path(tmp_path, bad)
     with h5py.File(path) as file:
         chunk = file["diagram/x1"].id.get_chunk_info(0)
@@ -330,7 +331,7 @@ def test_damaged_piece_is_named_while_merging(tmp_path):
     with pytest.raises(DamagedError):
         tiles.check(tmp_path, plan, bad)
     with pytest.raises(merge.DamagedPieceError) as caught:
-        merge.merge(tmp_path / "merged.h5", {}, tmp_path, plan, {"diagram": []})
+        merge.merge(tmp_path / "merged.h5", {}, tmp_path, plan.cutting, {"diagram": []})
     assert caught.value.piece == bad
     assert not (tmp_path / "merged.h5").exists()
 
@@ -359,23 +360,23 @@ def test_piece_that_does_not_fit_the_others(tmp_path, fault):
     for piece, data in parts:
         tiles.write_piece(tmp_path, plan, piece, {"diagram": data}, {}, SPENT)
     with pytest.raises(merge.DamagedPieceError, match=said) as caught:
-        merge.merge(tmp_path / "merged.h5", {}, tmp_path, plan, {})
+        merge.merge(tmp_path / "merged.h5", {}, tmp_path, plan.cutting, {})
     assert caught.value.piece == parts[2][0]
     with pytest.raises(RunError, match=f"do not fit together: .*{said}"):
-        assemble(parts, plan)
+        assemble(parts, plan.cutting)
 
 
 def test_parts_that_are_not_all(tmp_path):
     plan, groups = job(PLANE, 4, DIAGRAM), whole(PLANE)
     parts = [(piece, data["diagram"]) for piece, data in parts_of(plan, groups)]
     with pytest.raises(RunError, match="x1 is not there as a whole"):
-        assemble(parts[:2], plan)
+        assemble(parts[:2], plan.cutting)
     with pytest.raises(RunError, match="nothing to put together"):
-        assemble([], plan)
+        assemble([], plan.cutting)
     for piece, data in parts[:2]:
         tiles.write_piece(tmp_path, plan, piece, {"diagram": data}, {}, SPENT)
     with pytest.raises(merge.DamagedPieceError) as caught:
-        merge.merge(tmp_path / "merged.h5", {}, tmp_path, plan, {})
+        merge.merge(tmp_path / "merged.h5", {}, tmp_path, plan.cutting, {})
     assert caught.value.piece == parts[2][0]
 
 
@@ -385,12 +386,12 @@ def test_attributes_on_which_pieces_differ_are_left_out(tmp_path):
     attrs = [{"start": "up", "limit": np.nan, "place": 0}, {"start": "up", "limit": np.nan, "place": 1}]
     parts = [
         (piece, whole(line(4))["diagram"].isel(b=slice(piece.begin[0], piece.end[0])).assign_attrs(own))
-        for piece, own in zip(plan.pieces(), attrs, strict=True)
+        for piece, own in zip(plan.cutting.pieces(), attrs, strict=True)
     ]
     for piece, data in parts:
         tiles.write_piece(tmp_path, plan, piece, {"diagram": data}, {}, SPENT)
-    merge.merge(tmp_path / "merged.h5", ATTRS, tmp_path, plan, {})
-    for found in (store.read_group(tmp_path / "merged.h5", "diagram").attrs, assemble(parts, plan).attrs):
+    merge.merge(tmp_path / "merged.h5", ATTRS, tmp_path, plan.cutting, {})
+    for found in (store.read_group(tmp_path / "merged.h5", "diagram").attrs, assemble(parts, plan.cutting).attrs):
         assert (list(found), found["start"]) == (["start", "limit"], "up")
         assert np.isnan(found["limit"])
 
@@ -405,16 +406,16 @@ def test_stopped_while_merging(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        merge.merge(tmp_path / "merged.h5", ATTRS, tmp_path, plan, {}, heed)
+        merge.merge(tmp_path / "merged.h5", ATTRS, tmp_path, plan.cutting, {}, heed)
     assert {path.name for path in tmp_path.iterdir()} == {"000000.h5", "000001.h5"}
     with pytest.raises(ResultError, match="cannot write in"):
-        merge.merge(tmp_path / "gone" / "merged.h5", ATTRS, tmp_path, plan, {})
+        merge.merge(tmp_path / "gone" / "merged.h5", ATTRS, tmp_path, plan.cutting, {})
 
 
 def test_job_without_axes():
     """One lane, and nothing that grows."""
     plan = job((), order=DIAGRAM)
-    [piece] = plan.pieces()
+    [piece] = plan.cutting.pieces()
     assert piece == Piece(0, DIAGRAM, (), ())
     data = xr.Dataset({"x": ("strobe", numbers(3))})
-    xr.testing.assert_equal(assemble([(piece, data)], plan), store.with_indices(data))
+    xr.testing.assert_equal(assemble([(piece, data)], plan.cutting), with_indices(data))

@@ -11,22 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxnh.storage.pieces import Job, Piece, share, slab, tile_lanes, tile_shape
+from jaxnh.jobs.cutting import Cutting, Piece, share, slab, tile_lanes, tile_shape
+from jaxnh.jobs.job import Job, NumericalPlan
+from jaxnh.jobs.provenance import Provenance
 
 
 def job(axes=(("b", 10, False),), tile=4, order=("diagram", "doubling"), independent=("diagram",)):
     return Job(
-        "c" * 64,
-        {"jaxnh": "0"},
-        "blanes_moan6",
-        40,
-        False,
-        1e-6,
-        {"lyapunov": {"parts": 4}},
-        order,
-        independent,
-        tuple(axes),
-        tile,
+        NumericalPlan("blanes_moan6", 40, False, 1e-6, {"lyapunov": {"parts": 4}}),
+        Cutting(tuple(axes), tile, order, independent),
+        Provenance("c" * 64, {"jaxnh": "0"}, {}),
     )
 
 
@@ -45,10 +39,13 @@ def test_lanes_a_tile(periods, numbers, lanes, tile):
 
 
 def test_pieces_cover_the_sweep():
-    found = job().pieces()
+    found = job().cutting.pieces()
     assert [(piece.begin, piece.end) for piece in found] == [((0,), (4,)), ((4,), (8,)), ((8,), (10,)), ((0,), (10,))]
     assert [piece.names for piece in found] == [("diagram",)] * 3 + [("doubling",)]
-    assert job(independent=()).pieces() == [Piece(0, ("diagram",), (0,), (10,)), Piece(1, ("doubling",), (0,), (10,))]
+    assert job(independent=()).cutting.pieces() == [
+        Piece(0, ("diagram",), (0,), (10,)),
+        Piece(1, ("doubling",), (0,), (10,)),
+    ]
     assert found[0].shape == (4,)
     assert found[0].lanes == 4
 
@@ -73,7 +70,7 @@ def test_shape_of_a_tile(sizes, most, shape):
 
 def test_two_axes_of_lanes():
     """The second whole, the first cut; doubling along the first at each point of the second."""
-    found = job((("b", 5, False), ("a", 3, False)), tile=6).pieces()
+    found = job((("b", 5, False), ("a", 3, False)), tile=6).cutting.pieces()
     assert [(piece.begin, piece.end) for piece in found] == [
         ((0, 0), (2, 3)),
         ((2, 0), (4, 3)),
@@ -91,7 +88,7 @@ def test_two_axes_of_lanes():
 def test_shared_axis(first):
     """Whatever its place, it is constant along a tile, and all tiles of a value of it come one after the other."""
     axes = (("d", 2, True), ("b", 5, False)) if first else (("b", 5, False), ("d", 2, True))
-    found = job(axes, tile=3, order=("diagram",)).pieces()
+    found = job(axes, tile=3, order=("diagram",)).cutting.pieces()
     rows = [(0, 0, 3), (0, 3, 5), (1, 0, 3), (1, 3, 5)]
     assert [(piece.begin, piece.end) for piece in found] == [
         ((d, begin), (d + 1, end)) if first else ((begin, d), (end, d + 1)) for d, begin, end in rows
@@ -104,12 +101,12 @@ def test_rows_of_a_shared_axis():
     tiles = [
         [
             (piece.begin[1], piece.end[1])
-            for piece in dataclasses.replace(job(axes, tile, ("diagram",)), shared_values=rows).pieces()
+            for piece in dataclasses.replace(job(axes, tile, ("diagram",)).cutting, shared_values=rows).pieces()
         ]
         for tile, rows in ((14, 32), (40, 3), (14, 1))
     ]
     assert tiles == [[(0, 2), (2, 4), (4, 6), (6, 7)], [(0, 3), (3, 6), (6, 7)], [(d, d + 1) for d in range(7)]]
-    cut = dataclasses.replace(job(axes, 4, ("diagram",)), shared_values=32).pieces()
+    cut = dataclasses.replace(job(axes, 4, ("diagram",)).cutting, shared_values=32).pieces()
     assert [piece.shape for piece in cut] == [(4, 1), (1, 1)] * 7
 
 
@@ -122,7 +119,7 @@ AXES = st.lists(st.tuples(st.integers(1, 6), st.booleans()), min_size=1, max_siz
 @given(AXES, st.integers(1, 40), st.integers(1, 5))
 def test_every_lane_is_in_one_tile_and_in_one_line(axes, tile, rows):
     whole = dataclasses.replace(
-        job(axes, tile, ("diagram", "doubling", "lyapunov"), ("diagram", "lyapunov")), shared_values=rows
+        job(axes, tile, ("diagram", "doubling", "lyapunov"), ("diagram", "lyapunov")).cutting, shared_values=rows
     )
     pieces = whole.pieces()
     assert [piece.number for piece in pieces] == list(range(len(pieces)))
@@ -147,7 +144,7 @@ def test_every_lane_is_in_one_tile_and_in_one_line(axes, tile, rows):
 @settings(deadline=None, max_examples=100)
 @given(st.integers(1, 50), st.integers(1, 60))
 def test_one_axis_is_cut_at_multiples_of_a_tile(size, tile):
-    found = job((("drive", size, False),), tile, ("diagram",)).pieces()
+    found = job((("drive", size, False),), tile, ("diagram",)).cutting.pieces()
     assert found == [
         Piece(k, ("diagram",), (at,), (min(at + tile, size),)) for k, at in enumerate(range(0, size, tile))
     ]
@@ -165,7 +162,7 @@ def test_slabs():
 
 @pytest.mark.parametrize("parts", [1, 2, 3, 7, 50])
 def test_parts_share_all_pieces(parts):
-    whole = job((("b", 100, False),), order=("diagram",))
+    whole = job((("b", 100, False),), order=("diagram",)).cutting
     work = dict.fromkeys(range(25), 7.0)
     shares = [share(whole, (k, parts), work) for k in range(1, parts + 1)]
     assert [piece for share in shares for piece in share] == whole.pieces()
@@ -181,7 +178,7 @@ AXES_OF_PARTS = st.lists(st.integers(1, 5), min_size=1, max_size=3).map(
 @given(AXES_OF_PARTS, st.integers(1, 9), st.integers(1, 9), st.floats(0.0, 50.0))
 def test_parts_share_lines_as_well(axes, tile, parts, line):
     """Each piece is in one part; no part does more than an equal share and one piece."""
-    whole = job(axes, tile, ("diagram", "doubling"))
+    whole = job(axes, tile, ("diagram", "doubling")).cutting
     pieces = whole.pieces()
     work = {p.number: float(p.lanes) if p.names == ("diagram",) else line for p in pieces}
     shares = [share(whole, (k, parts), work) for k in range(1, parts + 1)]
@@ -195,5 +192,5 @@ def test_job_is_known_by_all_of_it():
     one = job((("b", 3, False), ("d", 4, True)))
     others = [job((("d", 4, True), ("b", 3, False))), job((("b", 3, False), ("d", 4, False))), job(tile=5)]
     assert len({one.id, *(other.id for other in others)}) == 4
-    assert one.lanes == 12
-    assert json.loads(json.dumps(dataclasses.asdict(one)))["axes"] == [["b", 3, False], ["d", 4, True]]
+    assert one.cutting.lanes == 12
+    assert json.loads(json.dumps(dataclasses.asdict(one)))["cutting"]["axes"] == [["b", 3, False], ["d", 4, True]]

@@ -11,30 +11,25 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
+from jaxnh.jobs.attributes import UserFileText, root_attributes, steps_in_words
+from jaxnh.jobs.cutting import Cutting
+from jaxnh.jobs.job import Job, NumericalPlan
+from jaxnh.jobs.provenance import Provenance, SecondsSpent, versions
 from jaxnh.storage import hdf5 as store
-from jaxnh.storage.provenance import Method, UserFileText, root_attributes, steps_in_words, versions
-from jaxnh.storage.tiles import SecondsSpent
 
-METHOD = Method("processed6", 252, False, "float64", 9.7e-11)
+METHOD = NumericalPlan("processed6", 252, False, 9.7e-11, {"lyapunov": {"parts": 4}})
+ORIGIN = Provenance("c" * 64, {"jaxnh": "0.1.0", "jax": "0.10.2"}, {"processor": "x86_64 avx2", "xla_options": ""})
 SPENT = SecondsSpent(19.9, 9.7, 1028153.0, "2 x cpu (cpu)")
 
 
-def attributes(**others):
+def attributes(*, axes=("b",), **others):
     return root_attributes(
+        Job(METHOD, Cutting(tuple((name, 1, False) for name in axes), 1, (), ()), ORIGIN),
         title="Täst",
         config="sweep: {}\n",
-        config_sha256="c" * 64,
-        versions={"jaxnh": "0.1.0", "jax": "0.10.2"},
-        method=METHOD,
+        precision="float64",
         spent=SPENT,
-        **{
-            "axes": ("b",),
-            "strobe_period": 2 * np.pi,
-            "command": "python -m jaxnh.sweep a.yaml",
-            "chosen": {},
-            "machine": {"processor": "x86_64 avx2", "xla_options": ""},
-            **others,
-        },
+        **{"strobe_period": 2 * np.pi, "command": "python -m jaxnh.sweep a.yaml", **others},
     )
 
 
@@ -75,8 +70,7 @@ def test_what_is_there_only_for_some():
         "def system(): ...",
         "d" * 64,
     ]
-    assert "auto_settings" not in attributes(chosen=None)
-    assert json.loads(attributes(chosen={"lyapunov": {"parts": 4}})["auto_settings"]) == {"lyapunov": {"parts": 4}}
+    assert json.loads(attributes()["auto_settings"]) == {"lyapunov": {"parts": 4}}
     assert attributes(command="")["history"].endswith("+00:00 a call from Python")
 
 
@@ -95,10 +89,14 @@ def test_versions():
     assert found["numpy"] == np.__version__
 
 
-@pytest.mark.parametrize("module", ["hdf5", "merge", "pieces", "provenance", "tiles", "atomic"])
-def test_storage_needs_nothing_of_the_package_but_its_exceptions(module):
+@pytest.mark.parametrize(
+    "module", ["storage.hdf5", "storage.merge", "storage.tiles", "storage.atomic", "jobs.attributes", "jobs.assembly"]
+)
+def test_storage_and_jobs_need_nothing_else_of_the_package_but_its_exceptions(module):
     """Whatever is imported with it, in a process of its own."""
-    code = f"import sys, jaxnh.storage.{module}; print(*(name for name in sys.modules if name.split('.')[0] in ('jaxnh', 'jax')))"
+    code = (
+        f"import sys, jaxnh.{module}; print(*(name for name in sys.modules if name.split('.')[0] in ('jaxnh', 'jax')))"
+    )
     found = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    allowed = ("jaxnh.storage", "jaxnh.exceptions")
+    allowed = ("jaxnh.storage", "jaxnh.jobs", "jaxnh.exceptions")
     assert [name for name in found.split() if name != "jaxnh" and not name.startswith(allowed)] == []

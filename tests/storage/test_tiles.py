@@ -11,8 +11,8 @@ import xarray as xr
 from test_pieces import job
 
 from jaxnh.exceptions import BusyError, DamagedError, ResultError
+from jaxnh.jobs.provenance import SecondsSpent
 from jaxnh.storage import tiles
-from jaxnh.storage.tiles import SecondsSpent
 
 SPENT = SecondsSpent(1.0, 0.5, 100.0, "1 x cpu (cpu)")
 PLANE = (("b", 4, False), ("d", 2, True))
@@ -64,7 +64,7 @@ def test_locks(tmp_path):
 def written(tmp_path):
     """A folder with a piece in it, the second row of a plane, and the job."""
     plan = job(PLANE, tile=4, order=("diagram",))
-    piece = plan.pieces()[1]
+    piece = plan.cutting.pieces()[1]
     data = xr.Dataset({"x": (("b", "d"), np.ones((4, 1)), {"long_name": "x", "units": "1"})})
     receipt = tiles.write_piece(tmp_path, plan, piece, {"diagram": data}, {"diagram": {"lost": 3}}, SPENT)
     return tmp_path, plan, piece, receipt
@@ -83,16 +83,16 @@ def test_piece_says_what_it_is(written):
 
 def test_piece_of_another_run(written):
     folder, plan, piece, _ = written
-    other = dataclasses.replace(plan, config_sha256="d" * 64)
+    other = dataclasses.replace(plan, provenance=dataclasses.replace(plan.provenance, config_sha256="d" * 64))
     with pytest.raises(DamagedError, match="of another config"):
         tiles.check(folder, other, piece)
     with pytest.raises(DamagedError, match="of another run of this config"):
-        tiles.check(folder, dataclasses.replace(plan, tile=2), piece)
+        tiles.check(folder, dataclasses.replace(plan, cutting=dataclasses.replace(plan.cutting, tile=2)), piece)
     for place in ({"begin": (0, 0), "end": (4, 1)}, {"names": ("lyapunov",)}):
         with pytest.raises(DamagedError, match="of another run of this config"):
             tiles.check(folder, plan, piece._replace(**place))
     with pytest.raises(FileNotFoundError):
-        tiles.check(folder, plan, plan.pieces()[0])
+        tiles.check(folder, plan, plan.cutting.pieces()[0])
 
 
 @pytest.mark.parametrize("size", [0, 100, 2000])
@@ -114,7 +114,7 @@ def test_piece_with_a_changed_number(written):
 def test_folder_that_is_gone(tmp_path):
     plan = job()
     with pytest.raises(ResultError, match="is gone"):
-        tiles.write_piece(tmp_path / "gone", plan, plan.pieces()[0], {}, {}, SPENT)
+        tiles.write_piece(tmp_path / "gone", plan, plan.cutting.pieces()[0], {}, {}, SPENT)
     with pytest.raises(ResultError, match="is gone"):
         tiles.origin(tmp_path / "gone")
 

@@ -23,7 +23,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     orbits,
     section_distance,
 )
-from jaxnh.orbits.doubling_points import DoublingPoint, doubling_function, halves
+from jaxnh.orbits.bifurcations.doubling_points import DoublingPoint, doubling_function, halves
 from jaxnh.orbits.shooting import Period, ShootingOrbits, Wrap, close_orbits
 
 _NEAR, _FAR = 1 / 16, 2.0  # distances beyond a doubling to look at first, in units of that expected to the next one

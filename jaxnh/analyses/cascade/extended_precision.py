@@ -26,8 +26,8 @@ from jaxnh.maps.extended_precision import push_point
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.orbits.doubling_points import DoublingPoint
-from jaxnh.orbits.extended_doublings import (
+from jaxnh.orbits.bifurcations.doubling_points import DoublingPoint
+from jaxnh.orbits.bifurcations.extended_doublings import (
     ExtendedPeriod,
     ExtendedPoint,
     Slopes,

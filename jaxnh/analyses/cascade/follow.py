@@ -22,7 +22,7 @@ from jaxnh.analyses.cascade.plateaus import PeriodScan, Start, describe_periods,
 from jaxnh.analyses.periodic.attractor_survey import first_points, survey
 from jaxnh.analyses.periodic.location import LocatedDoubling, locate, period_map, refined_maps
 from jaxnh.analyses.periodic.newton_on_lanes import section_distance
-from jaxnh.orbits.doubling_points import FEIGENBAUM, DoublingPoint
+from jaxnh.orbits.bifurcations.doubling_points import FEIGENBAUM, DoublingPoint
 
 TRANSIENT = 512
 """Periods before the last look at the strobe points."""

@@ -34,7 +34,7 @@ from jaxnh.analyses.options.orbits import BranchesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
-from jaxnh.orbits.branches import StepControl
+from jaxnh.orbits.continuation.branches import StepControl
 
 _WORK = 3.0  # of a run, in those of settling: a guess
 

@@ -1,7 +1,8 @@
 """Curves of bifurcations over two parameters: folds, doublings and Neimark–Sacker bifurcations of periodic orbits.
 
 Bifurcations to begin with are those of the branches over the first axis at some values of the second, from what lanes
-settle on there (`branches`). What follows is for all curves of one kind and period together (`orbits.curves`).
+settle on there (`branches`). All curves of one kind and period are then followed together
+(`orbits.continuation.curves`).
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.options.orbits import CurvesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
-from jaxnh.orbits.branches import StepControl
-from jaxnh.orbits.codimension_two import POINTS, Special, special_points
-from jaxnh.orbits.curve_errors import errors_of_points, errors_of_special, refine_curve
-from jaxnh.orbits.curves import ENDS, Curve, ParameterPlane, follow_both_ways, join_unknowns
-from jaxnh.orbits.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
+from jaxnh.orbits.bifurcations.codimension_two import POINTS, Special, special_points
+from jaxnh.orbits.bifurcations.curve_errors import errors_of_points, errors_of_special, refine_curve
+from jaxnh.orbits.continuation.branches import StepControl
+from jaxnh.orbits.continuation.curves import ENDS, Curve, ParameterPlane, follow_both_ways, join_unknowns
+from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
 
 _OWN_NAMES = (
     "curve", "point", "codimension_two", "multiplier", "part", "kind", "period", "multipliers", "begins", "ends",

@@ -1,7 +1,4 @@
-"""The family of maps that a batch is over its first axis, for `orbits.arclength`: of orbits, or of equilibria.
-
-And over two of its parameters, for `orbits.curves`.
-"""
+"""Families of maps of a batch for `orbits.continuation`: of orbits or equilibria over its first axis, or over two."""
 
 from __future__ import annotations
 
@@ -16,8 +13,8 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.section import rates
-from jaxnh.orbits.arclength import Family
-from jaxnh.orbits.curves import ParameterPlane
+from jaxnh.orbits.continuation.arclength import Family
+from jaxnh.orbits.continuation.curves import ParameterPlane
 from jaxnh.systems.flow import Flow, Parameters
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long

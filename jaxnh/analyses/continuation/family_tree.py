@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from jaxnh.analyses.continuation.known_branches import SAME, is_on_branch, same_orbit
-from jaxnh.orbits.arclength import FINE, CurveOrbits, Family, along_parameter, correct
-from jaxnh.orbits.bifurcations import Brackets, brackets, locate, neutral_pair
-from jaxnh.orbits.branches import COLLAPSED, Branch, StepControl, follow_both_ways
-from jaxnh.orbits.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKER, eigenvalues
-from jaxnh.orbits.normal_forms import cubic
-from jaxnh.orbits.switching import crossing_orbits, doubled_orbits
+from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, neutral_pair
+from jaxnh.orbits.bifurcations.normal_forms import cubic
+from jaxnh.orbits.continuation.arclength import FINE, CurveOrbits, Family, along_parameter, correct
+from jaxnh.orbits.continuation.branches import COLLAPSED, Branch, StepControl, follow_both_ways
+from jaxnh.orbits.continuation.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKER, eigenvalues
+from jaxnh.orbits.continuation.switching import crossing_orbits, doubled_orbits
 
 _AT_ONCE = 32  # branches that are followed side by side: together they fill tiles, and few are followed twice
 _BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnh.orbits.arclength import Family, PathVector, length
-from jaxnh.orbits.branches import Branch
+from jaxnh.orbits.continuation.arclength import Family, PathVector, length
+from jaxnh.orbits.continuation.branches import Branch
 
 SAME = 1e-4
 """Lengths: cubics between points are nearer to the branch than this, and other branches are further, mostly."""

@@ -15,10 +15,10 @@ from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.section import outputs, plot_plane
-from jaxnh.orbits.arclength import Family
-from jaxnh.orbits.branches import ENDS, Branch
-from jaxnh.orbits.kinds import KINDS, stable
-from jaxnh.orbits.normal_forms import CRITICALITIES
+from jaxnh.orbits.bifurcations.normal_forms import CRITICALITIES
+from jaxnh.orbits.continuation.arclength import Family
+from jaxnh.orbits.continuation.branches import ENDS, Branch
+from jaxnh.orbits.continuation.kinds import KINDS, stable
 from jaxnh.systems.flow import Output
 
 OWN_NAMES = (

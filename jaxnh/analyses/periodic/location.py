@@ -1,4 +1,4 @@
-"""Location of a doubling of a batch: `orbits.doubling_points` on lanes, with the map in several refinements."""
+"""Location of a doubling of a batch: `bifurcations.doubling_points` on lanes, with the map in several refinements."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.maps.family import Maps, padded_like
 from jaxnh.maps.iterate import Derivatives, derivatives, section_map
-from jaxnh.orbits.doubling_points import DoublingPoint, doubling_point, follow_branch, refine_doubling
+from jaxnh.orbits.bifurcations.doubling_points import DoublingPoint, doubling_point, follow_branch, refine_doubling
 from jaxnh.orbits.shooting import Period
 
 PERIOD_TILE = 32

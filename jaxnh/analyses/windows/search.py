@@ -18,10 +18,10 @@ from jaxtyping import Complex, Float, Int
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.continuation.family_tree import Bifurcation, SeedOrbit, Stage, Tree, grow
 from jaxnh.analyses.continuation.known_branches import is_on_branch, same_orbit
-from jaxnh.orbits import branches
-from jaxnh.orbits.arclength import Family, PathVector, length
-from jaxnh.orbits.branches import Branch, StepControl
-from jaxnh.orbits.kinds import BRANCH_POINT, KINDS, kinds, stable
+from jaxnh.orbits.continuation import branches
+from jaxnh.orbits.continuation.arclength import Family, PathVector, length
+from jaxnh.orbits.continuation.branches import Branch, StepControl
+from jaxnh.orbits.continuation.kinds import BRANCH_POINT, KINDS, kinds, stable
 
 ENDS = ("fold", "branch_point", "range", "not_located", "neimark_sacker", "period_doubling")
 """Where orbits begin or cease to attract: at a bifurcation, beyond the range of the sweep, at a place not located. Of

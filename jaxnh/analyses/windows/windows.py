@@ -29,8 +29,8 @@ from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, r
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
 from jaxnh.analyses.windows.tables import NOWHERE, OWN_NAMES, LocatedValue, dataset, table
-from jaxnh.orbits.arclength import FINE, Family, along_parameter, correct
-from jaxnh.orbits.branches import StepControl, follow_both_ways
+from jaxnh.orbits.continuation.arclength import FINE, Family, along_parameter, correct
+from jaxnh.orbits.continuation.branches import StepControl, follow_both_ways
 
 _DOUBLED = 4  # times the limit: lanes of orbits up to this period are seen, as those of doublings are
 _REACH = 3.0  # distances from the first doubling to where they end that a crisis is looked for beyond; it is near one

@@ -27,8 +27,8 @@ from jaxtyping import Bool, Int
 from jaxnh.analyses.base import LANE, variable
 from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.registry import ANALYSES
-from jaxnh.storage.hdf5 import DATA
-from jaxnh.storage.pieces import Job, Piece
+from jaxnh.jobs.arrays import DATA
+from jaxnh.jobs.cutting import Cutting, Piece
 
 COMPUTED = "computed"
 """Variable of a group: which places were computed, at whatever level."""
@@ -57,35 +57,35 @@ class Level:
         return float(np.mean(self.known))
 
 
-def axes_of(axes: Sequence[Axis], job: Job) -> tuple[Axis, ...]:
-    """The axes of a sweep with the values that the job of a level has."""
-    return tuple(replace(axis, values=axis.values[:: job.step]) for axis in axes)
+def axes_of(axes: Sequence[Axis], cutting: Cutting) -> tuple[Axis, ...]:
+    """The axes of a sweep with the values that a level has."""
+    return tuple(replace(axis, values=axis.values[:: cutting.step]) for axis in axes)
 
 
-def level_of(job: Job, results: Mapping[str, xr.Dataset], coarser: Mapping[str, xr.Dataset]) -> Level | None:
-    """Lanes that the job of a level computes; None for a job without levels.
+def level_of(cutting: Cutting, results: Mapping[str, xr.Dataset], coarser: Mapping[str, xr.Dataset]) -> Level | None:
+    """Lanes that a level computes; None for a sweep without levels.
 
     Args:
         results: groups of the result of the level before, none for the first level.
         coarser: what its lanes have left, by analysis.
     """
-    if not job.level:
+    if not cutting.level:
         return None
-    if job.level == 1:
-        every = np.ones(job.shape, bool)
+    if cutting.level == 1:
+        every = np.ones(cutting.shape, bool)
         return Level(every, every, {})
-    before = coarser[job.independent[0]][COMPUTED].to_numpy().astype(bool)
-    known = np.zeros(job.shape, bool)
-    known[_every_second(job.shape)] = before
-    if job.refine == "all":
+    before = coarser[cutting.independent[0]][COMPUTED].to_numpy().astype(bool)
+    known = np.zeros(cutting.shape, bool)
+    known[_every_second(cutting.shape)] = before
+    if cutting.refine == "all":
         wanted = ~known
     else:
         seen = ((ANALYSES[name].classes, data) for name, data in results.items() if name in ANALYSES)
         kinds = [classes(data) for classes, data in seen if classes is not None]
-        wanted = lanes_near_changes(kinds, job.shape) & ~known
-    if any(_has_partial_axes(data, job.names) for data in coarser.values()):
-        for piece in job.pieces():  # what the values of shared axes decide comes with a lane of each
-            if piece.names == job.independent and not wanted[_box(piece)].any():
+        wanted = lanes_near_changes(kinds, cutting.shape) & ~known
+    if any(_has_partial_axes(data, cutting.names) for data in coarser.values()):
+        for piece in cutting.pieces():  # what the values of shared axes decide comes with a lane of each
+            if piece.names == cutting.independent and not wanted[_box(piece)].any():
                 wanted[piece.begin] = True
     return Level(wanted, known | wanted, coarser)
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jaxnh
-from jaxnh.orbits.kinds import KINDS
+from jaxnh.orbits.continuation.kinds import KINDS
 from sweeps.checks.measured_at import ROOT, stamp
 from sweeps.timing.effects import processor
 

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from jaxnh.orbits.arclength import (
+from jaxnh.orbits.continuation.arclength import (
     CurveOrbits,
     Family,
     PathVector,
@@ -25,7 +25,7 @@ from jaxnh.orbits.arclength import (
     minus,
     times,
 )
-from jaxnh.orbits.kinds import eigenvalues, odd, test_functions
+from jaxnh.orbits.continuation.kinds import eigenvalues, odd, test_functions
 
 ENDS = ("start", "range", "collapsed", "closed", "no_convergence", "most_points", "unbounded")
 """Why a branch ends: it was begun there, as at a bifurcation; the parameter leaves its range; the orbit is one of a

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.orbits.codimension_two import Special, special_points
-from jaxnh.orbits.curves import Curve, ParameterPlane, correct, split_unknowns
+from jaxnh.orbits.bifurcations.codimension_two import Special, special_points
+from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, correct, split_unknowns
 from jaxnh.orbits.multipliers import multipliers
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.kinds import DOUBLING, FOLD, closed_determinant, second_compound
+from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, closed_determinant, second_compound
 from jaxnh.orbits.multipliers import multipliers
 from jaxnh.orbits.shooting import Wrap
 

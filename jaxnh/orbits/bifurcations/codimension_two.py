@@ -14,12 +14,20 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.arclength import CurveOrbits, Family, PathVector
-from jaxnh.orbits.bifurcations import critical
-from jaxnh.orbits.curves import Curve, CurvePoints, ParameterPlane, angle_cosine, correct, split_unknowns, test_function
-from jaxnh.orbits.kinds import DOUBLING, FOLD, NEIMARK_SACKER
+from jaxnh.orbits.bifurcations.location import critical
+from jaxnh.orbits.bifurcations.normal_forms import cubic
+from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector
+from jaxnh.orbits.continuation.curves import (
+    Curve,
+    CurvePoints,
+    ParameterPlane,
+    angle_cosine,
+    correct,
+    split_unknowns,
+    test_function,
+)
+from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.orbits.multipliers import multipliers
-from jaxnh.orbits.normal_forms import cubic
 
 POINTS = (
     "cusp",

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.arclength import CurveOrbits, Family
+from jaxnh.orbits.continuation.arclength import CurveOrbits, Family
 from jaxnh.orbits.multipliers import multipliers
 
 KINDS = ("fold", "period_doubling", "neimark_sacker", "branch_point", "hopf")

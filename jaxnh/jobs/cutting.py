@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 _WORK = 2e6  # lane-periods a tile: up to ten seconds on one core, of the fastest maps half a second
@@ -40,53 +38,33 @@ class Piece(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Job:
-    """Decisions made once for a sweep, which hold for every process that works on it.
+class Cutting:
+    """Cutting of a sweep, or of a level of one, into pieces.
 
     Attributes:
-        config_sha256: hash of the config.
-        versions: of the package and the libraries that the numbers rest on.
-        solver, steps, compensated, error_estimate: what a period is computed with.
-        rolled: whether the stages of a step are a loop.
-        chosen: what analyses have chosen from the whole sweep.
-        order: names of the analyses in the order of the result.
-        independent: those whose lanes know nothing of each other; the others are run along the whole first axis.
         axes: of the sweep, in the order of results: name, size, and whether all lanes of a program share its value.
         tile: lanes a tile.
+        order: names of the analyses in the order of the result.
+        independent: those whose lanes know nothing of each other; the others are run along the whole first axis.
         shared_values: values of the axes that lanes share which a tile may have, where it has all lanes of these.
         wholes: groups that are made of all tiles together once these are there: name of the analysis, whose tiles have
             a group of that name as well, and then those that it brings.
-        machine: kind of processor and options of the compiler, which the last bits of chaotic lanes rest on.
-        levels: from coarse to fine, that the sweep is computed in; each is a job of its own (`stages`).
+        levels: from coarse to fine, that the sweep is computed in; each has a cutting of its own (`stages`).
         refine: which lanes a level adds, "all" or "boundary"; "" without levels.
-        level: of such a job, from 1; 0 of the whole.
+        level: from 1; 0 of the whole.
         first: number of its first piece.
     """
 
-    config_sha256: str
-    versions: Mapping[str, str]
-    solver: str
-    steps: int
-    compensated: bool
-    error_estimate: float
-    rolled: bool
-    chosen: Mapping[str, Mapping[str, int]]
-    order: tuple[str, ...]
-    independent: tuple[str, ...]
     axes: tuple[tuple[str, int, bool], ...]
     tile: int
+    order: tuple[str, ...]
+    independent: tuple[str, ...]
     shared_values: int = 1
     wholes: tuple[tuple[str, ...], ...] = ()
-    machine: Mapping[str, str] = field(default_factory=dict[str, str])
     levels: int = 1
     refine: str = ""
     level: int = 0
     first: int = 0
-
-    @property
-    def id(self) -> str:
-        """Hash of all of it."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -108,11 +86,11 @@ class Job:
         """Return how many values of an axis of the sweep it is from one of this level to the next."""
         return 2 ** (self.levels - self.level) if self.level else 1
 
-    def stages(self) -> list[Job]:
-        """The jobs that this one is done in, one after the other: one a level, on every step-th value of each axis."""
+    def stages(self) -> list[Cutting]:
+        """Cuttings of the levels, one after the other, on every step-th value of each axis; without levels this one."""
         if self.levels == 1:
             return [self]
-        stages: list[Job] = []
+        stages: list[Cutting] = []
         for level in range(1, self.levels + 1):
             stage = replace(self, level=level, first=stages[-1].end if stages else 0)
             axes = tuple((name, -(-size // stage.step), shared) for name, size, shared in self.axes)
@@ -211,7 +189,7 @@ def slab(dims: Sequence[str], piece: Piece, axes: Sequence[str]) -> tuple[slice,
     return tuple(slice(*places[dim]) if dim in places else slice(None) for dim in dims)
 
 
-def share(job: Job, part: tuple[int, int], work: Mapping[int, float]) -> list[Piece]:
+def share(cutting: Cutting, part: tuple[int, int], work: Mapping[int, float]) -> list[Piece]:
     """The pieces of part (k, n), k from 1; for n parts every piece in exactly one, but for those made of all tiles.
 
     What runs along the whole first axis goes in turn to the part that has least to do. The tiles then make the parts
@@ -221,16 +199,16 @@ def share(job: Job, part: tuple[int, int], work: Mapping[int, float]) -> list[Pi
         work: of every piece, by its number, in any unit.
     """
     k, n = part
-    pieces = [piece for piece in job.pieces() if not job.is_whole(piece)]
+    pieces = [piece for piece in cutting.pieces() if not cutting.is_whole(piece)]
     loads, mine = [0.0] * n, list[Piece]()
     if not any(work[piece.number] for piece in pieces):  # start states alone
         work = {piece.number: piece.lanes for piece in pieces}
-    lines = [piece for piece in pieces if piece.names != job.independent]
+    lines = [piece for piece in pieces if piece.names != cutting.independent]
     for piece in sorted(lines, key=lambda piece: -work[piece.number]):
         least = loads.index(min(loads))
         loads[least] += work[piece.number]
         mine += [piece] if least == k - 1 else []
-    tiles = [piece for piece in pieces if piece.names == job.independent]
+    tiles = [piece for piece in pieces if piece.names == cutting.independent]
     room = _rooms(loads, sum(work[piece.number] for piece in tiles))
     ends, done = list(itertools.accumulate(room)), 0.0
     for piece in tiles:

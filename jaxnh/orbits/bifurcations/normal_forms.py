@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.arclength import CurveOrbits, Family, PathVector, length
-from jaxnh.orbits.bifurcations import critical
-from jaxnh.orbits.kinds import BRANCH_POINT, DOUBLING, FOLD, eigenvalues
+from jaxnh.orbits.bifurcations.location import critical
+from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector, length
+from jaxnh.orbits.continuation.kinds import BRANCH_POINT, DOUBLING, FOLD, eigenvalues
 
 CRITICALITIES = ("subcritical", "none", "supercritical")
 """Signs of −s: −1, 0 where it is not known or there is none, 1."""

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from jaxnh.maps.double_double import two_sum
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.doubling_points import FEIGENBAUM, halves
+from jaxnh.orbits.bifurcations.doubling_points import FEIGENBAUM, halves
 from jaxnh.orbits.shooting import Wrap
 
 Sum = tuple[np.ndarray, np.ndarray]

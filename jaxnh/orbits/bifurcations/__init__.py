@@ -1,0 +1,1 @@
+"""Bifurcations of orbits: their location, normal forms and points of codimension two."""
