@@ -75,7 +75,7 @@ def plan_of_job(job: Job) -> Plan:
 def executor_for(analysis: Analysis, options: Options, count: int, lanes: LaneExecutor) -> LaneExecutor:
     """The executor in tiles for a sweep of so many lanes, of an analysis that has no others than these."""
     by_lane = analysis.independent(options) and analysis.starts(options) is None
-    return lanes.in_tiles(lanes_a_tile(count)) if by_lane else lanes
+    return lanes.in_tiles(lanes_a_tile(count), count) if by_lane else lanes
 
 
 # ---- pieces

@@ -59,6 +59,7 @@ class LaneExecutor:
         self._progress = progress or NullProgress()
         self._on_devices = DeviceTiles(self.devices, self.programs, self.accounts)
         self._tiles: Tiles = self._on_devices
+        self._spread = True
 
     def split(self) -> list[LaneExecutor]:
         """Executors to be used side by side, each with accounts of its own: one for each device, of cores two.
@@ -71,10 +72,14 @@ class LaneExecutor:
         first, count, programs = self.devices[:1], len(self.devices) * _RUNNERS_A_CORE, Programs()
         return [LaneExecutor(self._progress, first, self.tile, programs) for _ in range(count)]
 
-    def in_tiles(self, tile: int) -> LaneExecutor:
-        """This executor with tiles of at most so many lanes; programs and accounts stay common."""
+    def in_tiles(self, tile: int, count: int) -> LaneExecutor:
+        """This executor with tiles of at most so many lanes, for so many in all; programs and accounts stay common.
+
+        Lanes of one tile go to one device: others would compute its padding.
+        """
         smaller = copy.copy(self)
         smaller.tile = min(tile, self.tile)
+        smaller._spread = count > smaller.tile
         return smaller
 
     def through(self, wrap: Callable[[Tiles], Tiles]) -> LaneExecutor:
@@ -127,7 +132,9 @@ class LaneExecutor:
         Returns:
             The function's results as NumPy arrays with the lanes as first axis.
         """
-        call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, self._tile(shared, tile), periods)
+        call = Call(
+            function, shared, jax.tree.map(np.asarray, lanes), static, self._tile(shared, tile), periods, self._spread
+        )
         family = next((part for part in shared if isinstance(part, ParameterFamily)), None)
         if family is None:
             return self._run(call)
@@ -169,7 +176,9 @@ class LaneExecutor:
         tile: int | None = None,
     ) -> tuple[str, int]:
         """The compiled program that such a call runs, as text, and the lanes of a tile in it."""
-        call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, self._tile(shared, tile), 0.0)
+        call = Call(
+            function, shared, jax.tree.map(np.asarray, lanes), static, self._tile(shared, tile), 0.0, self._spread
+        )
         return self._on_devices.program(call).as_text(), call.tile
 
     def _run(self, call: Call) -> Any:
@@ -195,6 +204,7 @@ class LaneExecutor:
                 ((call.function, call.static),),
                 blocks.a_tile,
                 call.periods * len(blocks.back) / len(blocks.groups),
+                call.spread,
             )
         )
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[blocks.back], result)

@@ -34,6 +34,7 @@ class Call(NamedTuple):
         static: further hashable arguments, part of the program.
         tile: lanes a tile.
         periods: periods that a lane costs.
+        spread: whether its tiles are spread over all devices.
     """
 
     function: Callable[..., Any]
@@ -42,6 +43,7 @@ class Call(NamedTuple):
     static: tuple[Any, ...]
     tile: int
     periods: float
+    spread: bool
 
 
 class Tiles(Protocol):
@@ -60,12 +62,13 @@ class DeviceTiles:
 
     def __init__(self, devices: Sequence[Any], programs: Programs, accounts: Accounts) -> None:
         self._devices, self._programs, self._accounts = devices, programs, accounts
-        self._placed: dict[int, tuple[Any, Any]] = {}  # by the address of what is on the devices
+        self._placed: dict[tuple[int, int], tuple[Any, Any]] = {}  # by the address of what is on so many devices
 
     def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
         """The tiles of a call; see `Tiles`."""
-        leaves, chunk, count = jax.tree.leaves(call.lanes), call.tile * len(self._devices), count_of(call.lanes)
-        program, placed = self.program(call), self._on_devices(call.shared)
+        devices = self._devices_of(call)
+        leaves, chunk, count = jax.tree.leaves(call.lanes), call.tile * len(devices), count_of(call.lanes)
+        program, placed = self.program(call), self._on_devices(call.shared, devices)
         turns = call.periods * chunk * inner_trip_count(call.shared)
         for number in range(first, count, chunk):
             part = [_pad(leaf[number : number + chunk], chunk) for leaf in leaves]
@@ -81,21 +84,26 @@ class DeviceTiles:
 
     def program(self, call: Call) -> Any:
         """The compiled program of a call."""
-        chunk = call.tile * len(self._devices)
+        devices = self._devices_of(call)
+        chunk = call.tile * len(devices)
         lanes = jax.tree.map(lambda leaf: _pad(leaf[:chunk], chunk), call.lanes)
-        return self._programs.find(call.function, call.static, call.shared, lanes, self._devices, self._accounts)
+        return self._programs.find(call.function, call.static, call.shared, lanes, devices, self._accounts)
 
-    def _on_devices(self, shared: tuple[Any, ...]) -> list[Any]:
+    def _devices_of(self, call: Call) -> Sequence[Any]:
+        return self._devices if call.spread else self._devices[:1]
+
+    def _on_devices(self, shared: tuple[Any, ...], devices: Sequence[Any]) -> list[Any]:
         """Place the arguments that all lanes share on all devices: tables go there once, not in every call."""
         leaves = jax.tree.leaves(shared)
         for k, leaf in enumerate(leaves):
             if isinstance(leaf, np.ndarray | float):
-                if id(leaf) not in self._placed:
+                place = id(leaf), len(devices)
+                if place not in self._placed:
                     if len(self._placed) >= _PLACED:
                         self._placed.clear()
-                    everywhere = NamedSharding(Mesh(np.array(self._devices), ("lanes",)), PartitionSpec())
-                    self._placed[id(leaf)] = leaf, jax.device_put(leaf, everywhere)
-                leaves[k] = self._placed[id(leaf)][1]
+                    everywhere = NamedSharding(Mesh(np.array(devices), ("lanes",)), PartitionSpec())
+                    self._placed[place] = leaf, jax.device_put(leaf, everywhere)
+                leaves[k] = self._placed[place][1]
         return leaves
 
 
