@@ -139,9 +139,18 @@ def average(
     """
     if not count:
         return growth, np.full((len(growth.volume), len(growth.logs) + 2), np.nan)
-    shared = (strobes, quadrature, np.int32(count), np.float64(begun))
+    strobes, parts = (strobes, 1) if quadrature else _one_part(strobes)
+    shared = (strobes, quadrature, np.int32(count * parts), np.float64(begun))
     growth = lanes(advance, shared, (growth, p), periods=count, tile=tile)
     return growth, np.stack([*growth.logs, growth.volume, growth.divergence], axis=-1) / count
+
+
+def _one_part(strobes: Maps) -> tuple[Maps, int]:
+    """The parts of a period, which are equal without a clock, as one, and their number: one program serves any."""
+    if not isinstance(strobes, ReturnMap) or not strobes.system.autonomous:
+        return strobes, 1
+    first = jax.tree.map(lambda leaf: np.asarray(leaf)[:1], strobes)
+    return first, len(np.asarray(jax.tree.leaves(strobes)[0]))
 
 
 def advance_turns(
