@@ -58,7 +58,7 @@ def scene_of(system, start, values, solver, steps, compensated=False, error=0.0,
         steps,
         compensated,
         error,
-        along=axis,
+        axis=axis,
         **others,
     )
 

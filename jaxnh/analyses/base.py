@@ -188,7 +188,7 @@ class Analysis:
             Attributes of the dataset are those of the group, `warnings` among them, lines for the user.
         whole: what is made of all lanes in the end; what `run` gives is then kept until it is made, and no longer.
         independent: options to whether its lanes are independent. If not, it is run along the whole first
-            axis, once for each point of the others (`LaneBatch.along`); its variables then get the other axes.
+            axis, once for each point of the others (`LaneBatch.axis`); its variables then get the other axes.
         stackable: whether lanes at several values of what lanes share may go through one program: it sees the system
             through its maps alone, and no bit of theirs depends on the shape of a tile.
         numbers: options to about how many numbers a lane leaves.

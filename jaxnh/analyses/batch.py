@@ -59,7 +59,7 @@ class LaneBatch:
         solver, steps, compensated: what P is computed with.
         error_estimate: error of one period's map that about one in 10,000 of the periods of a sweep's lanes exceeds.
         place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
-        along: the first axis, where the lanes are those along it, at one point of all others.
+        axis: the first axis, where the lanes are those along it, at one point of all others.
         family: where lanes differ in parameters that a program shares, the system at each value of these.
         chosen: what analyses have chosen from the whole sweep (`Analysis.choose`), by analysis.
         precision: "float64" or, where asked for, "float32" or "extended", of the arithmetic within a period.
@@ -74,7 +74,7 @@ class LaneBatch:
     compensated: bool
     error_estimate: float
     place: Int[np.ndarray, " lanes"] | None = None
-    along: Axis | None = None
+    axis: Axis | None = None
     family: ParameterFamily[System] | None = None
     chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     precision: str = "float64"
@@ -117,29 +117,29 @@ class LaneBatch:
     def take(self, lanes: slice | Int[np.ndarray, " some"]) -> LaneBatch:
         """Return the batch of a subset of its lanes: a slice, or an array of their numbers."""
         start, p = select((self.start, dict(self.p)), lanes)
-        along = self.along and replace(self.along, values=self.along.values[lanes])
-        return replace(self, start=start, p=p, place=self.places[lanes], along=along)
+        axis = self.axis and replace(self.axis, values=self.axis.values[lanes])
+        return replace(self, start=start, p=p, place=self.places[lanes], axis=axis)
 
     @property
-    def line(self) -> Axis:
+    def first_axis(self) -> Axis:
         """The first axis, along which the lanes lie.
 
         Raises:
             ValueError: they do not lie along one.
         """
-        if self.along is None:
+        if self.axis is None:
             raise ValueError("the lanes of this batch do not lie along one axis")
-        return self.along
+        return self.axis
 
     def at_values(self, values: Float[np.ndarray, " points"]) -> LaneBatch:
         """Return the batch at other values along the first axis, the start state and all else as in its first lane."""
-        along = replace(self.line, values=np.asarray(values))
+        axis = replace(self.first_axis, values=np.asarray(values))
 
         def repeated(leaf: np.ndarray) -> np.ndarray:
             return np.full(len(values), leaf[0])
 
         start, p = jax.tree.map(repeated, (self.start, dict(self.p)))
-        return replace(self, start=start, p={**p, along.name: along.values}, place=None, along=along)
+        return replace(self, start=start, p={**p, axis.name: axis.values}, place=None, axis=axis)
 
     def with_system(self, system: System) -> LaneBatch:
         """Return the batch with one system of its family, without the parameters that are part of this system."""

@@ -142,8 +142,8 @@ def price(options: Chaos01Options, batch: LaneBatch) -> Price:
     strobe = batch.map()
     angles = np.linspace(np.pi / 5, 4 * np.pi / 5, _ANGLES)  # others than in a run, of the same price
     shared = (strobe, np.asarray(options.transient, np.int32), angles)
-    turns, total = (float(options.transient), *strobe.turns), options.transient + options.periods
-    program = PricedProgram(_growth, shared, batch.lanes, turns, (options.periods,), total, _TILE, whole=True)
+    trip_counts, total = (float(options.transient), *strobe.trip_counts), options.transient + options.periods
+    program = PricedProgram(_growth, shared, batch.lanes, trip_counts, (options.periods,), total, _TILE, whole=True)
     note = f"walks of {_ANGLES} angles over {options.periods:,} strobes at the end, shared out over {total:,} periods"
     return Price(program, map_alone(batch, strobe, tile=_TILE), note)
 

@@ -17,8 +17,8 @@ class PricedProgram(NamedTuple):
 
     Attributes:
         function, shared, lanes, static, tile: as a `LaneRunner` takes them.
-        turns: how often its loops turn in a period, outermost first; of a `whole` program in a call, where it does not
-            say itself.
+        trip_counts: of its loops in a period, outermost first; of a `whole` program in a call, where it does not say
+            itself.
         periods: periods a call.
         whole: whether all of it counts, as it runs, and not the loop of a period alone.
     """
@@ -26,7 +26,7 @@ class PricedProgram(NamedTuple):
     function: Callable[..., Any]
     shared: tuple[Any, ...]
     lanes: tuple[Any, ...]
-    turns: tuple[float, ...]
+    trip_counts: tuple[float, ...]
     static: tuple[Any, ...] = ()
     periods: int = 1
     tile: int | None = None
@@ -44,13 +44,13 @@ class Price(NamedTuple):
 def map_alone(batch: LaneBatch, strobe: ReturnMap | None = None, tile: int | None = None) -> PricedProgram:
     """Return the program of one period of the batch's map, or of `strobe` on the same lanes, and nothing else."""
     strobe = batch.map() if strobe is None else strobe
-    return PricedProgram(iterate, (strobe, np.int32(1)), batch.lanes, (1.0, *strobe.turns), tile=tile)
+    return PricedProgram(iterate, (strobe, np.int32(1)), batch.lanes, (1.0, *strobe.trip_counts), tile=tile)
 
 
 def newton_price(batch: LaneBatch, tile: int) -> Price:
     """Return the price of a period of Newton on orbits: the map with a tangent for every coordinate."""
     strobe = batch.map()
     lanes = batch.chart.host_points(batch.start), dict(batch.p)
-    program = PricedProgram(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.turns), tile=tile)
+    program = PricedProgram(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.trip_counts), tile=tile)
     note = f"{batch.chart.dimension} tangents in every period of Newton, the map alone before it"
     return Price(program, map_alone(batch, tile=tile), note)

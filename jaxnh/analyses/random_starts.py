@@ -60,7 +60,7 @@ def random_start_batch(
     others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in coordinates.items()}
     p = {name: np.repeat(values, starts) for name, values in batch.p.items()}
     state = begin(batch.system, batch.flow.start(others | drawn))
-    return replace(batch, start=state, p=p, place=np.repeat(places, starts), along=None), drawn
+    return replace(batch, start=state, p=p, place=np.repeat(places, starts), axis=None), drawn
 
 
 def _as_path(leaf: np.ndarray) -> np.ndarray:

@@ -136,7 +136,7 @@ def _bench(experiment: Experiment, began: float) -> PricedExperiment:
     count = len(along.values) if along else 1
     places = [np.arange(count) if axis is along else np.zeros(count, int) for axis in axes]
     along = along if along and along.kind == "lane" else None
-    batch = batch_of(points(experiment, axes, places), plan, experiment.precision, along=along)
+    batch = batch_of(points(experiment, axes, places), plan, experiment.precision, axis=along)
     return PricedExperiment(experiment, batch, plan, calibration, lanes, began)
 
 
@@ -155,7 +155,7 @@ def _studies(bench: PricedExperiment, times: dict[str, float]) -> dict[str, xr.D
         if study is None:
             continue
         data, absent = None, "no axis is a parameter that lanes have of their own"
-        if bench.batch.along is not None:
+        if bench.batch.axis is not None:
             absent = study.absent
             with _part(analysis.name, times):
                 data = study.price(bench.batch, bench.lanes)

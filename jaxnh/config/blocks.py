@@ -175,7 +175,7 @@ class InitialBlock(Block, abc.ABC):
 
 
 class SystemBlock(Block, abc.ABC):
-    """What moves."""
+    """The system that moves."""
 
     prescribed: ClassVar[bool] = False
     """Whether it is a particle at a prescribed speed."""
@@ -194,7 +194,7 @@ class SystemBlock(Block, abc.ABC):
 
 
 class SectionBlock(Block, abc.ABC):
-    """Where a flow without a clock is looked at."""
+    """Section of a flow without a clock."""
 
     direction: Literal["up", "down", "both"] = Field(default="up", description="In which it passes the value")
     longest_return: float | None = Field(
@@ -214,7 +214,7 @@ class SectionBlock(Block, abc.ABC):
 
 
 class Accuracy(Block):
-    """How accurate the map of one period is to be, or by which method and steps it is computed."""
+    """Accuracy of the map of one period, or the method and steps that it is computed by."""
 
     target: float = Field(
         default=1e-10,
@@ -234,7 +234,7 @@ class Accuracy(Block):
     precision: Literal["float64", "float32", "extended"] | None = Field(
         default=None,
         description="Arithmetic within a period: float64, or if asked for float32, with errors of 1e-5 and more, or"
-        " extended, which is double-double for doublings once they are found",
+        " extended, which is double-double for doublings once they are located",
     )
 
     @property

@@ -32,7 +32,7 @@ class Config(Block):
 
     model_config = ConfigDict(title="Experiment")
 
-    title: str = Field(default="", description="What this run is, in words")
+    title: str = Field(default="", description="Title of the run")
     system: ConstantSpeed | DisturbedSpeed | Free = Field(
         discriminator="constraint", description="The constraint on the speed, the parameters, and what is left out"
     )
@@ -45,7 +45,7 @@ class Config(Block):
         default=None, description="Without forcing and disturbance, the section whose crossings take the strobe's place"
     )
     accuracy: Accuracy = Field(default=Accuracy(), description="Error allowed, or solver and steps")
-    analyses: Analyses = Field(description="What to compute: name of the analysis to its options")
+    analyses: Analyses = Field(description="Analyses to run: name of each to its options")
     compare: dict[str, PublishedValues] | None = Field(
         default=None, description="Published values to show beside ours: name of the analysis to source and numbers"
     )
@@ -102,7 +102,7 @@ class Config(Block):
     # ---- published values
 
     def differences_from(self, published: PublishedValues) -> list[str]:
-        """In words, in what system and start differ from those that published values are of; the first axis may."""
+        """Describe how system and start differ from those that published values are of; the first axis may."""
         theirs = {**published.system, **published.initial}
         ours = self._parameters()
         first, *others = self.sweep.grids

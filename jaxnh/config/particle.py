@@ -77,7 +77,7 @@ class Sweep(OrderedBlock, SweepBlock):
 
 
 class PoincareSection(SectionBlock):
-    """Where a flow without a clock is looked at: where one of its positions passes a value."""
+    """Section of a flow without a clock: one of its positions passes a value."""
 
     coordinate: Literal["x1", "y1"] = Field(default="x1", description="Position that decides")
     value: float = Field(default=0.0, description="Its value on the section")
@@ -101,7 +101,7 @@ class Particle(SystemBlock):
     )
 
     axes: ClassVar[tuple[str, ...]] = ("b", "a", "omega", "x1", "x2", "y1")
-    """What can be swept."""
+    """Names of the axes that a sweep may have."""
 
     @field_validator("without")
     @classmethod

@@ -85,7 +85,7 @@ class UserSweep(SweepBlock, UserBlock):
 
 
 class UserSection(SectionBlock):
-    """Where a user's flow without a clock is looked at: where a coordinate, or a sum of several, passes a value."""
+    """Section of a user's flow without a clock: a coordinate, or a sum of several, passes a value."""
 
     coordinate: str | None = Field(default=None, description="Coordinate that decides; of mechanics a position")
     normal: dict[str, float] | None = Field(

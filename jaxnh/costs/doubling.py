@@ -94,7 +94,7 @@ def _first_doubling(batch: LaneBatch, lanes: LaneRunner) -> DoublingBracket | No
     if not doublings.points:
         return None
     n, first = doublings.period, doublings.points[0].value
-    low, high = batch.line.values.min(), batch.line.values.max()
+    low, high = batch.first_axis.values.min(), batch.first_axis.values.max()
     if (
         len(doublings.points) == 1
     ):  # then half of what the sweep has on either side, in the direction in which it doubles
@@ -154,7 +154,7 @@ def by_multiplier(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -
 
 
 def by_interpolation(batch: LaneBatch, lanes: LaneRunner, place: DoublingBracket) -> tuple[list[Estimate], float]:
-    """By rounds of nodes, with the batch's steps and then twice as many; an estimate a round.
+    """Locate the doubling by rounds of nodes, with the batch's steps and then twice as many; an estimate a round.
 
     Returns:
         The estimates, and the value with the finest steps, whose time is not counted.
@@ -231,7 +231,7 @@ def _dataset(batch: LaneBatch, estimates: list[Estimate], reference: float, plac
     def column(data: Any, long_name: str, units: str = "1") -> Entry:
         return variable("estimate", data, long_name, units)
 
-    axis = batch.line
+    axis = batch.first_axis
     method, effort, value, seconds, cpu_seconds = zip(*estimates, strict=True)
     error = np.abs(np.array(value) - reference)
     variables = {

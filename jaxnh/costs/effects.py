@@ -222,7 +222,7 @@ def _operations(program: PricedProgram | None, lanes: LaneExecutor) -> float:
         return float("nan")
     text, tile = lanes.program(program.function, program.shared, program.lanes, program.static, program.tile)
     loops = count(text, tile)
-    return loops.whole(program.turns) / program.periods if program.whole else loops.total(program.turns)
+    return loops.whole(program.trip_counts) / program.periods if program.whole else loops.total(program.trip_counts)
 
 
 def _ratio(row: EffectRow, lanes: LaneExecutor, repeats: int) -> float:

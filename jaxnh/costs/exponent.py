@@ -44,7 +44,7 @@ def price(batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset | None:
     if value is None:
         return None
     averaged = np.array([*_AVERAGED, 10 * _AVERAGED[-1]])
-    label = f"cost: largest exponent at {batch.line.name} = {value:.6g}"
+    label = f"cost: largest exponent at {batch.first_axis.name} = {value:.6g}"
     with lanes.stage(label, _LANES * float(np.sum(_TRANSIENT + averaged))):
         return _measure(batch, StagelessRunner(lanes), value, averaged)
 
@@ -67,7 +67,7 @@ def _most_chaotic(batch: LaneBatch, lanes: LaneRunner) -> float | None:
     picked = np.unique(np.linspace(0, batch.count - 1, _SEARCHED).round().astype(int))
     exponent, bar = _exponents(batch.take(picked), lanes, _SEARCH_PERIODS)
     best = int(np.nanargmax(exponent))
-    return float(batch.line.values[picked[best]]) if exponent[best] > 2 * bar[best] else None
+    return float(batch.first_axis.values[picked[best]]) if exponent[best] > 2 * bar[best] else None
 
 
 def _exponents(
@@ -83,7 +83,7 @@ def _dataset(
     batch: LaneBatch, value: float, averaged: Int[np.ndarray, " times"], averages: list[_Average], reference: float
 ) -> xr.Dataset:
     """Quantiles over the lanes, (averaged, quantile)."""
-    name, unit, spread = batch.line.name, rate_units(batch.flow), ("averaging_periods", "quantile")
+    name, unit, spread = batch.first_axis.name, rate_units(batch.flow), ("averaging_periods", "quantile")
     errors = np.abs(np.array([average.exponent for average in averages]) - reference)
     errors, bars = (
         np.quantile(values, _QUANTILES, axis=1).T for values in (errors, [average.bar for average in averages])

@@ -36,27 +36,27 @@ class Loop:
     Attributes:
         operations: floating-point operations a lane.
         inner: the loops within it.
-        turns: how often it turns, where the program says; None where a number decides that it is given.
+        trip_count: of the loop, where the program says; None where a number decides that it is given.
     """
 
     operations: float = 0.0
     inner: list[Loop] = field(default_factory=list)
-    turns: int | None = None
+    trip_count: int | None = None
 
-    def total(self, turns: Sequence[float]) -> float:
-        """Operations of one turn, with so many turns of the loop in it that has most, and so on inwards."""
-        if not turns or not self.inner:
+    def total(self, trip_counts: Sequence[float]) -> float:
+        """Operations of one iteration; trip counts of the costliest loops within it, outermost first."""
+        if not trip_counts or not self.inner:
             return self.operations
-        return self.operations + turns[0] * max(loop.total(turns[1:]) for loop in self.inner)
+        return self.operations + trip_counts[0] * max(loop.total(trip_counts[1:]) for loop in self.inner)
 
-    def whole(self, turns: Sequence[float]) -> float:
-        """Operations with all loops within it, each with the turns the program says, else with those of its depth.
+    def whole(self, trip_counts: Sequence[float]) -> float:
+        """Operations with all loops within it, each with the trip count that the program says, else that of its depth.
 
         Raises:
-            IndexError: a loop lies deeper than there are turns, and the program does not say how often it turns.
+            IndexError: a loop lies deeper than there are trip counts, and the program does not say its own.
         """
-        inner = [(turns[0] if loop.turns is None else loop.turns, loop) for loop in self.inner]
-        return self.operations + sum(number * loop.whole(turns[1:]) for number, loop in inner)
+        inner = [(trip_counts[0] if loop.trip_count is None else loop.trip_count, loop) for loop in self.inner]
+        return self.operations + sum(number * loop.whole(trip_counts[1:]) for number, loop in inner)
 
 
 def count(program: str, lanes: int) -> Loop:
@@ -121,7 +121,7 @@ class _Counter:
         if op == "while":
             loop.inner.append(self.body(_named("body", rest)))
             told = _TURNS.search(rest)
-            loop.inner[-1].turns = int(told[1]) if told else None
+            loop.inner[-1].trip_count = int(told[1]) if told else None
             return self._number(("while", line["name"], *operands))
         if op in _COMMUTE:
             operands = sorted(operands, key=str)

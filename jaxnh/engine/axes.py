@@ -80,7 +80,7 @@ def points_along(
 
 
 def places_of(piece: Piece) -> tuple[Int[np.ndarray, " lanes"], ...]:
-    """Places along each axis of the lanes of a piece, in C order."""
+    """Places of the lanes of a piece along each axis, in C order."""
     ranges = [np.arange(begin, end) for begin, end in zip(piece.begin, piece.end, strict=True)]
     return tuple(grid.ravel() for grid in np.meshgrid(*ranges, indexing="ij"))
 
@@ -171,7 +171,7 @@ def whole_to_axes(data: xr.Dataset, axes: Sequence[Axis]) -> xr.Dataset:
 def _coordinates(
     axes: Sequence[Axis], cuts: Iterable[slice], content: Mapping[Any, tuple[Any, ...]]
 ) -> dict[Any, Entry]:
-    """The values, each cut, of those axes that some variable is over."""
+    """The values, each cut, of the axes that any variable has."""
     return {
         axis.dim: variable(axis.dim, axis.values[cut], _words(axis), axis.units)
         for axis, cut in zip(axes, cuts, strict=False)

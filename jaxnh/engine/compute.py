@@ -1,4 +1,4 @@
-"""Pieces of a sweep computed, by what was decided for all of it (`plan`). No files, no processes."""
+"""Computation of pieces of a sweep, after the decisions for all of it (`plan`). No files, no processes."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class ComputedPiece(NamedTuple):
 
 
 def spent(lanes: LaneExecutor, seconds: float) -> SecondsSpent:
-    """Cost of an executor so far, in so many seconds."""
+    """Cost of an executor so far; `seconds` is the time it took."""
     device = f"{len(lanes.devices)} x {lanes.devices[0].device_kind} ({lanes.devices[0].platform})"
     return SecondsSpent(seconds, lanes.accounts.compile_seconds, lanes.accounts.lane_periods, device)
 
 
-# ---- scenes
+# ---- batches
 
 
 def batch_of(
@@ -58,10 +58,10 @@ def batch_of(
     precision: str,
     chosen: Mapping[str, Mapping[str, int]] | None = None,
     place: np.ndarray | None = None,
-    along: Axis | None = None,
+    axis: Axis | None = None,
 ) -> LaneBatch:
     """Lanes with the solver and steps that were decided on."""
-    more = {"place": place, "along": along, "family": at.family, "chosen": chosen or {}, "precision": precision}
+    more = {"place": place, "axis": axis, "family": at.family, "chosen": chosen or {}, "precision": precision}
     return LaneBatch(at.system, at.start, at.p, *plan, **more)
 
 
@@ -96,9 +96,9 @@ def compute(
 
     Args:
         axes: of the sweep, or of a level of it with the values that this has.
-        gather: name of an analysis to what all its tiles say, for a piece that is made of them.
-        level: of the job of one, which lanes are computed, and what the others are filled with.
-        earlier: seconds that a stopped run has spent on them, of which a journal has the results.
+        gather: name of an analysis to the dataset of all its tiles, for a piece that is made of them.
+        level: which lanes are computed, and the values that the others are filled with.
+        earlier: seconds that a stopped run has spent on the results in a journal.
     """
     if job.cutting.is_whole(batch[0]):
         return [_combine_tiles(experiment, axes, requested, job, piece, lanes, gather, earlier) for piece in batch]

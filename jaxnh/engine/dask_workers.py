@@ -1,4 +1,4 @@
-"""Pieces of a sweep to Dask workers: each computes on one core, writes its own file, and returns a receipt.
+"""Pieces of a sweep on Dask workers: each computes on one core, writes its own file, and returns a receipt.
 
 A worker runs what its scheduler sends it, and the text of a user's system that lies in the plan of the run. Connections
 are secured by Dask's own settings alone (`distributed.comm.tls`, `distributed.comm.require-encryption`).
@@ -44,11 +44,11 @@ _NUMBERED = re.compile(r"(?!.*://).*?(\d+)")  # names of workers, but for an add
 
 
 class LostError(RunError):
-    """A piece has lost all workers that it was at."""
+    """All workers that computed a piece were lost."""
 
 
 def check(where: str) -> None:
-    """Check that a cluster is named as it can be.
+    """Check the name of a cluster.
 
     Raises:
         ArgumentError: it is not, or Dask is not installed.
@@ -72,13 +72,13 @@ def run(
     Args:
         client: of the cluster (`cluster`).
         job: that the pieces are of, a level's where the sweep has levels.
-        stages: pieces; those of a stage are begun once all before them are there.
+        stages: pieces; those of a stage begin once all before them are done.
         heed: called often; may raise to end the run.
         finished: called with each receipt.
 
     Raises:
         Stopped: the cluster is gone.
-        RunError: a piece failed on every try; its reason. One that loses its workers does not hold others up.
+        RunError: a piece failed on every try; its reason. A piece that loses its workers does not delay others.
     """
     for pieces in stages:
         _run_stage(client, folder, job, pieces, heed, finished)
@@ -92,7 +92,7 @@ def _run_stage(
     heed: Callable[[], None],
     finished: Callable[[TileRecord], None],
 ) -> None:
-    """Have pieces computed that do not wait for each other."""
+    """Have independent pieces computed."""
     futures = {
         client.submit(
             _piece,
@@ -143,10 +143,10 @@ def machine(where: str, lanes: LaneExecutor, heed: Callable[[], None]) -> dict[s
 
 
 def _receipt(future: Any, piece: Piece) -> TileRecord | None:
-    """The receipt of a piece that has ended; None if it is gone with its worker, and the scheduler has it made anew.
+    """The receipt of a finished piece; None if it was lost with its worker, and the scheduler computes it again.
 
     Raises:
-        LostError: the piece has lost all workers that it was at.
+        LostError: all workers that computed the piece were lost.
         RunError: it failed on every try.
         Stopped: the cluster is gone.
     """
@@ -183,7 +183,7 @@ def _finished(client: Any, futures: list[Any]) -> list[Any]:
 
 @contextlib.contextmanager
 def cluster(where: str) -> Iterator[Any]:
-    """A client of a cluster; one of our own ends with it.
+    """A client of a cluster; a local cluster is closed with it.
 
     Args:
         where: `local`, `local:N`, the address of a scheduler or its file.
@@ -227,7 +227,7 @@ def cluster(where: str) -> Iterator[Any]:
 
 
 def _check_security(where: str) -> None:
-    """Refuse an address that Dask's settings do not fit: a client made for it waits a minute for itself to end."""
+    """Refuse an address that Dask's security settings do not fit: a client for it would hang for a minute."""
     from distributed.security import Security
 
     security = Security()

@@ -1,6 +1,6 @@
-"""The experiment: a config as it is run, with its flow, its start states and its axes.
+"""An experiment: a config with its flow, its start states and its axes.
 
-What a config says, and what is wrong with it as far as JAX is not needed to tell, is in `config`.
+Keys of a config, and all checks that need no JAX, are in `config`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Experiment(Config):
 
     @classmethod
     def from_config(cls, config: Config, user_file: UserFile | None = None) -> Experiment:
-        """The experiment of a config, which is tried out: its flow is made, and held against analyses and levels.
+        """The experiment of a config; its flow is made and checked against analyses and levels.
 
         Args:
             config: what is run.
@@ -74,7 +74,7 @@ class Experiment(Config):
         return made
 
     def _try_out(self) -> None:
-        """Check what only the flow tells.
+        """Check everything that needs the flow.
 
         Raises:
             ValueError: something does not go together; the rule names the key.
@@ -90,7 +90,7 @@ class Experiment(Config):
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any], overrides: Sequence[str] = ()) -> Experiment:
-        """The experiment of a dict that says what a YAML file would say; a user's file is named from where one is.
+        """The experiment of a dict with the content of a YAML file; paths are relative to the working folder.
 
         Args:
             content: mappings, lists, text, numbers and booleans; NumPy's arrays and numbers as well.
@@ -151,7 +151,7 @@ class Experiment(Config):
         return made
 
     def on(self, section: Mapping[str, Any]) -> Experiment:
-        """The same experiment, looked at on a section: keys and values of that block of a config.
+        """The same experiment on a section, given by keys and values of that block of a config.
 
         Raises:
             ConfigError: one line, `experiment: section.KEY: what is wrong`.
@@ -163,7 +163,7 @@ class Experiment(Config):
 
     @property
     def filler(self) -> str:
-        """The axis of one value that stands in while none is named; "" where there is none."""
+        """The placeholder axis of one value, while no axis is named; "" where there is none."""
         return self._filler
 
     def _data(self, *without: str) -> dict[str, Any]:
@@ -173,7 +173,7 @@ class Experiment(Config):
     # ---- what is run
 
     def _default_section(self) -> PoincareSection | UserSection:
-        """The section of a scene without a clock where the config does not say."""
+        """The default section of a flow without a clock."""
         return PoincareSection()
 
     def _flow(self, parameters: Mapping[str, float]) -> Flow:
@@ -227,7 +227,7 @@ class Experiment(Config):
         return begin(self.dynamics(shared), self._admit_starts(flow, state, own or {}))
 
     def _admit_starts(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
-        """Start states, those that the constraints do not admit failed or moved: here their coordinates see to it."""
+        """Start states, those off the constraints failed or moved; here coordinates satisfy them by construction."""
         return start
 
     @property
@@ -293,7 +293,7 @@ class Experiment(Config):
         return hashlib.sha256(canonical.encode()).hexdigest()
 
     def _content(self) -> dict[str, Any]:
-        """All that decides the numbers, defaults written out."""
+        """Everything that decides the numbers, defaults written out."""
         return self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
 
 
@@ -347,7 +347,7 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
 
 
 def _grid(values: ArrayLike) -> dict[str, Any]:
-    """Values of an axis as a config has them; what is no such thing is left as it is, for the config to refuse."""
+    """Values of an axis as a config has them; anything else is left as it is, for the config to refuse."""
     try:
         given = np.atleast_1d(np.asarray(values, float))
     except (TypeError, ValueError):
@@ -369,8 +369,8 @@ def load(path: str | Path, overrides: Sequence[str] = (), user_text: str | None 
     Args:
         path: the YAML file.
         overrides: KEY=VALUE, KEY a dotted path into the YAML (a number for an item of a list), VALUE as in YAML;
-            analyses.NAME=null drops an analysis, analyses.NAME={} asks for one; null leaves out what the file says of
-            a parameter, a start or an axis.
+            analyses.NAME=null drops an analysis, analyses.NAME={} asks for one; null removes a parameter, a start or an
+            axis of the file.
         user_text: what the user's file says that the config names, in place of reading it.
 
     Raises:

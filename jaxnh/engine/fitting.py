@@ -1,4 +1,4 @@
-"""Rules on a flow that is made: an analysis with scene and sweep, levels with both."""
+"""Rules that need the flow: on an analysis with flow and sweep, and on levels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxnh.config.messages import join_words
 
 
 def check_analysis(analysis: Analysis, options: Options, setting: Setting) -> None:
-    """Check that an analysis can do with the scene, and its options with scene and sweep.
+    """Check that an analysis suits the flow, and its options suit flow and sweep.
 
     Raises:
         ValueError: it cannot; the rule names the key.

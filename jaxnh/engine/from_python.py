@@ -18,7 +18,7 @@ from jaxnh.systems.particle import IsokineticParticle
 from jaxnh.systems.user_file import UserFile
 
 System = Callable[..., Any] | IsokineticParticle | DefinedFlow
-"""What can be given: a function of parameters, `constant_speed(...)` and the others, or `lagrangian(...)`."""
+"""A system in Python: a function of parameters, `constant_speed(...)` and the others, or `lagrangian(...)`."""
 
 _FIRST = {"portrait": {}}  # an experiment asks for something
 

@@ -15,7 +15,7 @@ from jaxnh.storage.calls import CallJournal, JournalEntry
 
 
 class _JournaledTiles:
-    """Tiles whose results are kept in a journal, and those taken from there that it has."""
+    """Tiles whose results are kept in a journal, or taken from it where it has them."""
 
     def __init__(self, tiles: Tiles, journal: CallJournal) -> None:
         self._tiles, self._journal = tiles, journal
@@ -37,7 +37,7 @@ class _JournaledTiles:
 
 
 def _result_structure(call: Call) -> Any:
-    """The structure of what a function gives for a lane."""
+    """The structure of the result of a function for a lane."""
     lane = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), call.lanes)
     return jax.tree.structure(jax.eval_shape(lambda lane: call.function(*call.shared, *lane, *call.static), lane))
 
@@ -46,7 +46,7 @@ def _result_structure(call: Call) -> Any:
 def with_journal(lanes: LaneExecutor, journal: CallJournal) -> Iterator[LaneExecutor]:
     """The executor with a journal of its calls, which has to be the same calls in every run.
 
-    Where it is left by an exception all that is known is written to the journal.
+    Where an exception ends it, all results are written to the journal.
     """
     try:
         yield lanes.through(lambda tiles: _JournaledTiles(tiles, journal))

@@ -1,4 +1,4 @@
-"""The place where a result is to be written: what stands there, and whether one can be."""
+"""The place where a result is to be written: whether it is free, and what is there."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ from jaxnh.storage.atomic import check_writable, target_of
 
 
 def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
-    """Return whether a file is the result of this experiment. Anything else is only replaced when that is asked for.
+    """Return whether a file is the result of this experiment. Other files are replaced on request alone.
 
-    What a coarser level has left is not yet the result.
-
-    All of it is read and compared with its checksums.
+    The result of a coarser level does not count. All of the file is read and compared with its checksums.
 
     Raises:
         ArgumentError: the file is something else, or damaged.
@@ -64,6 +62,6 @@ def file_of(output: Path) -> Path:
 
 
 def other_than(experiment: Experiment, user_text: str | None) -> str:
-    """Say how a result differs from one of this config, made with a user's file of that text."""
+    """Describe how a result differs from one of this config, made with a user's file of that text."""
     own = experiment.user_file
     return f"another text of {own.path}" if own and user_text not in (None, own.text) else "another config"

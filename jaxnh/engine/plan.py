@@ -50,7 +50,7 @@ def calibrate(
     target: float | None = None,
     requested: Requested | None = None,
 ) -> Calibration:
-    """Errors of one period on sample lanes of a sweep; where one target alone will be asked for, as far as it needs.
+    """Errors of one period on sample lanes of a sweep; for a single target, as far as that needs.
 
     Args:
         requested: analyses whose random starts are among the samples, by default those of the experiment.
@@ -74,7 +74,7 @@ def calibrate(
 
 
 def start_samplers(requested: Requested) -> dict[str, Starts]:
-    """Return where analyses have lanes start at random, by the analysis and those of its options that decide it."""
+    """Return the random starts of analyses, by analysis and the options that decide them."""
     starts = {}
     for analysis, options in requested:
         if (draw := analysis.starts(options)) is not None:
@@ -83,7 +83,7 @@ def start_samplers(requested: Requested) -> dict[str, Starts]:
 
 
 def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:
-    """Sample lanes, and so many of their random starts as well."""
+    """Sample lanes, with `most` of their random starts."""
     state, lane = draw(LaneBatch(row.system, row.start, row.p, scheme_of(row.system).reference, 1, False, math.inf))
     subset = np.unique(np.linspace(0, len(lane) - 1, most).round().astype(int))
     drawn = select(state, subset), *select((dict(row.p), dict(row.where)), lane[subset])
@@ -147,12 +147,12 @@ def job_of(
     tile: int | None = None,
     parts: int = 1,
 ) -> Job:
-    """Return how a sweep is cut, with what has been decided for it.
+    """Return the job of a sweep: its cutting, with all that has been decided for it.
 
     Args:
         machine: what computes it (`xla_options.machine`).
         tile: lanes a tile in place of those that the work of a lane suggests.
-        parts: among how many the tiles are to be shared: there are at least as many.
+        parts: number of parts that share the tiles: there are at least as many tiles.
     """
     count = int(np.prod([len(axis.values) for axis in axes]))
     split = [(analysis, options) for analysis, options in requested if analysis.independent(options)]
@@ -217,19 +217,19 @@ def decide(
 def check_size(
     experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: LaneExecutor
 ) -> None:
-    """Check that a sweep is one that is run unasked: of no more than `MOST_LANES` lanes and `_LONGEST_RUN`.
+    """Check that a sweep may run unasked: it has at most `MOST_LANES` lanes and takes at most `_LONGEST_RUN`.
 
-    The time is that of its lane-periods in turns of the loop of the map, as fast as in the calibration.
+    The time is estimated from its lane-periods and the fastest iteration of a loop in the calibration.
 
     Raises:
-        ConfigError: it is not; the message says how large it is and what it would take.
+        ConfigError: it may not; the message gives its size and time.
     """
     count = experiment.sweep.lanes
     work = work_of(requested, count) * count
     first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
     looped = batch_of(first, plan._replace(solver=in_loop(plan.solver)), experiment.precision)  # as calibrations are
-    turns = inner_trip_count((looped.strobe(),)) / (1.0 if looped.solver == plan.solver else LOOP_OVER_WRITTEN_OUT)
-    seconds = work * turns * lanes.accounts.fastest if math.isfinite(lanes.accounts.fastest) else 0.0
+    iterations = inner_trip_count((looped.strobe(),)) / (1.0 if looped.solver == plan.solver else LOOP_OVER_WRITTEN_OUT)
+    seconds = work * iterations * lanes.accounts.fastest if math.isfinite(lanes.accounts.fastest) else 0.0
     if count > MOST_LANES or seconds > _LONGEST_RUN:
         size = f", {8e-9 * count:.2g} GB a variable" if count > MOST_LANES else ""
         would = f"{size}, and about {_rounded(work)} lane-periods, {_duration(seconds)} on this machine; --yes goes on"

@@ -1,4 +1,4 @@
-"""Progress callbacks: how a run or a session says what it is doing. Nothing is printed here."""
+"""Progress of runs and sessions, as callbacks. Nothing is printed here."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ class Progress(Protocol):
     """Progress of a computation, as it is reported. A method may raise an exception to stop it."""
 
     def start(self, label: str, total: float) -> None:
-        """A stage begins whose work is `total` lane-periods, 0 where that is not known."""
+        """Begin a stage of `total` lane-periods, 0 where that is not known."""
 
     def advance(self, amount: float) -> None:
-        """So many lane-periods more are done."""
+        """Report more lane-periods as done."""
 
     def finish(self) -> None:
-        """The stage ends."""
+        """End the stage."""
 
     def note(self, text: str) -> None:
-        """Something worth knowing, as of tiles that are there already."""
+        """Report a note, as of tiles that are there already."""
 
     def warn(self, text: str) -> None:
-        """Something that has gone wrong and was mended, as a damaged tile that is computed again."""
+        """Report a fault that was mended, as a damaged tile that is computed again."""
 
 
 class NullProgress:
-    """Progress that is told to nobody; what has gone wrong is a `JaxnhWarning`."""
+    """Progress that is not reported; warnings are `JaxnhWarning`."""
 
     def start(self, label: str, total: float) -> None: ...
 
@@ -66,7 +66,7 @@ class InterruptibleProgress:
     """Progress passed on, with a check at every call that may raise `Stopped`.
 
     Attributes:
-        shown: where it goes; may be changed on the way.
+        shown: the progress that it is passed to; may be changed on the way.
     """
 
     def __init__(self, shown: Progress, check: Callable[[], None]) -> None:

@@ -1,6 +1,6 @@
-"""A run of an experiment into a result file: what is done already, what is missing, and the file once all is there.
+"""A run of an experiment into a result file: it computes the missing tiles and merges all of them.
 
-Nothing is printed here: what a user should know goes to `Progress`, and what came of it is returned.
+Nothing is printed here: notes and warnings go to `Progress`, and a summary is returned.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class RunOptions(NamedTuple):
     Attributes:
         fresh: drop what an earlier run has left.
         part: k and n, to do share k of n alone.
-        merge: join what the parts have done, and compute nothing.
+        merge: merge the tiles of the parts, and compute nothing.
         dask: where Dask workers are.
         tile: lanes a tile.
         command: what is run, for the history of the result.
@@ -70,7 +70,7 @@ class RunSummary(NamedTuple):
         spent: by this run and those before it.
         seconds: of this run.
         compile_seconds, run_seconds: of these, where this process has computed.
-        pieces: how many pieces were this run's to do, and of how many.
+        pieces: number of pieces of this run, and of all.
         whole: whether the result is written.
     """
 
@@ -137,7 +137,7 @@ class _Run:
         self._earlier = 0.0  # seconds that earlier runs have spent on what is there
 
     def run(self) -> RunSummary:
-        """Everything from what is there to the result, or to the end of the part: one level after the other."""
+        """Complete the result, or the part, one level after the other."""
         job = self._job()
         stages = job.stages()
         try:
@@ -154,7 +154,7 @@ class _Run:
             raise RunError(f"{error}{kept if self._folder.is_dir() else ''}") from error
 
     def _stage(self, job: Job, stage: Job) -> None:
-        """A level of the sweep, or without levels all of it, from what is there of it to its result."""
+        """Complete a level of the sweep, or without levels all of it."""
         cutting = stage.cutting
         part, last = self._how.part, cutting.level in (0, cutting.levels)
         if not self._how.merge:
@@ -184,7 +184,7 @@ class _Run:
                 self._drop(error.piece, error.why)
 
     def _join(self, stage: Job, every: Sequence[Piece]) -> None:
-        """Check that the other parts have done their tiles of a level, and do what is made of all tiles.
+        """Check that the other parts have done their tiles of a level, and compute the groups of all tiles.
 
         Raises:
             _Waiting: they have not.
@@ -245,7 +245,7 @@ class _Run:
         return self._lanes
 
     def _find(self, job: Job, pieces: Sequence[Piece]) -> None:
-        """Return which pieces are done; those that are there and of no use are dropped."""
+        """Note the pieces that are done; damaged ones are dropped."""
         there = self._sound_pieces(job, pieces)
         self._dropped.clear()
         self._earlier += sum(self._receipts[piece.number].spent.seconds for piece in there)
@@ -254,7 +254,7 @@ class _Run:
             self._progress.note(f"{len(there)} of {len(pieces)} tiles{of} are done; going on")
 
     def _sound_pieces(self, job: Job, pieces: Sequence[Piece]) -> list[Piece]:
-        """The pieces that are there; those of no use are dropped."""
+        """The pieces that are there and sound; others are dropped."""
         for piece in pieces:
             try:
                 self._receipts[piece.number] = tiles.check(self._folder, job, piece)
@@ -304,7 +304,7 @@ class _Run:
         self._run_batches(job, [[piece] for piece in last], lanes, {})  # what they are made of has been written
 
     def _batches(self, job: Job, missing: Sequence[Piece], devices: int) -> list[list[Piece]]:
-        """Pieces that are computed together, those first that a stopped run has begun together."""
+        """Batches of pieces, first those that a stopped run has begun."""
         rest, begun = {piece.number: piece for piece in missing}, list[list[Piece]]()
         for numbers in interrupted_batches(self._folder, job):
             if rest.keys() >= set(numbers):  # those of another part are not ours to go on with
@@ -395,7 +395,7 @@ class _Run:
         tiles.clear(self._folder)
 
     def _publish(self, stage: Job) -> None:
-        """The result of a level, in the folder for the next one, and in place of the result that comes in the end."""
+        """Write the result of a level into the folder, for the next level, and as the result so far."""
         kept = files.path_of(self._folder, stage.cutting)
         if not files.is_there(self._folder, stage.cutting):
             self._merge(stage, kept)

@@ -1,4 +1,4 @@
-"""A session: one experiment, calibrated once, its programs kept, and any analysis of it on any lanes, in memory."""
+"""A session: one experiment, calibrated once, with its programs; analyses of it on any lanes, in memory."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ ProgressCallback = Callable[[str, float, float], None]
 class Session:
     """Runs analyses of one experiment in memory, as datasets over named axes.
 
-    The solver and its steps are chosen once for the experiment's own sweep, and once more for each call that goes
-    beyond the ends of it. Results are those of a run of the same lanes, bit for bit.
+    The solver and its steps are chosen once for the experiment's own sweep, and once more for each call beyond its
+    ends. Results are those of a run of the same lanes, bit for bit.
 
     Attributes:
-        experiment: what is run; of a system in Python what the last call ran, whose `save` makes it a batch job.
+        experiment: the experiment; of a system in Python that of the last call, whose `save` makes it a batch job.
     """
 
     def __init__(
@@ -141,13 +141,14 @@ class Session:
         normal: Mapping[str, float] | None = None,
         longest: float | None = None,
     ) -> Session:
-        """Return this session, with its programs, of a flow without a clock that is looked at on a section.
+        """Return this session, with its programs, of a flow without a clock on a section.
 
         Args:
-            coordinate: which passes a value there; or give `normal`, a number for each coordinate that has a part.
+            coordinate: the one with a fixed value on the section; or give `normal`, coefficients of coordinates by
+                name.
             value: of the coordinate on the section.
-            direction: "up", "down" or "both" of the crossings that count.
-            longest: time after which a lane that has not come back is given up.
+            direction: "up", "down" or "both", of crossings.
+            longest: time without a crossing after which a lane fails.
 
         Raises:
             ConfigError: there is no such section.
@@ -172,7 +173,7 @@ class Session:
         Args:
             analysis: its options, as `jaxnh.Lyapunov(periods=1000)`, or its name, or that of a group that one brings:
                 of `attractors`, with the options of `basins`.
-            options: in place of those of the experiment; what is not named has its default.
+            options: in place of those of the experiment; options that are not named have their defaults.
             **axes: values of parameters or of coordinates of the start state, by name: an array replaces the axis of
                 that name or adds one, a number fixes it. Axes of the experiment that are not named stay.
 
@@ -220,9 +221,9 @@ class Session:
         return {name: data.squeeze([d for d in fixed if d in data.dims]) for name, data in groups.items()}
 
     def for_few_lanes(self, tile: int) -> Session:
-        """This session for few lanes, with its accuracy and tiles of so many: a lane then waits for no others.
+        """This session for few lanes, with its accuracy and small tiles, so that a lane waits for no others.
 
-        The last digits of chaos are other ones than in a run.
+        The last digits of chaotic motion differ from those of a run.
         """
         few = copy.copy(self)
         few._lanes = LaneExecutor(self._progress, self._lanes.devices[:1], tile)
@@ -289,7 +290,7 @@ class Session:
     def _stage(
         self, experiment: Experiment, requested: Requested, job: Job, level: Level | None
     ) -> tuple[dict[str, xr.Dataset], dict[str, xr.Dataset]]:
-        """The groups of the result of a sweep, or of a level of it, and what its lanes have left by themselves."""
+        """The groups of the result of a sweep, or of a level of it, and the groups of its lanes alone."""
         lanes, cutting = self._lanes, job.cutting
         axes = axes_of(experiment.axes, cutting)
         parts: dict[tuple[str, bool], list[Any]] = {}

@@ -1,4 +1,4 @@
-"""Start states of a user's mechanical system: whether f = 0 holds there, and what becomes of the others."""
+"""Start states of a user's mechanical system: whether f = 0 holds there; the others fail or are moved."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST_CHECKED = 100_000  # lanes at which f is looked at
 
 
 def check_constraints(flow: Flow, initial: UserInitial, sweep: UserSweep) -> None:
-    """Check that the constraints hold at the start: at every point of the sweep, or if it is large at some of them.
+    """Check that the constraints hold at the start: at every point of the sweep, or at some points of a large one.
 
     Where the start is swept it is enough that they hold somewhere: lanes that begin elsewhere fail (`admit_starts`).
 
@@ -88,7 +88,7 @@ def admit_starts(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> 
 
 
 def _product(axes: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.ndarray, " lanes"]]:
-    """All points of a product of axes, or of a large one some: evenly along each axis, its ends included."""
+    """All points of a product of axes; of a large one some, evenly along each axis with both ends."""
     counts = {name: len(values) for name, values in axes.items()}
     while np.prod([float(count) for count in counts.values()]) > _MOST_CHECKED:
         largest = max(counts, key=lambda name: counts[name])
@@ -98,5 +98,5 @@ def _product(axes: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.
 
 
 def spread_indices(count: int, most: int) -> np.ndarray:
-    """Numbers below a count, at most so many of them, evenly and with both ends."""
+    """At most `most` numbers below a count, evenly spaced, with both ends."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

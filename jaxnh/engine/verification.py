@@ -25,10 +25,10 @@ _LANES = 16
 
 
 def sample(path: Path) -> dict[str, tuple[int, int]]:
-    """For every analysis in a file: how many lanes were run again, and how many of them differ in any bit.
+    """Count for every analysis in a file the lanes that were run again, and those of them that differ in any bit.
 
     Three blocks of neighbouring lanes are taken, from both ends and the middle of all axes; none where an analysis is
-    run along the whole first axis. Left out are lanes that a level was filled with, and what is made of a whole sweep.
+    run along the whole first axis. Lanes that a level was filled with are left out, and so are groups of a whole sweep.
     The text of a user's system that is in the file is run: ask before whether it is to be trusted (`jaxnh.inspect
     --trust`).
 
@@ -101,7 +101,7 @@ def _computed_lanes(path: Path, name: str, piece: Piece, cutting: Cutting) -> np
 def _pairs(
     path: Path, name: str, data: xr.Dataset, piece: Piece, cutting: Cutting
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The bytes of each lane, (lanes, bytes), as they come out now and as they stand in the file."""
+    """The bytes of each lane, (lanes, bytes), as computed now and as stored in the file."""
     with h5py.File(path, "r") as file:
         group = hdf5.groups(file)[name]
         for key, item in data.variables.items():

@@ -1,8 +1,8 @@
 """The one place that prepares JAX: double precision, CPU devices, XLA options and the cache of compiled programs.
 
 All of it but double precision has to be set before JAX starts, that is before its first array or device. The commands,
-`Session` and `jaxnh.run` call `configure`; where JAX has started by then, it warns, and goes on with what there is:
-results are as accurate, and come more slowly.
+`Session` and `jaxnh.run` call `configure`; where JAX has started by then, it warns and goes on: results are as
+accurate, but slower.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def configure(devices: int | None = None) -> None:
 
 
 def machine(device: Any, flags: str | None = None) -> dict[str, str]:
-    """The machine, on which bits rest beside the versions of libraries: the kind of processor, and XLA's options.
+    """The machine that decides the last bits: the kind of processor, and XLA's options.
 
     Args:
         device: of JAX.
@@ -98,7 +98,7 @@ def machine(device: Any, flags: str | None = None) -> dict[str, str]:
 
 
 def describe_differences(made: Mapping[str, str], here: Mapping[str, str]) -> str:
-    """In words, how tiles made on one machine differ from those that another would make; "" where they do not."""
+    """Describe how tiles made on one machine differ from those of another; "" where they do not."""
     if made == here:
         return ""
     key, what = ("processor", "") if made.get("processor") != here["processor"] else ("xla_options", "XLA options ")
@@ -107,7 +107,7 @@ def describe_differences(made: Mapping[str, str], here: Mapping[str, str]) -> st
 
 
 def flags_of_a_process() -> str:
-    """XLA_FLAGS of a process that this one starts, once that is configured."""
+    """XLA_FLAGS of a child process, once it is configured."""
     return _flags(os.environ.get("XLA_FLAGS", ""))
 
 
@@ -124,7 +124,7 @@ def _processor() -> str:
 
 @cache
 def host() -> str:
-    """Hash of all that this machine says of its processor: compiled code is for no other."""
+    """Hash of the description of the processor: compiled code is for this kind alone."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -147,14 +147,14 @@ def _flags(given: str) -> str:
 
 
 def cores() -> list[int]:
-    """Numbers of the cores that this process may use; all of the machine where the system cannot say, as macOS."""
+    """Numbers of the cores that this process may use; all cores where the system does not tell, as on macOS."""
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))
     return list(range(os.cpu_count() or 1))
 
 
 def _has_started() -> bool:
-    """Return whether JAX has started its devices. Their number can then be changed no more."""
+    """Return whether JAX has started its devices. Their number is then fixed."""
     before = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
     try:
         jax.config.update("jax_num_cpu_devices", 2 if before == 1 else 1)

@@ -1,1 +1,1 @@
-"""The explorer: a view of a bifurcation diagram or chart, computed as one looks, and the page that shows it."""
+"""The explorer: a view of a bifurcation diagram or chart, computed on demand, and the page that shows it."""

@@ -1,4 +1,4 @@
-"""A view as the config of a batch job, and the configs that a view is computed by. Text alone, nothing is computed."""
+"""A view as the config of a batch job, and the configs that a view is computed by. Nothing is computed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def experiment_of(content: Content, user_file: UserFile | None) -> Experiment:
 
 
 def with_sweep(content: Content, grids: Mapping[str, Any], analyses: Mapping[str, Any]) -> dict[str, Any]:
-    """A config with other axes and analyses, and without what belongs to a run of the old ones.
+    """A config with other axes and analyses, without the keys that belong to the old ones.
 
     Args:
         grids: name to start, stop and count, or values.
@@ -67,8 +67,8 @@ def batch_text(
         content: the config that the view is of.
         analyses: with options.
         coordinates: of the start state.
-        solver: and its steps a period that the view was computed with; None leaves them to the target.
-        title: what it is, in words.
+        solver: solver and steps a period of the view; None leaves them to the target.
+        title: of the job.
     """
     grids = {name: even_axis(*ends, view.counts[name]) for name, ends in view.ranges.items()}
     base = with_values(with_sweep(content, grids, analyses), view.fixed, coordinates)

@@ -1,4 +1,4 @@
-"""A result as a figure of Bokeh, to be zoomed in a notebook or put on a page of one's own."""
+"""A result as a figure of Bokeh, for a notebook or a web page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from jaxnh.explorer.recording import source_of
 
 
 def bokeh_figure(result: xr.DataTree, quantity: str | None = None) -> figure:
-    """Return what the explorer shows of a result first: planes over its first two axes, or the diagram over the first.
+    """Return the first view of a result in the explorer: a plane over its first two axes, or the diagram over the
+    first.
 
     Args:
         result: of `open_result` or `run`.

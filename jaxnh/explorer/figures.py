@@ -83,7 +83,7 @@ class Drawing:
         self._cells.data = {"image": [cells], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
 
     def name(self, y_label: str) -> None:
-        """Say what is drawn upward."""
+        """Set the label of the vertical axis."""
         self.figure.yaxis.axis_label = y_label
 
     def mark(self, where: Mapping[str, float]) -> None:
@@ -113,7 +113,7 @@ class Portrait:
         self.figure.add_layout(legend, "above")  # off the data
 
     def show(self, report: LaneReport) -> None:
-        """Draw what a report has: points in the plane of the trajectory where there is one, those of a section too."""
+        """Draw a report: points in the plane of the trajectory where there is one, those of a section too."""
         groups = {key: describe(key, report.groups[key]) for key in ("portrait", "poincare") if key in report.groups}
         there = list(groups.values())
         names = [str(variable.name) for variable in variables_of(there[0])] if there else ()

@@ -43,7 +43,7 @@ class Lattice:
         self._part = part
 
     def dataset(self) -> xr.Dataset:
-        """All lanes, those that are not known yet with what a neighbour has."""
+        """All lanes; those that are not known yet have the values of a neighbour."""
         part, axes = self._part, tuple(self._grid)
         content = {}
         for name, values in self._known.items():
@@ -63,7 +63,7 @@ def _nearest_places(places: Places, size: int, step: int) -> tuple[Places, Place
 
 
 def blocks(shape: tuple[int, int], step: int, lanes: int, *, first: bool) -> Iterator[tuple[Places, Places]]:
-    """Places of the lanes at multiples of a step that those at multiples of twice the step leave out, some at a time.
+    """Places at multiples of a step that are not multiples of twice the step, some at a time.
 
     Args:
         lanes: about so many at a time, and a row at least.

@@ -1,4 +1,4 @@
-"""Diagrams that are computed as one looks: coarse first, then in full."""
+"""Diagrams computed on demand: coarse first, then in full."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def live(experiment: Experiment, progress: Progress, columns: int) -> PictureSou
         columns: values of the axis in a diagram.
 
     Raises:
-        InputError: there is no such axis, or nothing that can be seen in a plane.
+        InputError: there is no such axis, or no quantity for a plane.
     """
     long = [axis for axis in experiment.axes if len(axis.values) > 1]
     if not long:
@@ -134,5 +134,5 @@ class LiveDiagram:
 
 
 def _failures(failed: Bool[np.ndarray, " columns"]) -> str:
-    """Return how many values have a state that is not finite, in words; nothing where there are none."""
+    """Describe how many values have a state that is not finite; nothing where there are none."""
     return f"; {np.count_nonzero(failed):,} failed, their states are not finite" if failed.any() else ""

@@ -1,4 +1,4 @@
-"""Planes that are computed as one looks: few lanes for a short time first, then more and more of them in full."""
+"""Planes computed on demand: few lanes for a short time first, then more and more of them in full."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class LivePlane:
             level //= 2
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
-        """Compute the facts of a lane, and of basins that are known, the attractor that it leads to."""
+        """Compute the report of a lane; where basins are known, with its attractor."""
         known = dict(self._basins[1]) if self._basins and self._basins[0] == view else {}
         if known:
             at = {self.sessions.dims[name]: value for name, value in where.items()}
@@ -146,7 +146,7 @@ class LivePlane:
         return session.groups(analyses, **at, **self.sessions.changed_parameters(view))
 
     def _step(self, view: View, known: CalibratedSession) -> int:
-        """Places between lanes of a coarse picture: all of these are in one tile a device, which takes least."""
+        """Step between lanes of a coarse picture: they fill one tile on each device, which takes the least time."""
         lanes, step = TILE * known.session.devices, 1
         while step < _LARGEST_STEP and -(-view.columns // step) * -(-view.rows // step) > lanes:
             step *= 2

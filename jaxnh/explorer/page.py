@@ -1,4 +1,4 @@
-"""The page of one tab: what it shows, what its controls do. What is shown is computed or read elsewhere (`source`)."""
+"""The page of one tab: its figures and controls. Pictures are computed or read elsewhere (`source`)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Page:
         """Nothing is asked for yet.
 
         Args:
-            query: words of the address, that may name a view.
+            query: query of the address, which may name a view.
         """
         self._source, self._worker, self._document = source, worker, document
         self._wrong = ""
@@ -137,7 +137,7 @@ class Page:
         return pn.Row(side, main, sizing_mode="stretch_width")
 
     def _set_controls(self, view: View) -> None:
-        """Have all controls say what a view says."""
+        """Set all controls to a view."""
         self._setting = True
         self._low.value, self._high.value = repr(view.low), repr(view.high)
         if view.second and view.window:
@@ -223,7 +223,7 @@ class Page:
         self._try(changed)
 
     def _try(self, change: Callable[[], View]) -> None:
-        """Look at another view, or say why there is none."""
+        """Show another view, or say why there is none."""
         try:
             view = change()
         except (JaxnhError, ValueError) as error:
@@ -251,7 +251,7 @@ class Page:
         self._ask("picture", self._source.passes(view), lambda picture: self._show(view, picture))
 
     def _ask(self, what: str, passes: Any, answer: Callable[[Any], None]) -> None:
-        """Have passes computed, and answers shown in the page's own thread."""
+        """Request the passes of a view; answers are shown in the page's own thread."""
         said, answered = [-1.0, ""], [time.monotonic()]
 
         def told(label: str, share: float) -> None:
@@ -293,7 +293,7 @@ class Page:
             self._say(self._picture.words)
 
     def _note(self, notes: Sequence[str]) -> None:
-        """Notes under the picture: before them why an address names no view, for as long as the first view stands."""
+        """Notes under the picture, and while the first view is shown, why an address names no view."""
         wrong = [self._wrong] if self._wrong and self._history.place == 0 else []
         lines = [*(("status error", text) for text in wrong), *(("notes", text) for text in notes)]
         self._notes.object = "".join(f"<div class='{kind}'>{html.escape(text)}</div>" for kind, text in lines)

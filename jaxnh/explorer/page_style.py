@@ -1,4 +1,4 @@
-"""Style of the page, and what it says by itself when its server is gone."""
+"""Style of the page, and its message when the server is gone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Quantities that a plane can show, a number a lane, and the analyses that say it: in full, and in short at first."""
+"""Quantities that a plane can show, a number a lane, and their analyses: in full, and shortened for a first look."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def raster(
 
 
 def plane_raster(pixels: Pixels) -> Raster:
-    """A plane as cells of one size; where values are uneven, or too many, each has the lane that is there."""
+    """A plane as cells of one size; where values are uneven or too many, each cell has the lane at its place."""
     (across, x), (up, y) = (_cells(np.asarray(axis)) for axis in (pixels.plane.x, pixels.plane.y))
     return Raster(_pack_colours(pixels.rgba()[np.ix_(y, x)]), across, up)
 

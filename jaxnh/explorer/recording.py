@@ -1,4 +1,4 @@
-"""Views of a result: what was computed is shown, nothing is computed. Needs no JAX."""
+"""Views of a result file; nothing is computed. No JAX."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _Attrs = Mapping[str, Any]
 
 
 def open_recording(path: Path) -> PictureSource:
-    """A drawing that a result file has, with its source.
+    """Open a result file as the source of its drawing.
 
     Raises:
         InputError: there is no such file, or neither a plane nor a diagram in it.
@@ -186,7 +186,7 @@ def _nearest(data: xr.Dataset, where: Mapping[str, float]) -> dict[str, float]:
 
 
 def _inside(values: np.ndarray, ends: tuple[float, float], least: int) -> np.ndarray:
-    """Places of the rising values in a range, and of so many at least about its middle."""
+    """Places of the rising values in a range, at least so many about its middle."""
     inside = np.flatnonzero((ends[0] <= values) & (values <= ends[1]))
     if len(inside) >= least:
         return inside

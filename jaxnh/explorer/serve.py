@@ -1,4 +1,4 @@
-"""The server of the page: on the loopback alone, or with a token. It gives out the page, and no file."""
+"""The server of the page: on the loopback alone, or with a token. It serves no files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class _Refusal(RequestHandler):
 
 
 class TokenAuth(AuthProvider):
-    """Lets those in who have the token: once in the address, from then on in a cookie of this site alone."""
+    """Admits requests with the token: once in the address, from then on in a cookie of this site."""
 
     def __init__(self, token: str) -> None:
         self._token = token
@@ -62,7 +62,7 @@ class TokenAuth(AuthProvider):
 
     @property
     def login_url(self) -> str:
-        """Return where others are sent."""
+        """Return the address that other requests are sent to."""
         return "/refused"
 
     @property
@@ -90,7 +90,7 @@ def make_server(source: PictureSource, worker: Worker, address: str, port: int) 
     """The server, listening but not yet started, and the address of its page.
 
     Raises:
-        ArgumentError: it cannot listen there.
+        ArgumentError: the address cannot be used.
     """
     pn.extension(sizing_mode="fixed", notifications=False)
     token = "" if address in LOOPBACK else secrets.token_urlsafe(24)

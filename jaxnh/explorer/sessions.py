@@ -1,8 +1,8 @@
-"""Sessions that views are computed by, each calibrated once for all that one zooms into.
+"""Sessions that compute views, each calibrated once for all views inside its ranges.
 
 A session is calibrated over the whole range of the axes, and of every parameter that has been moved; a narrower range
 is computed with its solver and steps, so that pictures of one place are of one map, whatever the range, and no zoom
-compiles a program. What leaves a session's ranges gets another session, over both.
+compiles a program. A view beyond the ranges of a session gets another session, over both.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Sessions:
 
     @property
     def compiled(self) -> int:
-        """Programs that the sessions have, whatever they were loaded from."""
+        """Number of programs of the sessions, compiled or loaded."""
         return sum(known.session.programs + known.few.programs for known in self._calibrated)
 
     @property
@@ -204,7 +204,7 @@ class Sessions:
 
 
 def goes_with(experiment: Experiment, name: str, options: Mapping[str, Any] | None) -> bool:
-    """Return whether an analysis with these options can be asked for of an experiment."""
+    """Return whether an analysis with these options suits an experiment."""
     try:
         experiment.variant({name: options or {}}, {})
     except InputError:

@@ -1,4 +1,4 @@
-"""Sources of a page: pictures of views and reports of lanes, whether they are computed or read."""
+"""Sources of a page: pictures of views and reports of lanes, computed or read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxnh.plotting.pixels import Pixels
 
 
 def axis_title(words: str, units: str) -> str:
-    """The name of an axis of a drawing: words, and units where there are some and the user has said them."""
+    """The name of an axis of a drawing: words, and units where the user has given them."""
     return f"{words} ({units})" if units not in ("", "1") else words
 
 
@@ -23,8 +23,8 @@ class Picture(NamedTuple):
     Attributes:
         raster: its cells.
         data: what it is drawn from, over the axes; None while it is coarse.
-        words: what it is made of.
-        notes: what one has to know to read it.
+        words: its ingredients.
+        notes: remarks that are needed to read it.
         pixels: of a plane, with what its colours stand for.
     """
 
@@ -50,7 +50,7 @@ class LaneReport(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """A parameter that can be moved: what the config says, and the ends of its slider."""
+    """A parameter that can be moved: its value in the config, and the ends of its slider."""
 
     name: str
     words: str

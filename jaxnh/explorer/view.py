@@ -1,4 +1,4 @@
-"""A view: ranges of one axis or two, what is drawn over them, and where one has been."""
+"""A view: ranges of one axis or two, the quantity drawn over them, and the history of views."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WORDS = ("low", "high", "bottom", "top")
 
 @dataclass(frozen=True)
 class View:
-    """A bifurcation diagram, or a plane of two axes, as one looks at it.
+    """A bifurcation diagram, or a plane of two axes, in given ranges.
 
     Attributes:
         axis: parameter, or coordinate of the start state, across.
@@ -76,7 +76,7 @@ class View:
         return {name: np.linspace(*ends, self.counts[name]) for name, ends in self.ranges.items()}
 
     def zoom(self, low: float, high: float, window: tuple[float, float] | None) -> View:
-        """The view of other ranges; where doubles do not tell its lanes apart, of the narrowest around them."""
+        """The view of other ranges; where these have too few doubles for its lanes, of the narrowest that fit."""
         low, high = _wide(low, high, self.columns)
         if self.second:
             window = _wide(*(window or self.ranges[self.second]), self.rows)
@@ -101,7 +101,7 @@ class View:
 
 
 def _wide(low: float, high: float, count: int) -> tuple[float, float]:
-    """A range that has room for so many different doubles, around this one."""
+    """The smallest range around this one that has so many different doubles."""
     low, high = min(low, high), max(low, high)
     narrowest = count * float(np.spacing(max(abs(low), abs(high))))
     if high - low < narrowest:
@@ -112,11 +112,11 @@ def _wide(low: float, high: float, count: int) -> tuple[float, float]:
 
 @dataclass
 class History:
-    """Views that were looked at, in order; a new one drops those that one had gone back from.
+    """Views in the order of their visits; a new one drops those after the present one.
 
     Attributes:
         views: all of them.
-        place: number of the one that is looked at.
+        place: number of the present one.
     """
 
     views: list[View]
@@ -124,11 +124,11 @@ class History:
 
     @property
     def now(self) -> View:
-        """The view that is looked at."""
+        """The present view."""
         return self.views[self.place]
 
     def go(self, view: View) -> bool:
-        """Look at a view; returns whether it is another one."""
+        """Go to a view; returns whether it is another one."""
         if view == self.now:
             return False
         self.views[self.place + 1 :] = [view]
@@ -159,7 +159,7 @@ def as_query(view: View) -> dict[str, str]:
 
 
 def from_query(start: View, query: Mapping[str, str]) -> View:
-    """The view that an address names, with what it leaves out as at the start.
+    """The view that an address names; what it leaves out is as in the first view.
 
     Raises:
         InputError: it names none.

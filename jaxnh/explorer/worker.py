@@ -19,15 +19,15 @@ Told = Callable[[str, float], None]
 
 @dataclass
 class Request(Generic[T]):
-    """Something to be computed in passes, each a better answer than the one before.
+    """A request to be computed in passes, each a better answer than the one before.
 
     Attributes:
         passes: the answers, computed as they are taken.
         answer: told of each answer, in the worker's thread.
-        failed: told of what ended it early.
+        failed: told of the exception that ended it early.
         told: of the pass in hand.
         done: told when all passes are over.
-        stale: whether nobody wants it any more.
+        stale: whether it is no longer wanted.
         begun: how many passes are over.
     """
 
@@ -43,7 +43,7 @@ class Request(Generic[T]):
 class Worker:
     """Takes passes in turn: first answers before better ones, older requests before newer.
 
-    It is the progress that its sessions are told of, and stops a pass in the middle where its request is stale.
+    It is the progress of its sessions, and stops a pass in the middle where its request is stale.
     """
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class Worker:
             self._changed.notify()
 
     def drop(self, key: Hashable) -> None:
-        """Nobody wants the request of a key any more."""
+        """Drop the request of a key."""
         with self._changed:
             if key in self._requests:
                 self._requests.pop(key).stale = True
@@ -142,7 +142,7 @@ class Worker:
 
 
 class Watch:
-    """Progress of a session as its worker is told of it."""
+    """Progress of a session, reported to its worker."""
 
     def __init__(self, worker: Worker) -> None:
         self._worker = worker

@@ -15,7 +15,7 @@ _MOST_TILES = 1 << 14
 _FEWEST_LANES = 16
 
 Box = tuple[tuple[int, ...], tuple[int, ...]]
-"""Where a piece begins along each axis, and where it ends."""
+"""Begin and end of a piece along each axis."""
 
 
 class Piece(NamedTuple):
@@ -83,7 +83,7 @@ class Cutting:
 
     @property
     def step(self) -> int:
-        """Return how many values of an axis of the sweep it is from one of this level to the next."""
+        """Step along an axis of the sweep from one value of this level to the next."""
         return 2 ** (self.levels - self.level) if self.level else 1
 
     def stages(self) -> list[Cutting]:
@@ -104,7 +104,7 @@ class Cutting:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Names of the groups of the result, in order: of the analyses, each followed by what it brings."""
+        """Names of the groups of the result, in order: each analysis is followed by the groups that it brings."""
         brought = {names[0]: names for names in self.wholes}
         return tuple(group for name in self.order for group in brought.get(name, (name,)))
 
@@ -113,7 +113,7 @@ class Cutting:
         return piece.names in self.wholes
 
     def sources(self, group: str) -> list[Piece]:
-        """The pieces that a group of the result is put together from."""
+        """The pieces that make up a group of the result."""
         last = any(group in names for names in self.wholes)
         return [piece for piece in self.pieces() if group in piece.names and self.is_whole(piece) == last]
 
@@ -220,7 +220,7 @@ def share(cutting: Cutting, part: tuple[int, int], work: Mapping[int, float]) ->
 
 
 def _rooms(loads: Sequence[float], more: float) -> list[float]:
-    """Return how much of something more makes loads as equal as it can: the lower ones are filled up to one level."""
+    """Return what to add to each load to make all as equal as possible: the lower ones are filled up to a level."""
     level = next(
         level
         for number in range(len(loads), 0, -1)

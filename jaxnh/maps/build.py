@@ -289,7 +289,7 @@ def _unit_step(flow: Flow, solver: Solver) -> ReturnMap:
 
 
 def _equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: int = 0) -> SteppedStrobe:
-    """So many equal steps over a length of time, or the same in every one of so many parts."""
+    """Return a map of equal steps over a length of time, or `parts` such maps."""
     strobe = SteppedStrobe(flow, _unit_step(flow, solver).rescaled_time(length / steps), np.int32(steps))
     if not parts:
         return strobe

@@ -50,14 +50,14 @@ class SteppedStrobe(ReturnMap):
         return self.one.most_lanes
 
     @property
-    def turns(self) -> tuple[float, ...]:
+    def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps and of the loops in a step."""
-        return (float(np.mean(self.steps)), *self.one.turns)
+        return (float(np.mean(self.steps)), *self.one.trip_counts)
 
     def __call__(self, state: State, p: Parameters) -> State:
         return lax.fori_loop(0, self.steps, lambda _, z: self.one(z, p), state)
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         begun = Pushforward(state, tangents, as_batched(jnp.ones_like(state[0][0]), state[0][0]))
         return lax.fori_loop(0, self.steps, lambda _, pushed: _compose(self.one, pushed, p), begun)
 
@@ -122,9 +122,9 @@ class EventStrobe(ReturnMap):
         return self.unit.most_lanes
 
     @property
-    def turns(self) -> tuple[float, ...]:
+    def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps in a period of time and of the loops in a step."""
-        return (self.system.flow.period / float(np.mean(self.step)), *self.unit.turns)
+        return (self.system.flow.period / float(np.mean(self.step)), *self.unit.trip_counts)
 
     def __call__(self, state: Crossing, p: Parameters) -> Crossing:
         return self.iterate(1, state, p)
@@ -137,7 +137,7 @@ class EventStrobe(ReturnMap):
         ended = self._searched(n, state, (), state.state, p, advance)
         return self._arrived(state, ended, _state_of(ended.carried))
 
-    def push(self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         """Push tangents as every map does, then along the flow onto the section, with the field's rate."""
         flow_tangents = tuple(Tangent(t.state.state, t.p) for t in tangents)
         begun = Pushforward(state.state, flow_tangents, jnp.ones_like(state.t))
@@ -295,7 +295,7 @@ def _improve(
 
 def _compose(one: ReturnMap, pushed: Pushforward, p: Parameters) -> Pushforward:
     """State and tangents one map later, volumes multiplied."""
-    after = one.push(pushed.state, p, pushed.tangents)
+    after = one.pushforward(pushed.state, p, pushed.tangents)
     return after._replace(volume=pushed.volume * after.volume)
 
 

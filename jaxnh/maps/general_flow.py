@@ -78,7 +78,7 @@ class GeneralStrobe(ReturnMap):
         return lanes_per_tile(8 * (self.solver.stages + 2) * len(self.system.coordinates))
 
     @property
-    def turns(self) -> tuple[float, ...]:
+    def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps and, where there is one, of the loop over stages."""
         steps = () if self.steps is None else (float(np.mean(self.steps)),)
         return (*steps, float(self.solver.stages)) if self._rolls(0) else steps  # pyright: ignore[reportAttributeAccessIssue]
@@ -124,9 +124,9 @@ class GeneralStrobe(ReturnMap):
         placed = self._placed(state, p)
         return self._ended(self._march(field, None, Moving(system.reduction.reduce(placed)), 0).state, placed, p)
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         if not isinstance(self.solver, WrittenOutRungeKutta):
-            return self._push_by_diffrax(state, p, tangents)
+            return self._pushforward_by_diffrax(state, p, tangents)
         own = own_parameters(self.system, p)
         by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
 
@@ -208,7 +208,7 @@ class GeneralStrobe(ReturnMap):
         )
         return jax.tree.map(lambda leaf: leaf[-1], solution.ys)
 
-    def _push_by_diffrax(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def _pushforward_by_diffrax(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         still = jax.tree.map(jnp.zeros_like, dict(p))
         moved = []
         for t in tangents:

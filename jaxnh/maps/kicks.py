@@ -54,7 +54,7 @@ class KickStrobe(ReturnMap):
     compensated: bool = eqx.field(static=True, default=False)
 
     @property
-    def turns(self) -> tuple[float, ...]:
+    def trip_counts(self) -> tuple[float, ...]:
         """Trip count of the loop over kicks."""
         return (float(np.mean(self.kicks)),)
 
@@ -65,7 +65,7 @@ class KickStrobe(ReturnMap):
         table = jnp.asarray(self.table)
         return self._end(lax.fori_loop(0, self.kicks, advance, self._begin(state)))
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         # A kick turns θ alone, so few numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, p). Differentiating
         # where the kick is keeps every component an array of lanes; jacfwd of the whole period would not. Tangents are
         # carried from before one kick to before the next, so that they need the n after a kick alone.

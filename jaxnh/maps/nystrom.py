@@ -52,7 +52,7 @@ class NystromStrobe(GeneralStrobe):
         return lanes_per_tile(8 * (self.solver.stages + 4) * np.shape(self.gamma)[-1])
 
     @property
-    def turns(self) -> tuple[float, ...]:
+    def trip_counts(self) -> tuple[float, ...]:
         """Trip count of the loop over steps."""
         return () if self.steps is None else (float(np.mean(self.steps)),)
 
@@ -67,7 +67,7 @@ class NystromStrobe(GeneralStrobe):
 
         return self._march_on(force, project, Moving(state)).state
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         form, own = self._form, own_parameters(self.system, p)
         by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
 

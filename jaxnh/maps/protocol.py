@@ -28,7 +28,7 @@ class Tangent(NamedTuple):
 
 
 class Pushforward(NamedTuple):
-    """Result of `ReturnMap.push`.
+    """Result of `ReturnMap.pushforward`.
 
     Attributes:
         state: the state later.
@@ -68,7 +68,7 @@ class ReturnMap(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def turns(self) -> tuple[float, ...]:
+    def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the program's loops in a period, outermost first; the mean over stacked maps."""
 
     @abc.abstractmethod
@@ -84,7 +84,7 @@ class ReturnMap(eqx.Module):
         return lax.fori_loop(0, n, period, state)  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
 
     @abc.abstractmethod
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         """The state and any number of tangents one strobe period later, exact derivatives of `__call__`."""
 
     def rescaled_time(self, factor: ArrayLike) -> ReturnMap:

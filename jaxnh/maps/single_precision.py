@@ -25,15 +25,15 @@ class SingleStrobe(ReturnMap):
     inner: ReturnMap
 
     @property
-    def turns(self) -> tuple[float, ...]:
+    def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the inner map."""
-        return self.inner.turns
+        return self.inner.trip_counts
 
     def __call__(self, state: State, p: Parameters) -> State:
         return _cast(self.inner(*_cast((state, dict(p)), jnp.float32)), jnp.float64)
 
-    def push(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
-        return _cast(self.inner.push(*_cast((state, dict(p), tangents), jnp.float32)), jnp.float64)
+    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+        return _cast(self.inner.pushforward(*_cast((state, dict(p), tangents), jnp.float32)), jnp.float64)
 
 
 def in_precision(strobe: ReturnMap, precision: str) -> ReturnMap:

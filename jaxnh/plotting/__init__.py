@@ -1,1 +1,1 @@
-"""Result files and datasets onto matplotlib axes. No JAX: imports storage alone."""
+"""Result files and datasets onto matplotlib axes. No JAX: imports storage and jobs alone."""

@@ -33,7 +33,7 @@ _SAME = 1e-6  # of the larger coordinate: points of an orbit that are one
 
 
 class _Attractor(NamedTuple):
-    """An attractor as the legend has it: number, colour of its basin and of its points, and what it is in words."""
+    """An attractor as the legend has it: number, colour of its basin and of its points, and its description."""
 
     number: int
     colour: str
@@ -71,7 +71,7 @@ def basin_pixels(data: xr.Dataset, over: Iterable[xr.Dataset] = ()) -> Pixels:
 
 
 def _known(over: Iterable[xr.Dataset]) -> list[xr.Dataset]:
-    """Groups of attractors that there is one each of for the whole plane."""
+    """Groups of attractors with one list for the whole plane."""
     return [group for group in over if group.sizes.get("attractor", 0) and "kind" in group and group["kind"].ndim == 1]
 
 

@@ -152,7 +152,7 @@ def _bifurcation_points(
 def _insert_turns(
     x: np.ndarray, y: np.ndarray, attracts: np.ndarray, turns: Iterable[tuple[float, np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A curve with the bifurcations put in between whose neighbours it changes; which points attract, which are new."""
+    """A curve with its bifurcations inserted; which points attract, and which are new."""
     finite = np.isfinite(x) & np.isfinite(y)
     whole = [float(np.ptp(values[finite])) or 1.0 if finite.any() else 1.0 for values in (x, y)]
     places, more = list[int](), list[tuple[float, float]]()

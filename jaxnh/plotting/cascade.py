@@ -104,7 +104,7 @@ def _doublings(data: xr.Dataset) -> xr.Dataset:
 
 
 def _limits(doublings: xr.Dataset) -> str:
-    """The limit of δ, and α, each with its error, of those that there are."""
+    """The limit of δ, and α, each with its error, where they are known."""
     words = []
     for symbol, name in (("limit of δ", "delta_limit"), ("α", "alpha")):
         value, error = (float(doublings.get(key, np.nan)) for key in (name, f"{name}_error"))

@@ -37,7 +37,7 @@ def numbers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr
 
 
 def integers_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.Dataset] = ()) -> Axes:
-    """Whole numbers, as periods are, over two axes (`pixels.integer_pixels`) with what their colours stand for.
+    """Whole numbers, as periods are, over two axes (`pixels.integer_pixels`) with a key to their colours.
 
     Args:
         data: one variable (axis, axis), 0 where there is no number; other axes have one point.

@@ -1,4 +1,4 @@
-"""Colours by what a lane is: its start, its attractor, its kind of motion, or the value of an axis."""
+"""Colours of lanes by start, attractor, kind of motion, or the value of an axis."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from jaxnh.plotting.meanings import NONE, meanings
 from jaxnh.plotting.style import CURVES, MANY, Colour
 
 START = "start"
-"""What a colour by the start state is asked for by, whatever its axes are called."""
+"""Name of the colouring by the start state."""
 
 _FEW, _MANY = 7, 10  # values with a colour each of the one palette, and of the other
 
@@ -54,7 +54,7 @@ class Colouring(NamedTuple):
         return (red, green, blue, alpha) if np.isfinite(value) else NONE
 
     def explain(self, ax: Axes) -> None:
-        """A legend above the axes or a colour bar beside them, off what is drawn."""
+        """Add a legend above the axes or a colour bar beside them."""
         if not self.named:
             ax.figure.colorbar(self.scale, ax=ax, label=self.words, pad=0.01, fraction=0.04)
             return
@@ -71,7 +71,7 @@ def colouring(name: str, data: xr.Dataset, groups: Iterable[xr.Dataset]) -> Colo
     """Resolve a colour by a name for a group: a dimension or an axis of it, or a variable of a lane in any group.
 
     Raises:
-        ArgumentError: there is nothing of the name; the message says what there is.
+        ArgumentError: there is nothing of the name; the message lists the names.
     """
     variable = variables_of(data)[0]
     axes = set(axes_of(data))
@@ -113,7 +113,7 @@ def _numbers(variable: xr.DataArray, dims: tuple[str, ...], name: str) -> xr.Dat
 
 
 def _of(values: xr.DataArray, words: str) -> Colouring:
-    """By a variable: flags by their words, few values by a colour each, and others on a scale."""
+    """Return the colouring by a variable: flags and few values by a colour each, others on a scale."""
     if "flag_meanings" in values.attrs and "valid_min" not in values.attrs:
         return Colouring(values, words, {value: (colour, said) for value, (said, colour) in meanings(values).items()})
     distinct = np.unique(values.to_numpy()[np.isfinite(values.to_numpy())]).tolist()

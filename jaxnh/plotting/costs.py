@@ -1,4 +1,4 @@
-"""Pictures of what accuracy costs: files of `jaxnh.cost`, read by xarray, onto matplotlib axes. No solver here."""
+"""Pictures of the cost of accuracy: files of `jaxnh.cost`, read by xarray, on matplotlib axes."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ DRAWINGS: Mapping[str, tuple[str, Callable[[xr.Dataset], Axes]]] = {
 
 
 def figures(path: Path) -> dict[str, Figure]:
-    """A figure a group of a file of `jaxnh.cost`, by what is added to the picture's name.
+    """Figures of the groups of a file of `jaxnh.cost`, by the suffix of the picture's name.
 
     Raises:
         ResultError: the file is damaged or none of ours.

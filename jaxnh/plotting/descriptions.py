@@ -1,7 +1,7 @@
-"""Drawing of groups of a result, by name and variables; attributes, which arithmetic drops, have no say.
+"""Drawing of groups of a result, by name and variables; not by attributes, which arithmetic drops.
 
-A dataset of another origin may say it itself: by the attribute `panel` the kind of panel, by `panel_variables` of what,
-by `panel_label` in which words and by `panel_levels` where lines are, and by `axes` over what.
+A dataset of another origin may describe itself: the attribute `panel` is the kind of panel, `panel_variables` are its
+variables, `panel_label` its label, `panel_levels` its lines, and `axes` its axes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import xarray as xr
 
 
 class _Description(NamedTuple):
-    """Kind of the panel, what it shows, which dimensions of that are no axes, and axes that are variables."""
+    """Kind of the panel, its variables, those of their dimensions that are no axes, and axes that are variables."""
 
     panel: str
     variables: Iterable[str]
@@ -24,7 +24,7 @@ class _Description(NamedTuple):
 
 
 def describe(name: str, data: xr.Dataset, axes: str = "") -> xr.Dataset:
-    """A group with attributes that say how it is drawn; as it is where it has these, or is none of a result.
+    """Add the attributes that describe the drawing of a group, unless it has them or is none of a result.
 
     Args:
         name: of the group; "": the one that has such variables.

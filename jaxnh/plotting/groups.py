@@ -50,7 +50,7 @@ def label_of(data: xr.Dataset) -> str:
 
 
 def levels_of(data: xr.Dataset) -> list[float]:
-    """Levels that its numbers are held against: those of `panel_levels`, separated by blanks, or zero; "none": none."""
+    """Levels to compare its numbers with: those of `panel_levels`, separated by blanks, or zero; "none": none."""
     words = str(data.attrs.get("panel_levels", "0")).split()
     return [] if words == ["none"] else [float(word) for word in words]
 

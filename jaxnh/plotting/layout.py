@@ -17,7 +17,7 @@ _LETTER = 0.0445  # of a small letter, as those below a figure
 
 
 class Panel(NamedTuple):
-    """A drawing of its own axes: `draw(ax)`, its height in inches on a whole page, and whether it is as wide."""
+    """A panel: `draw(ax)`, its height in inches on a whole page, and whether it takes the whole width."""
 
     draw: Callable[[Axes], object]
     height: float

@@ -9,10 +9,10 @@ from jaxnh.exceptions import InputError, ResultError
 from jaxnh.plotting.style import BLUE, GREEN, MANY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 FAILED = "#000000"
-"""Where a lane has failed."""
+"""Colour of failed lanes."""
 
 NONE = "#b8b8b8"
-"""Where there is nothing to say."""
+"""Colour of lanes without a value."""
 
 _MEANINGS = {
     "periodic": BLUE,

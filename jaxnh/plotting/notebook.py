@@ -1,6 +1,6 @@
-"""Display of a result in a notebook: what it is, its errors, and a small picture, above xarray's own list.
+"""Display of a result in a notebook: title, errors, and a small picture, above xarray's own list.
 
-Nothing of it is made, and matplotlib is not imported, until a notebook asks for it.
+It is made, and matplotlib imported, only on display.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _XARRAYS = (("xarray.core.dataset", "Dataset"), ("xarray.core.datatree", "DataTr
 
 
 def register() -> None:
-    """In a running notebook, results are shown so from now on, and figures as pictures; other datasets as before.
+    """Register these displays of results, and of figures as pictures, in a running notebook.
 
     A matplotlib figure that pyplot has not made is shown as a picture only where pyplot has been imported before.
     """

@@ -1,4 +1,4 @@
-"""The kinds of panels, by name; which groups are of which kind `descriptions` says. Analyses are not known here."""
+"""Kinds of panels, by name; `descriptions` has the kind of each group. No analyses are named here."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Kind(NamedTuple):
     Attributes:
         draw: `draw(data, ax=None, ...)`, returns the axes.
         height: in inches, on a whole page.
-        each: what gets a panel: a lane; a point of the axes beside the first, if these are few; or the whole group.
+        each: the unit of a panel: a lane; a point of the axes beside the first, if these are few; or the whole group.
         chart: `chart(data, ax=None, over=())` draws it over two axes, a pixel a lane; None: it cannot be.
         over: the kind of groups that are drawn over its chart.
         pixels: the chart as pixels.

@@ -1,6 +1,6 @@
-"""Planes over two axes of a sweep as pixels: values, their colours, and what these stand for. Nothing is drawn here.
+"""Planes over two axes of a sweep as pixels: values, their colours, and the meanings of these. Nothing is drawn here.
 
-Pictures and the pages of the explorer have their colours from here.
+Pictures and the pages of the explorer share them.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ class Pixels(NamedTuple):
 
     Attributes:
         plane: its values and axes.
-        places: (m, n), what `norm` takes to colours; black where they are masked.
+        places: (m, n), numbers that `norm` takes to colours; black where they are masked.
         colours: of the places.
         norm: of the places.
-        words: what the colours are of; of a scale with units.
-        entries: what each colour stands for; of a scale nothing.
+        words: quantity of the colours; of a scale with units.
+        entries: meaning of each colour; none for a scale.
     """
 
     plane: Plane

@@ -1,4 +1,4 @@
-"""A result, in memory or in a file, as one figure: every group as `descriptions` says. No solver, no JAX.
+"""A result, in memory or in a file, as one figure, with the panels of `descriptions`. No JAX.
 
 The axes of the sweep are named by the attribute `axes` of the result.
 """
@@ -50,7 +50,7 @@ _Groups = Mapping[str, xr.Dataset]
 
 
 class Choice(NamedTuple):
-    """A user's choice of how results are drawn.
+    """Choices of a user for the drawing of results.
 
     Attributes:
         coordinates: names that panels are of in place of their own: of one those over an axis, of two planes.
@@ -73,7 +73,7 @@ def figure(
     names: Sequence[str] = (),
     ax: Axes | None = None,
 ) -> Figure:
-    """Every group of a result, in their order; what is left out is said below.
+    """Draw every group of a result in order; a line below lists what is left out.
 
     Args:
         results: a result or one group of it, a dataset of one group, or the path of a result file; of several, those
@@ -155,7 +155,7 @@ def _named(
 
 
 def _choose_coordinates(data: xr.Dataset, choice: Choice) -> xr.Dataset:
-    """A group as a panel of the coordinates that were chosen, where it has them."""
+    """A group as a panel of the chosen coordinates, where it has them."""
     wanted = _COORDINATES.get(kind_of(data), 0)
     for names in choice.coordinates:
         if len(names) == wanted and set(names) <= set(data.data_vars):
@@ -327,7 +327,7 @@ def _draw_chart(name: str, chart: Callable[..., Axes], data: xr.Dataset, over: S
 
 @contextmanager
 def _of_group(name: str) -> Iterator[None]:
-    """Errors inside are those of one group, in one sentence.
+    """Report an error inside as one of a group, in one sentence.
 
     Raises:
         ResultError: the group is not as it says.

@@ -1,4 +1,4 @@
-"""From where to where windows of periodic orbits go along the axis, and their shade below strobe points."""
+"""Ranges of periodic windows along the axis, and their shade below strobe points."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def shade(data: xr.Dataset, ax: Axes, axis: str) -> None:
 
 
 def reaches(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """From where to where orbits attract, and windows are known to go, each (window, 2); lanes stand for what is not.
+    """Return the ranges in which orbits attract, and of whole windows, each (window, 2); lanes stand for unknown ends.
 
     Raises:
         ResultError: a variable is missing.

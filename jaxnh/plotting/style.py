@@ -17,7 +17,7 @@ SHEET = Path(__file__).with_name("jaxnh.mplstyle")
 """The style sheet."""
 
 Colour = str | tuple[float, float, float] | tuple[float, float, float, float]
-"""As matplotlib takes it."""
+"""A colour of matplotlib: a name, or its components."""
 
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK, YELLOW = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442",
@@ -73,18 +73,18 @@ def size_of(text: str) -> Size:
 
 
 def darker(colour: str) -> Colour:
-    """The same colour for what is drawn on an area of it."""
+    """A darker colour, for lines on an area of this one."""
     red, green, blue = to_rgb(colour)
     return _DARKER * red, _DARKER * green, _DARKER * blue
 
 
 def package_style() -> AbstractContextManager[None]:
-    """Pictures made inside have the style of the package, whatever a user's own is."""
+    """Use the style of the package inside."""
     return style.context(["default", SHEET])
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure in the style of the package; the name's ending says in which format.
+    """Write a figure in the style of the package, in the format of the name's suffix.
 
     Raises:
         ArgumentError: there is no room for its panels.

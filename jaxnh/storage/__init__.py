@@ -1,1 +1,1 @@
-"""Result files and tiles on disk. No JAX, and of the package nothing but its exceptions."""
+"""Result files and tiles on disk. No JAX; of the package only its jobs and exceptions are imported."""

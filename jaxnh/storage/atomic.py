@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Sink(io.RawIOBase):
-    """A file for HDF5 to write in that never says no: HDF5 cannot close one that a full disk kept it from writing.
+    """A file for HDF5 that accepts every write: HDF5 cannot close a file that a full disk kept it from writing.
 
     The first error is kept in `error`, and from then on nothing is written.
 
@@ -81,7 +81,7 @@ class Sink(io.RawIOBase):
             raise self.error
 
     def settle(self) -> None:
-        """Have all of it on the disk, readable by whom new files are readable by."""
+        """Write all of it through to the disk, with the permissions of new files."""
         self.check()
         os.fchmod(self._handle, 0o666 & ~_umask())
         os.fsync(self._handle)
@@ -92,7 +92,7 @@ def replace_atomically(path: Path) -> Iterator[Sink]:
     """A new file beside `path`, which takes its name where the context ends without an exception.
 
     Killed at any moment, this leaves either what was there before or the whole file under the final name. The caller
-    settles the file (`Sink.settle`) as the last that it does to it.
+    settles the file (`Sink.settle`) last of all.
 
     Raises:
         ResultError: the folder or the disk refuses.
@@ -115,7 +115,7 @@ def replace_atomically(path: Path) -> Iterator[Sink]:
 
 
 def same_file(source: Path, path: Path) -> None:
-    """Give a file that is whole and stays as it is a second name, in place of what has that name.
+    """Give a finished file a second name, replacing what has that name.
 
     Raises:
         ResultError: the folder or the disk refuses.
@@ -131,7 +131,7 @@ def same_file(source: Path, path: Path) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Make the folder of an output and see that a file can be made in it, without leaving one.
+    """Make the folder of an output and check that a file can be made in it.
 
     Raises:
         ResultError: it cannot; the message names the folder and the reason.
@@ -148,7 +148,7 @@ def check_writable(path: Path) -> None:
 
 
 def target_of(path: Path) -> Path:
-    """The file that is written where a path is an output: of a link what it points to, there already or not.
+    """The file that an output path stands for: the target of a link, whether it exists or not.
 
     Raises:
         ResultError: links that point to each other.
@@ -163,7 +163,7 @@ def target_of(path: Path) -> Path:
 
 
 def sync(path: Path) -> None:
-    """Have the content of a file or folder on the disk."""
+    """Write the content of a file or folder through to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -4,7 +4,7 @@ A piece may take hours, as a state that is carried along a parameter does. The r
 file every few seconds, so that a run that is killed loses no more. A later run makes the same calls in the same order,
 and finds theirs; once the tiles of the pieces are written the file goes.
 
-Every record has a checksum, is of one job and names its pieces; what follows one that is cut off is dropped. Nothing in
+Every record has a checksum, is of one job and names its pieces; whatever follows a truncated one is dropped. Nothing in
 it is code: arrays are in NumPy's own format.
 """
 
@@ -81,14 +81,14 @@ class CallJournal:
         return parts
 
     def add(self, part: JournalEntry) -> None:
-        """One more part; written with others after some seconds of work."""
+        """Add a part; it is written with others after some seconds of work."""
         self._new.append(part)
         self._size += sum(leaf.nbytes for leaf in part.leaves)
         if time.monotonic() - self._since > max(_OFTEN, self._size / _BYTES):
             self.flush()
 
     def flush(self) -> None:
-        """Have all of it on the disk; where there is no room for it, what the tiles need goes first."""
+        """Write all parts to the disk; on a full disk the journal is dropped, since the tiles need the room."""
         if not self._new:
             return
         seconds = time.monotonic() - self._since
@@ -104,10 +104,7 @@ class CallJournal:
         self._new, self._size, self._since = [], 0, time.monotonic()
 
     def _open(self) -> int | None:
-        """The file, at the end of what is sound in it; None where another process is at the same pieces, and keeps its.
-
-        A worker that is thought to be lost may be.
-        """
+        """The file, at the end of its sound records; None where another process has it, as a worker thought lost."""
         if self._handle is None and not self._closed:
             self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
             if lock_descriptor(self._handle, blocking=False):
@@ -119,7 +116,7 @@ class CallJournal:
         return self._handle
 
     def close(self, *, remove: bool) -> None:
-        """Be done with the file: without it, or with all that is known in it."""
+        """Close the file: remove it, or write all parts to it."""
         if not remove:
             self.flush()
         with contextlib.suppress(OSError):
@@ -131,7 +128,7 @@ class CallJournal:
 
 
 def interrupted_batches(folder: Path, job: Job) -> list[list[int]]:
-    """Numbers of the pieces that a stopped run of a job has left results of calls of: those computed together."""
+    """Numbers of the pieces of which a stopped run of a job has left results, in the batches it computed them in."""
     batches: list[list[int]] = []
     for path in sorted(folder.glob("*.calls")):
         for head, _, _ in _records(path):
@@ -153,7 +150,7 @@ def _record(head: dict[str, Any], parts: Sequence[JournalEntry]) -> bytes:
 
 
 def _records(path: Path) -> Any:
-    """Head, parts and end in the file of every record up to the first that is not whole."""
+    """Head, parts and end of every record of a file, up to the first that is not whole."""
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError), path.open("rb") as file:
         while len(mark := file.read(_HEAD)) == _HEAD:
             data = file.read(int(mark[:16], 16))

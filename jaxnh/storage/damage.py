@@ -1,4 +1,4 @@
-"""Damage of a file that could not be read: said where its checksums or HDF5 say so, never by default."""
+"""Damage of a file that could not be read: concluded from its checksums or from HDF5, never by default."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from jaxnh.exceptions import DamagedError
 from jaxnh.storage.hdf5 import SEAL, read_attrs, verify
 
 READING = (OSError, KeyError, RuntimeError, ValueError, TypeError)
-"""What h5py and xarray raise where a file is damaged: any of these may as well be a fault of a program."""
+"""Exceptions of h5py and xarray where a file is damaged; any of these may as well be a fault of a program."""
 
 
 def fault_of(path: Path, error: Exception) -> Exception:

@@ -1,7 +1,7 @@
 """Result files: datasets as netCDF4-compatible HDF5, written whole or not at all, and sealed with checksums.
 
-Every variable carries the SHA-256 of its data, and the file that of all the rest, so that a single changed bit anywhere
-is found. Blocks of large variables have HDF5's own checksum besides.
+Every variable carries the SHA-256 of its data, and the file that of all the rest, so that a single changed bit
+shows. Blocks of large variables have HDF5's own checksum besides.
 
 Results are read by xarray (`open_result`, `read_group`). They are written by h5py, since `Dataset.to_netcdf` and
 h5netcdf cannot do what a long run needs: replace a file in one step and survive a full disk (`atomic`), seal its
@@ -35,7 +35,7 @@ SEAL = "content_sha256"
 """Root attribute: hash of all names, shapes, dimensions and attributes, those with the hashes of the data included."""
 
 UNREADABLE = (OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryError)
-"""What HDF5, h5py and xarray raise where tables or data of a file are damaged."""
+"""Exceptions of HDF5, h5py and xarray where tables or data of a file are damaged."""
 
 _LARGE = 1 << 14  # bytes; smaller variables are stored in one piece
 _READ = 1 << 23  # bytes that are read at once
@@ -48,7 +48,7 @@ _Item = TypeVar("_Item")
 
 
 class LayoutError(DamagedError, TypeError):
-    """Something in a file that no result has, as a variable outside of groups; the message is a sentence."""
+    """A file holds something that no result has, as a variable outside of groups; the message is a sentence."""
 
 
 class _VariableHeader(NamedTuple):
@@ -66,7 +66,7 @@ class _VariableHeader(NamedTuple):
 
 @contextlib.contextmanager
 def write_sealed(path: Path, *, checked: bool = False) -> Iterator[tuple[h5py.File, Sink]]:
-    """A new HDF5 file that at the end is sealed, synced and gets its name; or nothing, and what was there stays.
+    """Write a new HDF5 file, sealed and synced before it gets its name; after an exception the former file stays.
 
     Args:
         checked: read all of it back before it gets its name.
@@ -149,7 +149,7 @@ def set_attributes(target: h5py.File | h5py.Group | h5py.Dataset, attrs: Mapping
 def create(
     target: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, chunks: tuple[int, ...] | None = None
 ) -> h5py.Dataset:
-    """A variable still without data. A large one lies in blocks, of about a megabyte of whole rows unless told."""
+    """Create a variable without data; a large one in blocks, by default of about a megabyte of whole rows."""
     dtype = h5py.string_dtype() if np.dtype(dtype).kind == "U" else np.dtype(dtype)
     if math.prod(shape) * dtype.itemsize <= _LARGE or h5py.check_string_dtype(dtype):
         return target.create_dataset(name, shape, dtype)
@@ -166,7 +166,7 @@ def create(
 
 
 def attach(target: h5py.Group, dims: Mapping[str, tuple[str, ...]]) -> list[_VariableHeader]:
-    """Make every axis a dimension scale, with an index where no variable has its name; those that were added."""
+    """Make every axis a dimension scale, with an index where no variable has its name; return the added ones."""
     added, scales = list[_VariableHeader](), dict[str, h5py.Dataset]()
     for name, axes in dims.items():
         item = variable(target, name)
@@ -194,7 +194,7 @@ def as_stored(data: np.ndarray) -> np.ndarray:
 
 
 def open_result(path: str | Path) -> xr.DataTree:
-    """A result file as a tree, a dataset a group; data are read from the file where they are used.
+    """Open a result file as a tree with a dataset for each group; data are read when they are used.
 
     Close it, or use it in a `with`; `load()` reads all of it.
 

@@ -104,7 +104,7 @@ class _Target(Protocol):
 
 
 class _MemorySink:
-    """Put together in memory, and written at the end."""
+    """Parts collected in memory, written at the end."""
 
     def __init__(self, item: h5py.Dataset, dtype: np.dtype) -> None:
         self._item, self._data = item, np.empty(item.shape, object if dtype.kind == "U" else dtype)
@@ -119,7 +119,7 @@ class _MemorySink:
 
 
 class _InTurn:
-    """Parts along the first dimension, in order: the checksum runs along, and blocks that fit go over as they are."""
+    """Parts along the first dimension, in order: the checksum is updated by each, and blocks that fit are copied."""
 
     def __init__(self, item: h5py.Dataset) -> None:
         self._item, self._hash = item, checksum(np.empty(0))
@@ -140,7 +140,7 @@ class _InTurn:
 
 
 class _Slabs:
-    """Parts in any order, along several axes; read back for the checksum."""
+    """Parts in any order along several axes; the whole is read back for its checksum."""
 
     def __init__(self, item: h5py.Dataset) -> None:
         self._item = item
@@ -177,7 +177,7 @@ class _MergedGroup:
         self._common = CommonAttributes()
 
     def add(self, piece: Piece, path: Path) -> None:
-        """The next piece, in order."""
+        """Add the next piece, in order."""
         try:
             file = h5py.File(path, "r")
         except store.UNREADABLE as error:
@@ -211,7 +211,7 @@ class _MergedGroup:
             store.set_attributes(store.variable(self._group, name), store.attributes(item))
 
     def _target(self, name: str, item: h5py.Dataset, whole: WholeVariable) -> _Target:
-        """The way into the file that suits a variable: by its size, and by the blocks that its first piece lies in."""
+        """Choose how a variable is written, by its size and by the blocks of its first piece."""
         dtype = np.dtype("U") if h5py.check_string_dtype(item.dtype) else item.dtype
         if not whole.grows:
             return _Once(store.create(self._group, name, whole.shape, dtype))
@@ -229,7 +229,7 @@ class _MergedGroup:
         return _Slabs(store.create(self._group, name, whole.shape, dtype, chunks))
 
     def finish(self, warnings: Sequence[str]) -> None:
-        """Write what is known at the end: collected variables, hashes, scales, and attributes of the whole."""
+        """Write collected variables, hashes, scales, and attributes of the whole."""
         for name, target in self._targets.items():
             store.variable(self._group, name).attrs[store.DATA] = target.finish()
         store.attach(self._group, {name: whole.dims for name, whole in self._whole.items()})

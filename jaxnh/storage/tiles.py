@@ -1,10 +1,10 @@
 """Tiles on disk: the folder beside a result in which a run keeps what it has done, until the result is whole. No JAX.
 
-All that is decided for a sweep as a whole stands in `job.json`, made once: pieces of any process fit together bit for
-bit. A piece is there whole or not at all, and says which job it is of. A lock keeps other runs away from a result; it
-belongs to a process, so that a dead one leaves none behind.
+All decisions for a sweep as a whole are in `job.json`, which is made once: pieces of any process fit together bit for
+bit. A piece exists whole or not at all, and names its job. A lock keeps other runs away from a result; it belongs to a
+process, so that a dead one leaves none behind.
 
-Neither xarray nor h5netcdf knows locks between processes, nor of a file whether it is whole and of the same run.
+Neither xarray nor h5netcdf has locks between processes, or tells whether a file is whole and of the same run.
 """
 
 from __future__ import annotations
@@ -93,13 +93,13 @@ def hold(folder: Path, part: tuple[int, int] | None = None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _locked(folder: Path, name: str, *, patience: float = 0.0) -> Iterator[None]:
-    """A lock on a file that is still the one of this name once the lock is had.
+    """Lock a file that still has this name once the lock is held.
 
     Args:
-        patience: seconds for which another may still have it.
+        patience: seconds to wait for another process to release it.
 
     Raises:
-        BlockingIOError: another has it.
+        BlockingIOError: another process holds it.
     """
     until = time.monotonic() + patience
     while True:
@@ -151,7 +151,7 @@ class Origin(NamedTuple):
 
 
 def publish(folder: Path, job: Job, origin: Origin) -> Job:
-    """Put a job and its origin in a folder, unless a sound one is there already; the one that counts.
+    """Put a job and its origin in a folder, unless a sound one is there already; return the job that is then there.
 
     Raises:
         ResultError: the folder or the disk refuses.
@@ -242,7 +242,7 @@ def receipt(folder: Path, job: Job, piece: Piece) -> TileRecord:
     """Read the record of a piece that is there.
 
     Raises:
-        DamagedError: it says something that does not fit, or cannot be read.
+        DamagedError: it does not belong to the job, or cannot be read.
     """
     path = piece_path(folder, piece)
     try:
@@ -280,7 +280,7 @@ def check(folder: Path, job: Job, piece: Piece) -> TileRecord:
 
 
 def clear(folder: Path) -> None:
-    """Remove what is in a folder that is held, but for the lock; the job first: pieces without one are left-overs."""
+    """Empty a folder that is held, but for the lock; the job first, so that pieces without a job are left-overs."""
     with contextlib.suppress(OSError):
         (folder / _JOB).unlink(missing_ok=True)
         for entry in folder.iterdir():
@@ -289,7 +289,7 @@ def clear(folder: Path) -> None:
 
 
 def tidy(folder: Path) -> None:
-    """Beside a result that is there: remove what a process left that was killed between the two."""
+    """Remove the tiles beside a finished result, left by a process that was killed before it removed them."""
     if not folder.is_dir():
         return
     with contextlib.suppress(BusyError, ResultError), hold(folder):

@@ -292,10 +292,10 @@ def test_escape_in_proportion_to_time(tmp_path):
 def test_what_does_not_stay_is_none(lanes):
     """Lanes whose means are not those of their longer look, none of them: nothing is left to be judged."""
     scene = scene_of(constant_speed(), ((0.1, 0.1), (0.1, math.sqrt(0.99))), [5.4, 5.5], SPLITTINGS["blanes_moan6"], 40)
-    lot = settle(scene, lanes, 32, 64)
-    lot.known[:] = SETTLED
-    lot.means[:] += 1.0
-    assert classify(scene, lanes, lot, 4, 64).kind.tolist() == [NONE, NONE]
+    records = settle(scene, lanes, 32, 64)
+    records.known[:] = SETTLED
+    records.means[:] += 1.0
+    assert classify(scene, lanes, records, 4, 64).kind.tolist() == [NONE, NONE]
 
 
 def test_wilson():

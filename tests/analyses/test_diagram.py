@@ -158,7 +158,7 @@ def test_nothing_is_differentiated(monkeypatch):
         raise AssertionError("a tangent was asked for")
 
     monkeypatch.setenv("JAXNH_KEEP_PROGRAMS", "0")  # a program that is found is not traced
-    monkeypatch.setattr(KickStrobe, "push", refuse)
+    monkeypatch.setattr(KickStrobe, "pushforward", refuse)
     run(DiagramOptions(transient=1, strobes=2), coarse(), LaneExecutor())
 
 

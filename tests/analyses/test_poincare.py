@@ -72,7 +72,7 @@ def test_nothing_is_differentiated(monkeypatch):
         raise AssertionError("a tangent was asked for")
 
     monkeypatch.setenv("JAXNH_KEEP_PROGRAMS", "0")  # a program that is found is not traced
-    monkeypatch.setattr(KickStrobe, "push", refuse)
+    monkeypatch.setattr(KickStrobe, "pushforward", refuse)
     run(PoincareOptions(transient=1, strobes=2), scene(SYSTEMS["constant"], "strang2", 30), LaneExecutor())
 
 

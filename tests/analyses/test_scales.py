@@ -83,9 +83,7 @@ def scene(define, start, values, units, steps):
         state = Motion(tuple(x * length for x in start[:k]), speeds, (0.0, 0.0))
     scaled = unit * np.asarray(values)
     axis = Axis(name, scaled, f"parameter {name}")
-    return LaneBatch(
-        system, broadcast_start(state, len(values)), {name: scaled}, dopri8, steps, False, 1e-9, along=axis
-    )
+    return LaneBatch(system, broadcast_start(state, len(values)), {name: scaled}, dopri8, steps, False, 1e-9, axis=axis)
 
 
 @pytest.mark.slow

@@ -83,13 +83,13 @@ def test_scene_along_its_first_axis():
     scene = own(scene_of(constant_speed(), START, B, *STEPS), a=0.4)
     there = scene.at_values(np.array([1.0, 2.0]))
     assert {name: values.tolist() for name, values in there.p.items()} == {"b": [1.0, 2.0], "a": [0.4, 0.4]}
-    assert there.line.values.tolist() == [1.0, 2.0]
+    assert there.first_axis.values.tolist() == [1.0, 2.0]
     assert there.chart.host_points(there.start).shape == (2, 3)
     few = scene.take(np.array([3, 1]))
-    assert few.line.values.tolist() == few.p["b"].tolist() == B[[3, 1]].tolist()
+    assert few.first_axis.values.tolist() == few.p["b"].tolist() == B[[3, 1]].tolist()
     assert few.places.tolist() == [3, 1]
     with pytest.raises(ValueError, match="do not lie along one axis"):
-        _ = dataclasses.replace(scene, along=None).line
+        _ = dataclasses.replace(scene, axis=None).first_axis
 
 
 # ---- what a dataset owes

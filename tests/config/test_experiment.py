@@ -570,7 +570,7 @@ FAULTS = {
     ),
     "no analyses": (
         ("analyses:\n  doubling:\n    levels: 3\n", ""),
-        "FILE:2: analyses: this key is missing (What to compute",
+        "FILE:2: analyses: this key is missing (Analyses to run",
     ),
     "no constraint": (
         ("  constraint: disturbed_speed\n", ""),

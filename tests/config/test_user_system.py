@@ -77,7 +77,7 @@ def scene_of(experiment, values, steps):
     along = Axis(axis.name, values, axis.long_name)
     start = experiment.start({}, len(values))
     return LaneBatch(
-        experiment.dynamics(), start, {axis.name: values}, SOLVERS["dopri8"], steps, False, 0.0, along=along
+        experiment.dynamics(), start, {axis.name: values}, SOLVERS["dopri8"], steps, False, 0.0, axis=along
     )
 
 

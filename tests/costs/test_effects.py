@@ -58,7 +58,7 @@ def operations(lanes, system):
     """Floating-point operations a period of the map of a system, under 40 steps."""
     strobe = make_return_map(system, SPLITTINGS["blanes_moan6"], 40)
     text, tile = lanes.program(iterate, (strobe, np.int32(1)), (spread(START), P))
-    return count(text, tile).total((1.0, *strobe.turns))
+    return count(text, tile).total((1.0, *strobe.trip_counts))
 
 
 # ---- programs
@@ -260,9 +260,9 @@ def test_price_of_the_walks(lanes):
     options = chaos01.Chaos01Options(transient=20, periods=strobes)
     found = chaos01.ANALYSIS.price(options, scene)
     text, tile = lanes.program(*found.with_it[:3], found.with_it.static, LANES)
-    whole = count(text, tile).whole(found.with_it.turns)
+    whole = count(text, tile).whole(found.with_it.trip_counts)
     text, tile = lanes.program(*found.without_it[:3], found.without_it.static, LANES)
-    alone = count(text, tile).total(found.without_it.turns)
+    alone = count(text, tile).total(found.without_it.trip_counts)
     walks = whole - (20 + strobes) * alone
     assert walks == pytest.approx(64 * (strobes // 10) * (strobes - strobes // 10) * 6, rel=0.1)
 

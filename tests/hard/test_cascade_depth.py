@@ -162,7 +162,7 @@ def test_deep_in_the_cascade(battery, lanes, one_period):
 
 def log_volume(strobe, u, p):
     """ln det ∂P/∂u of one lane, exact where the determinant itself is lost to rounding."""
-    return jnp.log(strobe.push(strobe.chart.state(u), p, ()).volume)
+    return jnp.log(strobe.pushforward(strobe.chart.state(u), p, ()).volume)
 
 
 def iterated(blocks):

@@ -152,7 +152,7 @@ def test_derivatives_of_the_return(lanes):
 
 
 def volume_of(strobe, u, p):
-    return strobe.push(strobe.chart.state(u), p, ()).volume
+    return strobe.pushforward(strobe.chart.state(u), p, ()).volume
 
 
 def test_reversal_of_time(lanes):

@@ -64,7 +64,7 @@ def test_steps_are_diffeqsolve_with_projected_steps(name, flow, rolled):
     start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
     grid = step_grid(system, 100, (0.0, system.period))
     strobe = general_strobe(system, replace(solver, rolled=rolled), grid)
-    assert strobe.turns == ((100.0, float(solver.stages)) if rolled else (100.0,))
+    assert strobe.trip_counts == ((100.0, float(solver.stages)) if rolled else (100.0,))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(system.rhs), ProjectedSolver(solver, system), 0.0, system.period, None, start, args=p,
         stepsize_controller=diffrax.StepTo(grid), max_steps=128,

@@ -30,7 +30,7 @@ def test_table_of_a_period(system, solver, steps):
     path = system.path_length(np.linspace(0, system.period, 201)[:-1], np.linspace(0, system.period, 201)[1:]).sum()
     sums = np.abs(rows[:, 0]).sum() + abs(float(strobe.rest))
     assert abs(rows[:, 0].sum() + float(strobe.rest) - path) < used * UNIT * sums + 400 * UNIT * path
-    assert strobe.turns == (used,)
+    assert strobe.trip_counts == (used,)
 
 
 @pytest.mark.parametrize("name", SPLITTINGS)

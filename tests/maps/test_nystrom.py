@@ -206,7 +206,7 @@ def jacobians(strobe, u, p):
 
 
 def volume_of(strobe, state, p):
-    return strobe.push(state, p, ()).volume
+    return strobe.pushforward(state, p, ()).volume
 
 
 def test_parts_of_a_period_are_the_period(lanes):

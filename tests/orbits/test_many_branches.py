@@ -121,7 +121,7 @@ def test_a_thousand_branches_in_one_run(scene, lanes):
     range, and some come back to where they began. Every fortieth is followed by itself as well.
     """
     values = np.array([4.78, 4.85])
-    here = replace(scene.take(np.array([0, 1])), p={"b": values}, along=replace(scene.line, values=values))
+    here = replace(scene.take(np.array([0, 1])), p={"b": values}, axis=replace(scene.first_axis, values=values))
     orbits = random_wave(here, lanes, 720, 1, {"x1": (-4, 4), "y1": (-4, 4)}, 8, np.ones(3), 64)
     family = orbit_family(scene, lanes, scene.strobe(), np.ones(3), ENDS)
     steps, count = StepControl(0.05, 40), 0

@@ -81,7 +81,7 @@ def test_volume_of_lorenz_is_exact(lanes):
 
 
 def volume_of(strobe, state, p):
-    return strobe.push(state, p, ()).volume
+    return strobe.pushforward(state, p, ()).volume
 
 
 @pytest.mark.slow

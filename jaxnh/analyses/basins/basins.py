@@ -22,7 +22,7 @@ from jaxnh.analyses.basins.classification import POINTS, Attractors
 from jaxnh.analyses.basins.clustering import find_attractors, join_attractors
 from jaxnh.analyses.basins.continuation import ContinuedAttractors, Grid, continue_attractors
 from jaxnh.analyses.basins.paths import batch_from_points, record_points
-from jaxnh.analyses.basins.settling import FAILED, Lot, settle
+from jaxnh.analyses.basins.settling import FAILED, LaneRecords, settle
 from jaxnh.analyses.basins.steps_after_transient import choose_steps
 from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_units, select
@@ -71,7 +71,7 @@ def choose(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[
 
 
 def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """Run every lane by itself and return its record (`settling.Lot`), each (lane,), (lane, mean) or (lane, component).
+    """Run every lane by itself and return the `LaneRecords`, each (lane,), (lane, mean) or (lane, component).
 
     With random starts `start` is a dimension after the lanes.
     """
@@ -79,7 +79,7 @@ def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
     rows = (batch.count, options.n_starts) if options.n_starts else (batch.count,)
     with lanes.stage(f"basins: {math.prod(rows):,} lanes to their attractors", periods(options, batch.count)):
         starting, steps = _draw_starts(options, batch)[0], _with_settled_steps(batch).steps
-        lot = settle(starting, lanes, options.transient, options.max_periods, steps)
+        records = settle(starting, lanes, options.transient, options.max_periods, steps)
     dims = (LANE, "start")[: len(rows)]
     second = {
         "means": "lane_mean",
@@ -95,7 +95,7 @@ def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
                 values.reshape(*rows, *values.shape[1:]),
                 f"{name} of a lane",
             )
-            for name, values in lot._asdict().items()
+            for name, values in records._asdict().items()
         }
     )
 
@@ -106,8 +106,8 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
     starts = (options.n_starts,) if options.n_starts else ()
     each = math.prod(starts)
     count = math.prod(shape) * each
-    left = (data[f"lane_{name}"].to_numpy() for name in Lot._fields)
-    lot = Lot(*(np.array(values).reshape(count, *values.shape[len(shape + starts) :]) for values in left))
+    left = (data[f"lane_{name}"].to_numpy() for name in LaneRecords._fields)
+    records = LaneRecords(*(np.array(values).reshape(count, *values.shape[len(shape + starts) :]) for values in left))
     own = [k for k, axis in enumerate(sweep.axes) if axis.kind != "start"]
     sizes = tuple(shape[k] for k in own)
     place = np.unravel_index(np.arange(count) // each, shape)
@@ -117,11 +117,11 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
     for row, at_row in sweep.rows:
         subset = (row[:, None] * each + np.arange(each)).ravel()
         batch, draws = _draw_starts(options, _with_settled_steps(at_row))
-        part = select(lot, subset)
+        part = select(records, subset)
         for name, values in draws.items():
             drawn[name][subset] = values
         assignment = find_attractors(batch, lanes, part, point[subset], options.max_period, options.max_periods)
-        for leaf, changed in zip(lot, part, strict=True):
+        for leaf, changed in zip(records, part, strict=True):
             leaf[subset] = changed
         judged += assignment.judged
         if assignment.attractors is None:
@@ -133,7 +133,7 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
         point_of = np.concatenate([point_of, assignment.point[used]])
     every = join_attractors(parts) if len(point_of) else None
     grid = _grid(sweep, own, point[::each])
-    number = np.where(lot.known == FAILED, -1, 0).astype(np.int32)
+    number = np.where(records.known == FAILED, -1, 0).astype(np.int32)
     table = SweepAttractors(point_of, np.zeros(0, np.int32), None, {}, ())
     if every is not None:
         tracked = continue_attractors(grid, lanes, every, point_of, options.transient, options.max_periods)
@@ -143,7 +143,7 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
     unit = iterate_units(flow)
     axes = tuple(sweep.axes[k] for k in own)
     hits = shares(number, point, math.prod(sizes), max([1, *table.number.tolist()]))
-    basins = basins_group(lot, number, unit, flow, drawn, (count // each, *starts), judged)
+    basins = basins_group(records, number, unit, flow, drawn, (count // each, *starts), judged)
     if options.boundary:
         basins = basins.merge(boundary_variables(number, sweep.axes))
     return {
@@ -239,8 +239,10 @@ def price(options: BasinsOptions, batch: LaneBatch) -> Price:
     """Return the price of a period of a window, with its means, against the map alone."""
     batch = batch.without_section()
     strobe, parts = maps(batch)
-    turns = (float(BLOCKS), 1.0, *((float(parts),) if parts else ()), *strobe.turns)
-    program = PricedProgram(window_averages, (strobe, np.int32(1)), batch.lanes, turns, (parts,), BLOCKS, whole=True)
+    trip_counts = (float(BLOCKS), 1.0, *((float(parts),) if parts else ()), *strobe.trip_counts)
+    program = PricedProgram(
+        window_averages, (strobe, np.int32(1)), batch.lanes, trip_counts, (parts,), BLOCKS, whole=True
+    )
     return Price(program, map_alone(batch), "means of every coordinate and its square")
 
 

@@ -33,7 +33,7 @@ from jaxnh.analyses.basins.paths import (
     recurrence_drift,
 )
 from jaxnh.analyses.basins.point_sets import lie_within, point_set, spacing
-from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, SETTLED_TO, Lot
+from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, SETTLED_TO, LaneRecords
 from jaxnh.analyses.basins.volume import keeps_volume
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.equilibria.search import find_equilibria
@@ -97,8 +97,10 @@ class Attractors(NamedTuple):
     margin: Float[np.ndarray, " reps"]
 
 
-def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int, longest: int) -> Attractors:
-    """Classify the motions of the lanes of a batch that are done; they go on from the points in the lot.
+def classify(
+    batch: LaneBatch, lanes: LaneRunner, records: LaneRecords, longest_period: int, longest: int
+) -> Attractors:
+    """Classify the motions of the lanes of a batch that are done; they go on from the points in the records.
 
     The batch has them at their start, which sizes are held against.
 
@@ -106,11 +108,13 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
         longest_period: of periodic orbits.
         longest: periods that a lane may take.
     """
-    window, state = _average_confirming_window(batch, lanes, lot)
-    size = np.where(batch.chart.angles, 1.0, np.maximum(window.largest, lot.least))
+    window, state = _average_confirming_window(batch, lanes, records)
+    size = np.where(batch.chart.angles, 1.0, np.maximum(window.largest, records.least))
     unit = 2.0 * SETTLED_TO * units(np.array(batch.chart.angles), size)
     with np.errstate(invalid="ignore"):
-        stays = np.all(np.abs(window.whole - lot.means) <= lot.unit + unit, axis=1) | (lot.known == RESTLESS)
+        stays = np.all(np.abs(window.whole - records.means) <= records.unit + unit, axis=1) | (
+            records.known == RESTLESS
+        )
     u = points_at(batch, lanes, state)
     count = batch.count
     kind, period = np.full(count, NONE, np.int8), np.zeros(count, np.int64)
@@ -118,7 +122,7 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
     moved_on = batch_from_points(batch, lanes, u)
     left = np.flatnonzero(stays)
     if batch.flow.autonomous:
-        equilibria = find_equilibria(moved_on, lanes, u, lot.size, window)
+        equilibria = find_equilibria(moved_on, lanes, u, records.size, window)
         at_rest = equilibria.exists & stays
         kind[at_rest & equilibria.stable], exponent[at_rest] = EQUILIBRIUM, equilibria.exponent[at_rest]
         u[at_rest] = equilibria.u[at_rest]
@@ -136,7 +140,7 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
     points = record_points(batch_from_points(batch, lanes, u), lanes, POINTS)
     steps = np.zeros_like(points)
     if len(left):
-        looked = LONGER * (lot.time // 2)[left]
+        looked = LONGER * (records.time // 2)[left]
         kind[left], exponent[left], cloud = _classify_recurrent(
             moved_on.take(left), lanes, (u[left], size[left]), select(window, left), looked, longest
         )
@@ -145,7 +149,7 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
         for k in left:
             near[k] = _WIDER * spacing(batch.chart, points[k], np.zeros_like(steps[k]), size[k])
             margin[k] = max(_WIDER * spacing(batch.chart, points[k], steps[k], size[k]), _NEAR_ORBIT)
-    subset = np.flatnonzero((kind == CHAOTIC) & (lot.known == SETTLED))  # regular and unstable: a repeller?
+    subset = np.flatnonzero((kind == CHAOTIC) & (records.known == SETTLED))  # regular and unstable: a repeller?
     if len(subset):
         sets = (points[subset], steps[subset], size[subset], margin[subset])
         kind[subset[_leave_sets(moved_on.take(subset), lanes, u[subset], sets)]] = NONE
@@ -153,13 +157,15 @@ def classify(batch: LaneBatch, lanes: LaneRunner, lot: Lot, longest_period: int,
     return Attractors(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
 
 
-def _average_confirming_window(batch: LaneBatch, lanes: LaneRunner, lot: Lot) -> tuple[WindowAverages, State]:
+def _average_confirming_window(
+    batch: LaneBatch, lanes: LaneRunner, records: LaneRecords
+) -> tuple[WindowAverages, State]:
     """Average every lane over the long window that confirms it, lanes of equal length together."""
-    look = lot.time // 2
+    look = records.time // 2
     parts, order = [], []
     for length in np.unique(look).tolist():
         group = np.flatnonzero(look == length)
-        begun = states_at(batch.take(group), lanes, lot.u[group])
+        begun = states_at(batch.take(group), lanes, records.u[group])
         parts.append(average_window(batch.take(group), lanes, begun, LONGER * length))
         order.append(group)
     back = np.argsort(np.concatenate(order))

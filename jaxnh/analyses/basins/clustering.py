@@ -27,7 +27,7 @@ from jaxnh.analyses.basins.classification import (
 )
 from jaxnh.analyses.basins.paths import follow_paths, pad_points, stays_near
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
-from jaxnh.analyses.basins.settling import CONSERVATIVE, OPEN, RESTLESS, SETTLED, Lot, resume
+from jaxnh.analyses.basins.settling import CONSERVATIVE, OPEN, RESTLESS, SETTLED, LaneRecords, resume
 from jaxnh.analyses.basins.volume import keeps_volume
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.systems.chart import Chart
@@ -57,7 +57,12 @@ class Assignment(NamedTuple):
 
 
 def find_attractors(
-    batch: LaneBatch, lanes: LaneRunner, lot: Lot, point: Int[np.ndarray, " lanes"], limit: int, longest: int
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    records: LaneRecords,
+    point: Int[np.ndarray, " lanes"],
+    limit: int,
+    longest: int,
 ) -> Assignment:
     """Return the attractors of lanes that have been run by themselves, extending in place lanes that are on none.
 
@@ -73,25 +78,25 @@ def find_attractors(
     tested = np.zeros(batch.count, np.bool_)
     while True:
         before = len(assignment.point)
-        assignment = _search(batch, lanes, lot, point, assignment, limit, longest, most)
+        assignment = _search(batch, lanes, records, point, assignment, limit, longest, most)
         most = most if len(assignment.point) > before else max(1, most // 2)
-        left = (assignment.number < 0) & np.isin(lot.known, (SETTLED, RESTLESS))
+        left = (assignment.number < 0) & np.isin(records.known, (SETTLED, RESTLESS))
         new = np.flatnonzero(left & ~tested)
         if len(new):
-            kept = new[keeps_volume(batch.take(new), lanes, lot.u[new], longest)]
-            lot.known[kept], left[kept], tested[new] = CONSERVATIVE, False, True
-        unsettled = np.flatnonzero(left & (2 * lot.time <= longest))
+            kept = new[keeps_volume(batch.take(new), lanes, records.u[new], longest)]
+            records.known[kept], left[kept], tested[new] = CONSERVATIVE, False, True
+        unsettled = np.flatnonzero(left & (2 * records.time <= longest))
         if not len(unsettled):
-            lot.known[left] = OPEN
+            records.known[left] = OPEN
             return assignment
-        with lanes.stage(f"basins: extending {len(unsettled):,} lanes", float(lot.time[unsettled].sum())):
-            resume(batch, lanes, lot, unsettled, longest)
+        with lanes.stage(f"basins: extending {len(unsettled):,} lanes", float(records.time[unsettled].sum())):
+            resume(batch, lanes, records, unsettled, longest)
 
 
 def _search(
     batch: LaneBatch,
     lanes: LaneRunner,
-    lot: Lot,
+    records: LaneRecords,
     point: Int[np.ndarray, " lanes"],
     assignment: Assignment,
     limit: int,
@@ -104,21 +109,21 @@ def _search(
     ones are known, the lanes of a cluster that are on none of them are judged in turn. So are, a few times, those
     whose leader is on no attractor but elsewhere.
     """
-    match(batch, lanes, lot, point, assignment)
+    match(batch, lanes, records, point, assignment)
     pending, restless, fruitless = assignment.number < 0, True, 0
     while True:
-        seeds, cluster = _representatives(lot, point, pending, most, restless)
+        seeds, cluster = _representatives(records, point, pending, most, restless)
         if not len(seeds):
             return assignment
         representatives = batch.take(seeds)
-        judged = classify(representatives, lanes, select(lot, seeds), limit, longest)
-        largest, before = np.nanmax(np.abs(lot.size), axis=0, initial=0.0), len(assignment.point)
+        judged = classify(representatives, lanes, select(records, seeds), limit, longest)
+        largest, before = np.nanmax(np.abs(records.size), axis=0, initial=0.0), len(assignment.point)
         assignment, place = _add_attractors(representatives, lanes, assignment, judged, point[seeds], largest)
-        settled = lot.known[seeds] == SETTLED
+        settled = records.known[seeds] == SETTLED
         assignment.number[seeds[settled]] = place[settled]
         of_leader = np.where(cluster >= 0, place[cluster], -1)
-        match(batch, lanes, lot, point, assignment, of_leader)
-        away = _far_from_leaders(batch.chart, lot, judged, cluster)
+        match(batch, lanes, records, point, assignment, of_leader)
+        away = _far_from_leaders(batch.chart, records, judged, cluster)
         fruitful = len(assignment.point) > before
         pending, restless = (assignment.number < 0) & (away | (fruitful & (of_leader >= 0))), False
         fruitless = 0 if fruitful else fruitless + 1
@@ -127,7 +132,7 @@ def _search(
 
 
 def _far_from_leaders(
-    chart: Chart, lot: Lot, judged: Attractors, cluster: Int[np.ndarray, " lanes"]
+    chart: Chart, records: LaneRecords, judged: Attractors, cluster: Int[np.ndarray, " lanes"]
 ) -> Bool[np.ndarray, " lanes"]:
     """Return whether a lane is far from the leader of its cluster, which is on no attractor, as beside a repeller."""
     away = np.zeros(len(cluster), np.bool_)
@@ -135,14 +140,14 @@ def _far_from_leaders(
         members = np.flatnonzero(cluster == k)
         if len(members) > 1:
             leader: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
-            away[members] = _distances(chart, leader, lot.u[members], lot.size[members]) > 1.0
+            away[members] = _distances(chart, leader, records.u[members], records.size[members]) > 1.0
     return away
 
 
 def match(
     batch: LaneBatch,
     lanes: LaneRunner,
-    lot: Lot,
+    records: LaneRecords,
     point: Int[np.ndarray, " lanes"],
     assignment: Assignment,
     of_leader: Int[np.ndarray, " lanes"] | None = None,
@@ -158,15 +163,15 @@ def match(
     if assignment.attractors is None:
         return
     pending = assignment.number < 0
-    settled, restless = (np.flatnonzero(pending & (lot.known == known)) for known in (SETTLED, RESTLESS))
-    paths = follow_paths(batch.take(restless), lanes, lot.u[restless]) if len(restless) else np.empty(0)
+    settled, restless = (np.flatnonzero(pending & (records.known == known)) for known in (SETTLED, RESTLESS))
+    paths = follow_paths(batch.take(restless), lanes, records.u[restless]) if len(restless) else np.empty(0)
     (first, second), nearest = np.full((2, batch.count), np.inf), np.full(batch.count, -1)
     for k in range(len(assignment.point)):
         attractor: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], assignment.attractors)
         subset = settled[point[settled] == assignment.point[k]]
-        fits = np.all(np.abs(lot.means[subset] - attractor.means) <= lot.unit[subset] + attractor.unit, axis=1)
+        fits = np.all(np.abs(records.means[subset] - attractor.means) <= records.unit[subset] + attractor.unit, axis=1)
         subset = subset[fits if of_leader is None else fits | (of_leader[subset] == k)]
-        distance = _distances(batch.chart, attractor, lot.u[subset], lot.size[subset])
+        distance = _distances(batch.chart, attractor, records.u[subset], records.size[subset])
         staying = np.flatnonzero(point[restless] == assignment.point[k])
         if len(staying):
             staying = staying[_stay_near(batch, attractor, paths[staying])]
@@ -212,7 +217,11 @@ def _stay_near(
 
 
 def _representatives(
-    lot: Lot, point: Int[np.ndarray, " lanes"], pending: Bool[np.ndarray, " lanes"], most: int, restless: bool
+    records: LaneRecords,
+    point: Int[np.ndarray, " lanes"],
+    pending: Bool[np.ndarray, " lanes"],
+    most: int,
+    restless: bool,
 ) -> tuple[Int[np.ndarray, " seeds"], Int[np.ndarray, " lanes"]]:
     """Select pending lanes to be judged: the first of each cluster of settled ones, and a few restless ones.
 
@@ -220,7 +229,7 @@ def _representatives(
         Their numbers, and for every lane the place among them of the one of its cluster, −1 where it is in none.
     """
     cluster, seeds = np.full(len(point), -1), list[int]()
-    settled = np.flatnonzero(pending & (lot.known == SETTLED))
+    settled = np.flatnonzero(pending & (records.known == SETTLED))
     for _ in range(most):
         if not len(settled):
             break
@@ -228,11 +237,13 @@ def _representatives(
         leaders = settled[first]
         of = np.searchsorted(points, point[settled])
         mine = leaders[of]
-        alike = np.all(np.abs(lot.means[settled] - lot.means[mine]) <= lot.unit[settled] + lot.unit[mine], axis=1)
+        alike = np.all(
+            np.abs(records.means[settled] - records.means[mine]) <= records.unit[settled] + records.unit[mine], axis=1
+        )
         cluster[settled[alike]] = len(seeds) + of[alike]
         seeds += leaders.tolist()
         settled = settled[~alike]
-    others = np.flatnonzero(pending & (lot.known == RESTLESS)) if restless else np.zeros(0, int)
+    others = np.flatnonzero(pending & (records.known == RESTLESS)) if restless else np.zeros(0, int)
     for at in np.unique(point[others]):
         lanes_at = others[point[others] == at]
         seeds += lanes_at[np.unique(np.linspace(0, len(lanes_at) - 1, min(_SEEDS, most)).round().astype(int))].tolist()

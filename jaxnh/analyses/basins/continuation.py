@@ -320,14 +320,18 @@ class _AxisLinks:
             begun = self._every.points[subset[places]][:, place]
             many = batch.take(np.repeat(np.arange(len(places)), _PROBES))
             many = batch_from_points(many, self._lanes, begun.reshape(-1, begun.shape[-1]))
-            lot, at = settle(many, self._lanes, transient, longest), np.repeat(points[places], _PROBES)
+            records, at = settle(many, self._lanes, transient, longest), np.repeat(points[places], _PROBES)
             assignment = Assignment(np.full(many.count, -1), self._point, self._every)
             while True:
-                match(many, self._lanes, lot, at, assignment)
-                left = (assignment.number < 0) & np.isin(lot.known, (SETTLED, RESTLESS)) & (2 * lot.time <= longest)
+                match(many, self._lanes, records, at, assignment)
+                left = (
+                    (assignment.number < 0)
+                    & np.isin(records.known, (SETTLED, RESTLESS))
+                    & (2 * records.time <= longest)
+                )
                 if not np.any(left):
                     break
-                resume(many, self._lanes, lot, np.flatnonzero(left), longest)
+                resume(many, self._lanes, records, np.flatnonzero(left), longest)
             to[places] = assignment.number.reshape(-1, _PROBES)
         most = [np.bincount(row[row >= 0], minlength=1) for row in to]
         return np.array([int(np.argmax(hits)) if hits.max() >= _MOST else -1 for hits in most], int)

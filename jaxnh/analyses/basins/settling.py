@@ -32,7 +32,7 @@ OPEN, SETTLED, RESTLESS, FAILED, CONSERVATIVE = range(5)
 """States of knowledge of a lane; `clustering` decides which lanes are conservative."""
 
 
-class Lot(NamedTuple):
+class LaneRecords(NamedTuple):
     """Records of lanes.
 
     Attributes:
@@ -58,14 +58,14 @@ class Lot(NamedTuple):
     least: Float[np.ndarray, "lanes d"]
 
 
-def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, steps: int | None = None) -> Lot:
+def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, steps: int | None = None) -> LaneRecords:
     """Run lanes from their start states, in windows from `transient` periods on, for at most `longest` periods.
 
     After half of the transient a period has `steps` steps (`steps_after_transient`), or as many as before.
     """
     start, count, d = batch.start, batch.count, batch.chart.dimension
     width = units(np.array(batch.chart.angles), np.ones((1, d))).shape[1]
-    lot = Lot(
+    records = LaneRecords(
         np.full(count, OPEN, np.int8),
         np.zeros(count, np.int64),
         np.zeros(count, np.int8),
@@ -74,37 +74,39 @@ def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, st
         *np.full((3, count, d), np.nan),
     )
     absent = ~_finite(start)
-    lot.known[absent], lot.status[absent] = FAILED, STATUS.index("off_constraint")
+    records.known[absent], records.status[absent] = FAILED, STATUS.index("off_constraint")
     finite = np.flatnonzero(~absent)
     active = batch.take(finite)
     begun = average_window(active, lanes, active.start, transient // 2) if len(finite) else None
     if begun is None:
-        return lot
+        return records
     batch, active = (replace(one, steps=steps or one.steps) for one in (batch, active))
     window = average_window(active, lanes, begun.state, transient // 2)
-    lot.least[finite] = _LEAST * np.fmax(np.abs(points_at(active, lanes, active.start)), begun.largest)
-    lot.size[finite] = np.fmax(window.largest, lot.least[finite])
-    lot.time[finite], lot.u[finite] = transient, points_at(batch, lanes, window.state)
-    lot.gap[finite] = _gap(window, units(np.array(batch.chart.angles), np.fmax(begun.largest, window.largest)))
-    _fail(lot, finite, batch.flow, window.state)
-    left = lot.known[finite] == OPEN
-    _extend_windows(batch, lanes, lot, finite[left], select(window.state, left), transient, longest)
-    return lot
+    records.least[finite] = _LEAST * np.fmax(np.abs(points_at(active, lanes, active.start)), begun.largest)
+    records.size[finite] = np.fmax(window.largest, records.least[finite])
+    records.time[finite], records.u[finite] = transient, points_at(batch, lanes, window.state)
+    records.gap[finite] = _gap(window, units(np.array(batch.chart.angles), np.fmax(begun.largest, window.largest)))
+    _fail(records, finite, batch.flow, window.state)
+    left = records.known[finite] == OPEN
+    _extend_windows(batch, lanes, records, finite[left], select(window.state, left), transient, longest)
+    return records
 
 
-def resume(batch: LaneBatch, lanes: LaneRunner, lot: Lot, subset: Int[np.ndarray, " some"], longest: int) -> None:
+def resume(
+    batch: LaneBatch, lanes: LaneRunner, records: LaneRecords, subset: Int[np.ndarray, " some"], longest: int
+) -> None:
     """Run lanes on, in place, from where they are."""
-    lot.known[subset] = OPEN
-    for elapsed in np.unique(lot.time[subset]).tolist():
-        group = subset[lot.time[subset] == elapsed]
-        state = states_at(batch, lanes, lot.u[group])
-        _extend_windows(batch, lanes, lot, group, state, elapsed, longest)
+    records.known[subset] = OPEN
+    for elapsed in np.unique(records.time[subset]).tolist():
+        group = subset[records.time[subset] == elapsed]
+        state = states_at(batch, lanes, records.u[group])
+        _extend_windows(batch, lanes, records, group, state, elapsed, longest)
 
 
 def _extend_windows(
     batch: LaneBatch,
     lanes: LaneRunner,
-    lot: Lot,
+    records: LaneRecords,
     active: Int[np.ndarray, " some"],
     state: State,
     elapsed: int,
@@ -116,20 +118,20 @@ def _extend_windows(
         active_batch = batch.take(active)
         window = average_window(active_batch, lanes, state, elapsed)
         elapsed *= 2
-        before = lot.size[active]
-        lot.size[active] = np.fmax(before, window.largest)
-        scale = units(turns, lot.size[active])
+        before = records.size[active]
+        records.size[active] = np.fmax(before, window.largest)
+        scale = units(turns, records.size[active])
         gap = _gap(window, scale)
-        settled, restless = gap <= SETTLED_TO, (gap > _RESTLESS) | (gap > _FALLS * lot.gap[active])
+        settled, restless = gap <= SETTLED_TO, (gap > _RESTLESS) | (gap > _FALLS * records.gap[active])
         known = np.where(settled, SETTLED, np.where(restless, RESTLESS, OPEN)).astype(np.int8)
-        lot.known[active], lot.time[active], lot.gap[active] = known, elapsed, gap
-        lot.means[active], lot.unit[active] = window.whole, 2.0 * SETTLED_TO * scale
-        lot.u[active] = points_at(batch, lanes, window.state)
-        _fail(lot, active, batch.flow, window.state)
+        records.known[active], records.time[active], records.gap[active] = known, elapsed, gap
+        records.means[active], records.unit[active] = window.whole, 2.0 * SETTLED_TO * scale
+        records.u[active] = points_at(batch, lanes, window.state)
+        _fail(records, active, batch.flow, window.state)
         if 2 * elapsed > longest:
-            _escape(lot, active, window, before, turns)
-        lot.size[active] = np.fmax(window.largest, lot.least[active])
-        left = lot.known[active] == OPEN
+            _escape(records, active, window, before, turns)
+        records.size[active] = np.fmax(window.largest, records.least[active])
+        left = records.known[active] == OPEN
         active, state = active[left], select(window.state, left)
 
 
@@ -141,7 +143,7 @@ def _gap(window: WindowAverages, scale: Float[np.ndarray, "some F"]) -> Float[np
 
 
 def _escape(
-    lot: Lot,
+    records: LaneRecords,
     subset: Int[np.ndarray, " some"],
     window: WindowAverages,
     before: Float[np.ndarray, "some d"],
@@ -150,19 +152,19 @@ def _escape(
     """Mark lanes that go to infinity: not done, and in the last window beyond all positions before."""
     beyond = np.maximum(window.low, -window.high) > 0.99 * before
     grows = beyond & (window.largest > _GROWN * before) & ~turns
-    gone = np.any(grows, axis=1) & np.isin(lot.known[subset], (OPEN, RESTLESS))
-    lot.known[subset[gone]], lot.status[subset[gone]] = FAILED, STATUS.index("escaped")
+    gone = np.any(grows, axis=1) & np.isin(records.known[subset], (OPEN, RESTLESS))
+    records.known[subset[gone]], records.status[subset[gone]] = FAILED, STATUS.index("escaped")
 
 
-def _fail(lot: Lot, subset: Int[np.ndarray, " some"], flow: Flow, state: State) -> None:
+def _fail(records: LaneRecords, subset: Int[np.ndarray, " some"], flow: Flow, state: State) -> None:
     """Mark lanes whose state is not finite, with their reasons."""
     gone = ~_finite(error_components(state))
     if not np.any(gone):
         return
     ended = jax.tree.map(lambda leaf: leaf[gone][:, None], state)
     status = np.asarray(reports(flow, ended)["status"].data)
-    lot.known[subset[gone]] = FAILED
-    lot.status[subset[gone]] = np.where(status > 0, status, NOT_FINITE)
+    records.known[subset[gone]] = FAILED
+    records.status[subset[gone]] = np.where(status > 0, status, NOT_FINITE)
 
 
 def _finite(state: State) -> np.ndarray:

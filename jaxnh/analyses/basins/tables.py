@@ -13,7 +13,7 @@ from jaxtyping import Int
 from jaxnh.analyses.base import LANE, Entry, as_variable, flag, number_variable, variable
 from jaxnh.analyses.basins.classification import NONE, POINTS, Attractors
 from jaxnh.analyses.basins.continuation import CHANGES, Change
-from jaxnh.analyses.basins.settling import CONSERVATIVE, Lot
+from jaxnh.analyses.basins.settling import CONSERVATIVE, LaneRecords
 from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.systems.flow import Flow, Output, status
@@ -63,7 +63,7 @@ def wilson(hits: Int[np.ndarray, ...], count: Int[np.ndarray, ...]) -> tuple[np.
 
 
 def basins_group(
-    lot: Lot,
+    records: LaneRecords,
     number: Int[np.ndarray, " lanes"],
     unit: str,
     flow: Flow,
@@ -73,13 +73,15 @@ def basins_group(
 ) -> xr.Dataset:
     """Return the attractor of every start state, for lanes of this shape: (lanes,), or (lanes, starts)."""
     dims = (LANE, "start")[: len(shape)]
-    undecided = np.where(number != 0, 0, np.where(lot.known == CONSERVATIVE, 2, 1)).astype(np.int8)
+    undecided = np.where(number != 0, 0, np.where(records.known == CONSERVATIVE, 2, 1)).astype(np.int8)
     words = "attractor that the start state leads to, by its number in `attractors`"
     special = ("failed_or_escaped", "undecided")
     variables = {
         "attractor": number_variable(dims, number.reshape(shape), words, special, -1, comment=_COMPUTED),
-        "time": variable(dims, lot.time.astype(np.int32).reshape(shape), "time until it was known", counted_in=unit),
-        "status": as_variable(dims, status(lot.status.reshape(shape))),
+        "time": variable(
+            dims, records.time.astype(np.int32).reshape(shape), "time until it was known", counted_in=unit
+        ),
+        "status": as_variable(dims, status(records.status.reshape(shape))),
         "undecided": flag(dims, undecided.reshape(shape), "why it is undecided where the lane leads", _UNDECIDED),
         "judged": variable((), np.int64(judged), "number of motions that were judged to be an attractor or none"),
         **{

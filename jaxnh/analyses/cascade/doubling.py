@@ -81,11 +81,11 @@ def run(options: DoublingOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     in_float64 = min(levels, FLOAT64_LEVELS) if extended else levels
     cascade = follow(batch, lanes, in_float64, search=search)
     if not extended:
-        return _dataset(batch.system, batch.line, levels, cascade)
+        return _dataset(batch.system, batch.first_axis, levels, cascade)
     beyond = extended_doublings(batch, lanes, cascade, levels)
     whole = append_extended(batch, cascade, beyond, levels)
     limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, cascade.size, batch.chart.wrap)
-    return _extended(_dataset(batch.system, batch.line, levels, whole), beyond, *limits)
+    return _extended(_dataset(batch.system, batch.first_axis, levels, whole), beyond, *limits)
 
 
 def _dataset(system: System, axis: Axis, levels: int, cascade: Cascade) -> xr.Dataset:

@@ -76,7 +76,7 @@ def check_operations(batch: LaneBatch) -> None:
 
 
 def extended_doublings(batch: LaneBatch, lanes: LaneRunner, cascade: Cascade, levels: int) -> ExtendedDoublings:
-    """So many doublings of a cascade in double-double precision, up to the first where Newton does not settle.
+    """Locate doublings of a cascade in double-double precision, up to the first where Newton does not settle.
 
     Args:
         batch: lanes along the first axis.
@@ -108,9 +108,9 @@ def append_extended(batch: LaneBatch, cascade: Cascade, extended: ExtendedDoubli
     end = cascade.end
     if len(extended.fine) > count:
         n, last = cascade.period << len(extended.fine), extended.fine[-1].value[0]
-        lost = f"{n} → {2 * n} was not located in extended precision beyond {batch.line.name} = {last:.9g}"
+        lost = f"{n} → {2 * n} was not located in extended precision beyond {batch.first_axis.name} = {last:.9g}"
         end = lost if len(extended.fine) < levels else ""
-    low, high = batch.line.values.min(), batch.line.values.max()
+    low, high = batch.first_axis.values.min(), batch.first_axis.values.max()
     outside = cascade.outside or any(not low <= located.point.value <= high for located in more)
     return cascade._replace(doublings=(*cascade.doublings, *more), end=end, outside=outside)
 
@@ -135,7 +135,7 @@ def _maps(batch: LaneBatch, lanes: LaneRunner) -> list[_Map]:
 
 
 def _map(batch: LaneBatch, lanes: LaneRunner, plain: ReturnMap, exact: Maps) -> _Map:
-    name = batch.line.name
+    name = batch.first_axis.name
 
     def period(u: Sum, w: Sum, value: tuple[float, float]) -> tuple[Sum, Sum]:
         n = len(u[0])

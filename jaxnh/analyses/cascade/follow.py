@@ -70,8 +70,8 @@ def follow(batch: LaneBatch, lanes: LaneRunner, levels: int, *, search: bool = F
         search: whether to look as far as the lanes reach beyond either end as well, where they have fewer.
     """
     steps = _Steps(batch, lanes, survey_limit(levels))
-    inside = line = steps.survey(np.unique(batch.line.values), "doubling")
-    if batch.line.values[-1] < batch.line.values[0]:
+    inside = line = steps.survey(np.unique(batch.first_axis.values), "doubling")
+    if batch.first_axis.values[-1] < batch.first_axis.values[0]:
         inside = line = line.take(slice(None, None, -1))
     cascade = _best(steps, line, levels)
     if len(cascade.points) < levels and search and len(line.value) > 1:
@@ -118,7 +118,7 @@ def _lanes_outside(steps: _Steps, line: PeriodScan) -> PeriodScan:
 
 def _best(steps: _Steps, line: PeriodScan, levels: int) -> Cascade:
     """The first cascade along a line that has so many doublings, or else the one that has most."""
-    name, ends = steps.batch.line.name, 0
+    name, ends = steps.batch.first_axis.name, 0
     none = f"no doubling was located between {name} = {line.value[0]:.9g} and {line.value[-1]:.9g}"
     best = Cascade(1, (), steps.size, none)
     for start in starts(line):
@@ -142,7 +142,7 @@ def _follow_run(steps: _Steps, start: Start, levels: int) -> Cascade:
     end = ""
     if len(located) < levels:
         n, last = start.period << len(located), located[-1].located.point.value if located else start.value
-        where = f"{steps.batch.line.name} = {last:.9g} and {start.line.value[-1]:.9g}"
+        where = f"{steps.batch.first_axis.name} = {last:.9g} and {start.line.value[-1]:.9g}"
         end = f"{n} → {2 * n} was not located between {where}"
     return Cascade(start.period, tuple(level.located for level in located), steps.size, end)
 
@@ -246,7 +246,8 @@ class _Steps:
         if key not in self._daughters:
             points = np.concatenate([line.u, first_points(self.batch, self._lanes)])
             largest = float(np.nanmax(section_distance(self.batch.chart, points, born.orbit[0], self.size)))
-            label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {self.batch.line.name} = {born.value:.9g}"
+            where = f"{self.batch.first_axis.name} = {born.value:.9g}"
+            label = f"doubling: orbits of period {2 * len(born.orbit)} beyond {where}"
             with self._lanes.stage(label, 0):
                 self._daughters[key] = doubled_lanes(self.batch, self._lanes, born, largest, self.size, distances)
         return self._daughters[key]
@@ -268,7 +269,7 @@ class _Steps:
 
     def searched(self, line: PeriodScan) -> str:
         """Describe the periods of a survey, and where cascades were looked for."""
-        name = self.batch.line.name
+        name = self.batch.first_axis.name
         words = [
             f"{n} → {2 * n} {'up' if sign > 0 else 'down'} from {value:.6g} ({count or 'none'} located)"
             for (n, value, sign), count in sorted(self.tried.items(), key=lambda item: -item[1])

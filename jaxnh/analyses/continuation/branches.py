@@ -90,7 +90,7 @@ def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
 def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `branches` and `bifurcations`, from what all lanes have settled on."""
     [axis], [(order, row)] = sweep.axes, sweep.rows
-    batch = replace(row, along=replace(axis, values=axis.values[order]))
+    batch = replace(row, axis=replace(axis, values=axis.values[order]))
     u, period, size = (data[f"lane_{name}"].to_numpy()[order] for name in ("u", "period", "size"))
     known = np.isfinite(size).all(axis=1)
     unit = np.median(size[known], axis=0) if known.any() else np.ones(u.shape[1])
@@ -98,7 +98,7 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
     waves = attractor_waves(batch, lanes, u, np.where(known, period, 0))
     some = np.unique(np.linspace(0, len(order) - 1, min(options.n_values, len(order))).round().astype(int))
-    here = batch.take(np.argsort(batch.line.values, kind="stable")[some])
+    here = batch.take(np.argsort(batch.first_axis.values, kind="stable")[some])
     if options.n_starts:
         with lanes.stage(f"branches: {options.n_starts} random starts at {len(some)} values of {axis.name}", 0):
             waves.append(

@@ -143,7 +143,7 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
 def _lanes_at(row: LaneBatch, first: Axis, lanes: np.ndarray) -> LaneBatch:
     """The lanes along the first axis at a value of the second."""
     batch = row.take(lanes)
-    return replace(batch, along=replace(first, values=batch.p[first.name]))
+    return replace(batch, axis=replace(first, values=batch.p[first.name]))
 
 
 def _follow_curves(

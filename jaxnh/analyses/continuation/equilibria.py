@@ -39,12 +39,12 @@ def equilibria(
         steps: how branches are followed.
         stage: shows what is done inside, by its label.
     """
-    still = replace(batch.without_section(), along=batch.line)
+    still = replace(batch.without_section(), axis=batch.first_axis)
     many, _ = random_start_batch(still, starts, seed, box)
-    u, values = many.system.chart.host_points(many.start), np.repeat(batch.line.values, starts)
+    u, values = many.system.chart.host_points(many.start), np.repeat(batch.first_axis.values, starts)
     size = np.ptp(u, axis=0) / 2.0
     size = np.where(size > 0.0, size, size.max())
-    with stage(f"equilibria from {starts} points at {batch.count} values of {batch.line.name}"):
+    with stage(f"equilibria from {starts} points at {batch.count} values of {batch.first_axis.name}"):
         zeros = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
     with np.errstate(invalid="ignore"):
         near = zeros.exists & np.all(np.abs(zeros.u) < _FARTHEST * size, axis=1)

@@ -35,7 +35,7 @@ def orbit_family(
         size: of the motion in each section coordinate.
         ends: of the range of the parameter, the lower one first.
     """
-    name, shared, few = batch.line.name, (strobe, np.int32(1)), _FEW if batch.flow.autonomous else 0
+    name, shared, few = batch.first_axis.name, (strobe, np.int32(1)), _FEW if batch.flow.autonomous else 0
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):
@@ -72,7 +72,7 @@ def equilibrium_family(
     batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]
 ) -> Family:
     """Equilibria of the field of a batch's flow, which has no clock; sizes as of the flow's own coordinates."""
-    name, batch = batch.line.name, replace(batch.without_section(), along=batch.line)
+    name, batch = batch.first_axis.name, replace(batch.without_section(), axis=batch.first_axis)
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):

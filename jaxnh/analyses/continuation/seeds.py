@@ -27,7 +27,7 @@ def attractor_waves(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: Int[np.ndarray, " lanes"]
 ) -> list[list[SeedOrbit]]:
     """Orbits of the lanes that have one, in waves: evenly over the axis, then those between them, and so on."""
-    order = np.argsort(batch.line.values, kind="stable")
+    order = np.argsort(batch.first_axis.values, kind="stable")
     orbits = _whole(batch, lanes, u, period)
     return [[orbits[k] for k in order[part] if k in orbits] for part in _waves(len(order))]
 
@@ -48,8 +48,8 @@ def random_wave(
     Lett. 58 (1987) 2387), by multiple shooting: a motion that passes an unstable orbit is near all of its points.
     """
     many, _ = random_start_batch(batch, starts, seed, box)
-    many = replace(many, along=replace(batch.line, values=np.repeat(batch.line.values, starts)))
-    strobe, wrap, values = many.strobe(), batch.chart.wrap, np.tile(many.line.values, 2)
+    many = replace(many, axis=replace(batch.first_axis, values=np.repeat(batch.first_axis.values, starts)))
+    strobe, wrap, values = many.strobe(), batch.chart.wrap, np.tile(many.first_axis.values, 2)
     count, at = _WINDOWS * _WINDOW + limit, (first_points(many, lanes), dict(many.p))
     paths = [
         lanes(strobe_points, (strobe, np.int32(wait)), at, periods=wait + count, static=(count,))
@@ -108,7 +108,7 @@ def _whole(
     for _ in range(1, int(period.max(initial=0))):
         arguments = (points[-1], dict(batch.p))
         points.append(lanes(section_map, (strobe, np.int32(1)), arguments, tile=ORBIT_TILE))
-    path, values = np.stack(points, axis=1), batch.line.values
+    path, values = np.stack(points, axis=1), batch.first_axis.values
     return {
         k: SeedOrbit(path[k, :n], float(values[k]))
         for k, n in enumerate(period.tolist())

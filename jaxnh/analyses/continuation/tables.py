@@ -60,7 +60,7 @@ def datasets(lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int) -
         limit: of the period.
     """
     batch = grown[0].batch
-    axis, trees = batch.line, [part.tree for part in grown]
+    axis, trees = batch.first_axis, [part.tree for part in grown]
     all_ = [(of, k) for of, tree in enumerate(trees) for k in range(len(tree.branches))]
     order = sorted(all_, key=lambda pair: (_period(grown[pair[0]], trees[pair[0]].branches[pair[1]].period), pair))
     rank = {pair: place for place, pair in enumerate(order)}
@@ -98,7 +98,7 @@ def _branches(
     lanes: LaneRunner, grown: Sequence[FollowedBranches], branches: Sequence[tuple[int, Branch]]
 ) -> dict[str, Entry]:
     """Variables over (branch, point), filled up with NaN."""
-    axis, system, every = grown[0].batch.line, grown[0].batch.system, [branch for _, branch in branches]
+    axis, system, every = grown[0].batch.first_axis, grown[0].batch.system, [branch for _, branch in branches]
     shape = (len(every), max((len(branch.value) for branch in every), default=0))
 
     def table(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
@@ -131,7 +131,7 @@ def _bifurcations(
     branch: Sequence[int],
 ) -> dict[str, Entry]:
     """Variables over (bifurcation,)."""
-    axis, system, every = grown[0].batch.line, grown[0].batch.system, [point for _, point in bifurcations]
+    axis, system, every = grown[0].batch.first_axis, grown[0].batch.system, [point for _, point in bifurcations]
     dim, name = ("bifurcation",), axis.name
 
     def column(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:

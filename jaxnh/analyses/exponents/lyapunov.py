@@ -353,7 +353,9 @@ def program(batch: LaneBatch, k: int, parts: int = _PRICED_PARTS) -> PricedProgr
     begun = jax.vmap(lambda z: begin(batch.flow, z, k))(state)
     strobes = cut_period(batch, parts)
     shared = (strobes, None, np.int32(1), np.float64(0.0))
-    return PricedProgram(advance, shared, (jax.tree.map(np.asarray, begun), p), (1.0, float(parts), *strobes.turns))
+    return PricedProgram(
+        advance, shared, (jax.tree.map(np.asarray, begun), p), (1.0, float(parts), *strobes.trip_counts)
+    )
 
 
 def price(options: LyapunovOptions, batch: LaneBatch) -> Price:

@@ -194,7 +194,9 @@ def advance(
 
     def part(growth: TangentState, strobe: ReturnMap) -> tuple[TangentState, None]:
         flow: Flow = strobe.system
-        pushed = strobe.push(growth.state, p, tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents))
+        pushed = strobe.pushforward(
+            growth.state, p, tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents)
+        )
         moved = [flow.chart.lower(pushed.state, t.state) for t in pushed.tangents]
         if flow.autonomous:
             tangents, grown = _orthonormalise_across(flow, growth.state, pushed.state, moved, p)

@@ -63,7 +63,7 @@ class DiagramOptions(Options):
                 raise rule(f"{name} goes with start: random, and start is {self.start}", name, "start")
         if self.snap_to_period and (self.carried or self.phase):
             other = "start" if self.carried else "phase"
-            raise rule("orbits are found for starts side by side and strobes at phase 0", "snap_to_period", other)
+            raise rule("orbits are located for starts side by side and strobes at phase 0", "snap_to_period", other)
         return self
 
     @property

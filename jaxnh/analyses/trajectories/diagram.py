@@ -85,7 +85,7 @@ def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     With `start: up` or `down` the last state at a value of the first axis is the start state at the next.
     """
     dims = (LANE, "strobe")
-    where = f"at {batch.count:,} values of {batch.line.name}" if options.carried else f"of {batch.count:,} lanes"
+    where = f"at {batch.count:,} values of {batch.first_axis.name}" if options.carried else f"of {batch.count:,} lanes"
     label = f"diagram: {options.strobes} strobes {where}, start {options.start}"
     with lanes.stage(label, periods(options, batch.count)):
         if options.start == "random":
@@ -137,7 +137,7 @@ def _run_side_by_side(
     state, strobe = _advance_to_phase(options, batch, lanes, start, p)
     state = settle_lanes(lanes, strobe, options.transient, state, p)
     if options.snap_to_period:
-        state = _move_to_orbits(replace(batch, start=state, p=p, place=None, along=None), lanes, options.snap_to_period)
+        state = _move_to_orbits(replace(batch, start=state, p=p, place=None, axis=None), lanes, options.snap_to_period)
     return lanes(strobe_states, (strobe,), (state, p), periods=options.strobes - 1, static=(options.strobes,))
 
 
@@ -151,7 +151,7 @@ def _move_to_orbits(batch: LaneBatch, lanes: LaneRunner, limit: int) -> State:
 
 def _carry_in_turn(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> State:
     """Carry the start state along the first axis in one lane: components (lanes, strobes) in the batch's order."""
-    values = batch.line.values
+    values = batch.first_axis.values
     order = np.argsort(values, kind="stable")
     if options.start == "down":
         order = order[::-1]
@@ -185,7 +185,7 @@ def _carry_through_flows(
     assert batch.family is not None
     first, met = batch.take(order[:1]), []
     state = first.start
-    for value in batch.line.values[order].tolist():
+    for value in batch.first_axis.values[order].tolist():
         at_value = first.with_system(batch.family.at((value,)))
         p = at_value.p
         begun, strobe = _advance_to_phase(options, at_value, lanes, state, p)
@@ -235,7 +235,7 @@ def price(options: DiagramOptions, batch: LaneBatch) -> Price:
         carry,
         (strobe, np.zeros((), np.int32)),
         (first.start, p),
-        (1.0, 0.0, *strobe.turns),
+        (1.0, 0.0, *strobe.trip_counts),
         (strobes,),
         values * (strobes - 1),
         1,

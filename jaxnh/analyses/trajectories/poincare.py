@@ -79,7 +79,7 @@ def recording_program(batch: LaneBatch, tile: int | None = None) -> PricedProgra
         strobe_states,
         (strobe,),
         batch.lanes,
-        (0.0, *strobe.turns),
+        (0.0, *strobe.trip_counts),
         (_PRICED_STROBES,),
         _PRICED_STROBES - 1,
         tile,

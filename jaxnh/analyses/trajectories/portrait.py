@@ -75,8 +75,8 @@ def price(options: PortraitOptions, batch: LaneBatch) -> Price:
     """Return the price of samples: each ends a step, which is then shorter than that of the map."""
     batch = batch.without_section()
     parts = _parts(options, batch)
-    turns = (1.0, float(options.samples), *parts.turns)
-    program = PricedProgram(trajectory, (parts,), batch.lanes, turns, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)
+    trip_counts = (1.0, float(options.samples), *parts.trip_counts)
+    program = PricedProgram(trajectory, (parts,), batch.lanes, trip_counts, (_PRICED_PERIODS,), _PRICED_PERIODS, TILE)
     return Price(program, map_alone(batch, tile=TILE), "every sample ends a step, and is kept")
 
 

@@ -24,8 +24,8 @@ from jaxnh.orbits.continuation.branches import Branch, StepControl
 from jaxnh.orbits.continuation.kinds import BRANCH_POINT, KINDS, kinds, stable
 
 ENDS = ("fold", "branch_point", "range", "not_located", "neimark_sacker", "period_doubling")
-"""Where orbits begin or cease to attract: at a bifurcation, beyond the range of the sweep, at a place not located. Of
-two ends the one that is earlier here is the begin."""
+"""Ends of ranges in which orbits attract: a bifurcation, the range of the sweep, a place not located. Of two ends the
+one that is earlier here is the begin."""
 
 _RANGE, _NOT_LOCATED, DOUBLED = (ENDS.index(kind) for kind in ("range", "not_located", "period_doubling"))
 

@@ -53,7 +53,7 @@ def dataset(
     crises: Sequence[LocatedValue],
 ) -> xr.Dataset:
     """Return the variables over (window,), and the doublings over (window, level)."""
-    axis, unit = batch.line, iterate_units(batch.system)
+    axis, unit = batch.first_axis, iterate_units(batch.system)
     value, error = np.full((2, len(groups), levels), np.nan)
     for k, located in enumerate(doublings):
         value[k, : len(located)] = [doubling.point.value for doubling in located]

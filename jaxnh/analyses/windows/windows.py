@@ -68,10 +68,10 @@ def independent(options: WindowsOptions) -> bool:
 
 def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Return the windows that lanes along the first axis have settled in, in the order of the axis."""
-    batch = batch.take(np.unique(batch.line.values, return_index=True)[1])
+    batch = batch.take(np.unique(batch.first_axis.values, return_index=True)[1])
     survey = survey_from_start(batch, lanes, _DOUBLED * options.max_period, "windows", options.transient)
     size = np.median(survey.size[~survey.failed], axis=0) if not survey.failed.all() else survey.size[0]
-    line = PeriodScan(batch.line.values, np.where(survey.failed, 0, survey.period), survey.u)
+    line = PeriodScan(batch.first_axis.values, np.where(survey.failed, 0, survey.period), survey.u)
 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"windows: {label}", 0)
@@ -137,14 +137,14 @@ def _crisis(
     size: Float[np.ndarray, " d"],
 ) -> LocatedValue:
     """Return the value where the bands beyond the doublings of a window grow, within the sweep."""
-    start, (low, high) = limit.value, (float(end(batch.line.values)) for end in (np.min, np.max))
+    start, (low, high) = limit.value, (float(end(batch.first_axis.values)) for end in (np.min, np.max))
     if not most or window.period == 1 or not low < start < high:  # of one band no path is ever out of turn
         return NOWHERE
     stop = float(np.clip(start + _REACH * (start - window.end.value), low, high))
     inside, n = float(window.inside.value[0]), window.period
     family = families(min(inside, stop), max(inside, stop))[0]
     u, turning = window.inside.u, np.array(batch.chart.angles)
-    with lanes.stage(f"windows: bands of period {n} up to {batch.line.name} = {stop:.9g}", 0):
+    with lanes.stage(f"windows: bands of period {n} up to {batch.first_axis.name} = {stop:.9g}", 0):
         points = walk(batch, lanes, u, inside, n)[None]
         begun = correct(family, points, window.inside.value, along_parameter(family, 1, n), FINE)
         if not begun.converged[0]:

@@ -85,9 +85,9 @@ class _Samples(NamedTuple):
     row: Int[np.ndarray, " samples"]
     where: Mapping[str, Float[np.ndarray, " samples"]]
 
-    def take(self, some: Int[np.ndarray, " some"]) -> _Samples:
-        """Some of them."""
-        return jax.tree.map(lambda leaf: leaf[some], self)
+    def take(self, subset: Int[np.ndarray, " subset"]) -> _Samples:
+        """Return a subset of the samples."""
+        return jax.tree.map(lambda leaf: leaf[subset], self)
 
 
 class Calibration:
@@ -291,7 +291,7 @@ class Calibration:
         self._samples = self._samples.take(kept)
 
     def _tell(self, text: str) -> None:
-        """Say how far a calibration is that takes long."""
+        """Report the progress of a long calibration."""
         if time.monotonic() - self._said > _SILENT_SECONDS:
             self._said = time.monotonic()
             self._lanes.note(f"accuracy: {text}")
@@ -391,7 +391,7 @@ class Calibration:
 
 
 def _effective_order(few: int, before: float, many: int, after: float, order: float) -> float:
-    """With which power of the steps errors fall, from one to the method's: corners of a field cost it its order."""
+    """Return the power of the steps with which errors fall, at least one and at most the method's order."""
     if many <= few or not 0.0 < after < before < math.inf:
         return order
     return min(max(math.log(before / after) / math.log(many / few), 1.0), order)
@@ -418,7 +418,7 @@ def _is_escaping(states: State) -> Bool[np.ndarray, "lanes periods"]:
 
 
 def _gaps(one: list[np.ndarray], other: list[np.ndarray]) -> Float[np.ndarray, " samples"]:
-    """Largest difference of any component, a lane; infinite where one is not a number."""
+    """Largest difference of any component for each lane; infinite where one is not a number."""
     with np.errstate(invalid="ignore", over="ignore"):  # of lanes that escape
         largest = np.max([np.abs(a - b) for a, b in zip(one, other, strict=True)], axis=0)
     return np.where(np.isfinite(largest), largest, np.inf)

@@ -1,4 +1,4 @@
-"""Why no number of steps meets an accuracy, or a map has no value at all: what the user of a system is told."""
+"""Explanations for the user of a system: why no number of steps meets an accuracy, or why a map has no value."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _NOT_SMOOTH, _ORDER_OF_LAST = 2.5, 5  # order seen in the last refinements below
 
 
 def fault_of(system: System, state: State, p: Parameters) -> str:
-    """Why the map of a state, floats, has no value; "" where that is not seen."""
+    """Explain why the map of a state, floats, has no value; "" where no cause is seen."""
     flow = system.flow
     state = state if flow is system else state.state
     if why := flow.fault_at(0.0, state, p) or _explain_loss(flow, state, p, flow.period):
@@ -44,21 +44,21 @@ def fault_of(system: System, state: State, p: Parameters) -> str:
 
 
 def explain_motion(system: System, state: State, p: Parameters, length: float) -> str:
-    """Explain the largest error where the motion of its sample, so long, nearly loses something; "": nothing."""
+    """Explain the largest error by what the motion of its sample nearly loses in that time; "" where it is nothing."""
     state = state if system.flow is system else state.state
     why = _explain_loss(system.flow, state, p, length)
     return why and f"; {why}"
 
 
 def explain_long_returns(lengths: Float[np.ndarray, " samples"], worst: int) -> str:
-    """Explain the largest error where returns of its sample to a section take so long; "": nothing."""
+    """Explain the largest error by the long returns of its sample to a section; "" where they are not long."""
     if lengths[worst] > _LONG * np.nanmedian(lengths):
         return f"; it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
     return ""
 
 
 def explain_slow_convergence(fall: Sequence[tuple[int, float]]) -> str:
-    """Explain why references of more and more kicks come together so slowly; "": nothing."""
+    """Explain why references of more and more kicks converge slowly; "" where they do not."""
     if observed_order(fall) < _NOT_SMOOTH:
         return (
             "; more steps lessen it so slowly as where the equations jump or have corners (sign, abs, where): "
@@ -68,7 +68,7 @@ def explain_slow_convergence(fall: Sequence[tuple[int, float]]) -> str:
 
 
 def observed_order(fall: Sequence[tuple[int, float]]) -> float:
-    """With which power of the kicks distances fall in the last refinements; infinite: unknown, or down to rounding."""
+    """Return the power of the kicks by which distances fall in the last refinements; infinite where it is not known."""
     seen = [(kicks, gap) for kicks, gap in fall if gap < math.inf][-_ORDER_OF_LAST:]
     if len(seen) < _ORDER_OF_LAST or min(gap for _, gap in seen) < ROUGH:
         return math.inf
@@ -77,7 +77,7 @@ def observed_order(fall: Sequence[tuple[int, float]]) -> float:
 
 
 def _explain_loss(flow: Flow, y: State, p: Parameters, length: float) -> str:
-    """Say what a motion from a state at t = 0 nearly loses in a time, by the classical method of order 4."""
+    """Describe what a motion from a state at t = 0 nearly loses in a time, by the classical method of order 4."""
     h = length / _ROUGHLY
     times = h * np.arange(_ROUGHLY)
 

@@ -26,7 +26,7 @@ class Decision:
         compensated: whether sums are.
         error_estimate: of one period's map.
         chosen: what analyses choose from the whole sweep, by their names.
-        fastest: seconds a lane for a turn of the innermost loop of a map, as `LaneExecutor` has seen in deciding.
+        fastest: seconds a lane for an iteration of the innermost loop of a map, as measured while deciding.
     """
 
     solver: str

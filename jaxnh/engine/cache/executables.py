@@ -1,12 +1,12 @@
-"""Compiled programs kept from run to run under a hash of what they are made of: a later run traces nothing.
+"""Compiled programs kept from run to run under a hash of their ingredients: a later run traces nothing.
 
-A program is named by a hash of all that decides it: the source of the package, versions of libraries, XLA's options,
+The hash is of all that decides a program: the source of the package, versions of libraries, XLA's options,
 the processor, devices, the function with everything that it closes over, static arguments, and the shapes of all
 others. What cannot be named for certain, as a function of another package, is not kept. JAX's own cache begins where a
 program has been traced and lowered, which is most of the time to a result (Newton's: 5 s of 8 s without a cache, and
 0.2 s from here); programs kept here are not kept there as well.
 
-Their files (`cache.store`) are as much to be trusted as JAX's cache: they are code that runs.
+Their files (`cache.store`) are code that runs, and deserve as much trust as JAX's cache.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _ACCOUNTED = ("jaxnh", *_LIBRARIES, "builtins", "math", "collections")  # module
 
 
 class _NoNameError(Exception):
-    """Something in a program that no name can be given to."""
+    """A program has a part that cannot be named."""
 
 
 # ---- names
@@ -92,7 +92,7 @@ def _versions() -> list[str]:
 
 
 def of_devices(devices: Sequence[Any]) -> str:
-    """The computing hardware: devices, processor, and XLA's options."""
+    """Devices, processor, and XLA's options."""
     first = devices[0]
     kinds = [(one.platform, one.device_kind, one.id) for one in devices]
     return json.dumps([kinds, first.client.platform_version, machine(first), host()], sort_keys=True)

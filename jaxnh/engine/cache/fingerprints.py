@@ -15,7 +15,7 @@ _READ = 256  # arrays whose digests are known, at most
 
 
 class CallFingerprints:
-    """Names of calls. What many calls share, as a table of kicks, is read once: it must not be written to."""
+    """Fingerprints of calls. Arrays that many calls share are read once and must not be written to."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[Any, bytes]] = {}  # by the address of an array
@@ -62,5 +62,5 @@ def _qualified_name(function: Any) -> str:
 
 
 def _without_addresses(words: str) -> bytes:
-    """Words without the addresses of a user's functions, which are others in every process."""
+    """Words without the addresses of functions, which differ from process to process."""
     return re.sub(r" at 0x[0-9a-f]+", "", words).encode()

@@ -1,6 +1,6 @@
-"""Files of what is kept from run to run, in the folder `jaxnh` of JAX's cache, each under a name of what decides it.
+"""Files that are kept from run to run, in the folder `jaxnh` of JAX's cache, each under a hash of what decides it.
 
-One that is cut off, damaged or of another name is none, and is written anew. One that nothing has asked for in sixty
+A file that is truncated, damaged or of another name is written anew. One that has not been read in sixty
 days, as those of an earlier version, is removed when another is written. JAXNH_KEEP_PROGRAMS=0 switches all of it off.
 """
 
@@ -22,7 +22,7 @@ _HEAD = 64 + 1  # of a file: the checksum of what follows
 
 
 def folder() -> Path | None:
-    """Return where things are kept; None where they are not."""
+    """Return the folder of these files; None where nothing is kept."""
     root = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     if not root or "://" in root or os.environ.get("JAXNH_KEEP_PROGRAMS") == "0":
         return None
@@ -60,7 +60,7 @@ def keep(name: str, data: bytes) -> None:
 
 
 def _forget(where: Path) -> None:
-    """Remove what no run has asked for in a long time."""
+    """Remove files that no run has read in a long time."""
     with suppress(OSError), os.scandir(where) as files:
         for file in files:
             if time.time() - file.stat().st_mtime > _UNUSED_SECONDS:

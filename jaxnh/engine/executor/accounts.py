@@ -15,7 +15,7 @@ class Accounts:
         lane_periods: periods integrated, summed over lanes (derivatives count once).
         compile_seconds: spent tracing and compiling.
         run_seconds: spent in compiled programs.
-        fastest: seconds a lane for a turn of the innermost loop of a map, in the fastest call.
+        fastest: seconds a lane for an iteration of the innermost loop of a map, in the fastest call.
     """
 
     lane_periods: float = 0.0

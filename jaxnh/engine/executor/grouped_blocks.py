@@ -1,8 +1,8 @@
-"""Lanes of several groups (`maps.family`) in one program: blocks of lanes of one group, so many of them in a tile.
+"""Lanes of several groups (`maps.family`) in one program: a tile is several blocks, each with lanes of one group.
 
 Inside a block all lanes share a table, so that the loop over them is vector code; blocks of eight lanes are not (3 to 7
 times as slow), those of 16 take 1.2 times as long a lane as a tile of one group, those of 32 1.1 times (AVX-512, the
-particle). Groups that leave few lanes to a program fill its tiles together.
+particle). Groups of few lanes fill tiles together.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def group_into_blocks(group: Int[np.ndarray, " lanes"], lanes: tuple[Any, ...], 
 
 
 def evaluate_block(*arguments: Any) -> Any:
-    """The function of a lane for all lanes of a block: of what is shared, its group, its lanes, (function, static)."""
+    """Evaluate the function of a lane for all lanes of a block."""
     *shared, group, lanes, (function, static) = arguments
     own = tuple(part.at(group) if isinstance(part, TreeStack) else part for part in shared)
     return jax.vmap(lambda lane: function(*own, *lane, *static))(lanes)

@@ -1,4 +1,4 @@
-"""Functions over any number of lanes, by tiles on devices: what analyses compute with."""
+"""Functions over any number of lanes, by tiles on devices: the runner of all analyses."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class LaneExecutor:
         self._spread = True
 
     def split(self) -> list[LaneExecutor]:
-        """Executors to be used side by side, each with accounts of its own: one for each device, of cores two.
+        """Executors to be used side by side, each with accounts of its own: one for each device, two for each core.
 
         CPU devices are the cores, on which the programs of one device run side by side as well if threads call them:
         none has to be compiled twice, and a core computes for one executor while another is between two calls.
@@ -83,7 +83,7 @@ class LaneExecutor:
         return smaller
 
     def through(self, wrap: Callable[[Tiles], Tiles]) -> LaneExecutor:
-        """This executor with something around its tiles, as a journal of their results; accounts stay common."""
+        """This executor with a wrapper around its tiles, as a journal of their results; accounts are shared."""
         wrapped = copy.copy(self)
         wrapped._tiles = wrap(self._tiles)
         return wrapped
@@ -103,7 +103,7 @@ class LaneExecutor:
             self._progress.finish()
 
     def note(self, text: str) -> None:
-        """Say something worth knowing of the stage in hand."""
+        """Report a note on the present stage."""
         self._progress.note(text)
 
     def __call__(
@@ -154,7 +154,7 @@ class LaneExecutor:
     def iterate(self, maps: Maps, n: int, lanes: tuple[Any, Any], *, tile: int | None = None) -> Any:
         """Pⁿ of every lane, in several calls where it takes long, between which it can be stopped and is kept.
 
-        It is the same program, whose count is an argument, and so the same bits.
+        The program is the same, with the count as an argument, and so are the bits.
 
         Args:
             lanes: states and parameters.
@@ -210,7 +210,7 @@ class LaneExecutor:
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[blocks.back], result)
 
     def _tile(self, shared: tuple[Any, ...], tile: int | None) -> int:
-        """Lanes a tile: as many as asked for, and no more than the maps in it are good for."""
+        """Lanes a tile: as many as asked for, but at most as many as the maps in it allow."""
         if any(isinstance(part, ParameterFamily) and not part.together for part in shared):
             return _FEW
         most = [most for part in shared if (most := getattr(part, "most_lanes", None))]
@@ -218,7 +218,7 @@ class LaneExecutor:
 
 
 def _own(family: ParameterFamily[Any], lanes: tuple[Any, ...]) -> Mapping[str, Any]:
-    """The mapping among what lanes have that holds the parameters of a family."""
+    """The mapping among the arguments of lanes that holds the parameters of a family."""
     return next(part for part in lanes if isinstance(part, Mapping) and set(family.names) <= set(part))
 
 

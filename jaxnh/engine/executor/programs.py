@@ -40,7 +40,7 @@ class Programs:
         devices: Sequence[Any],
         accounts: Accounts,
     ) -> Any:
-        """The program of function(*shared, *lane, *static) for every lane; what it takes to make it is accounted for.
+        """The program of function(*shared, *lane, *static) for every lane; its making is accounted for.
 
         Args:
             lanes: pytrees of one tile a device, whose leaves have the lanes as first axis.
@@ -62,7 +62,7 @@ class Programs:
 def _compiled(
     function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, Any], devices: Sequence[Any]
 ) -> Any:
-    """The program of such calls: an earlier run's, or a new one."""
+    """The program of such calls, from an earlier run or compiled now."""
     structure = jax.tree.structure(arguments)
     leaves = tuple(map(jax.tree.leaves, arguments))
     name = executables.name_of(function, static, arguments, devices)

@@ -1,4 +1,4 @@
-"""Batches of a run in threads, on each device one at a time: while one is between two calls, the others compute."""
+"""Batches of a run in threads, one at a time on each device: while one is between two calls, the others compute."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Batch = TypeVar("Batch")
 def run_side_by_side(
     lanes: LaneExecutor, batches: Sequence[Batch], in_turn: Callable[[Iterator[Batch], LaneExecutor], object]
 ) -> None:
-    """Have some batches done by runners side by side, each of which takes the next when it has done one.
+    """Run batches by several runners side by side, each of which takes the next batch when it has finished one.
 
     Args:
-        lanes: of which the runners are, and which what they did is added up in.
-        in_turn: called for every runner with the batches that come to it; where one fails, the others get no more.
+        lanes: executor to split into runners; their accounts are added up in it.
+        in_turn: called for every runner with its batches; where one fails, the others get no more.
     """
     runners, left = lanes.split(), deque(batches)
 

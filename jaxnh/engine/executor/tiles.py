@@ -69,15 +69,15 @@ class DeviceTiles:
         devices = self._devices_of(call)
         leaves, chunk, count = jax.tree.leaves(call.lanes), call.tile * len(devices), count_of(call.lanes)
         program, placed = self.program(call), self._on_devices(call.shared, devices)
-        turns = call.periods * chunk * inner_trip_count(call.shared)
+        iterations = call.periods * chunk * inner_trip_count(call.shared)
         for number in range(first, count, chunk):
             part = [_pad(leaf[number : number + chunk], chunk) for leaf in leaves]
             began = time.perf_counter()
             result = jax.tree.map(np.asarray, program(placed, part))
             seconds = time.perf_counter() - began
             self._accounts.run_seconds += seconds
-            if turns:
-                self._accounts.fastest = min(self._accounts.fastest, seconds / turns)
+            if iterations:
+                self._accounts.fastest = min(self._accounts.fastest, seconds / iterations)
             if (left := min(chunk, count - number)) < chunk:
                 result = jax.tree.map(lambda leaf, left=left: leaf[:left], result)
             yield number, result
@@ -113,13 +113,13 @@ def count_of(lanes: Any) -> int:
 
 
 def inner_trip_count(shared: tuple[Any, ...]) -> float:
-    """Turns a period of the innermost loop of the maps among these: of the one that has most."""
+    """Iterations a period of the innermost loop of the maps among these, of the map with the most."""
     maps = [part.trees if isinstance(part, TreeStack) else part for part in shared]
-    return max((math.prod(part.turns) for part in maps if isinstance(part, ReturnMap)), default=0.0)
+    return max((math.prod(part.trip_counts) for part in maps if isinstance(part, ReturnMap)), default=0.0)
 
 
 def _pad(leaf: np.ndarray, length: int) -> np.ndarray:
-    """The leaf with its last row repeated up to a length."""
+    """Pad a leaf to a length by its last row."""
     if len(leaf) == length:
         return leaf
     return np.concatenate([leaf, np.repeat(leaf[-1:], length - len(leaf), axis=0)])

@@ -1,4 +1,4 @@
-"""A sweep from coarse to fine: which lanes a level adds, and what the places are filled with that it leaves out.
+"""A sweep from coarse to fine: which lanes a level adds, and the values at the places that it leaves out.
 
 A level has every second value, along each axis, of the one after it. With `refine: boundary` it computes what lies
 near a change of the kind of motion in the level before: a lane of that level is near one where any of its neighbours,
@@ -67,7 +67,7 @@ def level_of(cutting: Cutting, results: Mapping[str, xr.Dataset], coarser: Mappi
 
     Args:
         results: groups of the result of the level before, none for the first level.
-        coarser: what its lanes have left, by analysis.
+        coarser: groups of its lanes, by analysis.
     """
     if not cutting.level:
         return None
@@ -143,7 +143,7 @@ def fill_level(level: Level, name: str, piece: Piece, axes: Sequence[Axis], comp
 
 
 def mark_computed(group: xr.Dataset, lanes: xr.Dataset) -> xr.Dataset:
-    """A group that is made of all lanes, with what these say of which of them were computed."""
+    """Add to a group that is made of all lanes which of them were computed."""
     if not any(item.dims[:1] == (LANE,) for item in group.variables.values()):
         return group
     known = lanes[COMPUTED]
@@ -151,7 +151,7 @@ def mark_computed(group: xr.Dataset, lanes: xr.Dataset) -> xr.Dataset:
 
 
 def _insert_lanes(computed: xr.Dataset, mask: Bool[np.ndarray, " lanes"], around: xr.Dataset) -> xr.Dataset:
-    """Lanes looked up at their places among others."""
+    """Insert computed lanes at their places among others."""
     content = {}
     for name, item in computed.variables.items():
         values = item.values
@@ -165,7 +165,7 @@ def _insert_lanes(computed: xr.Dataset, mask: Bool[np.ndarray, " lanes"], around
 def _from_coarser(data: xr.Dataset, piece: Piece, names: Sequence[str], smooth: Sequence[str]) -> xr.Dataset:
     """Numbers of the level before for the lanes of a piece: where it has a lane its own, else its lower neighbours'.
 
-    What only some axes have is left out.
+    Variables over some axes alone are left out.
     """
     first = [begin // 2 for begin in piece.begin]
     part = {name: slice(low, end // 2 + 1) for name, low, end in zip(names, first, piece.end, strict=True)}
