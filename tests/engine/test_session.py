@@ -6,13 +6,14 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
-from conftest import session_of
-from test_two_axes import OSCILLATOR, content
 
 import jaxnh
 from jaxnh.analyses.trajectories.poincare import PoincareOptions
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.session import Session
+from tests.flows.double_well import OSCILLATOR
+from tests.helpers.experiments import content
+from tests.helpers.kept_programs import session_of
 
 CONTENT = {
     "title": "A session",

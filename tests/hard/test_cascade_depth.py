@@ -7,10 +7,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import taylor
-from battery import worst
 from matplotlib.figure import Figure
-from measure import scene_of, turned
 
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.cascade.follow import follow
@@ -21,9 +18,13 @@ from jaxnh.orbits.doubling_points import doubling_point, follow_branch
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import CHART, constant_speed
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of
+from tests.helpers.battery import worst
+from tests.helpers.measurement import turned
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
-SCENE = scene_of(constant_speed(), START, [5.54], SPLITTINGS["kahan_li8"], 320, True, 1e-11)
+SCENE = batch_of(constant_speed(), START, [5.54], SPLITTINGS["kahan_li8"], 320, True, 1e-11)
 FEIGENBAUM = 4.669201609102990
 
 

@@ -11,15 +11,14 @@ import pytest
 import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from measure import some_slow
-from test_pieces import job
-from test_tiles import SPENT
 
 from jaxnh.exceptions import DamagedError, ResultError, RunError
 from jaxnh.storage import hdf5 as store
 from jaxnh.storage import merge, tiles
 from jaxnh.storage.merge import assemble
 from jaxnh.storage.pieces import Piece, slab
+from tests.helpers.cases import some_slow
+from tests.helpers.storage_jobs import SPENT, job
 
 ATTRS = {"title": "t", "jaxnh_version": "0"}
 DIAGRAM = ("diagram",)

@@ -11,23 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxnh.storage.pieces import Job, Piece, share, slab, tile_lanes, tile_shape
-
-
-def job(axes=(("b", 10, False),), tile=4, order=("diagram", "doubling"), independent=("diagram",)):
-    return Job(
-        "c" * 64,
-        {"jaxnh": "0"},
-        "blanes_moan6",
-        40,
-        False,
-        1e-6,
-        {"lyapunov": {"parts": 4}},
-        order,
-        independent,
-        tuple(axes),
-        tile,
-    )
+from jaxnh.storage.pieces import Piece, share, slab, tile_lanes, tile_shape
+from tests.helpers.storage_jobs import job
 
 
 @pytest.mark.parametrize(

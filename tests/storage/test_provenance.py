@@ -9,11 +9,11 @@ import sys
 import h5py
 import numpy as np
 import pytest
-from conftest import ROOT
 
 from jaxnh.storage import hdf5 as store
 from jaxnh.storage.provenance import Method, UserFileText, root_attributes, steps_in_words, versions
 from jaxnh.storage.tiles import SecondsSpent
+from tests.helpers.paths import ROOT
 
 METHOD = Method("processed6", 252, False, "float64", 9.7e-11)
 SPENT = SecondsSpent(19.9, 9.7, 1028153.0, "2 x cpu (cpu)")

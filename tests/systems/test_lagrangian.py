@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from measure import SYSTEMS
-from paper_equations import constrained_field
 
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.solvers.isokinetic import DriftTerm, KickTerm
 from jaxnh.solvers.projection import ProjectedSolver
 from jaxnh.systems.flow import STATUS
 from jaxnh.systems.lagrangian import Equations, Motion, accelerations, lagrangian
+from tests.flows.paper_equations import constrained_field
+from tests.flows.particle import SYSTEMS
 
 MOMENTS = 200
 RNG = np.random.default_rng(21)
