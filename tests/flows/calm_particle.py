@@ -9,7 +9,9 @@ import pytest
 
 from jaxnh.maps.iterate import section_map
 from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
-from tests.flows.particle import LANES, STATES
+from tests.flows.known_flow import KnownFlow
+from tests.flows.particle import LANES, STATES, twin
+from tests.helpers import taylor
 
 CALM = {"constant": constant_speed(c=0.1), "disturbed": disturbed_speed(c=0.1, d=0.03)}
 """Slow particles near the origin, with CALM_B and CALM_STATES: the error of a method of order ten already falls by its
@@ -36,3 +38,10 @@ def start_states():
 def one_lane():
     """The state and parameters of the first of them."""
     return CHART.state(jnp.asarray(CALM_STATES[0])), {"b": jnp.asarray(CALM_B[0])}
+
+
+def known_flow(name):
+    """The calm lanes, by the Taylor reference."""
+    system = CALM[name]
+    exact = taylor.strobe(twin(system), CALM_B, CALM_STATES)
+    return KnownFlow(system, start_states(), exact, CHART.host_points, P, 600, ROUNDOFF, CHART.wrap)

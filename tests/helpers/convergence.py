@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 
 import diffrax
 import jax
@@ -13,25 +12,12 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, isokinetic_terms
 from jaxnh.systems.particle import CHART
-from tests.flows.calm_particle import CALM_B, CALM_STATES, ROUNDOFF, P, image
+from tests.flows.calm_particle import CALM_B, CALM_STATES, P
 from tests.flows.particle import twin
 from tests.helpers import taylor
 from tests.helpers.measurement import apart
 
 FINEST = max(SPLITTINGS.values(), key=lambda solver: solver.convergence_order)
-
-
-def check_convergence(lanes, system, solver):
-    """With twice the steps a method of order p has 2⁻ᵖ of the error; twice that is left for the terms that follow.
-
-    Errors are geometric means over lanes, as some lanes are late to follow the law and others cross zero.
-    """
-    steps = 600 // solver.stages
-    coarse, fine = (image(lanes, make_return_map(system, solver, n)) for n in (steps, 2 * steps))
-    moved = math.exp(np.log(apart(fine, coarse)).mean())
-    error = math.exp(np.log(apart(fine, taylor.strobe(twin(system), CALM_B, CALM_STATES))).mean())
-    assert moved > 10 * ROUNDOFF
-    assert error < moved * 2.0 ** (1 - solver.convergence_order) + ROUNDOFF
 
 
 def check_derivatives(lanes, strobe, system, error):

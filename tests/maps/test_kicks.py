@@ -19,7 +19,7 @@ from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, P, im
 from tests.flows.particle import twin
 from tests.helpers import taylor
 from tests.helpers.cases import some_slow
-from tests.helpers.convergence import FINEST, check_convergence, derivatives_apart, size
+from tests.helpers.convergence import FINEST, derivatives_apart, size
 from tests.helpers.measurement import apart
 
 # ---- one period
@@ -49,12 +49,6 @@ def test_kicks_are_diffeqsolve_on_the_same_grid(lanes, system, name):
 
     solved = jax.jit(jax.vmap(solve))(CALM_STATES, CALM_B)
     assert apart(image(lanes, make_return_map(system, solver, steps)), solved).max() < ROUNDOFF
-
-
-@systems
-@pytest.mark.parametrize("solver", SPLITTINGS.values(), ids=SPLITTINGS)
-def test_splittings_converge_to_the_reference(lanes, system, solver):
-    check_convergence(lanes, system, solver)
 
 
 @systems
