@@ -13,7 +13,7 @@ from jaxnh.engine.executor.programs import Programs
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.plan import clock_of
 from jaxnh.engine.session import Session
-from tests.flows.double_well import OSCILLATOR
+from tests.flows.double_well import DOUBLE_WELL
 from tests.helpers.cases import some_slow
 from tests.helpers.commands import run_by_two_workers, run_here
 from tests.helpers.comparisons import same_attrs, same_tree
@@ -138,7 +138,7 @@ def test_lines_along_the_first_axis():
 @pytest.mark.parametrize("second", ["omega", pytest.param("damping", marks=pytest.mark.slow)])
 def test_own_system(tmp_path, second):
     """Its lanes share omega, on which its period depends, and differ in damping."""
-    (tmp_path / "own.py").write_text(OSCILLATOR)
+    (tmp_path / "own.py").write_text(DOUBLE_WELL)
     system = {"file": str(tmp_path / "own.py"), "damping": 0.25}
     values = {"omega": [1.0, 1.5], "damping": [0.2, 0.25]}[second]
     sweep = {"drive": {"values": [0.3, 0.35, 0.4]}, second: {"values": values}}

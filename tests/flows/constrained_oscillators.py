@@ -21,6 +21,7 @@ def system(drive=0.5, damping=0.2, rate=0.5, level=0.1):
     names = {"coordinates": ("x", "y"), "ignorable": ("y",)}
     return {"T": T, "Q": Q, "f": f, "period": 2 * jnp.pi, **names}
 """
+
 CYCLE = """\
 import jax.numpy as jnp
 

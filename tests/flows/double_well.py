@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-OSCILLATOR = """
+DOUBLE_WELL = """
 import jax.numpy as jnp
 
 

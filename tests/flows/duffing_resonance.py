@@ -10,6 +10,8 @@ DAMPING, FORCE = 0.1, 0.15
 
 
 def duffing(omega=1.0):
+    """x″ + δx′ + x + x³ = F cos ωt, over the phase ωt."""
+
     def rhs(y, t):
         x, v = y
         return v / omega, (FORCE * jnp.cos(t) - DAMPING * v - x - x**3) / omega

@@ -18,6 +18,7 @@ LOGISTIC = Family(logistic, lambda difference: difference, np.ones(1), 2.0, 3.9)
 
 
 def logistic_orbit(n, p):
+    """The n points that attract 0.5, in turn, (n, 1)."""
     x = 0.5
     for _ in range(4000):
         x = p * x * (1 - x)

@@ -1,6 +1,6 @@
-"""Flows whose orbits, exponents and doublings are known in closed form, as files that a user would write, and as rates.
+"""A vector that turns by half a turn a period, as files that a user would write, and as rates: its doubling in closed form.
 
-Möbius: a vector that turns by half a turn a period, in whose frame ξ' = (μ − ν − ξ²) ξ and η' = −η. A period's map has the
+In its frame ξ' = (μ − ν − ξ²) ξ and η' = −η. A period's map has the
 fixed point 0 with multipliers −exp(2π(μ − ν)) and −exp(−2π), which doubles at μ = ν; beyond, ξ = ±√(μ − ν) is an orbit of
 period 2 with exponents −2(μ − ν) and −1. In space it is the same about the circle r = 1.
 """

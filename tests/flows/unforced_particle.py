@@ -30,10 +30,12 @@ analyses:
 
 
 def without(*names, **others):
+    """The particle at a constant speed without some effects."""
     return constant_speed(without=names, **others)
 
 
 def spread(start, count=LANES):
+    """The same state on all lanes."""
     return broadcast_start(start, count)
 
 

@@ -54,4 +54,5 @@ def oscillator(folder, sweep, options=None, drive=0.2, **parameters):
 
 
 def line(start, stop, count):
+    """An axis of a sweep with equal distances."""
     return {"start": start, "stop": stop, "count": count}

@@ -9,6 +9,7 @@ from jaxnh.analyses.verdict import KINDS
 
 
 def kinds(attractors):
+    """Kinds of the attractors that are there, in words."""
     return [KINDS[kind] for kind in attractors["kind"].values if kind >= 0]
 
 
@@ -19,6 +20,7 @@ def same_partition(ours, theirs):
 
 
 def grid(tree, *names):
+    """Starts of all lanes, (names, lanes)."""
     return np.stack(
         [a.ravel() for a in np.meshgrid(*(tree["basins"][f"start_{n}"].values for n in names), indexing="ij")]
     )

@@ -1,4 +1,4 @@
-"""Distances between section points, the unit of rounding, and growth by Gram–Schmidt in long double."""
+"""Distances between section points, and the unit of rounding."""
 
 from __future__ import annotations
 
@@ -14,18 +14,3 @@ def apart(one, other):
     gap = np.asarray(one, taylor.REAL) - np.asarray(other, taylor.REAL)
     gap[..., 2] -= taylor.turns(gap[..., 2])
     return np.abs(gap).max(axis=-1).astype(float)
-
-
-def turned(blocks, basis):
-    """One turn of a basis (3, 3) through blocks (n, 3, 3), by Gram–Schmidt in long double, and ln of its growth (3,)."""
-    logs = np.zeros(3, np.longdouble)
-    for block in blocks:
-        vectors = (block @ basis).T
-        for k in range(3):
-            for j in range(k):
-                vectors[k] -= (vectors[k] @ vectors[j]) * vectors[j]
-            length = np.sqrt(vectors[k] @ vectors[k])
-            vectors[k] /= length
-            logs[k] += np.log(length)
-        basis = vectors.T
-    return basis, logs

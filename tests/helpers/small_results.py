@@ -28,4 +28,5 @@ def group():
 
 
 def write_group(path):
+    """The result as a file."""
     write(path, ATTRS, {"diagram": group(), "second": group()})

@@ -7,6 +7,7 @@ from jaxnh.storage.tiles import SecondsSpent
 
 
 def job(axes=(("b", 10, False),), tile=4, order=("diagram", "doubling"), independent=("diagram",)):
+    """A job of two analyses over an axis, or others."""
     return Job(
         "c" * 64,
         {"jaxnh": "0"},
