@@ -14,12 +14,15 @@ import nbclient
 import nbformat
 import numpy as np
 import pytest
-import taylor
-from conftest import ROOT, lanes_with_kept_programs, run_here, same_tree, session_of
 
 import jaxnh
 from jaxnh import exceptions
 from jaxnh.engine.experiment import Experiment
+from tests.helpers import taylor
+from tests.helpers.commands import run_here
+from tests.helpers.comparisons import same_tree
+from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
+from tests.helpers.paths import ROOT
 
 PACKAGE = ROOT / "jaxnh"
 TITLE = "In memory and on disk"

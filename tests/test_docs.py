@@ -8,11 +8,11 @@ from importlib import import_module
 
 import pytest
 import typer
-from conftest import ROOT
 
 import jaxnh
 from jaxnh.__main__ import COMMANDS
 from jaxnh.analyses.registry import ANALYSES
+from tests.helpers.paths import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [page for page in PAGES if "_build" not in page.parts]

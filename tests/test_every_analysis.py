@@ -1,6 +1,6 @@
 """Every analysis on every kind of flow, in small: each cell holds a number against one that is known, or a refusal.
 
-What is known comes from closed forms (`known_flows`), from scipy's DOP853 on equations written anew, and from the Taylor
+What is known comes from closed forms (`tests/flows`), from scipy's DOP853 on equations written anew, and from the Taylor
 reference. Steps are few and written as loops, as compiling is all that takes time here; their errors, below 1e-6, are
 far below what a fault would do. A new analysis is in the table by itself, and fails until each kind says what it knows.
 """
@@ -15,13 +15,8 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
-import contract
-import known_flows
 import numpy as np
 import pytest
-import taylor
-from conftest import lanes_with_kept_programs, session_of
-from known_flows import TURN
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -30,8 +25,12 @@ from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.maps import general_flow
+from tests.flows import constrained_oscillators, moebius, paper_equations
+from tests.flows.moebius import TURN
+from tests.helpers import contract, taylor
+from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 UNSAID = ("mu", "nu")
 FOLDER = Path(tempfile.mkdtemp(prefix="jaxnh_kinds_"))
 CLOSE = 1e-6  # what so few steps leave of a period's map, ten times
@@ -272,9 +271,9 @@ def zero(data=None):
 
 
 MOEBIUS = {
-    "portrait": follows(known_flows.moebius, ("u", "v")),
-    "poincare": follows(known_flows.moebius, ("u", "v")),
-    "diagram": follows(known_flows.moebius, ("u", "v")),
+    "portrait": follows(moebius.moebius, ("u", "v")),
+    "poincare": follows(moebius.moebius, ("u", "v")),
+    "diagram": follows(moebius.moebius, ("u", "v")),
     "period": periods(moebius_periods),
     "lyapunov": exponents(moebius_exponents),
     "chaos01": no_chaos,
@@ -285,9 +284,7 @@ MOEBIUS = {
     "curves": ONE_PARAMETER.format("mu"),
     "basins": one_attractor,
 }
-IN_SPACE = {
-    name: follows(known_flows.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")
-}
+IN_SPACE = {name: follows(moebius.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
 SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
 SECTION = "\nsection: {coordinate: y, value: 0.0, direction: up}"
 IN_TIME = ("portrait", "lyapunov", "basins")
@@ -318,7 +315,7 @@ def doubling_at_rest(data=None):
     return brentq(lambda b: np.prod(at_rest(b) + 1.0).real, 0.3, 0.36, xtol=1e-12)
 
 
-def particle(names, rates=known_flows.at_speed):
+def particle(names, rates=paper_equations.at_speed):
     """The paper's disturbed particle about its first doubling, whose name of b is the same whoever integrates it."""
     return {
         **dict.fromkeys(("portrait", "poincare", "diagram"), follows(rates, names, angle=True)),
@@ -336,7 +333,7 @@ def particle(names, rates=known_flows.at_speed):
 
 KINDS = {
     "a right-hand side with a clock": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS, MOEBIUS, known_flows.MOEBIUS
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS, MOEBIUS, moebius.MOEBIUS
     ),
     "two axes": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.2, stop: 0.2, count: 4}, "
@@ -348,7 +345,7 @@ KINDS = {
             "branches": "branches are followed along one axis; leave out nu",
             "curves": straight_curve,
         },
-        known_flows.MOEBIUS,
+        moebius.MOEBIUS,
     ),
     "a shared axis": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {omega: {values: [1.0, 2.0]}, "
@@ -361,13 +358,13 @@ KINDS = {
             "branches": "the map has no derivative in omega, which all lanes share",
             "curves": "curves are followed over two parameters, and omega is what all lanes of a program share",
         },
-        known_flows.MOEBIUS,
+        moebius.MOEBIUS,
     ),
     "a start axis": Kind(
         "system: {file: FILE, mu: 0.2}\ninitial: {v: 0.1}\nsweep: {u: {values: [-0.3, 0.2, 0.6]}}\n" + STEPS,
         MOEBIUS
         | dict.fromkeys(
-            ("portrait", "poincare", "diagram"), follows(functools.partial(known_flows.moebius, mu=0.2), ("u", "v"))
+            ("portrait", "poincare", "diagram"), follows(functools.partial(moebius.moebius, mu=0.2), ("u", "v"))
         )
         | {
             "basins": one_attractor,
@@ -378,25 +375,27 @@ KINDS = {
             "branches": "u is a coordinate of the start state",
             "curves": ONE_PARAMETER.format("u"),
         },
-        known_flows.MOEBIUS,
+        moebius.MOEBIUS,
     ),
     "a right-hand side on a section": Kind(
         SPACE + SECTION,
         MOEBIUS | IN_SPACE | {"verdict": words("limit_cycle"), "basins": one_attractor},
-        known_flows.MOEBIUS_IN_SPACE,
+        moebius.MOEBIUS_IN_SPACE,
     ),
     "a right-hand side in time": Kind(
         SPACE,
         {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
         | {"verdict": WITHOUT_SECTION.format("period")}
         | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor},
-        known_flows.MOEBIUS_IN_SPACE,
+        moebius.MOEBIUS_IN_SPACE,
     ),
     "T, Q, f with a constraint that is eliminated": Kind(
         "system: {file: FILE}\ninitial: {x: 0.5, x_dot: 0.1, y_dot: -0.045}\n"
         "sweep: {damping: {start: 0.1, stop: 0.5, count: 5}}\n" + STEPS,
         {
-            **dict.fromkeys(("portrait", "poincare", "diagram"), follows(known_flows.slide, ("x", "x_dot", "y"))),
+            **dict.fromkeys(
+                ("portrait", "poincare", "diagram"), follows(constrained_oscillators.slide, ("x", "x_dot", "y"))
+            ),
             "period": periods(lambda values: 1),
             "lyapunov": exponents(lambda values: (-values["damping"], -values["damping"])),
             "chaos01": no_chaos,
@@ -407,19 +406,21 @@ KINDS = {
             "curves": ONE_PARAMETER.format("damping"),
             "basins": one_attractor,
         },
-        known_flows.SLIDE,
+        constrained_oscillators.SLIDE,
     ),
     "T, Q, f with a constraint that is projected": Kind(
         "system: {file: FILE}\ninitial: {x: 0.1, x_dot: 0.1, y: 0.1, y_dot: 0.99498743710662}\n"
         "sweep: {b: {start: 5.88, stop: 5.8, count: 5}}\naccuracy: {solver: tsit5, steps: 400}",
         particle(("x", "y", "x_dot", "y_dot")),
-        known_flows.PARTICLE,
+        paper_equations.PARTICLE,
     ),
     "T, Q, f without a clock": Kind(
         "system: {file: FILE}\ninitial: {x: 0.5, x_dot: 0.1, y_dot: 0.05}\nsweep: {mu: {start: 0.1, stop: 0.3, count: 4}}\n"
         "section: {coordinate: x, value: 0.0, direction: up}\n" + STEPS,
         {
-            **dict.fromkeys(("portrait", "poincare", "diagram"), follows(known_flows.cycle, ("x", "x_dot", "y"))),
+            **dict.fromkeys(
+                ("portrait", "poincare", "diagram"), follows(constrained_oscillators.cycle, ("x", "x_dot", "y"))
+            ),
             "period": periods(lambda values: 1),
             "lyapunov": exponents(lambda values: (-values["mu"],)),
             "chaos01": no_chaos,
@@ -430,14 +431,16 @@ KINDS = {
             "curves": ONE_PARAMETER.format("mu"),
             "basins": one_attractor,
         },
-        known_flows.CYCLE,
+        constrained_oscillators.CYCLE,
         {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}},
     ),
     "the free particle": Kind(
         "system: {constraint: free}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1, y2: 0.9}\n"
         "sweep: {b: {start: 0.2, stop: 0.28, count: 5}}\naccuracy: {solver: tsit5, steps: 100}",
         {
-            **dict.fromkeys(("portrait", "poincare", "diagram"), follows(known_flows.free, ("x1", "x2", "y1", "y2"))),
+            **dict.fromkeys(
+                ("portrait", "poincare", "diagram"), follows(paper_equations.free, ("x1", "x2", "y1", "y2"))
+            ),
             "period": periods(lambda values: 1),
             "lyapunov": exponents(
                 lambda values: np.array([np.log(np.sort(np.abs(at_rest(b)))[1:]) / TURN for b in values["b"]]).T
@@ -458,7 +461,9 @@ KINDS = {
         {
             **dict.fromkeys(
                 ("portrait", "poincare", "diagram"),
-                follows(functools.partial(known_flows.at_speed, d=0.0, forced=False), ("x1", "y1", "x2", "y2"), True),
+                follows(
+                    functools.partial(paper_equations.at_speed, d=0.0, forced=False), ("x1", "y1", "x2", "y2"), True
+                ),
             ),
             "period": without_an_orbit,
             "lyapunov": sums,

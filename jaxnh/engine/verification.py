@@ -49,7 +49,7 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
         compensated=attrs["summation"] == "compensated",
         error_estimate=float(attrs["error_estimate"]),
         chosen=json.loads(attrs["auto_settings"]),
-        rolled=attrs["stages"] == "loop",
+        rolled=attrs.get("stages") == "loop",
     )
     whole = Cutting(
         order=tuple(analysis.name for analysis, _ in requested),

@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from conftest import same_tree, session_of
-from measure import scene_of
 from scipy.integrate import solve_ivp
 
 import jaxnh
@@ -15,77 +13,19 @@ from jaxnh.analyses.basins.classification import NONE, classify
 from jaxnh.analyses.basins.paths import stays_near
 from jaxnh.analyses.basins.settling import SETTLED, settle
 from jaxnh.analyses.basins.tables import wilson
-from jaxnh.analyses.verdict import KINDS
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.flow import STATUS
 from jaxnh.systems.particle import constant_speed
-
-FLOW = """
-import jax.numpy as jnp
-
-
-def system({parameters}):
-    def rhs(y, t):
-        {names} = y
-        return {rates}
-
-    return {{"rhs": rhs, "coordinates": {coordinates}, {rest}}}
-"""
-
-
-def experiment(folder, coordinates, rates, sweep, options=None, rest="", parameters="", **more):
-    """An experiment on a right-hand side written out."""
-    names = ", ".join(coordinates) + ("," if len(coordinates) == 1 else "")
-    file = folder / "flow.py"
-    file.write_text(
-        FLOW.format(parameters=parameters, names=names, rates=rates, coordinates=tuple(coordinates), rest=rest)
-    )
-    content = {
-        "system": {"file": str(file)},
-        "initial": {name: 0.0 for name in coordinates if name not in sweep},
-        "sweep": sweep,
-        "accuracy": {"target": 1e-8},
-        "analyses": {"basins": options or {}},
-    }
-    return Experiment.from_dict({**content, **more})
-
+from tests.flows.written_out import experiment, line, oscillator
+from tests.helpers.attractors import grid, kinds, same_partition
+from tests.helpers.batches import batch_of
+from tests.helpers.comparisons import same_tree
+from tests.helpers.kept_programs import session_of
 
 STEPS = {"accuracy": {"solver": "tsit5", "steps": 24}}
 """Of a flow without a clock, some 1e-9 a unit of time where rates are about one: few stages, as compiling takes long."""
-
-OSCILLATOR = {
-    "coordinates": ("x", "v"),
-    "rates": "v, drive * jnp.cos(t) - damping * v + linear * x - x**3 + push",
-    "rest": '"period": 2 * jnp.pi',
-    "parameters": "linear=0.0, damping=0.08, drive=0.2, push=0.0",
-}
-
-
-def oscillator(folder, sweep, options=None, drive=0.2, **parameters):
-    """x'' + damping x' = linear x − x³ + push + drive cos t, over its drive at least, so that one program serves all tests.
-
-    With steps that are given, as those chosen depend on the sweep.
-    """
-    sweep = {"drive": {"values": [drive]}, **sweep}
-    more = {"system": {"file": str(folder / "flow.py"), **parameters}}
-    accuracy = {"solver": "nystrom8", "steps": 32}
-    return experiment(folder, sweep=sweep, options=options, accuracy=accuracy, **OSCILLATOR, **more)
-
-
-def line(start, stop, count):
-    return {"start": start, "stop": stop, "count": count}
-
-
-def kinds(attractors):
-    return [KINDS[kind] for kind in attractors["kind"].values if kind >= 0]
-
-
-def same_partition(ours, theirs):
-    """Whether two labels of the same starts say the same, whatever the labels are."""
-    pairs = set(zip(ours, theirs, strict=True))
-    return len(pairs) == len(set(ours)) == len(set(theirs))
 
 
 # ---- against integrations of their own
@@ -104,12 +44,6 @@ def dop853(rhs, starts, times):
         atol=1e-9,
     )
     return found.y.T.reshape(len(times), *shape)
-
-
-def grid(tree, *names):
-    return np.stack(
-        [a.ravel() for a in np.meshgrid(*(tree["basins"][f"start_{n}"].values for n in names), indexing="ij")]
-    )
 
 
 @pytest.mark.slow
@@ -291,7 +225,7 @@ def test_escape_in_proportion_to_time(tmp_path):
 
 def test_what_does_not_stay_is_none(lanes):
     """Lanes whose means are not those of their longer look, none of them: nothing is left to be judged."""
-    scene = scene_of(constant_speed(), ((0.1, 0.1), (0.1, math.sqrt(0.99))), [5.4, 5.5], SPLITTINGS["blanes_moan6"], 40)
+    scene = batch_of(constant_speed(), ((0.1, 0.1), (0.1, math.sqrt(0.99))), [5.4, 5.5], SPLITTINGS["blanes_moan6"], 40)
     records = settle(scene, lanes, 32, 64)
     records.known[:] = SETTLED
     records.means[:] += 1.0

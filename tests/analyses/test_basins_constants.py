@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import ROOT, session_of
 
 import jaxnh
 from jaxnh.analyses.basins import classification, settling
 from jaxnh.engine.experiment import Experiment
+from tests.helpers.kept_programs import session_of
+from tests.helpers.paths import ROOT
 
 
 def line(start, stop, count):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import taylor
-from conftest import session_of
 
 from jaxnh.analyses.basins.tables import wilson
 from jaxnh.engine.experiment import Experiment
+from tests.helpers import taylor
+from tests.helpers.kept_programs import session_of
 
 SIDE = 45  # 2,025 starts
 TRANSIENT, LAST, LIMIT = 400, 24, 12

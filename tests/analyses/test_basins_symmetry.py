@@ -12,12 +12,13 @@ from typing import NamedTuple
 import heyoka as hy
 import numpy as np
 import pytest
-from conftest import session_of
-from test_basins import experiment, grid, kinds, line, same_partition
 
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
 from jaxnh.analyses.basins.tables import wilson
 from jaxnh.systems.first_order import CoordinateChart
+from tests.flows.written_out import experiment, line
+from tests.helpers.attractors import grid, kinds, same_partition
+from tests.helpers.kept_programs import session_of
 
 STEPS = {"accuracy": {"solver": "tsit5", "steps": 24}}
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import session_of
-from test_basins import line, oscillator
 
 from jaxnh.analyses.basins.boundary import BOX, entropies, measure_boundary, uncertainty_exponent
 from jaxnh.exceptions import ConfigError
+from tests.flows.written_out import line, oscillator
+from tests.helpers.kept_programs import session_of
 
 TRIALS = 60
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import session_of
-from test_basins import experiment, kinds
-from test_tracking import changes
+
+from tests.flows.written_out import experiment
+from tests.helpers.attractors import changes, kinds
+from tests.helpers.kept_programs import session_of
 
 RATES = "10.0 * (y_ - x), x * (rho - z) - y_, x * y_ - 8.0 / 3.0 * z"
 CRISIS = 24.06

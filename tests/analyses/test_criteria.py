@@ -9,10 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import taylor
 import xarray as xr
-from conftest import ROOT
-from measure import scene_of, some_slow
 
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.batch import LaneBatch, broadcast_start
@@ -28,6 +25,10 @@ from jaxnh.maps.iterate import section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed, disturbed_speed
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of
+from tests.helpers.cases import some_slow
+from tests.helpers.paths import ROOT
 
 GROWTH_RATES, WITHOUT_PERIOD = jax.jit(chaos01.growth_rates), jax.jit(chaos01.remove_period)
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
@@ -43,7 +44,7 @@ def case(request, lanes):
     """A system at the paper's four values: scene, twin, periods, and the groups `period` and `lyapunov`."""
     system, twin, periods = CASES[request.param]
     # The map of one period is right to about 1e-10 with these steps, and so are exponents of periodic orbits.
-    scene = scene_of(system, START, list(periods), SPLITTINGS["kahan_li8"], 240, error=1e-10)
+    scene = batch_of(system, START, list(periods), SPLITTINGS["kahan_li8"], 240, error=1e-10)
     found = period.run(period.PeriodOptions(max_period=16), scene, lanes)
     options = lyapunov.LyapunovOptions(transient=256, periods=512)
     return scene, twin, np.array(list(periods.values())), found, lyapunov.run(options, scene, lanes)
@@ -120,7 +121,7 @@ def test_tangents_cost_operations_only_where_asked_for():
     all, as n decides which). Each sum of a period has a difference, and a product and a sum in
     two windows: 5 for each tangent and for the volume.
     """
-    scene = scene_of(constant_speed(), START, [2.0, 3.0], SPLITTINGS["strang2"], 40)
+    scene = batch_of(constant_speed(), START, [2.0, 3.0], SPLITTINGS["strang2"], 40)
     lanes = LaneExecutor()
     diagram.run(diagram.DiagramOptions(transient=4, strobes=4), scene, lanes)
     kicks = [loop for text in programs(lanes) for loop in innermost(count(text, lanes.tile)) if loop.operations]
@@ -169,7 +170,7 @@ def test_sum_rule_sees_integration_errors():
     b, options = [2.5, 4.1, 5.3], lyapunov.LyapunovOptions(transient=16, periods=32)
     found = {
         steps: lyapunov.run(
-            options, scene_of(constant_speed(), START, b, SPLITTINGS["blanes_moan6"], steps), LaneExecutor()
+            options, batch_of(constant_speed(), START, b, SPLITTINGS["blanes_moan6"], steps), LaneExecutor()
         )
         for steps in (30, 60, 120)
     }

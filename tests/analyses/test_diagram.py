@@ -7,9 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-import taylor
-from conftest import ROOT, peak_memory
-from measure import SYSTEMS, apart, scene_of, twin
 
 import jaxnh
 from jaxnh.analyses.base import LANE
@@ -21,6 +18,12 @@ from jaxnh.engine.experiment import load
 from jaxnh.exceptions import InputError
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS
+from tests.flows.particle import SYSTEMS, twin
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of
+from tests.helpers.measurement import apart
+from tests.helpers.memory import peak_memory
+from tests.helpers.paths import ROOT
 
 B = np.array([2.5, 0.4, 3.1, 1.2, 3.1])
 # One period of order ten with 4900 forces has an error of 6e-12 (DESIGN, section 3). At these b all orbits attract; an
@@ -31,7 +34,7 @@ NAMES = ("x1", "x2", "y1", "y2")
 
 def scene(system, values=B, solver="sofroniou_spaletta10", steps=140):
     x, y, angle = twin(system).start().astype(float)
-    return scene_of(system, ((x, y), (np.cos(angle), np.sin(angle))), values, SPLITTINGS[solver], steps)
+    return batch_of(system, ((x, y), (np.cos(angle), np.sin(angle))), values, SPLITTINGS[solver], steps)
 
 
 def coarse(values=B):

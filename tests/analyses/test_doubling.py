@@ -7,16 +7,16 @@ import json
 
 import numpy as np
 import pytest
-import taylor
 import xarray as xr
-from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
-from measure import some_slow
 
 from jaxnh.analyses.cascade.doubling import _deltas
 from jaxnh.analyses.cascade.limits import doublings_limit
 from jaxnh.engine.experiment import load
+from tests.helpers import taylor
+from tests.helpers.cases import some_slow
+from tests.helpers.paths import ROOT
 
 FEIGENBAUM = 4.669201609102990  # Briggs, Math. Comp. 57 (1991) 435
 TABLES = {"table1": taylor.Parameters(), "table2": taylor.Parameters(d=0.1)}

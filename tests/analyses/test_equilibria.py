@@ -7,8 +7,6 @@ import contextlib
 import numpy as np
 import pytest
 import scipy.optimize
-from conftest import ROOT, session_of
-from measure import scene_of
 
 import jaxnh
 from jaxnh.analyses.continuation.equilibria import equilibria
@@ -20,6 +18,9 @@ from jaxnh.orbits.continuation.branches import StepControl
 from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
+from tests.helpers.batches import batch_of
+from tests.helpers.kept_programs import session_of
+from tests.helpers.paths import ROOT
 
 ROUNDING = 1e-12  # of a parameter of order ten that a polynomial through values of a determinant gives
 
@@ -45,7 +46,7 @@ def roessler(c=5.7):
 def followed(define, name, ends, box, lanes):
     """The branches of equilibria over a range, and the family's bifurcations as (kind, parameter, point)."""
     flow = Section(first_order(define, {name: ends[0]}), "y", 1, 0.0, "up")
-    scene = scene_of(
+    scene = batch_of(
         flow, begin(flow, flow.flow.start({"x": 1.0, "y": 1.0, "z": 1.0})), np.linspace(*ends, 3), verner9, 8, name=name
     )
     found = equilibria(scene, lanes, 8, 1, box, ends, StepControl(), lambda label: contextlib.nullcontext())
@@ -110,7 +111,7 @@ def test_random_starts_are_on_their_way_to_the_section():
     """Those drawn over the box, the other coordinates as in the scene, each a crossing at t = 0."""
     section = Section(first_order(lorenz, {"rho": 28.0}), "z", 2, 27.0, "up")
     start = begin(section, section.flow.start({"x": 1.0, "y": 1.0, "z": 20.0}))
-    scene = scene_of(section, start, [28.0, 30.0], verner9, 64, name="rho")
+    scene = batch_of(section, start, [28.0, 30.0], verner9, 64, name="rho")
     there, drawn = random_start_batch(scene, 3, 1, {"x": (-10.0, 10.0)})
     assert isinstance(there.start, Crossing)
     x, y, z = there.start.state.y
@@ -122,7 +123,7 @@ def test_random_starts_are_on_their_way_to_the_section():
 def test_random_starts_on_a_section(lanes):
     """Newton finds Lorenz's shortest orbit, which repels (Viswanath, Nonlinearity 16 (2003) 1035), from random starts."""
     flow = Section(first_order(lorenz, {"rho": 28.0}), "z", 2, 27.0, "up")
-    scene = scene_of(
+    scene = batch_of(
         flow, begin(flow, flow.flow.start({"x": 1.0, "y": 1.0, "z": 20.0})), [28.0], verner9, 64, name="rho"
     )
     box = {"x": (-10.0, 10.0), "y": (-10.0, 10.0)}

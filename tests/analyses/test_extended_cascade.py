@@ -8,7 +8,6 @@ from decimal import Decimal, localcontext
 import jax
 import numpy as np
 import pytest
-from conftest import ROOT
 
 import jaxnh
 from jaxnh.analyses.cascade.extended_precision import alpha_limit, delta_limit, deltas
@@ -17,6 +16,7 @@ from jaxnh.maps.double_double import Double
 from jaxnh.maps.extended_precision import extend_precision
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.bifurcations.extended_doublings import ExtendedPoint, extended_doubling, from_float64, next_doubling
+from tests.helpers.paths import ROOT
 
 FEIGENBAUM = 4.669201609102990671853  # Briggs, Math. Comp. 57 (1991) 435
 ALPHA = 2.502907875095892822284  # the same

@@ -5,14 +5,16 @@ from __future__ import annotations
 import heyoka as hy
 import numpy as np
 import pytest
-import taylor
-from conftest import ROOT, session_of
-from heyoka_newton import bifurcation, section_map, strobe_map
-from measure import twin
 
 import jaxnh
 from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
+from tests.flows.cycles import circuit, peroxidase
+from tests.flows.particle import twin
+from tests.helpers import taylor
+from tests.helpers.heyoka_newton import bifurcation, section_map, strobe_map
+from tests.helpers.kept_programs import session_of
+from tests.helpers.paths import ROOT
 
 
 def found_in(config, sweep, options, *more):
@@ -43,31 +45,6 @@ def deeper_wells(x, v, gamma, t):
 def van_der_pol(x, v, force, t):
     """configs/flows/van_der_pol.py at mu = 0.5 and omega = 1.3."""
     return v, (1 - x * x) * v / 2 - x + force * cosine(taylor.REAL(1.3) * t)
-
-
-def peroxidase(a, b, x, y, k8, t):
-    """configs/flows/peroxidase.py."""
-    real = taylor.REAL
-    one, three, two = real(0.1631021) * a * b * x, real(0.046875) * a * b * y, real(2500) * (x * x)
-    return (
-        real(1.5) - real(0.1175) * a - one - three,
-        k8 - one - three,
-        one - two + real(2) * three - real(20) * x + real(0.001),
-        two - three - real(1.104) * y,
-    )
-
-
-def circuit(epsilon, a3, b3):
-    """configs/flows/circuit.py."""
-    real = taylor.REAL
-
-    def rates(x, y, z, nu, t):
-        gap = y - x
-        bent = real(b3) * (gap * gap * gap)
-        first = bent - real(a3) * (x * x * x) + real(0.5) * y - (real(0.5) + nu) * x
-        return first / real(0.6), real(0.5) * x + real(0.1) * y - z - bent, y + real(epsilon)
-
-    return rates
 
 
 @pytest.mark.slow

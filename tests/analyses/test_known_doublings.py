@@ -5,12 +5,14 @@ from __future__ import annotations
 import heyoka as hy
 import numpy as np
 import pytest
-import taylor
-from conftest import ROOT, session_of
-from heyoka_newton import bifurcation, iterated, section_map, strobe_map
 
 import jaxnh
 from jaxnh.engine.experiment import Experiment
+from tests.flows.roessler import doubling_of_roessler
+from tests.helpers import taylor
+from tests.helpers.heyoka_newton import bifurcation, strobe_map
+from tests.helpers.kept_programs import session_of
+from tests.helpers.paths import ROOT
 
 DELTA, ALPHA = 4.669201609102990, 2.502907875095892  # Briggs, Math. Comp. 57 (1991) 435
 
@@ -45,21 +47,6 @@ def test_doublings_of_the_driven_pendulum():
     gaps = np.abs(ours[:3] - [float(value) for value, _, _ in exact])
     assert gaps.max() < 1e-9
     assert np.all(gaps < errors[:3] + [info.error for _, _, info in exact])
-
-
-def roessler(x, y, z, c, t):
-    """configs/flows/roessler.py at a = b = 0.2."""
-    fifth = taylor.REAL(0.2)
-    return -y - z, x + fifth * y, fifth + z * (x - c)
-
-
-def doubling_of_roessler(near, n):
-    """The value of c at which the orbit of n returns doubles, by Newton from where it attracts, just before it."""
-    image = section_map(roessler, 3, 1, 0.0, 1)
-    u, _ = iterated(image, 200)(near - 0.02, np.array([1.0, 0.0], taylor.REAL))
-    exact, multipliers = bifurcation(iterated(image, n), "period_doubling", near, u)
-    assert np.abs(multipliers + 1).min() < 1e-6
-    return exact
 
 
 @pytest.mark.slow

@@ -11,14 +11,15 @@ from unittest import mock
 
 import numpy as np
 import pytest
-import taylor
-from conftest import ROOT, lanes_with_kept_programs, session_of
-from heyoka_newton import bifurcation, iterated, newton, section_map
 
 from jaxnh.engine.experiment import Experiment
 from jaxnh.maps import general_flow
+from tests.helpers import taylor
+from tests.helpers.heyoka_newton import bifurcation, iterated, newton, section_map
+from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
+from tests.helpers.paths import ROOT
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 NEAR = 1e-9
 
 

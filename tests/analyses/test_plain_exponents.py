@@ -9,7 +9,7 @@ import jaxnh
 from jaxnh.analyses.exponents.lyapunov import SOURCES
 from jaxnh.analyses.options.base import BLOCKS
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 OSCILLATOR = """
 import jax.numpy as jnp
 

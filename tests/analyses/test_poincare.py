@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import taylor
 import xarray as xr
-from measure import SYSTEMS, scene_of, twin
 
 from jaxnh.analyses.base import LANE
 from jaxnh.analyses.trajectories import poincare
@@ -14,6 +12,9 @@ from jaxnh.analyses.trajectories.poincare import PoincareOptions, run
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS
+from tests.flows.particle import SYSTEMS, twin
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of
 
 B = np.array([5.8, 2.5, 4.1])
 ONE_PERIOD = 6e-11  # error of one period of order ten with 4900 forces: 6e-12 (DESIGN, section 3), ten times to spare
@@ -24,7 +25,7 @@ systems = pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
 def scene(system, solver="sofroniou_spaletta10", steps=140):
     x, y, angle = twin(system).start().astype(float)
     steps = round(steps * system.period / (2 * np.pi) * np.sqrt(system.c))  # as many for the same length of path
-    return scene_of(system, ((x, y), (np.cos(angle), np.sin(angle))), B, SPLITTINGS[solver], steps)
+    return batch_of(system, ((x, y), (np.cos(angle), np.sin(angle))), B, SPLITTINGS[solver], steps)
 
 
 def reference(system, b, count):

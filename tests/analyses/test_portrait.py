@@ -5,14 +5,15 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
-import taylor
-from measure import SYSTEMS, scene_of, twin
 
 from jaxnh.analyses.base import LANE
 from jaxnh.analyses.trajectories.portrait import PortraitOptions, run
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_parts, make_return_map
 from jaxnh.solvers import SOLVERS
+from tests.flows.particle import SYSTEMS, twin
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of
 
 B = np.array([2.5, 4.1, 5.3])
 NAMES = ("x1", "x2", "y1", "y2")
@@ -26,7 +27,7 @@ systems = pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
 def scene(system, solver="blanes_moan6", steps=60):
     x, y, angle = twin(system).start().astype(float)
     steps = round(steps * system.period / (2 * np.pi) * np.sqrt(system.c))  # as many for the same length of path
-    return scene_of(system, ((x, y), (np.cos(angle), np.sin(angle))), B, SOLVERS[solver], steps)
+    return batch_of(system, ((x, y), (np.cos(angle), np.sin(angle))), B, SOLVERS[solver], steps)
 
 
 def taylor_path(system, b, times):

@@ -6,13 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import ROOT, session_of
 
 import jaxnh
 from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import dopri8
+from tests.helpers.kept_programs import session_of
+from tests.helpers.paths import ROOT
 
 pytestmark = pytest.mark.slow
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import session_of
-from test_basins import experiment
-from test_tracking import changes
 
 from jaxnh.analyses.crises.sudden_growth import keep_common_growths, sudden_growths
+from tests.flows.written_out import experiment
+from tests.helpers.attractors import changes
+from tests.helpers.kept_programs import session_of
 
 CRISIS = 1.790327
-"""Of period 3: the iterates 6 and 9 of 0 are one (`test_windows.CRISES`)."""
+"""Of period 3: the iterates 6 and 9 of 0 are one (tests/analyses/test_windows.py)."""
 
 
 def clouds(values, shift=0.0, points=2048):

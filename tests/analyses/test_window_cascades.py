@@ -5,10 +5,10 @@ from __future__ import annotations
 import heyoka as hy
 import numpy as np
 import pytest
-from conftest import session_of
-from heyoka_newton import bifurcation, strobe_map
 
 from jaxnh.engine.experiment import Experiment
+from tests.helpers.heyoka_newton import bifurcation, strobe_map
+from tests.helpers.kept_programs import session_of
 
 
 def pendulum(x, v, drive, t):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import heyoka as hy
 import numpy as np
 import pytest
-from conftest import session_of
 
 from jaxnh.engine.experiment import Experiment
+from tests.helpers.kept_programs import session_of
 
 _LANES, _STROBES = 8, 12_000
 _CELLS = 48  # to a side of what all points of a path are in

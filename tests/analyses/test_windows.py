@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import session_of
-from measure import some_slow
 
 import jaxnh
 from jaxnh.analyses.cascade.plateaus import PeriodScan
@@ -16,6 +14,8 @@ from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.continuation.arclength import Family
+from tests.helpers.cases import some_slow
+from tests.helpers.kept_programs import session_of
 
 
 def quadratic(x, a):

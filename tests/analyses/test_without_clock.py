@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import ROOT, session_of
 
 import jaxnh
 from jaxnh.analyses.batch import LaneBatch, broadcast_start
@@ -12,6 +11,8 @@ from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.verdict import KINDS, largest_across
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import dopri8
+from tests.helpers.kept_programs import session_of
+from tests.helpers.paths import ROOT
 
 CONFIG = f"""system: {{file: {ROOT}/configs/flows/lorenz.py}}
 initial: {{x: 1.0, y: 1.0, z: 20.0}}

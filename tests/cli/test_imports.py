@@ -7,9 +7,9 @@ import subprocess
 import sys
 
 import pytest
-from conftest import ROOT
 
 from jaxnh.config import schema
+from tests.helpers.paths import ROOT
 
 HEAVY = {
     "jax",

@@ -12,12 +12,13 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from conftest import ROOT, run_here
 
 from jaxnh.storage import hdf5 as store
 from jaxnh.storage.tiles import folder_of
+from tests.helpers.commands import run_here
+from tests.helpers.paths import ROOT
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 CONFIG = """\
 title: To be looked at
 system: {constraint: disturbed_speed, d: 0.1}

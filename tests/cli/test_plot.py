@@ -11,7 +11,6 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from hand_made import doublings, exponents, states, tree, write
 from matplotlib.image import imread
 
 from jaxnh import plot
@@ -21,8 +20,9 @@ from jaxnh.plotting import results as figures
 from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import kind_of
 from jaxnh.plotting.panels import PANELS
+from tests.helpers.hand_made_results import doublings, exponents, states, tree, write
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 CONFIG = """\
 title: A little of everything
 system: {constraint: disturbed_speed, d: 0.1}
@@ -59,7 +59,7 @@ def everything(tmp_path_factory):
     return write(tmp_path_factory.mktemp("plot") / "everything.h5", tree(groups))
 
 
-@pytest.mark.slow  # each alone in test_scene, and made by hand below
+@pytest.mark.slow  # each alone in tests/analyses/test_batch.py, and made by hand below
 def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     """A run of all that go with one axis: each group names a kind of panel, and is drawn."""
     config = tmp_path / "everything.yaml"

@@ -6,11 +6,11 @@ import sys
 import tomllib
 
 import pytest
-from conftest import ROOT
 from ruamel.yaml import YAML
 
 import jaxnh
 from jaxnh.__main__ import COMMANDS, main
+from tests.helpers.paths import ROOT
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import h5py
 import numpy as np
-from hand_made import dataset, tree, write
 
 from jaxnh.cli.inspection import failed_in, show
+from tests.helpers.hand_made_results import dataset, tree, write
 
 
 def test_lanes_that_have_failed_are_named_with_their_reason(tmp_path, capsys):

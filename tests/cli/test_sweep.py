@@ -12,8 +12,9 @@ import time
 import h5py
 import numpy as np
 import pytest
-import taylor
-from conftest import ROOT
+
+from tests.helpers import taylor
+from tests.helpers.paths import ROOT
 
 CONFIG = """\
 title: One doubling
@@ -348,7 +349,7 @@ def started(config, stage):
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", ["accuracy", "doubling"])
 def test_killed_run_leaves_no_result(config, stage):
-    """Nor anything else but the folder in which it began; what a kill keeps is shown in test_batch.py."""
+    """Nor anything else but the folder in which it began; what a kill keeps is shown in tests/engine/test_run.py."""
     run = started(config, stage)
     time.sleep(0.3)
     run.kill()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import run_here
-from measure import some_slow
 
 from jaxnh.cli import experiments
 from jaxnh.engine.accuracy import calibration, diagnostics
+from tests.helpers.cases import some_slow
+from tests.helpers.commands import run_here
 
 CONFIG = """\
 system: {file: own.py}

@@ -10,7 +10,6 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from conftest import ROOT
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -20,6 +19,7 @@ from jaxnh.config.schema import schema
 from jaxnh.config.yaml_source import read
 from jaxnh.engine.experiment import Experiment, load
 from jaxnh.exceptions import ConfigError
+from tests.helpers.paths import ROOT
 
 EXAMPLE = """\
 title: Period doubling at constant speed (Table 1)

@@ -14,8 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
-from conftest import ROOT
-from measure import some_slow
 
 import jaxnh
 from jaxnh.analyses.periodic.newton_on_lanes import orbits
@@ -25,6 +23,8 @@ from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Section
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.systems.first_order import Point
+from tests.helpers.cases import some_slow
+from tests.helpers.paths import ROOT
 
 FOLDER = ROOT / "configs/flows"
 STEPS = 400  # a period or a unit of time

@@ -14,7 +14,7 @@ def system(drive=0.5, k=1.0):
     return dict(T=T, Q=(lambda q, v, t: Q(q, v, t)), coordinates="theta", angles="theta", period=2 * jnp.pi,
                 labels={"drive": "torque", "theta": "angle of the arm"}, units={"drive": "N m", "theta_dot": "rad/s"})
 """
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 CONFIG = {
     "system": {"file": "own.py"},
     "sweep": {"drive": {"values": [0.1, 0.2]}, "k": {"values": [1.0]}},

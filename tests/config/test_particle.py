@@ -5,12 +5,12 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
-from unforced import write_config
 
 from jaxnh.engine.experiment import load
 from jaxnh.exceptions import ConfigError, InputError
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.systems.particle import constant_speed, disturbed_speed
+from tests.flows.unforced_particle import write_config
 
 
 @pytest.fixture

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import ROOT, session_of
 
 import jaxnh
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.section import Section, plot_plane
+from tests.helpers.kept_programs import session_of
+from tests.helpers.paths import ROOT
 
 LORENZ = (ROOT / "configs/flows/lorenz.py").read_text()
 CONFIG = """system: {file: own.py, sigma: 10.0}

@@ -5,12 +5,12 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
-from conftest import session_of
 from scipy.integrate import solve_ivp
 
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import JaxnhError
 from jaxnh.systems.user_file import UserFile
+from tests.helpers.kept_programs import session_of
 
 DUFFING = """\
 import jax.numpy as jnp

@@ -13,9 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import taylor
-from conftest import ROOT
-from measure import SYSTEMS
 
 import jaxnh
 from jaxnh.analyses.batch import Axis, LaneBatch
@@ -36,6 +33,9 @@ from jaxnh.storage import hdf5 as store
 from jaxnh.systems import flow as flows
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.user_file import UserFile
+from tests.flows.particle import SYSTEMS
+from tests.helpers import taylor
+from tests.helpers.paths import ROOT
 
 PARTICLE = """import jax.numpy as jnp
 
@@ -68,10 +68,10 @@ def write(folder, text=PARTICLE, config=CONFIG):
 
 
 def scene(folder, values, steps=200):
-    return scene_of(load(write(folder)), values, steps)
+    return batch_of(load(write(folder)), values, steps)
 
 
-def scene_of(experiment, values, steps):
+def batch_of(experiment, values, steps):
     """The scene of an experiment of one axis, at other values along it."""
     (axis,), values = experiment.axes, np.asarray(values)
     along = Axis(axis.name, values, axis.long_name)
@@ -178,7 +178,7 @@ def governor_doublings():
 def test_doublings_of_the_governor(governor_doublings):
     """The first two against the Taylor reference, whose equations have no multipliers: within the errors of both."""
     values = np.linspace(0.87, 0.785, 24)
-    own = scene_of(load(ROOT / "configs" / "governor.yaml"), values, 136)
+    own = batch_of(load(ROOT / "configs" / "governor.yaml"), values, 136)
     found = doubling.run(doubling.DoublingOptions(levels=2), own, LaneExecutor())
     assert found["period"].to_numpy().tolist() == [2, 4]
     drives, errors = found["drive"].to_numpy(), found["drive_error"].to_numpy()

@@ -7,7 +7,6 @@ import subprocess
 import sys
 
 import pytest
-from conftest import ROOT
 
 from jaxnh.analyses.options import OPTIONS
 from jaxnh.analyses.registry import ANALYSES
@@ -18,6 +17,7 @@ from jaxnh.exceptions import ConfigError, UserFileError
 from jaxnh.solvers import NYSTROM, RUNGE_KUTTA, SOLVERS, SPLITTINGS
 from jaxnh.systems.user_file import UserFile
 from jaxnh.systems.user_text import Names, names_in
+from tests.helpers.paths import ROOT
 
 TABLE, GOVERNOR = ROOT / "configs" / "table1.yaml", ROOT / "configs" / "governor.yaml"
 WRONG = {

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from conftest import ROOT, run_here
-from measure import scene_of
 
 from jaxnh.costs import exponent
 from jaxnh.costs import solvers as costs_of_solvers
@@ -18,6 +16,9 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import load
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS
 from jaxnh.systems.particle import constant_speed
+from tests.helpers.batches import batch_of
+from tests.helpers.commands import run_here
+from tests.helpers.paths import ROOT
 
 TABLE1 = ROOT / "configs" / "table1.yaml"
 SMALL = ("sweep.b.count=32", "analyses.doubling.levels=1", "accuracy.target=1e-6", "--repeats", "2")
@@ -216,7 +217,7 @@ def test_no_price_without_chaos(monkeypatch):
 def scene(values):
     system = constant_speed()
     start = ((0.1, 0.1), (0.1, float(np.sqrt(0.99))))
-    return scene_of(system, start, values, SPLITTINGS["blanes_moan6"], 60, error=1e-5)
+    return batch_of(system, start, values, SPLITTINGS["blanes_moan6"], 60, error=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,7 @@ import time
 import jax
 import numpy as np
 import pytest
-import taylor
 import xarray as xr
-from conftest import ROOT
-from measure import scene_of
-from unforced import ANGLE, LANES, SPLITTING, START, P, write_config
 
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.base import LANE
@@ -32,6 +28,10 @@ from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 from sweeps.timing import effects as page_of_effects
+from tests.flows.unforced_particle import ANGLE, LANES, SPLITTING, START, P, write_config
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of
+from tests.helpers.paths import ROOT
 
 EFFECTS = ("forcing", "coupling", "cubic_stiffness")
 
@@ -99,7 +99,7 @@ def test_operations_fall_with_every_effect(lanes, left_out, saved):
 def spectrum(lanes):
     """Scene without forcing, chaotic but at the last b, and its three exponents."""
     system = Section(without("forcing"), "y1", 1, 0.0, "up")
-    scene = scene_of(system, Crossing(START, 0.0, 0.0), [0.5, 0.8, 1.2], SPLITTING, 100, error=1e-9)
+    scene = batch_of(system, Crossing(START, 0.0, 0.0), [0.5, 0.8, 1.2], SPLITTING, 100, error=1e-9)
     options = lyapunov.LyapunovOptions(transient=64, periods=1024)
     return scene, lyapunov.run(options, scene, lanes)
 
@@ -160,7 +160,7 @@ def test_motion_that_comes_to_rest(lanes, exponents):
     flow = free_particle(0.5, None, 1.0, ("forcing", "coupling"))
     system = Section(flow, "x1", 0, 0.0, "up")
     start = Crossing(Motion((0.1, 0.1), (0.1, 0.2), (0.0, 0.0)), 0.0, 0.0)
-    scene = scene_of(system, start, [0.0, 0.0], tsit5, 60, error=1e-8)
+    scene = batch_of(system, start, [0.0, 0.0], tsit5, 60, error=1e-8)
     options = lyapunov.LyapunovOptions(transient=8, periods=64, exponents=exponents)
     found = lyapunov.run(options, scene, lanes)["exponents"].to_numpy()
     assert found.shape == (2, exponents)
@@ -255,7 +255,7 @@ def test_price_of_the_walks(lanes):
     Of N strobes and 64 angles, each has two walks: of the N/10 displacements of both over 9N/10 strobes a difference,
     a square and a sum. Beside these 64 × N/10 × 9N/10 × 6 operations all else is in proportion to N.
     """
-    scene = scene_of(constant_speed(), START, np.linspace(5.2, 5.4, LANES), SPLITTING, 10)
+    scene = batch_of(constant_speed(), START, np.linspace(5.2, 5.4, LANES), SPLITTING, 10)
     strobes = 1000
     options = chaos01.Chaos01Options(transient=20, periods=strobes)
     found = chaos01.ANALYSIS.price(options, scene)
@@ -271,11 +271,11 @@ def test_prices_are_of_real_programs():
     """Every analysis has a price of its own; one without a program says that it is not measured."""
     for analysis in ANALYSES.values():
         assert analysis.price is not None
-    scene = scene_of(constant_speed(), START, np.linspace(5.2, 5.4, LANES), SPLITTING, 10)
+    scene = batch_of(constant_speed(), START, np.linspace(5.2, 5.4, LANES), SPLITTING, 10)
     found = verdict.ANALYSIS.price(verdict.VerdictOptions(), scene)
     assert found.with_it is None
     assert found.note.startswith("not measured")
-    alone = scene_of(constant_speed(), START, [5.2], SPLITTING, 10)
+    alone = batch_of(constant_speed(), START, [5.2], SPLITTING, 10)
     for start in ("fixed", "random", "up"):
         found = diagram.ANALYSIS.price(diagram.DiagramOptions(start=start), alone)
         assert found.with_it.function is not found.without_it.function

@@ -8,9 +8,6 @@ from unittest import mock
 import jax
 import numpy as np
 import pytest
-import taylor
-from conftest import lanes_with_kept_programs, session_of
-from measure import SYSTEMS, UNIT, apart, calibrated, twin
 
 import jaxnh
 from jaxnh.analyses.batch import broadcast_start
@@ -20,6 +17,11 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate, section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.particle import CHART, disturbed_speed
+from tests.flows.particle import SYSTEMS, twin
+from tests.helpers import taylor
+from tests.helpers.batches import calibrated
+from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
+from tests.helpers.measurement import UNIT, apart
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 

@@ -13,8 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import ROOT
-from measure import SYSTEMS, some_slow
 
 from jaxnh.engine.cache import executables
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -22,6 +20,9 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import SPLITTINGS, tsit5
 from jaxnh.systems.user_file import UserFile
+from tests.flows.particle import SYSTEMS
+from tests.helpers.cases import some_slow
+from tests.helpers.paths import ROOT
 
 COUNT = 9
 STATE = (np.full(COUNT, 0.1), np.full(COUNT, 0.1)), (np.full(COUNT, 0.1), np.full(COUNT, math.sqrt(0.99)))

@@ -11,8 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import ROOT
-from measure import SYSTEMS
 
 from jaxnh.engine import xla_options
 from jaxnh.engine.executor.lanes import TILE, LaneExecutor
@@ -20,6 +18,8 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import SPLITTINGS, tsit5
 from jaxnh.systems.first_order import first_order
+from tests.flows.particle import SYSTEMS
+from tests.helpers.paths import ROOT
 
 MANY = 1000
 STATE = (np.full(MANY, 0.1), np.full(MANY, 0.1)), (np.full(MANY, 0.1), np.full(MANY, math.sqrt(0.99)))

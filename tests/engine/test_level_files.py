@@ -6,9 +6,6 @@ import functools
 from unittest import mock
 
 import pytest
-from conftest import lanes_with_kept_programs, same_tree, session_of
-from test_batch import content
-from test_levels import PERIOD, WIDE, said
 
 import jaxnh
 from jaxnh.engine.experiment import Experiment
@@ -21,8 +18,12 @@ from jaxnh.exceptions import Stopped
 from jaxnh.plotting.reading import load_result
 from jaxnh.storage import tiles
 from jaxnh.storage.hdf5 import read_attrs, read_group, verify
+from tests.helpers.comparisons import same_tree
+from tests.helpers.jobs import content
+from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
+from tests.helpers.level_sweeps import PERIOD, WIDE, said
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 EXPERIMENT = Experiment.from_dict(said(WIDE, {"count": 3, "refine": "boundary"}, PERIOD))
 
 

@@ -4,38 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import session_of
-from measure import some_slow
 
 from jaxnh.analyses.registry import ANALYSES as KINDS
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import lanes_near_changes
 from jaxnh.exceptions import ConfigError
 from sweeps.timing.adaptive_charts import refined
+from tests.helpers.cases import some_slow
+from tests.helpers.kept_programs import session_of
+from tests.helpers.level_sweeps import ANALYSES, PERIOD, WIDE, said
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 LANE_AXES = {"b": {"start": 4.6, "stop": 5.6, "count": 20}, "a": {"start": 0.45, "stop": 0.55, "count": 9}}
 ROWS = {"b": {"start": 5.2, "stop": 6.0, "count": 9}, "d": {"start": 0.05, "stop": 0.4, "count": 5}}
-WIDE = {"b": {"start": 5.4, "stop": 5.7, "count": 33}, "a": {"start": 0.49, "stop": 0.51, "count": 9}}
-ANALYSES = {"lyapunov": {"transient": 16, "periods": 32, "exponents": 1}, "period": {"transient": 16, "max_period": 4}}
-
-
-def said(sweep, levels=None, analyses=ANALYSES):
-    """What an experiment says."""
-    return {
-        "system": {"constraint": "disturbed_speed" if "d" in sweep else "constant_speed", "c": 1.0, "omega": 1.0},
-        "sweep": sweep,
-        "accuracy": {"solver": "blanes_moan6", "steps": 40},
-        "analyses": analyses,
-        **({"levels": levels} if levels else {}),
-    }
 
 
 def tree_of(*what):
     return session_of(Experiment.from_dict(said(*what))).tree()
-
-
-PERIOD = {"period": ANALYSES["period"]}
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
-from conftest import lanes_with_kept_programs
-from measure import some_slow
 
 from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine import compute as pieces
@@ -14,8 +12,10 @@ from jaxnh.engine import plan as work
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.jobs.cutting import Piece
+from tests.helpers.cases import some_slow
+from tests.helpers.kept_programs import lanes_with_kept_programs
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 COUNT = 600
 HEAD = f"""\
 system: {{constraint: disturbed_speed, d: 0.1}}

@@ -11,11 +11,11 @@ import time
 
 import psutil
 import pytest
-from conftest import ROOT
 
 from jaxnh.engine import dask_workers
 from jaxnh.exceptions import ArgumentError
 from jaxnh.storage import hdf5 as store
+from tests.helpers.paths import ROOT
 
 CONFIG = """\
 system: {constraint: constant_speed}

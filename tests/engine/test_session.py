@@ -6,13 +6,14 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
-from conftest import session_of
-from test_two_axes import OSCILLATOR, content
 
 import jaxnh
 from jaxnh.analyses.trajectories.poincare import PoincareOptions
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.session import Session
+from tests.flows.double_well import DOUBLE_WELL
+from tests.helpers.experiments import content
+from tests.helpers.kept_programs import session_of
 
 CONTENT = {
     "title": "A session",
@@ -180,7 +181,7 @@ def test_sections():
 @pytest.mark.slow
 def test_own_systems(tmp_path):
     """A user's system has its parameters and coordinates as axes; its programs are those of test_two_axes."""
-    (tmp_path / "own.py").write_text(OSCILLATOR)
+    (tmp_path / "own.py").write_text(DOUBLE_WELL)
     system = {"file": str(tmp_path / "own.py"), "damping": 0.2}
     sweep = {"drive": {"values": [0.3, 0.35, 0.4]}}
     own = content(sweep, system=system, accuracy={"solver": "tsit5", "steps": 60}, initial={"x": 0.5})

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 
 import pytest
-from conftest import run_here
 
 import jaxnh
 from jaxnh.engine import plan as work
@@ -14,8 +13,9 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.solvers import SOLVERS
+from tests.helpers.commands import run_here
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 CONFIG = """\
 system: {constraint: constant_speed}
 sweep:

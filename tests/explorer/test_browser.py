@@ -13,9 +13,9 @@ import urllib.request
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
-from conftest import ROOT
 
 import jaxnh
+from tests.helpers.paths import ROOT
 
 pytest.importorskip("panel", reason="the extra explore is missing")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is missing")

@@ -12,7 +12,7 @@ from jaxnh.engine.progress import CallbackProgress
 from jaxnh.exceptions import InputError, Stopped
 from jaxnh.explorer.live import live as source_of
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 CONFIG = {
     "system": {"constraint": "constant_speed"},
     "sweep": {"b": {"start": 4.0, "stop": 6.0, "count": 8}},

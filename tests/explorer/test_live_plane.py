@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import ROOT
 
 import jaxnh
 from jaxnh.engine.progress import NullProgress
@@ -15,8 +14,9 @@ from jaxnh.explorer.lattice import Lattice, blocks
 from jaxnh.explorer.live import live
 from jaxnh.explorer.quantities import analyses_of
 from jaxnh.explorer.view import View
+from tests.helpers.paths import ROOT
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 CONFIG = {
     "system": {"constraint": "constant_speed"},
     "sweep": {"b": {"start": 4.0, "stop": 6.0, "count": 8}, "a": {"start": 0.4, "stop": 0.6, "count": 8}},

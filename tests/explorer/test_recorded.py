@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from hand_made import states, tree
 
 import jaxnh
 from jaxnh.exceptions import InputError, ResultError
@@ -18,6 +17,7 @@ from jaxnh.explorer.report import lines
 from jaxnh.plotting.pixels import number_pixels
 from jaxnh.plotting.style import MANY
 from jaxnh.storage.hdf5 import write
+from tests.helpers.hand_made_results import states, tree
 
 B, D = np.linspace(0.0, 5.0, 6), np.array([3.0, 1.0, 2.0])  # the second axis is not in order
 COORDINATES = {

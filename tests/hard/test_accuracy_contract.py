@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import taylor
 from jax import lax
 
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -19,6 +18,7 @@ from jaxnh.engine.plan import calibrate
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import section_map
+from tests.helpers import taylor
 
 TARGETS = (1e-6, 1e-8, 1e-10)
 SEED = 4

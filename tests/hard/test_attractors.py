@@ -9,13 +9,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-import taylor
-from battery import worst
-from conftest import lanes_with_kept_programs
 from matplotlib.figure import Figure
-from measure import calibrated, scene_of, twin
-from scenes import show_sum_rule
-from test_batch import Job, content, slow_tiles
 
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.base import LANE
@@ -30,6 +24,13 @@ from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
+from tests.flows.particle import twin
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of, calibrated
+from tests.helpers.battery import worst
+from tests.helpers.hard_scenes import show_sum_rule
+from tests.helpers.jobs import Job, content, slow_tiles
+from tests.helpers.kept_programs import lanes_with_kept_programs
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 
@@ -43,7 +44,7 @@ def lanes():
 def scene_at(values, steps=128, solver="blanes_moan6", system=None, start=START):
     """Lanes at values of b, all from one start state, at constant speed unless a system is named."""
     system = constant_speed() if system is None else system
-    return scene_of(system, start, values, SPLITTINGS[solver], steps, error=math.nan)
+    return batch_of(system, start, values, SPLITTINGS[solver], steps, error=math.nan)
 
 
 def random_points(count, seed=5, box=1.5):

@@ -7,10 +7,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import taylor
-from battery import worst
 from matplotlib.figure import Figure
-from measure import scene_of, turned
 
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.cascade.follow import follow
@@ -21,10 +18,28 @@ from jaxnh.orbits.bifurcations.doubling_points import doubling_point, follow_bra
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import CHART, constant_speed
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of
+from tests.helpers.battery import worst
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
-SCENE = scene_of(constant_speed(), START, [5.54], SPLITTINGS["kahan_li8"], 320, True, 1e-11)
+SCENE = batch_of(constant_speed(), START, [5.54], SPLITTINGS["kahan_li8"], 320, True, 1e-11)
 FEIGENBAUM = 4.669201609102990
+
+
+def turned(blocks, basis):
+    """One turn of a basis (3, 3) through blocks (n, 3, 3), by Gram–Schmidt in long double, and ln of its growth (3,)."""
+    logs = np.zeros(3, np.longdouble)
+    for block in blocks:
+        vectors = (block @ basis).T
+        for k in range(3):
+            for j in range(k):
+                vectors[k] -= (vectors[k] @ vectors[j]) * vectors[j]
+            length = np.sqrt(vectors[k] @ vectors[k])
+            vectors[k] /= length
+            logs[k] += np.log(length)
+        basis = vectors.T
+    return basis, logs
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import taylor
-from measure import calibrated, scene_of, twin
 
 from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.exponents import lyapunov
@@ -21,6 +19,9 @@ from jaxnh.maps.iterate import record
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.particle import CHART, IsokineticParticle, constant_speed, disturbed_speed
+from tests.flows.particle import twin
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of, calibrated
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SEED = 20
@@ -52,7 +53,7 @@ def calibration_of(system, lanes):
 def scene_at(system, values, target, lanes):
     """Lanes from the paper's start, by the solver that meets a target over the paper's range."""
     plan = plan_at(system, target, lanes)
-    return scene_of(system, START, values, plan.solver, plan.steps, plan.compensated, error=plan.error_estimate)
+    return batch_of(system, START, values, plan.solver, plan.steps, plan.compensated, error=plan.error_estimate)
 
 
 def exponents(scene, lanes, periods, k, transient=256):
@@ -235,7 +236,7 @@ def test_flows_whose_largest_exponent_is_zero(battery, lanes):
         }
     flow = IsokineticParticle(0.5, 1.0, 0.0, 1.0, None, frozenset({"forcing", "disturbance"}))
     b = still_tori(rng, count)
-    scenes["tori without forcing, b in [0.01, 0.06]"] = scene_of(flow, START, b, SPLITTINGS["blanes_moan6"], 60)
+    scenes["tori without forcing, b in [0.01, 0.06]"] = batch_of(flow, START, b, SPLITTINGS["blanes_moan6"], 60)
     for what, scene in scenes.items():
         lengths = (64, 256, 1024) if battery.full else (64,)
         zero = np.zeros((count, 1))

@@ -7,12 +7,8 @@ import math
 
 import numpy as np
 import pytest
-import taylor
-from battery import worst
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from measure import apart, scene_of, twin
-from scenes import PAPER_B, hold, hold_to_rounding, roundings, show, show_sum_rule, start_at
 
 from jaxnh.analyses.batch import broadcast_start
 from jaxnh.analyses.exponents import lyapunov
@@ -22,6 +18,12 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
+from tests.flows.particle import twin
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of
+from tests.helpers.battery import worst
+from tests.helpers.hard_scenes import PAPER_B, hold, hold_to_rounding, roundings, show, show_sum_rule, start_at
+from tests.helpers.measurement import apart
 
 CONFIG = "system: {constraint: disturbed_speed, c: 1.0, d: 0.1}\nsweep: {b: {values: [5.5]}}\nanalyses: {period: {}}\n"
 
@@ -38,7 +40,7 @@ def test_speed_nearly_vanishing(battery, lanes):
         start, values = start_at(system), PAPER_B if battery.full else PAPER_B[::8]
         what, count = f"d/c = {ratio:g}, b in [0.1, 6]", 48 if battery.full else 12
         held = hold_to_rounding(battery, lanes, what, system, start, values, 1e-9, count)
-        scene = scene_of(system, start, [2.5, 4.1, 5.6], *held.plan)
+        scene = batch_of(system, start, [2.5, 4.1, 5.6], *held.plan)
         options = lyapunov.LyapunovOptions(transient=64, periods=512 if battery.full else 32)
         found = lyapunov.run(options, scene, lanes)
         show_sum_rule(battery, f"d/c = {ratio:g}, three b", found, held.plan.error_estimate)

@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from battery import worst
 from jax import lax
 from matplotlib.figure import Figure
-from paper_equations import constrained_field
 
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
+from tests.flows.paper_equations import constrained_field
+from tests.helpers.battery import worst
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SYSTEMS = {"d = 0": constant_speed(), "d = 0.1": disturbed_speed()}

@@ -9,9 +9,6 @@ import h5py
 import jax
 import numpy as np
 import pytest
-import taylor
-from measure import apart, calibrated, twin
-from scenes import start_at
 
 from jaxnh.engine.experiment import load
 from jaxnh.exceptions import AccuracyError, ConfigError
@@ -20,6 +17,11 @@ from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
+from tests.flows.particle import twin
+from tests.helpers import taylor
+from tests.helpers.batches import calibrated
+from tests.helpers.hard_scenes import start_at
+from tests.helpers.measurement import apart
 
 pytestmark = pytest.mark.case("float32 on request")
 UNIT = 2.0**-24  # roundoff of one operation in single precision

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from measure import scene_of
 
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.exponents import lyapunov
@@ -19,6 +18,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed, disturbed_speed
+from tests.helpers.batches import batch_of
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SYSTEMS = {"constant speed": (constant_speed(), 0.1), "disturbed speed": (disturbed_speed(), 0.01)}
@@ -60,7 +60,7 @@ def judged(scene, lanes, transient, averaged, times=1):
 
 def particle(name, b):
     """Lanes of the paper's particle from its start state; the map of a period is right to about 1e-7."""
-    return scene_of(SYSTEMS[name][0], START, b, SPLITTINGS["blanes_moan6"], 160, error=1e-7)
+    return batch_of(SYSTEMS[name][0], START, b, SPLITTINGS["blanes_moan6"], 160, error=1e-7)
 
 
 def turned_over(battery, scenes, lanes, lengths, what):
@@ -108,7 +108,7 @@ def test_verdicts_of_pendula(battery):
         flow = lagrangian(pendulum, {"damping": damping, "drive": 1.0})
         start = flow.start({"angle": 0.3, "angle_dot": 0.2})
         drives = draw.uniform(0.9 if damping else 0.02, most, count)
-        scenes.append(scene_of(flow, start, drives, SOLVERS["dopri5"], 120, name="drive", error=1e-8))
+        scenes.append(batch_of(flow, start, drives, SOLVERS["dopri5"], 120, name="drive", error=1e-8))
     kind = turned_over(battery, scenes, lanes, lengths, "pendula")
     # Below a drive of 0.34 those without damping swing on tori: at 0.02 steps of it, λ1 falls there like ln t / t.
     battery.row("tori without damping", int(np.sum(kind[count:] == CHAOTIC)), 0, "called chaotic:")
@@ -145,7 +145,7 @@ def test_weak_chaos_beside_tori(battery):
     for number, drive in enumerate((0.1, 0.3, 0.6)):
         angles = np.sort(np.random.default_rng([7, number]).uniform(0.0, math.pi, count))
         flow = lagrangian(pendulum, {"drive": drive})
-        scene = scene_of(
+        scene = batch_of(
             flow, flow.start({"angle": 0.0, "angle_dot": 0.0}), angles, SOLVERS["dopri5"], 120, name="drive"
         )
         start = jax.tree.map(np.asarray, jax.vmap(flow.chart.state)(np.stack([angles, np.zeros(count)], axis=-1)))
@@ -178,13 +178,13 @@ def test_limit_cycle_beside_a_strobe(battery):
     lanes = LaneExecutor(tile=8)
     flow = lagrangian(van_der_pol, {"stiffness": 1.0})
     start = flow.start({"x": 0.5, "x_dot": 0.0})
-    cycles = scene_of(flow, start, [0.5, 1.0], SOLVERS["dopri5"], 60, name="stiffness", error=1e-8)
+    cycles = batch_of(flow, start, [0.5, 1.0], SOLVERS["dopri5"], 60, name="stiffness", error=1e-8)
     kind = judged(cycles, lanes, 128, 256)["kind"].to_numpy()
     battery.row("limit cycles of van der Pol", int(np.sum(kind == QUASIPERIODIC)), 0, "called quasiperiodic:")
     assert {verdict.KINDS[i] for i in kind} <= {"limit_cycle", "undecided"}
     free = lagrangian(pendulum, {"damping": 0.0, "drive": 0.0})
     start = free.start({"angle": 0.3, "angle_dot": 0.2})
-    swings = scene_of(free, start, [0.0, 0.0], SOLVERS["dopri5"], 60, name="drive", error=1e-8)
+    swings = batch_of(free, start, [0.0, 0.0], SOLVERS["dopri5"], 60, name="drive", error=1e-8)
     kind = judged(swings, lanes, 128, 256)["kind"].to_numpy()
     battery.row("swings of a free pendulum", int(np.sum(kind == QUASIPERIODIC)), 0, "called quasiperiodic:")
     assert CHAOTIC not in kind

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import jax
 import pytest
-import taylor
-from calm import ROUNDOFF, one_lane
-from measure import CALM, CALM_B, CALM_STATES, apart, twin
 
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.particle import CHART
+from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, one_lane
+from tests.flows.particle import twin
+from tests.helpers import taylor
+from tests.helpers.measurement import apart
 
 
 @pytest.mark.parametrize("name", ["blanes_moan6", "processed6"])

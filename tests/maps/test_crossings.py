@@ -9,8 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import taylor
-from unforced import ANGLE, LANES, SPLITTING, START, B, P, spread, without
 
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.axes import SweepPoints
@@ -20,6 +18,8 @@ from jaxnh.maps.section import Crossing, Section, reports
 from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
+from tests.flows.unforced_particle import ANGLE, LANES, SPLITTING, START, B, P, spread, without
+from tests.helpers import taylor
 
 SECTIONS = {
     "up": (Section(without("forcing"), "y1", 1, 0.0, "up"), 1),

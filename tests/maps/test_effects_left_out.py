@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from unforced import ANGLE, SPLITTING, START, P, spread, without
 
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
@@ -14,6 +13,7 @@ from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import definition
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.particle import disturbed_speed
+from tests.flows.unforced_particle import ANGLE, SPLITTING, START, P, spread, without
 
 
 def test_tables_have_no_forcing_that_is_left_out():

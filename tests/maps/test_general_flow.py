@@ -10,8 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from calm import check_convergence, check_derivatives, image
-from measure import CALM, UNIT, apart, some_slow
 
 from jaxnh.analyses.batch import broadcast_start
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -23,6 +21,10 @@ from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, ProjectedSolver, dopri8, tsit5
 from jaxnh.systems.free_particle import definition, free_particle
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.particle import disturbed_speed
+from tests.flows.calm_particle import CALM, image
+from tests.helpers.cases import some_slow
+from tests.helpers.convergence import check_derivatives
+from tests.helpers.measurement import UNIT, apart
 
 PARAMETERS = {"a": 0.5, "b": 5.2, "c": 1.0, "d": 0.1, "omega": 1.0}
 MOTION = Motion((0.1, 0.1), (0.1, math.sqrt(0.99)), (0.0, 0.0))
@@ -37,10 +39,6 @@ FLOWS = {
 def moved(strobe, state, p):
     """The map as a compiled program has it."""
     return strobe(state, p)
-
-
-def test_runge_kutta_converges_to_the_reference(lanes):
-    check_convergence(lanes, CALM["disturbed"], SOLVERS["tsit5"])
 
 
 @pytest.mark.slow

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import jax
 import numpy as np
-from calm import ROUNDOFF, P, image, size, start_states
-from measure import CALM, CALM_B, CALM_STATES, SYSTEMS, apart
 
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, record
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import CHART
+from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, P, image, start_states
+from tests.flows.particle import SYSTEMS
+from tests.helpers.convergence import size
+from tests.helpers.measurement import apart
 
 
 def test_iterates_add_up(lanes):

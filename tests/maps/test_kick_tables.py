@@ -6,12 +6,13 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from measure import SYSTEMS, UNIT
 
 from jaxnh.maps import kick_tables
 from jaxnh.maps.build import cut_strobe, make_parts, make_return_map
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
+from tests.flows.particle import SYSTEMS
+from tests.helpers.measurement import UNIT
 
 systems = pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
 splittings = pytest.mark.parametrize("solver", SPLITTINGS.values(), ids=SPLITTINGS)

@@ -8,20 +8,6 @@ import diffrax
 import jax
 import numpy as np
 import pytest
-import taylor
-from calm import (
-    FINEST,
-    ROUNDOFF,
-    P,
-    check_convergence,
-    derivatives_apart,
-    image,
-    one_lane,
-    size,
-    start_states,
-    systems,
-)
-from measure import CALM, CALM_B, CALM_STATES, apart, some_slow, twin
 
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
@@ -29,6 +15,12 @@ from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS, isokinetic_terms
 from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
+from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, P, image, one_lane, start_states, systems
+from tests.flows.particle import twin
+from tests.helpers import taylor
+from tests.helpers.cases import some_slow
+from tests.helpers.convergence import FINEST, derivatives_apart, size
+from tests.helpers.measurement import apart
 
 # ---- one period
 
@@ -57,12 +49,6 @@ def test_kicks_are_diffeqsolve_on_the_same_grid(lanes, system, name):
 
     solved = jax.jit(jax.vmap(solve))(CALM_STATES, CALM_B)
     assert apart(image(lanes, make_return_map(system, solver, steps)), solved).max() < ROUNDOFF
-
-
-@systems
-@pytest.mark.parametrize("solver", SPLITTINGS.values(), ids=SPLITTINGS)
-def test_splittings_converge_to_the_reference(lanes, system, solver):
-    check_convergence(lanes, system, solver)
 
 
 @systems

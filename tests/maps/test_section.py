@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from measure import UNIT
 
 from jaxnh.maps.section import Crossing, Section, begin, outputs, plot_plane, rates
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.particle import constant_speed
+from tests.helpers.measurement import UNIT
 
 FLOWS = {
     "constant speed": constant_speed(c=1.3, b=0.4, without=("forcing",)),

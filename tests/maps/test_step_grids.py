@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from measure import SYSTEMS
 
 from jaxnh.maps.step_grids import SmoothGrid, step_grid
 from jaxnh.systems.particle import disturbed_speed
+from tests.flows.particle import SYSTEMS
 
 
 @pytest.mark.parametrize("system", [*SYSTEMS.values(), disturbed_speed(d=0.999)])

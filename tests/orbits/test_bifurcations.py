@@ -5,8 +5,6 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from measure import scene_of, some_slow
-from test_branches import LOGISTIC, by_scipy, duffing, logistic_orbit
 
 from jaxnh.analyses.continuation.families import equilibrium_family, orbit_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
@@ -16,6 +14,10 @@ from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.orbits.multipliers import multipliers
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
+from tests.flows.duffing_resonance import by_scipy, duffing
+from tests.flows.logistic_map import LOGISTIC, logistic_orbit
+from tests.helpers.batches import batch_of
+from tests.helpers.cases import some_slow
 
 
 def named(tree):
@@ -138,7 +140,7 @@ def test_normal_forms(lanes, name):
     rates, names, u, value, kind, coefficient = NORMAL_FORMS[name]
     flow = first_order(made(rates, tuple(names)), {"mu": 0.0})
     start = flow.start(dict.fromkeys(names, 0.0))
-    scene = scene_of(flow, start, [-0.5, 0.71], verner9, 16, name="mu")
+    scene = batch_of(flow, start, [-0.5, 0.71], verner9, 16, name="mu")
     families = [orbit_family(scene, lanes, strobe, np.ones(len(names)), (-0.5, 0.71)) for strobe in refined_maps(scene)]
     tree = grow(families, [[SeedOrbit(np.array([u]), value)]], 2, STEPS)
     [point] = tree.bifurcations
@@ -169,7 +171,7 @@ def test_hopf(lanes):
         return {"rhs": rhs, "coordinates": ("x", "y", "w")}
 
     flow = first_order(define, {"mu": 0.0})
-    scene = scene_of(flow, flow.start({"x": 0.0, "y": 0.0, "w": 0.0}), [-0.5, 0.71], verner9, 16, name="mu")
+    scene = batch_of(flow, flow.start({"x": 0.0, "y": 0.0, "w": 0.0}), [-0.5, 0.71], verner9, 16, name="mu")
     family = equilibrium_family(scene, lanes, np.ones(3), (-0.5, 0.71))
     tree = grow([family] * 3, [[SeedOrbit(np.zeros((1, 3)), -0.3)]], 1, STEPS)
     [point] = tree.bifurcations
@@ -202,7 +204,7 @@ def fold_by_scipy(omega, u):
 def test_folds_of_duffings_resonance(lanes):
     """Both ends of the bistable range of frequencies, to 1e-8 of scipy's and within their errors; nothing else is there."""
     flow = first_order(duffing, {"omega": 1.0})
-    scene = scene_of(flow, flow.start({"x": 0.0, "v": 0.0}), [0.6, 2.0], verner9, 48, name="omega")
+    scene = batch_of(flow, flow.start({"x": 0.0, "v": 0.0}), [0.6, 2.0], verner9, 48, name="omega")
     families = [orbit_family(scene, lanes, strobe, np.ones(2), (0.6, 2.0)) for strobe in refined_maps(scene)]
     tree = grow(families, [[SeedOrbit(np.array([[0.22, 0.01]]), 0.6)]], 1, STEPS)
     kinds, points = named(tree)

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
-from measure import scene_of
 
 from jaxnh.analyses.continuation.families import orbit_family
-from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.continuation.arclength import FINE, Family, along_parameter, correct
+from jaxnh.orbits.continuation.arclength import FINE, along_parameter, correct
 from jaxnh.orbits.continuation.branches import COLLAPSED, ENDS, RANGE, follow_both_ways
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
-
-
-def logistic(u, p):
-    """x → p x (1 − x) and its derivatives."""
-    slope = (p[:, None] * (1 - 2 * u))[..., None]
-    return Derivatives(p[:, None] * u * (1 - u), slope, u * (1 - u))
-
-
-LOGISTIC = Family(logistic, lambda difference: difference, np.ones(1), 2.0, 3.9)
+from tests.flows.duffing_resonance import by_scipy, duffing
+from tests.flows.logistic_map import LOGISTIC, logistic, logistic_orbit
+from tests.helpers.batches import batch_of
 
 
 def begun(family, points, value):
@@ -31,17 +21,6 @@ def begun(family, points, value):
     found = correct(family, points, np.array([value]), along_parameter(family, *points.shape[:2]), FINE)
     assert found.converged[0]
     return found
-
-
-def logistic_orbit(n, p):
-    x = 0.5
-    for _ in range(4000):
-        x = p * x * (1 - x)
-    points = []
-    for _ in range(n):
-        points.append([x])
-        x = p * x * (1 - x)
-    return points
 
 
 def test_branch_of_fixed_points():
@@ -79,39 +58,14 @@ def test_branch_ends_where_it_was_born_in_a_doubling():
 
 # ---- Duffing's resonance, in the phase of its forcing: its frequency is a parameter like others
 
-DAMPING, FORCE = 0.1, 0.15
-
-
-def duffing(omega=1.0):
-    def rhs(y, t):
-        x, v = y
-        return v / omega, (FORCE * jnp.cos(t) - DAMPING * v - x - x**3) / omega
-
-    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * np.pi}
-
 
 @pytest.fixture(scope="module")
 def resonance(lanes):
     """The family of its orbits over the frequency."""
     flow = first_order(duffing, {"omega": 1.0})
     # 96 steps of order nine: an error of some 1e-13 a period, the rounding of its states.
-    scene = scene_of(flow, flow.start({"x": 0.0, "v": 0.0}), [0.6, 2.0], verner9, 96, name="omega")
+    scene = batch_of(flow, flow.start({"x": 0.0, "v": 0.0}), [0.6, 2.0], verner9, 96, name="omega")
     return orbit_family(scene, lanes, scene.strobe(), np.ones(2), (0.6, 2.0))
-
-
-def by_scipy(omega, u):
-    """P and its derivative in (x, v) by DOP853 with variational equations."""
-
-    def rates(t, y):
-        x, v = y[:2]
-        tangents = y[2:].reshape(2, 2)
-        force = FORCE * np.cos(t) - DAMPING * v - x - x**3
-        change = [tangents[1], -(1 + 3 * x**2) * tangents[0] - DAMPING * tangents[1]]
-        return np.concatenate([[v, force], *change]) / omega
-
-    start = np.concatenate([u, np.eye(2).ravel()])
-    end = scipy.integrate.solve_ivp(rates, (0, 2 * np.pi), start, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-    return end[:2], end[2:].reshape(2, 2)
 
 
 def test_resonance_of_duffing(resonance):

@@ -6,9 +6,6 @@ import heyoka as hy
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import taylor
-from heyoka_newton import determinant, newton, strobe_map
-from measure import scene_of
 
 from jaxnh.analyses.continuation.families import parameter_plane
 from jaxnh.maps.iterate import Derivatives
@@ -18,6 +15,9 @@ from jaxnh.orbits.continuation.curves import CLOSED, RANGE, RESONANCE, Parameter
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
+from tests.helpers import taylor
+from tests.helpers.batches import batch_of
+from tests.helpers.heyoka_newton import determinant, newton, strobe_map
 
 ROUNDING = 1e-11  # unknowns of order one; Newton's last step is below 1e-9 and shrinks by 1e-6
 
@@ -189,7 +189,7 @@ def test_torus_boundary_of_van_der_pol(lanes, steps, near):
     With 48 steps a period to 1e-8; with 8 errors are far larger than the reference's, whose Newton ends at steps of 1e-12.
     At 1:2 both multipliers are −1 and M is −1, as of a symmetric orbit: the curve goes on."""
     flow = first_order(van_der_pol, {"force": 1.0, "omega": 1.3})
-    scene = scene_of(flow, flow.start({"x": 0.0, "v": 0.0}), [1.0], verner9, steps, name="force")
+    scene = batch_of(flow, flow.start({"x": 0.0, "v": 0.0}), [1.0], verner9, steps, name="force")
     low, high = np.array([0.2, 1.05]), np.array([6.0, 4.0])
     forced, *others = (
         parameter_plane(scene, lanes, scene.strobe(refinement), np.ones(2), ("force", "omega"), low, high)

@@ -7,7 +7,6 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from measure import scene_of
 
 from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.known_branches import is_on_branch
@@ -18,6 +17,7 @@ from jaxnh.orbits.continuation.branches import StepControl, follow_both_ways
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.particle import constant_speed
+from tests.helpers.batches import batch_of
 
 START = ((0.1, 0.1), (0.1, float(np.sqrt(0.99))))
 ENDS = (4.0, 6.0)
@@ -26,7 +26,7 @@ ENDS = (4.0, 6.0)
 @pytest.fixture(scope="module")
 def scene():
     """Values of b over the range; of what many branches do to each other a rough map says as much as an exact one."""
-    return scene_of(constant_speed(), START, np.linspace(*ENDS, 9), SPLITTINGS["blanes_moan6"], 60)
+    return batch_of(constant_speed(), START, np.linspace(*ENDS, 9), SPLITTINGS["blanes_moan6"], 60)
 
 
 def searched(scene, lanes, values, starts, limit):
@@ -102,7 +102,7 @@ def test_few_lanes_on_a_section(lanes):
         return {"rhs": lambda y, t: (-y[1] - y[2], y[0] + 0.2 * y[1], 0.2 + y[2] * (y[0] - c)), "coordinates": "xyz"}
 
     flow = Section(first_order(roessler, {"c": 3.0}), "y", 1, 0.0, "up")
-    scene = scene_of(
+    scene = batch_of(
         flow, begin(flow, flow.flow.start({"x": 2.0, "y": 0.0, "z": 0.1})), [2.9, 3.1], dopri8, 24, name="c"
     )
     family = orbit_family(scene, lanes, scene.strobe(), np.ones(2), (2.0, 4.0))

@@ -7,11 +7,8 @@ import math
 import jax
 import numpy as np
 import pytest
-import taylor
-from conftest import lanes_with_kept_programs
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from measure import SYSTEMS, UNIT, apart, twin
 
 from jaxnh.analyses.periodic.newton_on_lanes import orbits
 from jaxnh.maps.build import make_return_map
@@ -22,6 +19,10 @@ from jaxnh.orbits.newton import find_doubled, find_orbits, look, solve3
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import CHART
+from tests.flows.particle import SYSTEMS, twin
+from tests.helpers import taylor
+from tests.helpers.kept_programs import lanes_with_kept_programs
+from tests.helpers.measurement import UNIT, apart
 
 FINEST = max(SPLITTINGS.values(), key=lambda solver: solver.convergence_order)
 # Error of one period by 150 steps of order ten near the attractors of b from 5.4 to 5.9, and of its derivatives relative

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
-from hand_made import exponents, growth_rates, periods, verdicts
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.panels import PANELS
 from jaxnh.plotting.results import figure
+from tests.helpers.hand_made_results import exponents, growth_rates, periods, verdicts
 
 B = np.array([5.8, 2.5, 4.1, 5.3])  # in no order
 D = np.linspace(0.3, 0.1, 9)  # falling

@@ -6,12 +6,12 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
-from hand_made import ATTRS, dataset, doublings, exponents, periods, states, tree, verdicts
 from matplotlib.colors import to_hex, to_rgb
 
 from jaxnh.exceptions import ArgumentError, ResultError
 from jaxnh.plotting import style
 from jaxnh.plotting.results import figure
+from tests.helpers.hand_made_results import ATTRS, dataset, doublings, exponents, periods, states, tree, verdicts
 
 UP, DOWN = np.linspace(5.0, 5.5, 30), np.linspace(5.4, 6.0, 20)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
-from hand_made import dataset
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting import costs
+from tests.helpers.hand_made_results import dataset
 
 
 def price_of_a_doubling():

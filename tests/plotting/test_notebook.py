@@ -10,14 +10,14 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
-from hand_made import doublings, exponents, states, tree, verdicts
 from matplotlib.figure import Figure
 
 import jaxnh
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.notebook import html
+from tests.helpers.hand_made_results import doublings, exponents, states, tree, verdicts
 
-UNCALIBRATED = True
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 FEW = np.array([5.8, 2.5, 4.1, 5.3])
 UP = np.linspace(1.0, 6.0, 30)
 

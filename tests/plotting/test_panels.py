@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hand_made import (
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from jaxnh.exceptions import ResultError
+from jaxnh.plotting.panels import PANELS
+from jaxnh.plotting.results import figure
+from tests.helpers.hand_made_results import (
     WORDS,
     basin_shares,
     cascade_branches,
@@ -21,12 +27,6 @@ from hand_made import (
     verdicts,
     window_rows,
 )
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
-from jaxnh.exceptions import ResultError
-from jaxnh.plotting.panels import PANELS
-from jaxnh.plotting.results import figure
 
 rng = np.random.default_rng(0)
 MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])

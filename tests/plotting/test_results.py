@@ -9,20 +9,11 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
-from hand_made import (
-    doublings,
-    exponents,
-    growth_rates,
-    periods,
-    states,
-    tree,
-    verdicts,
-    write,
-)
 from matplotlib.figure import Figure
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.results import figure
+from tests.helpers.hand_made_results import doublings, exponents, growth_rates, periods, states, tree, verdicts, write
 
 MANY, FEW = np.linspace(5.6, 5.45, 500), np.array([5.8, 2.5, 4.1, 5.3])
 MASSES = xr.Variable(("mass",), [1.0, 2.0, 3.0], {"long_name": "parameter mass", "units": "1"})

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from measure import CALM, LANES, STATES, SYSTEMS, UNIT, B, order_of, some_slow
 from scipy.special import ellipe
 
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -17,6 +16,11 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS, isokinetic_terms, kick
 from jaxnh.systems.particle import CHART
+from tests.flows.calm_particle import CALM
+from tests.flows.particle import LANES, STATES, SYSTEMS, B
+from tests.helpers.cases import some_slow
+from tests.helpers.convergence import order_of
+from tests.helpers.measurement import UNIT
 
 systems = pytest.mark.parametrize("system", some_slow(SYSTEMS, "other"))  # which has all effects
 some_splittings = pytest.mark.parametrize("solver", some_slow(dict(SPLITTINGS), "strang2", "processed6"))

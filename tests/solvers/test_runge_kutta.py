@@ -6,11 +6,15 @@ import diffrax
 import jax
 import numpy as np
 import pytest
-import taylor
-from measure import CALM, STATES, SYSTEMS, UNIT, B, apart, order_of, some_slow, twin
 
 from jaxnh.solvers import RUNGE_KUTTA
 from jaxnh.systems.particle import CHART
+from tests.flows.calm_particle import CALM
+from tests.flows.particle import STATES, SYSTEMS, B, twin
+from tests.helpers import taylor
+from tests.helpers.cases import some_slow
+from tests.helpers.convergence import order_of
+from tests.helpers.measurement import UNIT, apart
 
 methods = pytest.mark.parametrize("solver", RUNGE_KUTTA.values(), ids=RUNGE_KUTTA)
 OWN = {name: getattr(diffrax, name.capitalize()) for name in RUNGE_KUTTA if hasattr(diffrax, name.capitalize())}

@@ -7,10 +7,10 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from test_pieces import job
 
 from jaxnh.storage import calls as storage
 from jaxnh.storage.calls import CallJournal, JournalEntry, interrupted_batches
+from tests.helpers.storage_jobs import job
 
 JOB = job(tile=2)
 PIECES = JOB.cutting.pieces()[1:3]

@@ -12,7 +12,6 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -32,30 +31,10 @@ from jaxnh.storage.hdf5 import (
     verify,
     write,
 )
+from tests.helpers.paths import ROOT
+from tests.helpers.small_results import ATTRS, group, variable, write_group
 
-ATTRS = {"title": "Täst δ", "jaxnh_version": "0", "steps": 160, "error_estimate": 3.5e-11, "config": "a: 1\nb: 2\n"}
 ENGINES = ["h5netcdf", "netcdf4"]
-
-
-def variable(dims, data, long_name, units="1", **attrs):
-    return dims, data, {"long_name": long_name, "units": units, **attrs}
-
-
-def group():
-    """Two dimensions, one of them without a coordinate of its own; an array large enough to be compressed."""
-    b, x = np.linspace(1, 2, 7), np.random.default_rng(8).normal(size=(7, 900))
-    flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "periodic chaotic"}
-    variables = {
-        "b": variable("b", b, "coupling b"),
-        "x1": variable(("b", "strobe"), x, "position x1", "length"),
-        "residual": variable("b", np.array([np.nan, *b[1:]]), "residual"),
-        "kind": variable("b", np.arange(7, dtype=np.int8) % 2, "kind of motion", **flags),
-    }
-    return xr.Dataset(variables, attrs={"levels_found": 3, "delta_limit": np.nan, "warnings": "one\ntwo"})
-
-
-def write_group(path):
-    write(path, ATTRS, {"diagram": group(), "second": group()})
 
 
 # ---- what is in a file
@@ -338,18 +317,18 @@ def test_check_makes_the_folder_and_leaves_nothing_in_it(tmp_path):
 
 
 def run(code, *arguments):
-    """Python code in a process of its own, that may import this file; what it prints, as JSON."""
-    head = f"import sys; sys.path[:0] = {[str(ROOT / 'tests'), str(ROOT / 'tests' / 'storage')]!r}\n"
-    command = [sys.executable, "-W", "ignore", "-c", head + code, *map(str, arguments)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    """Python code in a process of its own, that may import the tests' helpers; what it prints, as JSON."""
+    command = [sys.executable, "-W", "ignore", "-c", code, *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
 LIMITED = """
-import json, os, resource
+import json, os, resource, sys
 from pathlib import Path
-from test_hdf5 import write_group
+from tests.helpers.small_results import write_group
 from jaxnh.storage.hdf5 import ResultError
 
 path, limit = Path(sys.argv[1]), int(sys.argv[2])
@@ -400,9 +379,10 @@ def test_full_disk_is_said_in_a_sentence(full_disk):
 
 
 KILLED = """
-import json, os, random, signal, time
+import json, os, random, signal, sys, time
 from pathlib import Path
-from test_hdf5 import ATTRS, group
+from tests.helpers.small_results import ATTRS
+from tests.helpers.small_results import group
 from jaxnh.storage.hdf5 import read_attrs, read_group, write
 
 folder, trials = Path(sys.argv[1]), int(sys.argv[2])

@@ -11,9 +11,6 @@ import pytest
 import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from measure import some_slow
-from test_pieces import job
-from test_tiles import SPENT
 
 from jaxnh.exceptions import DamagedError, ResultError, RunError
 from jaxnh.jobs.arrays import with_indices
@@ -21,6 +18,8 @@ from jaxnh.jobs.assembly import assemble
 from jaxnh.jobs.cutting import Piece, slab
 from jaxnh.storage import hdf5 as store
 from jaxnh.storage import merge, tiles
+from tests.helpers.cases import some_slow
+from tests.helpers.storage_jobs import SPENT, job
 
 ATTRS = {"title": "t", "jaxnh_version": "0"}
 DIAGRAM = ("diagram",)

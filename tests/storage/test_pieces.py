@@ -11,17 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxnh.jobs.cutting import Cutting, Piece, share, slab, tile_lanes, tile_shape
-from jaxnh.jobs.job import Job, NumericalPlan
-from jaxnh.jobs.provenance import Provenance
-
-
-def job(axes=(("b", 10, False),), tile=4, order=("diagram", "doubling"), independent=("diagram",)):
-    return Job(
-        NumericalPlan("blanes_moan6", 40, False, 1e-6, {"lyapunov": {"parts": 4}}),
-        Cutting(tuple(axes), tile, order, independent),
-        Provenance("c" * 64, {"jaxnh": "0"}, {}),
-    )
+from jaxnh.jobs.cutting import Piece, share, slab, tile_lanes, tile_shape
+from tests.helpers.storage_jobs import job
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,11 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from test_pieces import job
 
 from jaxnh.exceptions import BusyError, DamagedError, ResultError
-from jaxnh.jobs.provenance import SecondsSpent
 from jaxnh.storage import tiles
+from tests.helpers.storage_jobs import SPENT, job
 
-SPENT = SecondsSpent(1.0, 0.5, 100.0, "1 x cpu (cpu)")
 PLANE = (("b", 4, False), ("d", 2, True))
 
 

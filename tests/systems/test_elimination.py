@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from measure import UNIT
 
 from jaxnh.systems.elimination import eliminate
+from tests.helpers.measurement import UNIT
 
 MOMENTS = 200
 RNG = np.random.default_rng(21)

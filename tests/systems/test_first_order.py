@@ -1,10 +1,9 @@
-"""Right-hand sides as flows: against closed forms, heyoka, exact divergences, and the same system by T and Q."""
+"""Right-hand sides as flows: against closed forms, exact divergences, and the same system by T and Q."""
 
 from __future__ import annotations
 
 import math
 
-import heyoka as hy
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,14 +15,7 @@ from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import dopri8
 from jaxnh.systems.first_order import Point, first_order
 from jaxnh.systems.lagrangian import Motion, lagrangian
-
-
-def lorenz(sigma=10.0, rho=28.0, beta=8 / 3):
-    def rhs(y, t):
-        x, y_, z = y
-        return sigma * (y_ - x), x * (rho - z) - y_, x * y_ - beta * z
-
-    return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+from tests.flows import lorenz
 
 
 def pendulum(drive=0.9, damping=0.3):
@@ -46,34 +38,12 @@ def pendulum_by_t_and_q(drive=0.9, damping=0.3):
     }
 
 
-LORENZ = {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}
 PENDULUM = {"drive": 0.9, "damping": 0.3}
-
-
-def by_heyoka(rho, state, time):
-    """Lorenz's states (lanes, 3) a time later, by Taylor series in double precision."""
-    x, y, z = hy.make_vars("x", "y", "z")
-    equations = [(x, 10.0 * (y - x)), (y, x * (hy.par[0] - z) - y), (z, x * y - 8 / 3 * z)]
-    integrator = hy.taylor_adaptive(equations, [0.0] * 3, pars=[28.0], tol=1e-18)
-    found = []
-    for value in rho:
-        integrator.pars[0], integrator.time, integrator.state[:] = value, 0.0, state
-        integrator.propagate_until(time)
-        found.append(integrator.state.copy())
-    return np.array(found)
-
-
-def test_lorenz_for_a_unit_of_time(lanes):
-    """Steps of 1/200: Dopri8 leaves 1e-11 of states near 40 at these rates, which a unit of time enlarges tenfold."""
-    flow, rho = first_order(lorenz, LORENZ, ("rho",)), np.array([20.0, 28.0, 60.0])
-    start = broadcast_start(Point((1.0, 1.0, 20.0)), 3)
-    end = lanes(iterate, (make_return_map(flow, dopri8, 200), np.int32(1)), (start, {"rho": rho}))
-    assert np.abs(np.stack(end.y, axis=-1) - by_heyoka(rho, [1.0, 1.0, 20.0], 1.0)).max() < 1e-8
 
 
 def test_volume_of_lorenz_is_exact(lanes):
     """The divergence −(σ + 1 + β) is a constant, and its integral over a unit of time is that number."""
-    flow = first_order(lorenz, LORENZ, ("rho",))
+    flow = first_order(lorenz.lorenz, lorenz.PARAMETERS, ("rho",))
     start = broadcast_start(Point((1.0, 1.0, 20.0)), 2)
     strobe = make_return_map(flow, dopri8, 64)
     volume = lanes(volume_of, (strobe,), (start, {"rho": np.array([28.0, 60.0])}))
@@ -145,7 +115,7 @@ def test_circle_on_a_plane(lanes):
 
 
 def test_states_that_are_not_finite_are_reported():
-    flow = first_order(lorenz, LORENZ)
+    flow = first_order(lorenz.lorenz, lorenz.PARAMETERS)
     states = Point(tuple(np.array([[1.0, 2.0], [1.0, np.nan]]) for _ in range(3)))
     report = flow.reports(states)["status"]
     assert report.data.tolist() == [0, 3]

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from measure import UNIT
 
 from jaxnh.analyses.batch import broadcast_start
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -18,6 +17,7 @@ from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.particle_parameters import EFFECTS
+from tests.helpers.measurement import UNIT
 
 WITHOUT = [(), *((name,) for name in EFFECTS), EFFECTS]
 A, B, OMEGA = 0.4, 1.1, 1.3

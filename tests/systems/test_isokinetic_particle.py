@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from measure import SYSTEMS, UNIT, apart, twin
-from paper_equations import constrained_field
 from scipy.integrate import quad
 from scipy.special import ellipeinc
 
 from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
 from jaxnh.systems.particle_parameters import strobe_period
+from tests.flows.paper_equations import constrained_field
+from tests.flows.particle import SYSTEMS, twin
+from tests.helpers.measurement import UNIT, apart
 
 MOMENTS = 200
 RNG = np.random.default_rng(11)

@@ -10,14 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from measure import SYSTEMS
-from paper_equations import constrained_field
 
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.solvers.isokinetic import DriftTerm, KickTerm
 from jaxnh.solvers.projection import ProjectedSolver
 from jaxnh.systems.flow import STATUS
 from jaxnh.systems.lagrangian import Equations, Motion, accelerations, lagrangian
+from tests.flows import sleigh
+from tests.flows.paper_equations import constrained_field
+from tests.flows.particle import SYSTEMS
 
 MOMENTS = 200
 RNG = np.random.default_rng(21)
@@ -146,42 +147,15 @@ def motion(q, v):
     return jax.tree.map(jnp.asarray, Motion(tuple(map(float, q)), tuple(map(float, v)), (0.0, 0.0)))
 
 
-def sleigh(mass=1.0, inertia=0.4, length=0.6):
-    """Chaplygin's sleigh: a blade at (x, y) that does not slide sideways, the centre of mass a length ahead of it."""
-
-    def kinetic(q, v, t):
-        theta, (x_dot, y_dot, turn) = q[2], v
-        u, w = x_dot - length * turn * jnp.sin(theta), y_dot + length * turn * jnp.cos(theta)
-        return 0.5 * mass * (u**2 + w**2) + 0.5 * inertia * turn**2
-
-    def forces(q, v, t):
-        return 0.0, 0.0, 0.0
-
-    def blade(q, v, t):
-        return (v[1] * jnp.cos(q[2]) - v[0] * jnp.sin(q[2]),)
-
-    return {"T": kinetic, "Q": forces, "f": blade, "coordinates": ("x", "y", "theta"), "period": 1.0}
-
-
 def test_chaplygin_sleigh():
-    """u = U tanh τ along the blade and θ' = U/k sech τ with τ = lUt/k² + φ, k² = l² + I/m (Chaplygin 1911).
-
-    The angle is (k/l) times the Gudermannian of τ. The sleigh turns round once and runs away along its stable way.
-    """
-    mass, inertia, length = 1.3, 0.4, 0.6
-    system = lagrangian(sleigh, {"mass": mass, "inertia": inertia, "length": length})
-    k = math.sqrt(length**2 + inertia / mass)
-    speed, phase, t1 = 1.5, -2.0, 4.0
-    start = motion((0, 0, 0), (speed * math.tanh(phase), 0, speed / k / math.cosh(phase)))
-    end = march(system, start, t1, 2000, {"mass": mass}, "tsit5")
-    tau = length * speed * t1 / k**2 + phase
-    theta = k / length * (2 * math.atan(math.tanh(tau / 2)) - 2 * math.atan(math.tanh(phase / 2)))
-    u = end.v[0] * math.cos(theta) + end.v[1] * math.sin(theta)
-    assert tau > 2
-    assert abs(end.q[2] - theta) < 1e-11
-    assert abs(u - speed * math.tanh(tau)) < 1e-11
-    assert abs(end.v[2] - speed / k / math.cosh(tau)) < 1e-11
-    energy = [float(sleigh(mass, inertia, length)["T"](s.q, s.v, 0.0)) for s in (start, end)]
+    """Its closed form, until it has turned round, and its energy."""
+    phase, t1 = -2.0, 4.0
+    system, start = lagrangian(sleigh.sleigh, sleigh.PARAMETERS), sleigh.start(phase)
+    end = march(system, start, t1, 2000, {"mass": sleigh.PARAMETERS["mass"]}, "tsit5")
+    exact = sleigh.motion(phase, t1, **sleigh.PARAMETERS)
+    assert exact[1] > 1.4  # of 1.5: backwards at first, as fast as ahead in the end
+    assert np.abs(sleigh.numbers(end) - exact).max() < 1e-11
+    energy = [float(sleigh.sleigh(**sleigh.PARAMETERS)["T"](s.q, s.v, 0.0)) for s in (start, end)]
     assert abs(energy[1] - energy[0]) < 1e-11
 
 
@@ -238,7 +212,7 @@ def test_energy_of_the_appell_hamel_machine_in_springs():
 @pytest.mark.slow
 def test_projection_is_orthogonal_and_its_drift_is_kept():
     """One coarse step leaves f = 0 by its error; the projection moves v along M⁻¹Aᵀ alone, and keeps that |f|."""
-    system, plain = lagrangian(sleigh, {"mass": 1.3, "inertia": 0.4, "length": 0.6}), SOLVERS["tsit5"]
+    system, plain = lagrangian(sleigh.sleigh, {"mass": 1.3, "inertia": 0.4, "length": 0.6}), SOLVERS["tsit5"]
     start = motion((0, 0, 0.3), (math.cos(0.3), math.sin(0.3), 2.0))
     before, after = stepped((plain, ProjectedSolver(plain, system)), system, start, 0.3, {"mass": 1.3})
     (drift,), (left,) = (system.residuals(0.3, state, {"mass": 1.3}) for state in (before, after))
@@ -248,7 +222,7 @@ def test_projection_is_orthogonal_and_its_drift_is_kept():
     assert after.watch[1] == 0
     assert after.q == before.q
     theta, moved = after.q[2], np.subtract(after.v, before.v)
-    metric = jax.hessian(lambda v: sleigh(1.3)["T"](after.q, v, 0.0))(jnp.asarray(before.v))
+    metric = jax.hessian(lambda v: sleigh.sleigh(1.3)["T"](after.q, v, 0.0))(jnp.asarray(before.v))
     for free in ((np.cos(theta), np.sin(theta), 0.0), (0.0, 0.0, 1.0)):  # directions that the blade allows
         assert abs(np.dot(free, np.asarray(metric) @ moved)) < 1e-15
 

@@ -5,7 +5,7 @@
 
 PYTHON is an interpreter that has JaxCont, or xpplab with the AUTO of XPPAUT; what is not named is left out. All run in
 processes of their own, one after the other. Values are held against heyoka's Taylor integrator with a Newton of its own
-(`tests/heyoka_newton.py`). Alone on a quiet machine.
+(`tests/helpers/heyoka_newton.py`). Alone on a quiet machine.
 """
 
 from __future__ import annotations
@@ -152,13 +152,12 @@ def _ours(case: Case, limit: float) -> tuple[dict[str, Run], list[Exact]]:
 
 def _by_heyoka(case: Case, found: Sequence[tuple[str, float, list[float]]]) -> list[Exact]:
     """Bifurcations of cycles, by the reference of the tests: its code and equations share nothing with the package."""
-    sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "tests" / "analyses")]
-    import heyoka_newton  # pyright: ignore[reportMissingImports]
-    import test_known_bifurcations as known  # pyright: ignore[reportMissingImports]
+    from tests.flows import cycles
+    from tests.helpers import heyoka_newton
 
     rates: dict[str, Callable[..., Any]] = {
-        "circuit": known.circuit(0.001, 0.32858, 0.93358),
-        "peroxidase": known.peroxidase,
+        "circuit": cycles.circuit(0.001, 0.32858, 0.93358),
+        "peroxidase": cycles.peroxidase,
     }
     image = heyoka_newton.section_map(rates[case.name], len(case.others) + 1, *case.section)
     cycles = [point for point in found if point[0] in heyoka_newton.TESTS]

@@ -1,0 +1,135 @@
+"""Branches through the whole package: a pitchfork in closed form, and doublings of the particle and of Roessler's flow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import jaxnh
+from jaxnh.analyses.continuation.branches import ANALYSIS
+from jaxnh.exceptions import ConfigError
+from jaxnh.orbits.continuation.branches import ENDS
+from jaxnh.orbits.continuation.kinds import KINDS
+from jaxnh.systems.particle import constant_speed
+from tests.flows.normal_forms import normal_form
+from tests.flows.particle import twin
+from tests.flows.roessler import doubling_of_roessler
+from tests.helpers import taylor
+from tests.helpers.kept_programs import session_of
+from tests.helpers.paths import ROOT
+
+
+def pitchfork(folder, sweep="mu: {start: -0.5, stop: 0.7, count: 12}", options="{max_period: 2, transient: 64}"):
+    initial = f"{{x: 0.3{'' if 'z:' in sweep else ', z: 0.1'}}}"
+    return normal_form(folder, "mu * x - x**3", "mu=0.0", initial, sweep, f"branches: {options}")
+
+
+def test_table_of_bifurcations():
+    """A row each in the order of the file, with the words of the flags and as many digits as the error has."""
+    n = np.array
+    kinds = [KINDS.index(kind) for kind in ("hopf", "period_doubling", "fold")]
+    columns = {"kind": n(kinds), "period": n([0, 2, 1]), "mu": n([0.25, 1.5, 2.123456]),
+               "mu_error": n([2e-4, 1e-7, 3.0]), "criticality": n([1, -1, 0])}  # fmt: skip
+    data = xr.Dataset({name: ("bifurcation", v) for name, v in columns.items()}, attrs={"along": "mu"})
+    found = ANALYSIS.other_tables["bifurcations"](data)
+    assert found.heads == ("bifurcation", "period", "mu", "criticality")
+    assert found.rows == (
+        ("hopf", "equilibrium", "0.2500 ± 0.0002", "supercritical"),
+        ("period doubling", "2", "1.5000000 ± 1e-07", "subcritical"),
+        ("fold", "1", "2 ± 3", "–"),
+    )
+
+
+@pytest.mark.slow
+def test_pitchfork_from_lanes_that_have_settled(tmp_path):
+    """Lanes on x = √μ lead to all: x = 0 from end to end, and both sides of the pitchfork at μ = 0."""
+    tree = session_of(pitchfork(tmp_path)).tree()
+    branches, marks = tree["branches"], tree["bifurcations"]
+    assert [KINDS[kind] for kind in marks["kind"].values] == ["branch_point"]
+    assert abs(float(marks["mu"][0])) < min(1e-8, float(marks["mu_error"][0]))
+    assert int(marks["criticality"][0]) == 1
+    names = ("mu", "x", "stable", "multipliers")
+    zero, root = 0, []
+    for k in range(branches.sizes["branch"]):
+        mu, x, stable, multipliers = (branches[name].values[k] for name in names)
+        known = np.isfinite(mu)
+        assert np.all(stable[~known] == -1)
+        mu, x, stable, largest = mu[known], x[known], stable[known], multipliers[known, 0, 0]
+        if np.abs(x).max() < 1e-6:
+            zero += 1
+            assert np.abs(largest - np.exp(np.maximum(mu, -1.0))).max() < 1e-9  # over a unit of time
+            assert np.array_equal(stable == 1, largest < 1.0)
+            assert (mu.min(), mu.max()) == (-0.5, 0.7)
+        else:
+            root += [x.min(), x.max()]
+            assert np.abs(x**2 - mu).max() < 1e-9
+            assert np.all(stable == 1)
+    assert zero == 1
+    assert min(root) == pytest.approx(-np.sqrt(0.7), abs=1e-9)
+    assert max(root) == pytest.approx(np.sqrt(0.7), abs=1e-9)
+
+
+@pytest.mark.slow
+def test_random_starts_find_what_no_lane_settles_on(tmp_path):
+    """Far beyond the pitchfork x = 0 repels; Newton finds it all the same, and x = −√μ, where no lane goes."""
+    options = "{max_period: 1, transient: 64, n_starts: 16, n_values: 2, seed: 3, box: {x: [-1.5, 1.5], z: [-1, 1]}}"
+    sweep = "mu: {start: 0.3, stop: 0.7, count: 3}"
+    data = session_of(pitchfork(tmp_path, sweep, options)).tree()["branches"]
+    middle = [float(np.nanmedian(row)) for row in data["x"].values]
+    assert len(middle) == 3
+    assert sorted(np.sign(np.round(middle, 6))) == [-1, 0, 1]
+    assert all({ENDS[int(data[end][k])] for end in ("begins", "ends")} == {"range"} for k in range(3))
+
+
+@pytest.mark.parametrize(
+    ("sweep", "options", "message"),
+    [
+        ("z: {start: 0.1, stop: 0.5, count: 3}", "{}", "z is a coordinate of the start state"),
+        ("mu: {start: 0.1, stop: 0.5, count: 3}, z: {values: [0.1, 0.2]}", "{}", "along one axis; leave out z"),
+        ("mu: {values: [0.1]}", "{}", "the sweep has one value of it"),
+        ("mu: {values: [0.1, 0.2]}", "{n_starts: 4}", "needs a box to draw from"),
+        ("mu: {values: [0.1, 0.2]}", "{seed: 4}", "goes with starts, and there are none"),
+        ("mu: {values: [0.1, 0.2]}", "{n_starts: 4, box: {w: [0, 1]}}", "there is no coordinate w"),
+    ],
+)
+def test_what_branches_cannot_do_is_said(tmp_path, sweep, options, message):
+    with pytest.raises(ConfigError, match=message):
+        pitchfork(tmp_path, sweep, options).requested()
+
+
+@pytest.mark.slow
+def test_doublings_of_the_particle():
+    """Three, found from one orbit of period 1, against the Taylor reference: to 1e-8, and within their errors."""
+    settings = [
+        "sweep={b: {start: 5.45, stop: 5.6, count: 4}}",
+        "analyses={branches: {max_period: 4, transient: 256}}",
+    ]
+    found = session_of(jaxnh.load(ROOT / "configs/branches.yaml", settings)).tree()["bifurcations"]
+    kinds = [KINDS[kind] for kind in found["kind"].values.tolist()]
+    doublings = {int(n): k for k, n in enumerate(found["period"].values) if kinds[k] == "period_doubling"}
+    for n in (1, 2, 4):
+        value, error = (float(found[name][doublings[n]]) for name in ("b", "b_error"))
+        first = np.array([float(found[name][doublings[n]]) for name in ("x1", "y1", "x2", "y2")])
+        u = np.array([first[0], first[1], np.arctan2(first[3], first[2])])
+        par = twin(constant_speed())
+        exact = float(taylor.doubling_point(par, n, value, taylor.orbit(par, n, value, u)[0])[0])
+        assert abs(value - exact) < min(1e-8, error)
+        assert int(found["criticality"][doublings[n]]) == 1
+
+
+@pytest.mark.slow
+def test_doublings_of_roessler_on_a_section():
+    """The first two over c, to 1e-8 of heyoka's events and variational equations, from lanes on a section."""
+    settings = [
+        "analyses={branches: {max_period: 2, transient: 256}}",
+        "sweep={c: {start: 2.6, stop: 4.0, count: 8}}",
+        "accuracy.target=1e-10",
+    ]
+    found = session_of(jaxnh.load(ROOT / "configs/flows/roessler.yaml", settings)).tree()["bifurcations"]
+    kinds = [KINDS[kind] for kind in found["kind"].values.tolist()]
+    assert kinds == ["period_doubling"] * 2
+    assert found["period"].values.tolist() == [1, 2]
+    for k, n in enumerate((1, 2)):
+        value, error = float(found["c"][k]), float(found["c_error"][k])
+        assert abs(value - doubling_of_roessler(value, n)) < min(1e-8, error + 1e-11)

@@ -1,0 +1,102 @@
+"""Curves of bifurcations through the whole package: a cusp in closed form, doublings of the particle over b and a."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.analyses.continuation import curves
+from jaxnh.exceptions import ConfigError
+from jaxnh.orbits.bifurcations.codimension_two import POINTS
+from jaxnh.orbits.continuation.curves import Curve, CurvePoints, ParameterPlane, join_unknowns
+from jaxnh.orbits.continuation.kinds import KINDS
+from jaxnh.systems.particle import constant_speed
+from tests.flows.normal_forms import normal_form
+from tests.flows.particle import twin
+from tests.helpers import taylor
+from tests.helpers.kept_programs import session_of
+from tests.helpers.paths import ROOT
+
+
+def test_a_curve_with_a_point_twice_passes_where_it_did():
+    """From (0, 0) to (1, 1) with the middle twice, as where a curve is continued from its end: points on it are on it."""
+    plane = ParameterPlane(None, None, np.ones(1), np.zeros(2), np.ones(2))
+    values = np.repeat([0.0, 0.5, 0.5, 1.0], 2).reshape(4, 2)
+    points = np.zeros((4, 1, 1))
+    track = CurvePoints(join_unknowns(plane, points, values), *([None] * (len(CurvePoints._fields) - 1)))
+    curve = Curve(0, points, values, track, np.ones((4, 1)), (0, 0))
+    for at, there in ((0.25, True), (0.5, True), (0.9, True), (1.5, False)):
+        assert curves._passes(plane, curve, curves._Seed(0, np.zeros((1, 1)), np.array([at, at]))) is there
+
+
+BOTH = "p: {start: -0.6, stop: 0.6, count: 13}, q: {start: -0.5, stop: 1.0, count: 4}"
+
+
+def cusp(folder, sweep=BOTH, options="{max_period: 1, transient: 64, n_values: 2}"):
+    parameters, initial = "p=0.0, q=0.5", "{x: 1.0, z: 0.1}"
+    return normal_form(folder, "p + q * x - x**3", parameters, initial, sweep, f"curves: {options}")
+
+
+@pytest.mark.slow
+def test_cusp_over_two_parameters(tmp_path):
+    """4q³ = 27p² from one end of the plane to the other, through the cusp at (0, 0): one curve, and nothing else."""
+    tree = session_of(cusp(tmp_path)).tree()
+    data = tree["curves"]
+    assert [KINDS[kind] for kind in data["kind"].values] == ["fold"]
+    p, q = (data[name].values[0] for name in ("p", "q"))
+    assert np.abs(4 * q**3 - 27 * p**2).max() < 1e-9
+    assert q[[0, -1]] == pytest.approx([1.0, 1.0])
+    assert p[0] == pytest.approx(-p[-1])
+    assert [POINTS[kind] for kind in data["codimension_two_kind"].values] == ["cusp"]
+    assert abs(float(data["codimension_two_p"][0])) < 1e-9
+    assert abs(float(data["codimension_two_q"][0])) < 1e-9
+    jaxnh.figure(tree)
+
+
+@pytest.mark.parametrize(
+    ("sweep", "message"),
+    [
+        ("p: {start: -0.6, stop: 0.6, count: 13}", "followed over two axes, and the sweep has p"),
+        ("p: {values: [0.1, 0.2]}, q: {values: [0.1]}", "over a range of q"),
+    ],
+)
+def test_what_curves_cannot_do_is_said(tmp_path, sweep, message):
+    with pytest.raises(ConfigError, match=message):
+        cusp(tmp_path, sweep).requested()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", [1e-10, 1e-5])
+def test_doublings_of_the_particle_over_two_parameters(target):
+    """Points of the first two curves over b and a, each against the Taylor reference at its own a: to 1e-8.
+
+    Within their errors, of which that of a counts by the slope of the curve there; the reference's own is below 1e-11.
+    """
+    settings = [
+        "sweep={b: {start: 5.4, stop: 5.7, count: 5}, a: {start: 0.48, stop: 0.52, count: 3}}",
+        "analyses={curves: {max_period: 2, transient: 256, n_values: 1, step: 0.05}}",
+        f"accuracy.target={target}",
+    ]
+    experiment = jaxnh.load(ROOT / "configs/chart_b_a.yaml", settings)
+    data = session_of(experiment).tree()["curves"]
+    for n in (1, 2):
+        [k] = [
+            k
+            for k in range(data.sizes["curve"])
+            if KINDS[int(data["kind"][k])] == "period_doubling" and int(data["period"][k]) == n
+        ]
+        b, a = (data[name].values[k] for name in ("b", "a"))
+        known = np.flatnonzero(np.isfinite(b))
+        for place in known[[0, len(known) // 2, -1]]:
+            par = twin(constant_speed(a=float(a[place])))
+            start = par.start().astype(float)
+            value = float(b[place])
+            for _ in range(400):  # above the doubling, where the orbit attracts: that of period 2 has its own at 0.024
+                [start] = taylor.strobe(par, np.array([value + 0.005]), np.array([start]))
+            exact = float(taylor.doubling_point(par, n, value, taylor.orbit(par, n, value, start)[0])[0])
+            assert abs(value - exact) < max(1e-8, 10 * target)
+            beside = known[[max(place - 2, 0), min(place + 2, len(known) - 1)]]
+            slope = abs(np.diff(b[beside])[0] / np.diff(a[beside])[0])
+            errors = [float(data[f"{name}_error"].values[k, place]) for name in ("b", "a")]
+            assert abs(value - exact) <= errors[0] + slope * errors[1] + 1e-11

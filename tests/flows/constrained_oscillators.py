@@ -1,0 +1,50 @@
+"""Oscillators of two coordinates under a constraint on velocities, as files that a user would write, and as rates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+SLIDE = """\
+import jax.numpy as jnp
+
+def system(drive=0.5, damping=0.2, rate=0.5, level=0.1):
+    def T(q, v, t):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2)
+
+    def Q(q, v, t):  # so that x'' = -x - 2 damping x' + drive cos t: the slide weighs as 1 + (2 rate x')^2
+        weight = 1.0 + (2.0 * rate * v[0]) ** 2
+        return weight * (-q[0] - 2.0 * damping * v[0] + drive * jnp.cos(t)), 0.0
+
+    def f(q, v, t):
+        return (v[1] - rate * (v[0] ** 2 - level),)
+
+    names = {"coordinates": ("x", "y"), "ignorable": ("y",)}
+    return {"T": T, "Q": Q, "f": f, "period": 2 * jnp.pi, **names}
+"""
+
+CYCLE = """\
+import jax.numpy as jnp
+
+def system(mu=0.5, slope=0.5):
+    def T(q, v, t):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2)
+
+    def Q(q, v, t):  # so that x'' = -x + (mu - x^2 - x'^2) x': a cycle of radius sqrt(mu)
+        return (1.0 + slope**2) * (-q[0] + (mu - q[0] ** 2 - v[0] ** 2) * v[0]), 0.0
+
+    def f(q, v, t):
+        return (v[1] - slope * v[0],)
+
+    names = {"coordinates": ("x", "y"), "ignorable": ("y",)}
+    return {"T": T, "Q": Q, "f": f, "time_unit": 2 * jnp.pi, **names}
+"""
+
+
+def slide(t, y, drive=0.5, damping=0.2, rate=0.5, level=0.1):
+    """Rates of (x, x', y)."""
+    return np.array([y[1], -y[0] - 2 * damping * y[1] + drive * np.cos(t), rate * (y[1] ** 2 - level)])
+
+
+def cycle(t, y, mu=0.5, slope=0.5):
+    """Rates of (x, x', y)."""
+    return np.array([y[1], -y[0] + (mu - y[0] ** 2 - y[1] ** 2) * y[1], slope * y[1]])

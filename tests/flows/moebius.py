@@ -1,0 +1,59 @@
+"""A vector that turns by half a turn a period, as files that a user would write, and as rates: its doubling in closed form.
+
+In its frame ξ' = (μ − ν − ξ²) ξ and η' = −η. A period's map has the
+fixed point 0 with multipliers −exp(2π(μ − ν)) and −exp(−2π), which doubles at μ = ν; beyond, ξ = ±√(μ − ν) is an orbit of
+period 2 with exponents −2(μ − ν) and −1. In space it is the same about the circle r = 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+TURN = 2 * np.pi
+
+MOEBIUS = """\
+import jax.numpy as jnp
+
+def system(mu=0.1, nu=0.0, omega=1.0):
+    def rhs(y, t):
+        u, v = y
+        c, s = jnp.cos(omega * t / 2), jnp.sin(omega * t / 2)
+        xi, eta = c * u + s * v, c * v - s * u
+        d, e = (mu - nu - xi**2) * xi, -eta
+        return omega * (c * d - s * e - v / 2), omega * (s * d + c * e + u / 2)
+
+    return {"rhs": rhs, "coordinates": ("u", "v"), "period": 2 * jnp.pi / omega}
+"""
+
+MOEBIUS_IN_SPACE = """\
+import jax.numpy as jnp
+
+def system(mu=0.1, nu=0.0):
+    def rhs(y, t):
+        x, y, z = y
+        r = jnp.sqrt(x * x + y * y)
+        rho, cos, sin = r - 1.0, x / r, y / r
+        cc, ss, cs = (1.0 + cos) / 2, (1.0 - cos) / 2, sin / 2
+        k = mu - nu - (cc * rho**2 + 2 * cs * rho * z + ss * z**2)
+        of_rho = k * (cc * rho + cs * z) - ss * rho + cs * z - z / 2
+        of_z = k * (cs * rho + ss * z) + cs * rho - cc * z + rho / 2
+        return of_rho * cos - y, of_rho * sin + x, of_z
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z"), "time_unit": 2 * jnp.pi}
+"""
+
+
+def moebius(t, y, mu=0.1, nu=0.0, omega=1.0):
+    """Rates of (u, v), from the complex number w = u + iv: in its frame ζ = w exp(−iωt/2)."""
+    turn = np.exp(0.5j * omega * t)
+    zeta = (y[0] + 1j * y[1]) / turn
+    rate = (mu - nu - zeta.real**2) * zeta.real - 1j * zeta.imag + 0.5j * zeta
+    w = omega * rate * turn
+    return np.array([w.real, w.imag])
+
+
+def moebius_in_space(t, y, mu=0.1, nu=0.0):
+    """Rates of (x, y, z): about the circle the plane of (r − 1, z), at the angle of (x, y) in place of time."""
+    angle = np.arctan2(y[1], y[0])
+    rho, z = moebius(angle, [np.hypot(y[0], y[1]) - 1.0, y[2]], mu, nu)
+    return np.array([rho * np.cos(angle) - y[1], rho * np.sin(angle) + y[0], z])

@@ -1,0 +1,27 @@
+"""Lanes and sessions that find the programs of earlier runs in this process."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from jaxnh.engine.executor.lanes import TILE, LaneExecutor
+from jaxnh.engine.executor.programs import Programs
+from jaxnh.engine.experiment import Experiment
+from jaxnh.engine.progress import Progress
+from jaxnh.engine.session import Session
+
+_PROGRAMS = Programs()
+
+
+def lanes_with_kept_programs(
+    progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE
+) -> LaneExecutor:
+    """Lanes on all devices that find the programs of earlier runs in this process; their keys say all there is."""
+    return LaneExecutor(progress, devices, tile, _PROGRAMS)
+
+
+def session_of(experiment: Experiment) -> Session:
+    """A session that finds the programs of earlier ones in this process."""
+    found = Session(experiment)
+    found._lanes = lanes_with_kept_programs(found._progress)
+    return found
