@@ -19,7 +19,7 @@ from jaxnh.engine.axes import SweepPoints, points, sample_places
 from jaxnh.engine.batches import Requested, lanes_of, shared_values_a_tile
 from jaxnh.engine.cache import calibrations
 from jaxnh.engine.cache.calibrations import Decision
-from jaxnh.engine.compute import batch_of
+from jaxnh.engine.compute import batch_of, solver_plan
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.tiles import inner_trip_count
 from jaxnh.engine.experiment import Experiment
@@ -184,7 +184,7 @@ def decide(
     axes, requested = experiment.axes, experiment.requested()
     name = calibrations.name_of(experiment, lanes.devices, lanes.tile)
     if kept := calibrations.find(name):
-        plan, chosen = Plan(SOLVERS[kept.solver], kept.steps, kept.compensated, kept.error_estimate), kept.chosen
+        plan, chosen = solver_plan(kept.plan), kept.plan.chosen
         lanes.accounts.fastest = min(lanes.accounts.fastest, kept.fastest)
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
@@ -194,7 +194,8 @@ def decide(
             if not asked:
                 check_size(experiment, axes, plan, requested, lanes)
             chosen = choose(experiment, axes, plan, requested, lanes)
-        calibrations.keep(name, Decision(plan.solver.name, *plan[1:], chosen, lanes.accounts.fastest))
+        numerical = NumericalPlan(plan.solver.name, *plan[1:], chosen)
+        calibrations.keep(name, Decision(numerical, lanes.accounts.fastest))
     return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
 
 
