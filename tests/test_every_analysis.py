@@ -542,7 +542,7 @@ def test_figures_need_no_attributes(kind, analysis):
     """A group without attributes is drawn with as many lines and areas, or what it lacks is said in words."""
     if isinstance(KINDS[kind].known[analysis], str):
         return
-    asked = {name: OPTIONS[name] for name in ANALYSES["verdict"].needs} if analysis == "verdict" else {}
+    asked = {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs} if analysis == "verdict" else {}
     with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
         groups = session(kind).groups(asked | {analysis: OPTIONS[analysis]})
     for data in groups.values():
@@ -560,7 +560,7 @@ def test_every_analysis(kind, analysis):
     assert set(KINDS[kind].known) == set(ANALYSES), "a new analysis: say what each kind of scene knows of it"
     known, asked = KINDS[kind].known[analysis], {analysis: (OPTIONS | KINDS[kind].options)[analysis]}
     if analysis == "verdict":
-        asked |= {name: OPTIONS[name] for name in ANALYSES["verdict"].needs}
+        asked |= {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs}
     if isinstance(known, str):
         with pytest.raises(InputError, match=re.escape(known)):
             session(kind).groups(asked)

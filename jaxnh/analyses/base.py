@@ -184,7 +184,7 @@ class Analysis:
         name: the key in YAML and the group in the result file.
         options: the model of its options.
         periods: (options, number of lanes) to the lane-periods that a run of it is expected to integrate.
-        run: (options, batch, lane runner) to its dataset; with `needs`, also a mapping of the datasets it needs.
+        run: (options, batch, lane runner) to its dataset; where its options have `needs`, also these datasets by name.
             Attributes of the dataset are those of the group, `warnings` among them, lines for the user.
         whole: what is made of all lanes in the end; what `run` gives is then kept until it is made, and no longer.
         independent: options to whether its lanes are independent. If not, it is run along the whole first
@@ -227,8 +227,3 @@ class Analysis:
     )
     price: Callable[[Any, LaneBatch], Price] | None = None
     brief: Mapping[str, int] = field(default_factory=dict[str, int])
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Names of the analyses that run before it."""
-        return self.options.needs

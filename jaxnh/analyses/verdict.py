@@ -121,7 +121,7 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
         taken = (span if clock else np.full(batch.count, math.ceil(iterates[chaotic].max())))[chaotic] + transient
         again[chaotic] = _recurrences(batch.take(chaotic), lanes, options.confirmation_factor * taken)
         kind[chaotic[again[chaotic] != 0]] = _UNDECIDED
-    codes = np.max([done[name]["status"].to_numpy() for name in ANALYSIS.needs], axis=0)
+    codes = np.max([done[name]["status"].to_numpy() for name in ANALYSIS.options.needs], axis=0)
     codes = np.where(kind == _FAILED, np.where(codes > 0, codes, NOT_FINITE), 0)
     words = f"lag, up to {_LONGEST}, after which a lane that had looked chaotic repeats itself"
     steady_words = "third difference of smooth averages, of the motion's size, where it looks quasiperiodic"

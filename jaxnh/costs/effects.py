@@ -206,7 +206,8 @@ def _stored(batch: LaneBatch, requested: Requested, lanes: LaneRunner) -> dict[s
         if not analysis.independent(options):
             sizes[analysis.name] = 0.0  # of the sweep, not of a lane
             continue
-        needed: tuple[Mapping[str, xr.Dataset], ...] = ({n: done[n] for n in analysis.needs},) if analysis.needs else ()
+        needs = analysis.options.needs
+        needed: tuple[Mapping[str, xr.Dataset], ...] = ({name: done[name] for name in needs},) if needs else ()
         data = analysis.run(options.model_copy(update=dict(analysis.brief)), two, StagelessRunner(lanes), *needed)
         done[analysis.name] = data
         sizes[analysis.name] = sum(v.nbytes for v in data.variables.values() if v.dims[:1] == (LANE,)) / 2

@@ -21,7 +21,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level, fill_level, mark_computed
 from jaxnh.jobs.cutting import Piece
-from jaxnh.jobs.job import Job
+from jaxnh.jobs.job import Job, NumericalPlan
 from jaxnh.jobs.provenance import SecondsSpent
 from jaxnh.solvers import SOLVERS
 from jaxnh.solvers.runge_kutta import in_loop
@@ -65,11 +65,16 @@ def batch_of(
     return LaneBatch(at.system, at.start, at.p, *plan, **more)
 
 
-def plan_of_job(job: Job) -> Plan:
-    """The solver and steps of a job."""
-    plan = job.plan
+def solver_plan(plan: NumericalPlan) -> Plan:
+    """The solver and steps of a numerical plan."""
     solver = SOLVERS[plan.solver]
     return Plan(in_loop(solver) if plan.rolled else solver, plan.steps, plan.compensated, plan.error_estimate)
+
+
+def numerical_plan(plan: Plan, chosen: Mapping[str, Mapping[str, int]]) -> NumericalPlan:
+    """The numerical plan of a solver and steps, with settings that analyses have chosen."""
+    rolled = bool(getattr(plan.solver, "rolled", False))
+    return NumericalPlan(plan.solver.name, plan.steps, plan.compensated, plan.error_estimate, chosen, rolled)
 
 
 def executor_for(analysis: Analysis, options: Options, count: int, lanes: LaneExecutor) -> LaneExecutor:
@@ -112,14 +117,14 @@ def compute(
     after = spent(lanes, time.perf_counter() - began)
     done, first = [], 0
     for piece in batch:
-        some = lanes_of(piece, level)
-        rows = {LANE: slice(first, first + some)}
-        first += some
+        count = lanes_of(piece, level)
+        rows = {LANE: slice(first, first + count)}
+        first += count
         cut = {name: data.isel(rows, missing_dims="ignore") for name, data in groups.items()}
         if level is not None:
-            cut = {name: fill_level(level, name, piece, axes, cut.get(name) if some else None) for name in piece.names}
+            cut = {name: fill_level(level, name, piece, axes, cut.get(name) if count else None) for name in piece.names}
         counts = {n: {} if ANALYSES[n].whole else dict(ANALYSES[n].count(data)) for n, data in cut.items()}
-        share = some / len(places[0]) if len(places[0]) else 1.0 / len(batch)
+        share = count / len(places[0]) if len(places[0]) else 1.0 / len(batch)
         cost = SecondsSpent(
             after.seconds * share,
             (after.compile_seconds - before.compile_seconds) * share,
@@ -152,12 +157,15 @@ def _groups(
         stacked = stackable(experiment, axes, requested, job.plan.solver)
         at = (points_together if stacked else points)(experiment, axes, places)
     place = places[0] * job.cutting.step
-    lane_batch = batch_of(at, plan_of_job(job), experiment.precision, job.plan.chosen, place, axes[0] if line else None)
+    lane_batch = batch_of(
+        at, solver_plan(job.plan), experiment.precision, job.plan.chosen, place, axes[0] if line else None
+    )
     options = {analysis.name: options for analysis, options in requested}
     groups: dict[str, xr.Dataset] = {}
     for name in names:
         analysis = ANALYSES[name]
-        needed = ({need: groups[need] for need in analysis.needs},) if analysis.needs else ()
+        needs = analysis.options.needs
+        needed = ({need: groups[need] for need in needs},) if needs else ()
         few = executor_for(analysis, options[name], job.cutting.lanes, lanes)
         groups[name] = analysis.run(options[name], lane_batch, few, *needed)
     return groups
@@ -183,11 +191,11 @@ def _combine_tiles(
     rows = []
     for at in np.ndindex(*(shape[k] for k in shared)):
         chosen = dict(zip(shared, at, strict=True))
-        some = number[tuple(chosen.get(k, slice(None)) for k in range(len(axes)))].ravel()
-        places = np.unravel_index(some, shape)
+        members = number[tuple(chosen.get(k, slice(None)) for k in range(len(axes)))].ravel()
+        places = np.unravel_index(members, shape)
         at_row = points(experiment, axes, places)
         place = places[0] * job.cutting.step
-        rows.append((some, batch_of(at_row, plan_of_job(job), experiment.precision, job.plan.chosen, place)))
+        rows.append((members, batch_of(at_row, solver_plan(job.plan), experiment.precision, job.plan.chosen, place)))
     data = gather(analysis.name)
     groups = analysis.whole.run(options, SweepLanes(tuple(axes), tuple(rows)), lanes, data)
     if job.cutting.level:

@@ -20,14 +20,14 @@ from jaxnh.engine.axes import SweepPoints, points, sample_places
 from jaxnh.engine.batches import Requested, lanes_of, shared_values_a_tile
 from jaxnh.engine.cache import calibrations
 from jaxnh.engine.cache.calibrations import Decision
-from jaxnh.engine.compute import batch_of, executor_for
+from jaxnh.engine.compute import batch_of, executor_for, numerical_plan, solver_plan
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.tiles import inner_trip_count
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level
 from jaxnh.exceptions import AccuracyError
 from jaxnh.jobs.cutting import Cutting, Piece, tile_lanes
-from jaxnh.jobs.job import Job, NumericalPlan
+from jaxnh.jobs.job import Job
 from jaxnh.jobs.provenance import Provenance, versions
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.section import Section
@@ -170,7 +170,7 @@ def job_of(
         refine=experiment.levels.refine if experiment.levels else "",
     )
     return Job(
-        NumericalPlan(plan.solver.name, *plan[1:], chosen, bool(getattr(plan.solver, "rolled", False))),
+        numerical_plan(plan, chosen),
         cutting,
         Provenance(experiment.sha256, versions(), machine),
     )
@@ -198,8 +198,7 @@ def decide(
     axes, requested = experiment.axes, experiment.requested()
     name = calibrations.name_of(experiment, lanes.devices, lanes.tile)
     if kept := calibrations.find(name):
-        plan = Plan(SOLVERS[kept.solver], kept.steps, kept.compensated, kept.error_estimate)
-        plan, chosen = in_quickest_form(experiment, axes, plan, requested), kept.chosen
+        plan, chosen = solver_plan(kept.plan), kept.plan.chosen
         lanes.accounts.fastest = min(lanes.accounts.fastest, kept.fastest)
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
@@ -210,7 +209,7 @@ def decide(
             if not asked:
                 check_size(experiment, axes, plan, requested, lanes)
             chosen = choose(experiment, axes, plan, requested, lanes)
-        calibrations.keep(name, Decision(plan.solver.name, *plan[1:], chosen, lanes.accounts.fastest))
+        calibrations.keep(name, Decision(numerical_plan(plan, chosen), lanes.accounts.fastest))
     return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
 
 

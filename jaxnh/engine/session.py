@@ -194,7 +194,7 @@ class Session:
             raise InputError(f"there is no analysis {analysis}; known are {', '.join(ANALYSES)}")
         asked_for = GROUPS[analysis]
         self._check_arguments(asked_for, options, axes)
-        return self.groups({**dict.fromkeys(asked_for.needs), asked_for.name: options}, **axes)[analysis]
+        return self.groups({**dict.fromkeys(asked_for.options.needs), asked_for.name: options}, **axes)[analysis]
 
     def groups(
         self, analyses: Mapping[str, Mapping[str, Any] | Options | None], **axes: ArrayLike

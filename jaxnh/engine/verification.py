@@ -10,15 +10,17 @@ import h5py
 import numpy as np
 import xarray as xr
 
+from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import COMPUTED, axes_of
+from jaxnh.engine.plan import job_of
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ResultError, RunError
 from jaxnh.jobs.cutting import Cutting, Piece, slab, tile_shape
-from jaxnh.jobs.job import Job, NumericalPlan
-from jaxnh.jobs.provenance import Provenance
+from jaxnh.solvers import SOLVERS
+from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.storage import hdf5
 
 _LANES = 16
@@ -43,23 +45,16 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     # Of a user's system the text in the result alone, never a file that a config in it may name.
     experiment = Experiment.from_text(attrs["config"], attrs.get("system_file", ""))
     requested = experiment.requested()
-    plan = NumericalPlan(
-        solver=attrs["solver"],
-        steps=int(attrs["steps_per_period"]),
-        compensated=attrs["summation"] == "compensated",
-        error_estimate=float(attrs["error_estimate"]),
-        chosen=json.loads(attrs["auto_settings"]),
-        rolled=attrs.get("stages") == "loop",
+    solver = SOLVERS[attrs["solver"]]
+    plan = Plan(
+        in_loop(solver) if attrs.get("stages") == "loop" else solver,
+        int(attrs["steps_per_period"]),
+        attrs["summation"] == "compensated",
+        float(attrs["error_estimate"]),
     )
-    whole = Cutting(
-        order=tuple(analysis.name for analysis, _ in requested),
-        independent=tuple(analysis.name for analysis, options in requested if analysis.independent(options)),
-        axes=tuple((axis.dim, len(axis.values), axis.kind == "shared") for axis in experiment.axes),
-        tile=_LANES,
-        levels=int(attrs.get("levels", 1)),
-    )
-    cutting = whole.stages()[int(attrs.get("level", 1)) - 1]
-    job = Job(plan, cutting, Provenance(attrs["config_sha256"], {}, {}))
+    whole = job_of(experiment, experiment.axes, plan, json.loads(attrs["auto_settings"]), requested, {}, _LANES)
+    job = whole.stages()[int(attrs.get("level", 1)) - 1]
+    cutting = job.cutting
     axes = axes_of(experiment.axes, cutting)
     compared: dict[str, tuple[int, int]] = {a.name: (0, 0) for a, _ in requested if not a.whole}
     lanes = LaneExecutor()

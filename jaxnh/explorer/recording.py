@@ -120,9 +120,9 @@ class RecordedDiagram(_Recording):
         """The part of the diagram that lies in a view."""
         axis, values = values_of(self._data, view.axis, view.variable)
         inside = _inside(axis, (view.low, view.high), 1)
-        some = raster(axis[inside], values[inside], view.window)
+        cells = raster(axis[inside], values[inside], view.window)
         data = self._data.isel({view.axis: inside})
-        yield Picture(some, data, f"{len(inside):,} values", (self._note,))
+        yield Picture(cells, data, f"{len(inside):,} values", (self._note,))
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """The facts that the file has of the lane that is nearest to a value of the axis."""

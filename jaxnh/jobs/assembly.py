@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -54,7 +54,7 @@ def _fill(parts: Sequence[tuple[Piece, xr.Dataset]], axes: Mapping[str, int]) ->
     for piece, dataset in parts:
         data = {str(name): as_text(np.asarray(v.values)) for name, v in dataset.variables.items()}
         if not arrays:
-            wholes = {name: WholeVariable(name, dataset[name].dims, values, axes) for name, values in data.items()}
+            wholes = {name: WholeVariable(name, dataset[name].dims, v.shape, v.dtype, axes) for name, v in data.items()}
             arrays = {name: np.empty(wholes[name].shape, values.dtype) for name, values in data.items()}
         check_names(data, wholes)
         for name, values in data.items():
@@ -73,20 +73,6 @@ def check_names(names: Iterable[Any], expected: Iterable[str]) -> None:
         raise DamagedError("its variables are not those of the other tiles")
 
 
-class SizedArray(Protocol):
-    """An array, or a variable of a file."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Size of each dimension."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of its numbers."""
-        ...
-
-
 class WholeVariable:
     """A variable of the whole sweep in the making: its shape, and which parts of it are there.
 
@@ -96,10 +82,12 @@ class WholeVariable:
         grows: whether it grows at all.
     """
 
-    def __init__(self, name: str, dims: Sequence[Any], first: SizedArray, axes: Mapping[str, int]) -> None:
+    def __init__(
+        self, name: str, dims: Sequence[Any], shape: tuple[int, ...], dtype: np.dtype, axes: Mapping[str, int]
+    ) -> None:
         self.name, self.dims, self._axes = name, tuple(map(str, dims)), axes
-        self.shape = tuple(axes.get(dim, size) for dim, size in zip(self.dims, first.shape, strict=True))
-        self._dtype = first.dtype
+        self.shape = tuple(axes.get(dim, size) for dim, size in zip(self.dims, shape, strict=True))
+        self._dtype = dtype
         self.grows = any(dim in axes for dim in self.dims)
         self._repeats = not set(axes) <= set(self.dims)
         self._there: dict[tuple[tuple[int, int], ...], str] = {}

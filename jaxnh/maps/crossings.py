@@ -36,30 +36,30 @@ class SteppedStrobe(ReturnMap):
 
     Attributes:
         system: the flow.
-        one: the map of one step.
+        step_map: the map of one step.
         steps: how many.
     """
 
     system: Flow
-    one: ReturnMap
+    step_map: ReturnMap
     steps: ArrayLike
 
     @property
     def most_lanes(self) -> int | None:
         """Largest number of lanes a tile for a single step."""
-        return self.one.most_lanes
+        return self.step_map.most_lanes
 
     @property
     def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps and of the loops in a step."""
-        return (float(np.mean(self.steps)), *self.one.trip_counts)
+        return (float(np.mean(self.steps)), *self.step_map.trip_counts)
 
     def __call__(self, state: State, p: Parameters) -> State:
-        return lax.fori_loop(0, self.steps, lambda _, z: self.one(z, p), state)
+        return lax.fori_loop(0, self.steps, lambda _, z: self.step_map(z, p), state)
 
     def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         begun = Pushforward(state, tangents, as_batched(jnp.ones_like(state[0][0]), state[0][0]))
-        return lax.fori_loop(0, self.steps, lambda _, pushed: _compose(self.one, pushed, p), begun)
+        return lax.fori_loop(0, self.steps, lambda _, pushed: _compose(self.step_map, pushed, p), begun)
 
 
 class _Search(NamedTuple):
@@ -130,9 +130,9 @@ class EventStrobe(ReturnMap):
         return self.iterate(1, state, p)
 
     def iterate(self, n: ArrayLike, state: Crossing, p: Parameters) -> Crossing:
-        def advance(one: ReturnMap, carried: Carried) -> Carried:
+        def advance(step_map: ReturnMap, carried: Carried) -> Carried:
             assert not isinstance(carried, Pushforward)
-            return one(carried, p)
+            return step_map(carried, p)
 
         ended = self._searched(n, state, (), state.state, p, advance)
         return self._arrived(state, ended, _state_of(ended.carried))
@@ -142,9 +142,9 @@ class EventStrobe(ReturnMap):
         flow_tangents = tuple(Tangent(t.state.state, t.p) for t in tangents)
         begun = Pushforward(state.state, flow_tangents, jnp.ones_like(state.t))
 
-        def advance(one: ReturnMap, carried: Carried) -> Carried:
+        def advance(step_map: ReturnMap, carried: Carried) -> Carried:
             assert isinstance(carried, Pushforward)
-            return _compose(one, carried, p)
+            return _compose(step_map, carried, p)
 
         ended = self._searched(1, state, tuple(t.state.t for t in tangents), begun, p, advance)
         last = ended.carried
@@ -293,9 +293,9 @@ def _improve(
     return jnp.where(inside, better, 0.5 * (low + high)), low, high
 
 
-def _compose(one: ReturnMap, pushed: Pushforward, p: Parameters) -> Pushforward:
+def _compose(step_map: ReturnMap, pushed: Pushforward, p: Parameters) -> Pushforward:
     """State and tangents one map later, volumes multiplied."""
-    after = one.pushforward(pushed.state, p, pushed.tangents)
+    after = step_map.pushforward(pushed.state, p, pushed.tangents)
     return after._replace(volume=pushed.volume * after.volume)
 
 

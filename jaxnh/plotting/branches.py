@@ -82,12 +82,12 @@ def bifurcations(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     for value, (words, _) in meanings(kind).items():
         here = np.flatnonzero(kind.to_numpy() == value)
         for sign, face in ((False, "#303030"), (True, "white")):
-            some = here[(criticality.to_numpy()[here] < 0) == sign]
-            if not len(some):
+            chosen = here[(criticality.to_numpy()[here] < 0) == sign]
+            if not len(chosen):
                 continue
             ax.plot(
-                np.repeat(x[some], y.shape[1]),
-                y[some].ravel(),
+                np.repeat(x[chosen], y.shape[1]),
+                y[chosen].ravel(),
                 MARKS.get(words, "x"),
                 color="#303030",
                 markerfacecolor=face,

@@ -206,7 +206,8 @@ class _MergedGroup:
         """Empty variables with the attributes of the first piece's."""
         store.set_attributes(self._group, attrs)
         for name, item in items.items():
-            self._whole[name] = whole = WholeVariable(name, store.dimensions(item), item, self._axes)
+            whole = WholeVariable(name, store.dimensions(item), item.shape, item.dtype, self._axes)
+            self._whole[name] = whole
             self._targets[name] = self._target(name, item, whole)
             store.set_attributes(store.variable(self._group, name), store.attributes(item))
 

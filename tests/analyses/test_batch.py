@@ -103,7 +103,9 @@ def test_a_dataset_says_what_it_is(lanes, name):
     def run(analysis, brief):
         options = analysis.options(**{k: v for k, v in brief.items() if k in analysis.options.model_fields})
         needed = (
-            ({need: run(ANALYSES[need], ANALYSES[need].brief) for need in analysis.needs},) if analysis.needs else ()
+            ({need: run(ANALYSES[need], ANALYSES[need].brief) for need in analysis.options.needs},)
+            if analysis.options.needs
+            else ()
         )
         return analysis.run(options, scene, lanes, *needed)
 

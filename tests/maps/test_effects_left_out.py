@@ -22,8 +22,8 @@ def test_tables_have_no_forcing_that_is_left_out():
     assert still.period == 2 * math.pi
     assert make_return_map(still, SPLITTING, 40).table.shape[-1] == 2
     free_running = make_return_map(without("forcing"), SPLITTING, 40)
-    assert free_running.one.table.shape == (64, 2)  # the coefficients of one step, and no more
-    assert (free_running.steps, int(free_running.one.kicks)) == (40, 17)
+    assert free_running.step_map.table.shape == (64, 2)  # the coefficients of one step, and no more
+    assert (free_running.steps, int(free_running.step_map.kicks)) == (40, 17)
 
 
 @pytest.mark.slow

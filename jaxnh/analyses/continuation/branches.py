@@ -97,10 +97,10 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     ends = float(axis.values.min()), float(axis.values.max())
     families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
     waves = attractor_waves(batch, lanes, u, np.where(known, period, 0))
-    some = np.unique(np.linspace(0, len(order) - 1, min(options.n_values, len(order))).round().astype(int))
-    here = batch.take(np.argsort(batch.first_axis.values, kind="stable")[some])
+    sampled = np.unique(np.linspace(0, len(order) - 1, min(options.n_values, len(order))).round().astype(int))
+    here = batch.take(np.argsort(batch.first_axis.values, kind="stable")[sampled])
     if options.n_starts:
-        with lanes.stage(f"branches: {options.n_starts} random starts at {len(some)} values of {axis.name}", 0):
+        with lanes.stage(f"branches: {options.n_starts} random starts at {len(sampled)} values of {axis.name}", 0):
             waves.append(
                 random_wave(
                     here,

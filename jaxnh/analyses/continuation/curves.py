@@ -99,10 +99,10 @@ def run(options: CurvesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
 def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `curves` and `codimension_two`."""
     (first, second), [(_, row)] = sweep.axes, sweep.rows
-    some = np.unique(
+    sampled = np.unique(
         np.linspace(0, len(second.values) - 1, min(options.n_values, len(second.values))).round().astype(int)
     )
-    chosen = np.unique(second.values[some])
+    chosen = np.unique(second.values[sampled])
     batches = [_lanes_at(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
     surveys = [survey_from_start(batch, lanes, options.max_period, "curves", options.transient) for batch in batches]

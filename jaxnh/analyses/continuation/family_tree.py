@@ -110,7 +110,7 @@ def grow(
 def _follow_branches(
     family: Family,
     tree: Tree,
-    some: Sequence[SeedOrbit],
+    seeds: Sequence[SeedOrbit],
     begun: Sequence[CurveOrbits],
     steps: StepControl,
     stage: Stage,
@@ -118,8 +118,8 @@ def _follow_branches(
     """The new branches through orbits, and on from orbits at bifurcations, all of one period."""
     queue = [orbits.take(orbits.converged) for orbits in begun]  # first, as they begin where their branches do
     beside = sum(len(orbits.value) for orbits in queue)
-    if some:
-        points, value = np.stack([orbit.points for orbit in some]), np.array([orbit.value for orbit in some])
+    if seeds:
+        points, value = np.stack([orbit.points for orbit in seeds]), np.array([orbit.value for orbit in seeds])
         orbits = correct(family, points, value, along_parameter(family, *points.shape[:2]), FINE)
         queue.append(orbits.take(orbits.converged))
     orbits: CurveOrbits = jax.tree.map(lambda *leaves: np.concatenate(leaves), *queue)
@@ -141,8 +141,8 @@ def _follow_branches(
 
 def _is_known(family: Family, known: Sequence[Branch], branch: Branch) -> bool:
     """Return whether all of a branch, as far as some of its points tell, is on others."""
-    some = np.unique(np.linspace(0, len(branch.value) - 1, _LOOKED_AT).round().astype(int)).tolist()
-    return all(is_on_branch(family, known, branch.points[i], float(branch.value[i])) for i in some)
+    sampled = np.unique(np.linspace(0, len(branch.value) - 1, _LOOKED_AT).round().astype(int)).tolist()
+    return all(is_on_branch(family, known, branch.points[i], float(branch.value[i])) for i in sampled)
 
 
 def _add_branches(
@@ -187,10 +187,10 @@ def _locate(
     first = locate(families[0], stretch)
     neutral = np.isin(stretch.kind, (NEIMARK_SACKER, HOPF)) & first.exists
     neutral[neutral] = neutral_pair(families[0], first.orbits.take(neutral))
-    some = np.flatnonzero(first.exists & ~neutral)
+    located = np.flatnonzero(first.exists & ~neutral)
     lost = int(np.sum(~first.exists))
-    stretch, first = (jax.tree.map(lambda leaf: leaf[some], part) for part in (stretch, first))
-    if not len(some):
+    stretch, first = (jax.tree.map(lambda leaf: leaf[located], part) for part in (stretch, first))
+    if not len(located):
         return [], first.orbits, np.zeros(first.orbits.points.shape), lost
     second, third = (locate(finer, stretch, first.share, _NARROW) for finer in families[1:])
     value = second.orbits.value
@@ -214,7 +214,7 @@ def _locate(
         )
         for k, at in enumerate(sure.tolist())
     ]
-    return bifurcations, first.orbits.take(sure), np.real(normal.vectors), lost + len(some) - len(sure)
+    return bifurcations, first.orbits.take(sure), np.real(normal.vectors), lost + len(located) - len(sure)
 
 
 def _parents(family: Family, branch: Branch) -> list[SeedOrbit]:

@@ -89,9 +89,9 @@ def _zeros(
 
 
 def _apart(
-    family: Family, some: Float[np.ndarray, "some n d"], one: Float[np.ndarray, "n d"]
-) -> Float[np.ndarray, " some"]:
-    """Distances of orbits from one in lengths, of all its turns the least."""
-    none = np.zeros(len(some))
-    turns = (np.roll(one, m, 0) for m in range(len(one)))
-    return np.min([length(family, PathVector(family.wrap(some - turn), none)) for turn in turns], axis=0)
+    family: Family, orbits: Float[np.ndarray, "orbits n d"], orbit: Float[np.ndarray, "n d"]
+) -> Float[np.ndarray, " orbits"]:
+    """Distances of orbits from an orbit, in lengths, the least over its first points."""
+    none = np.zeros(len(orbits))
+    shifted = (np.roll(orbit, m, 0) for m in range(len(orbit)))
+    return np.min([length(family, PathVector(family.wrap(orbits - start), none)) for start in shifted], axis=0)

@@ -222,8 +222,8 @@ def _survey_at(
         shortest = least_period(lanes, strobe, exact.u, select(p, here), n[settled], size[here])
         shorter = np.flatnonzero(shortest != n[settled])
         if len(shorter):
-            some = here[shorter]
-            turned = orbits(lanes, strobe, exact.u[shorter], select(p, some), shortest[shorter], size[some])
+            subset = here[shorter]
+            turned = orbits(lanes, strobe, exact.u[shorter], select(p, subset), shortest[shorter], size[subset])
             for whole, part in zip(exact, turned, strict=True):
                 whole[shorter] = part
         period[here], point[here] = shortest, exact.u

@@ -43,12 +43,12 @@ def orbits(
     n = np.broadcast_to(np.asarray(n, np.int32), len(u))
 
     def of(lane: Int[np.ndarray, " group"], tile: int) -> Orbit:
-        def look_at(u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]) -> NewtonStep:
-            which = lane[some]
+        def newton_step(u: Float[np.ndarray, "subset d"], subset: Int[np.ndarray, " subset"]) -> NewtonStep:
+            which = lane[subset]
             at = (n[which], u, select(p, which), *(() if size is None else sizes(strobe.chart, size[which])))
             return lanes(look, (strobe,), at, tile=tile)
 
-        return find_orbits(look_at, u[lane])
+        return find_orbits(newton_step, u[lane])
 
     order = np.argsort(n, kind="stable")
     short, long = order[n[order] <= _SHORT], order[n[order] > _SHORT]

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from jaxnh.engine.cache import executables, store
 from jaxnh.engine.experiment import Experiment
+from jaxnh.jobs.job import NumericalPlan
 
 
 @dataclass(frozen=True)
@@ -21,19 +22,11 @@ class Decision:
     """A decision that holds for a whole sweep.
 
     Attributes:
-        solver: its name.
-        steps: a period.
-        compensated: whether sums are.
-        error_estimate: of one period's map.
-        chosen: what analyses choose from the whole sweep, by their names.
+        plan: its numerical plan.
         fastest: seconds a lane for an iteration of the innermost loop of a map, as measured while deciding.
     """
 
-    solver: str
-    steps: int
-    compensated: bool
-    error_estimate: float
-    chosen: Mapping[str, Mapping[str, int]]
+    plan: NumericalPlan
     fastest: float
 
 
@@ -50,7 +43,10 @@ def name_of(experiment: Experiment, devices: Sequence[Any], tile: int | None) ->
 def find(name: str | None) -> Decision | None:
     """The decision of that name, if it is kept."""
     data = store.find(name) if name else None
-    return Decision(**json.loads(data)) if data else None
+    if not data:
+        return None
+    content = json.loads(data)
+    return Decision(NumericalPlan(**content["plan"]), content["fastest"])
 
 
 def keep(name: str | None, decision: Decision) -> None:

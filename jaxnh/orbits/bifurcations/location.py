@@ -123,12 +123,12 @@ def locate(
         centre: shares of the chords, by default the middle.
         half: of the chord, that the first nodes reach to either side.
     """
-    some = len(stretch.kind)
-    centre, widths = np.full(some, 0.5) if centre is None else np.array(centre), np.full(some, half)
-    none = np.full(some, np.nan)
+    count = len(stretch.kind)
+    centre, widths = np.full(count, 0.5) if centre is None else np.array(centre), np.full(count, half)
+    none = np.full(count, np.nan)
     begun = _orbits(family, stretch, centre)
-    best = BifurcationPoints(centre.copy(), none, np.full(some, np.inf), np.zeros(some), begun, np.zeros(some, bool))
-    sharp, open_ = np.full(some, np.inf), np.arange(some)
+    best = BifurcationPoints(centre.copy(), none, np.full(count, np.inf), np.zeros(count), begun, np.zeros(count, bool))
+    sharp, open_ = np.full(count, np.inf), np.arange(count)
     for _ in range(_ROUNDS):
         part: Brackets = jax.tree.map(lambda leaf, o=open_: leaf[o], stretch)
         shares = centre[open_, None] + widths[open_, None] * _NODES

@@ -277,8 +277,8 @@ def angle_cosine(values: Complex[np.ndarray, "lanes d"]) -> Float[np.ndarray, " 
     d = values.shape[1]
     i, j = np.triu_indices(d, 1)
     pair = np.argmin(np.abs(values[:, i] * values[:, j] - 1.0), axis=1)
-    some = np.arange(len(values))
-    return 0.5 * np.real(values[some, i[pair]] + values[some, j[pair]])
+    row = np.arange(len(values))
+    return 0.5 * np.real(values[row, i[pair]] + values[row, j[pair]])
 
 
 # ---- the equations
@@ -370,12 +370,12 @@ def _cut_at_edge(plane: ParameterPlane, kind: int, now: CurvePoints, taken: Curv
     # A curve that begins on an edge, to rounding, leaves there at a share of zero.
     share = np.where(_beyond(plane, taken.z), np.clip(share, 0.0, 1.0), np.inf)
     first = np.argmin(share, axis=1)
-    some = np.arange(len(gone))
-    z = now.z + share[some, first][:, None] * gone
-    edge = np.where(gone[some, first - 2] > 0.0, plane.high[first], plane.low[first]) / unit[first]
-    z[some, first - 2] = edge
+    row = np.arange(len(gone))
+    z = now.z + share[row, first][:, None] * gone
+    edge = np.where(gone[row, first - 2] > 0.0, plane.high[first], plane.low[first]) / unit[first]
+    z[row, first - 2] = edge
     across = np.zeros_like(z)
-    across[some, first - 2] = np.sign(gone[some, first - 2])
+    across[row, first - 2] = np.sign(gone[row, first - 2])
     return correct(plane, kind, z, across)
 
 
