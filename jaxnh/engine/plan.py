@@ -14,8 +14,8 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Starts
 from jaxnh.analyses.batch import Axis, LaneBatch, select
 from jaxnh.config.blocks import MOST_LANES
+from jaxnh.engine.accuracy import cost_model
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
-from jaxnh.engine.accuracy.cost_model import LOOP_OVER_WRITTEN_OUT, lanes_a_tile, quickest_form
 from jaxnh.engine.axes import SweepPoints, points, sample_places
 from jaxnh.engine.batches import Requested, lanes_of, shared_values_a_tile
 from jaxnh.engine.cache import calibrations
@@ -31,8 +31,9 @@ from jaxnh.jobs.job import Job
 from jaxnh.jobs.provenance import Provenance, versions
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.section import Section
-from jaxnh.solvers import SOLVERS
+from jaxnh.solvers import SOLVERS, Solver
 from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.systems.flow import Flow
 
 _MOST_CHOOSING = 1 << 16  # lanes of a sweep with more than are run unasked that analyses choose by
 _LONGEST_RUN = 86400.0  # seconds that a sweep may take unasked: what takes days is a slip, or work for a cluster
@@ -92,8 +93,13 @@ def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:
     return row._replace(start=start, p=p, where=where)
 
 
-def plan_of(experiment: Experiment, calibration: Calibration) -> Plan:
+def plan_of(
+    experiment: Experiment, axes: Sequence[Axis], calibration: Calibration, requested: Requested | None = None
+) -> Plan:
     """The solver and steps asked for, or else the cheapest that meet the target.
+
+    Args:
+        requested: analyses that it is for, a short run of which is not worth a comparison of solvers.
 
     Raises:
         AccuracyError: nothing meets the target.
@@ -102,19 +108,28 @@ def plan_of(experiment: Experiment, calibration: Calibration) -> Plan:
     if accuracy.solver and accuracy.steps:
         solver = SOLVERS[accuracy.solver]
         return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
+
+    def is_short(plan: Plan) -> bool:
+        return requested is not None and cost_model.is_short(*_job(experiment, axes, plan, requested))
+
     try:
-        return calibration.cheapest(accuracy.target)
+        return calibration.cheapest(accuracy.target, is_short)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: accuracy.target: {error}") from None
 
 
 def in_quickest_form(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> Plan:
     """The plan with the steps in the form that is quickest for so many lane-periods, compiling included."""
+    return plan._replace(solver=cost_model.quickest_form(*_job(experiment, axes, plan, requested)))
+
+
+def _job(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> tuple[Solver, Flow, float]:
+    """The solver, a flow and the lane-steps of a sweep, those that fill up tiles too."""
     lanes = experiment.sweep.lanes
-    tile = lanes_a_tile(lanes)
-    work = work_of(requested, lanes) * plan.steps * -(-lanes // tile) * tile
+    tile = cost_model.lanes_a_tile(lanes)
+    lane_steps = work_of(requested, lanes) * plan.steps * -(-lanes // tile) * tile
     first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
-    return plan._replace(solver=quickest_form(plan.solver, first.system.flow, work))
+    return plan.solver, first.system.flow, lane_steps
 
 
 def choose(
@@ -204,7 +219,8 @@ def decide(
             check_size(experiment, axes, plan, requested, lanes)
     else:
         with lanes.stage("accuracy: errors of one period on sample lanes", 0):
-            plan = plan_of(experiment, calibrate(experiment, axes, lanes, experiment.accuracy.only_target))
+            calibration = calibrate(experiment, axes, lanes, experiment.accuracy.only_target)
+            plan = plan_of(experiment, axes, calibration, requested)
             plan = in_quickest_form(experiment, axes, plan, requested)
             if not asked:
                 check_size(experiment, axes, plan, requested, lanes)
@@ -227,7 +243,9 @@ def check_size(
     work = work_of(requested, count) * count
     first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
     looped = batch_of(first, plan._replace(solver=in_loop(plan.solver)), experiment.precision)  # as calibrations are
-    iterations = inner_trip_count((looped.strobe(),)) / (1.0 if looped.solver == plan.solver else LOOP_OVER_WRITTEN_OUT)
+    iterations = inner_trip_count((looped.strobe(),)) / (
+        1.0 if looped.solver == plan.solver else cost_model.LOOP_OVER_WRITTEN_OUT
+    )
     seconds = work * iterations * lanes.accounts.fastest if math.isfinite(lanes.accounts.fastest) else 0.0
     if count > MOST_LANES or seconds > _LONGEST_RUN:
         size = f", {8e-9 * count:.2g} GB a variable" if count > MOST_LANES else ""

@@ -265,7 +265,8 @@ class Session:
             experiment, axes = self.experiment, self.experiment.axes
         with self._lanes.stage("accuracy: errors of one period on sample lanes", 0):
             target = experiment.accuracy.only_target
-            plan = plan_of(experiment, calibrate(experiment, axes, self._lanes, target, requested))
+            calibration = calibrate(experiment, axes, self._lanes, target, requested)
+            plan = plan_of(experiment, axes, calibration, requested)
         self._plans.append((axes, experiment.sectioned, drawn, plan))
         return plan
 

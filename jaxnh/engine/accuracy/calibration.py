@@ -28,7 +28,7 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta, in_loop
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State, error_components
 
@@ -142,8 +142,12 @@ class Calibration:
         """Error estimate of one period with so many steps; infinite where a state is not finite."""
         return self._largest(self._errors(solver, steps, compensated))
 
-    def cheapest(self, target: float) -> Plan:
-        """The splitting and steps with the fewest kicks whose error is at most the target.
+    def cheapest(self, target: float, is_short: Callable[[Plan], bool] = lambda _: False) -> Plan:
+        """The solver and steps with the fewest kicks whose error is at most the target.
+
+        Args:
+            is_short: whether a plan is done before another could be looked for; then that of the reference, which is a
+                Runge–Kutta method and compiled already, is good enough.
 
         Raises:
             AccuracyError: none meets it; the message names the smallest error measured.
@@ -151,16 +155,20 @@ class Calibration:
         if self.floor > target:
             raise self._refusal(target, self._known)
         nearest = Plan(self._way.reference, _REFERENCE_STEPS, False, math.inf)
+        if self._summations == (False,) and isinstance(self._way.reference, WrittenOutRungeKutta):
+            reference = self._best(self._way.reference, target, _MOST_KICKS, compensated=False)
+            if reference.error_estimate <= target and is_short(reference):
+                return reference
         by_order = sorted(self._candidates, key=lambda s: (abs(s.convergence_order - 8), not s.processor[1]))
         for compensated in self._summations:
             best, most = None, _MOST_KICKS
             for solver in by_order:
                 if best is None and solver.convergence_order < 6:
                     break  # where no high order meets the target, no low one does
-                for plan in self._search(solver, target, solver.most_steps(most), compensated):
-                    nearest = min(nearest, plan, key=lambda p: p.error_estimate)
-                    if plan.error_estimate <= target:
-                        best, most = plan, solver.total_kicks(plan.steps) - 1
+                plan = self._best(solver, target, most, compensated=compensated)
+                nearest = min(nearest, plan, key=lambda p: p.error_estimate)
+                if plan.error_estimate <= target:
+                    best, most = plan, solver.total_kicks(plan.steps) - 1
             if best is not None:
                 return best
         raise self._refusal(target, self._errors(*nearest[:3]))
@@ -181,6 +189,13 @@ class Calibration:
             f"no solver has an error of one {what} of {target:g} over this sweep; with up to {self._tried:,} kicks, "
             f"that at {where} comes down to {errors[worst]:.2g}{hint}"
         )
+
+    def _best(self, solver: Solver, target: float, most_kicks: int, *, compensated: bool) -> Plan:
+        """The plan of one solver with the fewest steps that meet the target, or else the one of the least error."""
+        plans = list(self._search(solver, target, solver.most_steps(most_kicks), compensated))
+        meeting = [plan for plan in plans if plan.error_estimate <= target]
+        none = Plan(solver, 1, compensated, math.inf)
+        return min(meeting, key=lambda p: p.steps) if meeting else min([*plans, none], key=lambda p: p.error_estimate)
 
     def _search(self, solver: Solver, target: float, most: int, compensated: bool) -> Iterator[Plan]:
         """Plans of one solver on the way to the fewest steps that meet the target; nothing above `most` steps."""

@@ -18,6 +18,8 @@ LOOP_OVER_WRITTEN_OUT = 4.0
 
 _COMPILING = 8e-4  # seconds to trace and compile an equation of a step that is written out
 _LOOPED = 2e-10  # seconds more for a coordinate at a stage of a lane-step, where the stages are a loop
+_RATE = 1e-9  # seconds for a coordinate at a stage of a lane-step in a loop
+_WORTH_COMPARING = 0.5  # seconds of a run: solvers differ by a third of it, and each compiles for a fifth of a second
 _TILES = ((16, 8), (128, 32), (512, 128))  # lanes of a sweep up to which a tile has so many
 _LARGEST_TILE = 256
 
@@ -37,6 +39,11 @@ def quickest_form(solver: Solver, flow: Flow, lane_steps: float) -> Solver:
     equations = time_split(flow).size + solver.stages * d / 2.0
     looped = _LOOPED * lane_steps * d < _COMPILING * equations
     return replace(solver, rolled=True) if looped else solver
+
+
+def is_short(solver: Solver, flow: Flow, lane_steps: float) -> bool:
+    """Whether a job is done before another solver would be compiled and measured, and its gain begin."""
+    return _RATE * solver.stages * flow.chart.dimension * lane_steps < _WORTH_COMPARING
 
 
 def lanes_a_tile(lanes: int) -> int:
