@@ -109,13 +109,18 @@ def plan_of(
         solver = SOLVERS[accuracy.solver]
         return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
 
-    def is_short(plan: Plan) -> bool:
-        return requested is not None and cost_model.is_short(*_job(experiment, axes, plan, requested))
+    def enough(plan: Plan) -> bool:
+        return requested is not None and is_short(experiment, axes, plan, requested)
 
     try:
-        return calibration.cheapest(accuracy.target, is_short)
+        return calibration.cheapest(accuracy.target, enough)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: accuracy.target: {error}") from None
+
+
+def is_short(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> bool:
+    """Whether analyses of a sweep are done before another solver would be compiled and measured."""
+    return cost_model.is_short(*_job(experiment, axes, plan, requested))
 
 
 def in_quickest_form(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> Plan:
@@ -243,9 +248,9 @@ def check_size(
     work = work_of(requested, count) * count
     first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
     looped = batch_of(first, plan._replace(solver=in_loop(plan.solver)), experiment.precision)  # as calibrations are
-    iterations = inner_trip_count((looped.strobe(),)) / (
-        1.0 if looped.solver == plan.solver else cost_model.LOOP_OVER_WRITTEN_OUT
-    )
+    iterations = inner_trip_count((looped.strobe(),))
+    if looped.solver != plan.solver:
+        iterations /= cost_model.LOOP_OVER_WRITTEN_OUT
     seconds = work * iterations * lanes.accounts.fastest if math.isfinite(lanes.accounts.fastest) else 0.0
     if count > MOST_LANES or seconds > _LONGEST_RUN:
         size = f", {8e-9 * count:.2g} GB a variable" if count > MOST_LANES else ""

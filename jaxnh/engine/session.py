@@ -30,6 +30,7 @@ from jaxnh.engine.plan import (
     choose,
     count_warnings,
     in_quickest_form,
+    is_short,
     job_of,
     plan_of,
     start_samplers,
@@ -89,7 +90,7 @@ class Session:
         self.experiment = self._base = experiment
         self._progress = as_progress(progress)
         self._lanes = LaneExecutor(self._progress, list(devices) if devices else None)
-        self._plans: list[tuple[tuple[Axis, ...], bool, frozenset[str], Plan]] = []
+        self._plans: list[tuple[tuple[Axis, ...], bool, frozenset[str], bool, Plan]] = []
 
     def _repr_html_(self) -> str:
         """HTML for a notebook: its experiment, and what calibration has chosen so far; nothing is computed."""
@@ -257,9 +258,11 @@ class Session:
         """The plan of a sweep that has these lanes, calibrated if there is none yet."""
         requested = experiment.requested()
         drawn = frozenset(start_samplers(requested))
-        for known, sectioned, starts, plan in self._plans:
+        for known, sectioned, starts, short, plan in self._plans:
             # A return is made of steps in time.
             if _within(axes, known) and sectioned >= experiment.sectioned and starts >= drawn:
+                if short and not is_short(experiment, axes, plan, requested):
+                    continue  # solvers were not compared, and a longer run is worth it
                 return plan
         if _within(axes, self.experiment.axes) and self.experiment.sectioned >= experiment.sectioned:
             experiment, axes = self.experiment, self.experiment.axes
@@ -267,7 +270,8 @@ class Session:
             target = experiment.accuracy.only_target
             calibration = calibrate(experiment, axes, self._lanes, target, requested)
             plan = plan_of(experiment, axes, calibration, requested)
-        self._plans.append((axes, experiment.sectioned, drawn, plan))
+        short = is_short(experiment, axes, plan, requested)
+        self._plans.append((axes, experiment.sectioned, drawn, short, plan))
         return plan
 
     def _compute(self, experiment: Experiment) -> tuple[Job, dict[str, xr.Dataset]]:
