@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import importlib
 import json
 import os
 import re
@@ -26,6 +27,7 @@ import tempfile
 import textwrap
 import time
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -95,9 +97,7 @@ class Answer(NamedTuple):
 
 def write_flows(folder: Path) -> dict[str, int]:
     """Write every flow into a folder of its name, `sys.py` and `c.yaml`; number of coordinates by name."""
-    import dysts
-
-    package = Path(str(dysts.__file__)).parent
+    package = Path(str(importlib.import_module("dysts").__file__)).parent
     data = json.loads((package / "data" / "chaotic_attractors.json").read_text(encoding="utf-8"))
     source = (package / "flows.py").read_text(encoding="utf-8")
     classes = {node.name: node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)}
@@ -235,7 +235,6 @@ def page(
     empty: Mapping[str, Answer], kept: Mapping[str, Answer], said: Mapping[str, str | None], sizes: Mapping[str, int]
 ) -> str:
     """The page of results."""
-    from importlib.metadata import version
 
     answered = {name: answer for name, answer in empty.items() if answer.code == 0}
     refused = [f"- {n}: {' '.join(a.text.split())[-240:]}" for n, a in empty.items() if a.code]
