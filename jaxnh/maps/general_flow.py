@@ -28,7 +28,7 @@ from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State
-from jaxnh.systems.tracing import cached_by_structure
+from jaxnh.systems.tracing import cached_by_structure, traced_once
 
 _SMALLEST_GRID = 2048  # steps of all parts: most accuracies, and refined ones, run through one program
 _LARGEST_STEP = 3000  # equations that are written out in a step; larger ones compile for minutes, and get a loop
@@ -121,8 +121,10 @@ class GeneralStrobe(ReturnMap):
 
         if system.reduction.leaves_constraints:
             return self._march(field, project, Moving(state), 0).state
-        placed = self._placed(state, p)
-        return self._ended(self._march(field, None, Moving(system.reduction.reduce(placed)), 0).state, placed, p)
+        grid = jnp.asarray(self.grid)
+        placed = system.project(grid[0], state, p)
+        ended = self._march(field, None, Moving(system.reduction.reduce(placed)), 0)
+        return _restored(system, grid[-1], ended.state, placed, p)
 
     def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         if not isinstance(self.solver, WrittenOutRungeKutta):
@@ -130,35 +132,42 @@ class GeneralStrobe(ReturnMap):
         own = own_parameters(self.system, p)
         by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
 
-        system = self.system
-
-        def field(values: Sequence[Any], y: Moving) -> Moving:
+        @traced_once
+        def rates(values: Sequence[Any], system: Flow, own: Any, y: Moving, by_p: Any) -> Moving:
             def rate(z: State, own: Any) -> State:
                 return time_split(system).rest(values, system, (z, own))
 
             value, moved = linearise(rate, y.state, own, y.tangents, by_p)
-            spread = system.divergence_of(lambda z: rate(z, own), y.state)
-            return Moving(value, moved, spread)
+            return Moving(value, moved, system.divergence_of(lambda z: rate(z, own), y.state))
 
-        def project(t: Any, y: Moving) -> Moving:
-            value, moved = linearise(
-                lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p
-            )
-            return Moving(value, moved, y.log_volume)
+        def field(values: Sequence[Any], y: Moving) -> Moving:
+            return rates(list(values), self.system, own, y, by_p)
 
-        first = jax.tree.leaves(state)[0]
+        def along_tangents(
+            change: Callable[[Flow, Any, State, Any, Parameters], State],
+        ) -> Callable[..., Moving]:
+            """Something done to states at a time, with what it does to tangents; it may read another state."""
+
+            @traced_once
+            def changed(system: Flow, t: Any, y: Moving, other: Any, p: Parameters, own: Any, by_p: Any) -> Moving:
+                def of_state(z: State, own: Any) -> State:
+                    return change(system, t, z, other, {**p, **own})
+
+                return Moving(*linearise(of_state, y.state, own, y.tangents, by_p), y.log_volume)
+
+            return lambda t, y, other=None: changed(self.system, t, y, other, p, own, by_p)
+
+        first, grid, system = jax.tree.leaves(state)[0], jnp.asarray(self.grid), self.system
         zero = as_batched(jnp.zeros_like(first), first)
         begun = Moving(state, tuple(t.state for t in tangents), zero)
+        project = along_tangents(lambda system, t, z, _, p: system.project(t, z, p))
         if system.reduction.leaves_constraints:
             ended = self._march(field, project, begun, len(tangents) + 1)
         else:
-            placed, moved = linearise(lambda y, own: self._placed(y, {**p, **own}), state, own, begun.tangents, by_p)
-            begun = Moving(system.reduction.reduce(placed), tuple(map(system.reduction.reduce, moved)), zero)
-            ended = self._march(field, None, begun, len(tangents) + 1)
-            moved = linearise(
-                lambda z, own: self._ended(z, placed, {**p, **own}), ended.state, own, ended.tangents, by_p
-            )
-            ended = Moving(*moved, ended.log_volume)
+            placed, reduce = project(grid[0], begun), system.reduction.reduce
+            reduced = Moving(reduce(placed.state), tuple(map(reduce, placed.tangents)), zero)
+            ended = self._march(field, None, reduced, len(tangents) + 1)
+            ended = along_tangents(_restored)(grid[-1], ended, placed.state)
         moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
         return Pushforward(ended.state, moved, jnp.exp(ended.log_volume))
 
@@ -181,15 +190,6 @@ class GeneralStrobe(ReturnMap):
             return after if project is None else project(grid[i + 1], after)
 
         return step(0, y) if self.steps is None else lax.fori_loop(0, self.steps, step, y)
-
-    def _placed(self, state: State, p: Parameters) -> State:
-        """The state on its constraints, before steps that cannot leave them."""
-        return self.system.project(jnp.asarray(self.grid)[0], state, p)
-
-    def _ended(self, carried: State, before: State, p: Parameters) -> State:
-        """The state after such steps."""
-        t = jnp.asarray(self.grid)[-1]
-        return self.system.project(t, self.system.reduction.restore(t, carried, before, p), p)
 
     def _by_diffrax(self, y: State, p: Parameters) -> State:
         grid = jnp.asarray(self.grid)
@@ -215,6 +215,11 @@ class GeneralStrobe(ReturnMap):
             image = jax.jvp(self.__call__, (state, dict(p)), (t.state, {**still, **(t.p or {})}))[1]
             moved.append(Tangent(image, t.p))
         return Pushforward(self(state, p), tuple(moved), jnp.full_like(jax.tree.leaves(state)[0], jnp.nan))
+
+
+def _restored(system: Flow, t: Any, carried: State, before: State, p: Parameters) -> State:
+    """The state after steps that cannot leave its constraints, of what they carry and the state before them."""
+    return system.project(t, system.reduction.restore(t, carried, before, p), p)
 
 
 def linearise(
