@@ -27,6 +27,7 @@ from jaxnh.maps.second_order import SecondOrder, second_order
 from jaxnh.solvers import Nystrom
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State
+from jaxnh.systems.tracing import traced_once
 
 Carried = list[list[Any]]
 """Positions, or velocities: of the state, then of every tangent."""
@@ -71,17 +72,20 @@ class NystromStrobe(GeneralStrobe):
         form, own = self._form, own_parameters(self.system, p)
         by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
 
-        def force(values: Sequence[Any], x: Carried) -> Carried:
-            value, moved = linearise(
-                lambda x, own: form.split.rest(values, self.system, (x, own)), x[0], own, x[1:], by_p
-            )
+        @traced_once
+        def forces(values: Sequence[Any], system: Flow, x: Carried, own: Any, by_p: Any) -> Carried:
+            value, moved = linearise(lambda x, own: form.split.rest(values, system, (x, own)), x[0], own, x[1:], by_p)
             return [value, *moved]
 
+        @traced_once
+        def projected(t: Any, system: Flow, y: Moving, p: Parameters, own: Any, by_p: Any) -> Moving:
+            return Moving(*linearise(lambda z, own: system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p))
+
+        def force(values: Sequence[Any], x: Carried) -> Carried:
+            return forces(list(values), self.system, x, own, by_p)
+
         def project(t: Any, y: Moving) -> Moving:
-            value, moved = linearise(
-                lambda z, own: self.system.project(t, z, {**p, **own}), y.state, own, y.tangents, by_p
-            )
-            return Moving(value, moved)
+            return projected(t, self.system, y, p, own, by_p)
 
         ended = self._march_on(force, project, Moving(state, tuple(t.state for t in tangents)))
         moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
