@@ -10,7 +10,7 @@ CHARTS := chart_b_d chart_b_a
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows paper effects startup newcomer claims docs release-check test browser check_types check_tests slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows paper effects startup first_answer newcomer claims docs release-check test browser check_types check_tests slow hard clean
 
 install: $(INSTALLED)
 
@@ -47,6 +47,10 @@ effects: $(INSTALLED)
 # Time from command to result, in its parts; writes results/startup.md. On a machine that does nothing else.
 startup: $(INSTALLED)
 	$(RUN)/python -m sweeps.timing.startup
+
+# How soon strangers' flows are answered, and how rightly (pip install dysts); writes results/first_answer.md.
+first_answer: $(INSTALLED)
+	$(RUN)/python -m sweeps.timing.first_answer
 
 # What the README, the how-to pages and three strangers' flows have, run as it stands there, against results/newcomer.md.
 newcomer: $(INSTALLED)

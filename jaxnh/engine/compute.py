@@ -166,7 +166,7 @@ def _groups(
         analysis = ANALYSES[name]
         needs = analysis.options.needs
         needed = ({need: groups[need] for need in needs},) if needs else ()
-        few = executor_for(analysis, options[name], job.cutting.lanes, lanes)
+        few = executor_for(analysis, options[name], experiment.sweep.lanes, lanes)
         groups[name] = analysis.run(options[name], lane_batch, few, *needed)
     return groups
 
