@@ -17,7 +17,7 @@ from rich.console import Console
 from jaxnh.analyses.batch import LaneBatch
 from jaxnh.cli.arguments import command_line
 from jaxnh.cli.terminal import progress, show
-from jaxnh.costs import STUDIES, solvers, tables
+from jaxnh.costs import STUDIES, forms, solvers, tables
 from jaxnh.costs import effects as costs_of_effects
 from jaxnh.engine.accuracy.calibration import Calibration, Plan
 from jaxnh.engine.axes import points
@@ -25,10 +25,10 @@ from jaxnh.engine.compute import batch_of, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.output import check_output
-from jaxnh.engine.plan import calibrate, job_of, plan_of, work_of
+from jaxnh.engine.plan import calibrate, in_quickest_form, job_of, plan_of, work_of
 from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.xla_options import configure
-from jaxnh.exceptions import ArgumentError, ConfigError, ResultError
+from jaxnh.exceptions import ArgumentError, ResultError
 from jaxnh.plotting import costs as figures_cost
 from jaxnh.plotting.style import save
 from jaxnh.storage import hdf5
@@ -51,15 +51,9 @@ def price(experiment: Experiment, output: Path | None, repeats: int, began: floa
     """Price accuracy, or effects, into a file; by default results/NAME_cost.h5 or results/NAME_effects.h5.
 
     Raises:
-        ConfigError: the scene has no solvers to price.
         ArgumentError: the file cannot be written, or is something else.
         AccuracyError: nothing meets the accuracy asked for.
     """
-    if not effects and experiment.autonomous:
-        raise ConfigError(
-            f"{experiment.label}: system: solvers are priced on a strobe map, and this scene has no clock; "
-            "--effects prices what it has"
-        )
     path = output or Path("results") / f"{Path(experiment.label).stem}_{'effects' if effects else 'cost'}.h5"
     _check_replaceable(path)
     check_output(path)
@@ -85,16 +79,27 @@ def _check_replaceable(path: Path) -> None:
 
 
 def price_accuracy(experiment: Experiment, path: Path, repeats: int, began: float) -> None:
-    """Price solvers, and the accuracy of derived quantities that the config asks for; write, draw and show them."""
+    """Price solvers, forms of a step and derived quantities that the config asks for; write, draw and show them.
+
+    Solvers and derived quantities are priced on a strobe map, of systems with a clock.
+    """
     console, times = Console(), dict[str, float]()
     with _part("accuracy", times):
         bench = _bench(experiment, began)
     groups: dict[str, xr.Dataset] = {}
-    with _part("solvers", times):
-        target, work = experiment.accuracy.target, _work(bench)
-        groups["solvers"] = solvers.price(bench.batch, bench.calibration, target, work, bench.lanes, repeats)
-    console.print(show(tables.solvers(groups["solvers"])))
-    studies = _studies(bench, times)
+    if experiment.autonomous:
+        print("solvers are priced on a strobe map, and this scene has no clock: stages alone are", file=sys.stderr)
+    else:
+        with _part("solvers", times):
+            target, work = experiment.accuracy.target, _work(bench)
+            groups["solvers"] = solvers.price(bench.batch, bench.calibration, target, work, bench.lanes, repeats)
+        console.print(show(tables.solvers(groups["solvers"])))
+    with _part("stages", times):
+        both = _forms(bench)
+    if both is not None:
+        groups["stages"] = both
+        console.print(show(tables.forms(both)))
+    studies = {} if experiment.autonomous else _studies(bench, times)
     groups |= {f"{name}_cost": data for name, data in studies.items()}
     with _part("figures", times):
         _write(bench, path, groups)
@@ -138,6 +143,16 @@ def _bench(experiment: Experiment, began: float) -> PricedExperiment:
     along = along if along and along.kind == "lane" else None
     batch = batch_of(points(experiment, axes, places), plan, experiment.precision, axis=along)
     return PricedExperiment(experiment, batch, plan, calibration, lanes, began)
+
+
+def _forms(bench: PricedExperiment) -> xr.Dataset | None:
+    """Both forms of a step of the solver that is picked."""
+    experiment, requested = bench.experiment, bench.experiment.requested()
+    lanes = experiment.sweep.lanes
+    chosen = in_quickest_form(experiment, experiment.axes, bench.plan, requested)
+    rolled = bool(getattr(chosen.solver, "rolled", False))
+    work = work_of(requested, lanes)
+    return forms.price(bench.batch, requested, bench.lanes, lanes, work, rolled=rolled)
 
 
 def _work(bench: PricedExperiment) -> float:

@@ -39,6 +39,30 @@ def solvers(data: xr.Dataset) -> Table:
     )
 
 
+def forms(data: xr.Dataset) -> Table:
+    """A row a form of a step; that of the sweep is marked."""
+    columns = _columns(data)
+    rows = [
+        (
+            str(stages),
+            f"{columns['compiling'][i]:.1f} s",
+            *(_duration(columns["compiling"][i] + seconds) for seconds in columns["run"][i]),
+            "◀" if columns["picked"][i] else "",
+        )
+        for i, stages in enumerate(columns["stages"])
+    ]
+    heads = [f"{count:,} lane{'s' if count > 1 else ''}" for count in columns["lanes"].tolist()]
+    return Table(
+        "Stages of a step in a loop, or written out",
+        ("stages", "compiling", *heads, ""),
+        tuple(rows),
+        "from command to result with nothing kept, calibration left out; ◀ the form of this sweep",
+        left=(0,),
+        ruled=False,
+        bold=int(np.argmax(columns["picked"])),
+    )
+
+
 def doubling(data: xr.Dataset) -> Table:
     """A row an estimate of the doubling point."""
     columns = _columns(data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -10,11 +11,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxnh.costs import exponent
+from jaxnh.costs import exponent, forms
 from jaxnh.costs import solvers as costs_of_solvers
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import load
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS
+from jaxnh.storage.hdf5 import open_result
 from jaxnh.systems.particle import constant_speed
 from tests.helpers.batches import batch_of
 from tests.helpers.commands import run_here
@@ -73,9 +75,29 @@ def test_solvers_of_a_users_system():
     assert len(set(names)) == len(names)
     assert {*RUNGE_KUTTA, "diffrax Tsit5", "diffrax Dopri8 adaptive"} < set(names)
     assert not set(names) & set(SPLITTINGS)
-    run = run_here(ROOT / "configs" / "flows" / "lorenz.yaml", command="cost")
-    assert run.returncode == 2
-    assert "solvers are priced on a strobe map, and this scene has no clock; --effects prices what it has" in run.stderr
+
+
+def test_both_forms_of_a_step(tmp_path):
+    """Without a clock they are all that is priced: compiling apart, the run for this sweep and for larger ones."""
+    path = tmp_path / "lorenz_cost.h5"
+    small = ["sweep.rho.count=4", "accuracy.target=1e-4", "analyses.lyapunov.periods=64", "analyses.diagram.strobes=4"]
+    run = run_here(ROOT / "configs" / "flows" / "lorenz.yaml", *small, "--output", path, command="cost")
+    assert run.returncode == 0, run.stderr
+    assert "solvers are priced on a strobe map, and this scene has no clock: stages alone are" in run.stderr
+    assert "Stages of a step in a loop, or written out" in run.stdout
+    with open_result(path) as tree:
+        data = tree["stages"].to_dataset()
+        assert data["stages"].to_numpy().tolist() == ["loop", "written out"]
+        assert data["picked"].to_numpy().tolist() == [1, 0]
+        assert data["lanes"].to_numpy().tolist() == [4, 40, 400]
+        assert np.all(data["compiling"] > 0)
+        assert np.all(data["run"] > 0)
+
+
+def test_solvers_of_one_form_have_none_to_compare(tmp_path):
+    """Kicks of the particle are written out, and so cheap to compile that there is no other form."""
+    scene = batch_of(constant_speed(), ((0.1, 0.1), (0.1, math.sqrt(0.99))), [5.2], SPLITTINGS["blanes_moan6"], 40)
+    assert forms.price(scene, (), LaneExecutor(), 1, 1.0, rolled=False) is None
 
 
 @pytest.mark.slow

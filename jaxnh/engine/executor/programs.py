@@ -20,8 +20,14 @@ _COMPILING = threading.Lock()  # one program at a time: JAX's cache is switched 
 class Programs:
     """Compiled programs, which several executors may share if their devices are the same."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, kept: bool = True) -> None:
+        """Take none.
+
+        Args:
+            kept: whether those of earlier runs are looked for, and new ones kept.
+        """
         self._programs: dict[Any, Any] = {}
+        self._kept = kept
 
     def __len__(self) -> int:
         """Number of compiled programs."""
@@ -54,20 +60,25 @@ class Programs:
             with _COMPILING:
                 began = time.perf_counter()
                 if key not in self._programs:  # by now, as another executor may have needed it
-                    self._programs[key] = _compiled(function, static, (shared, lanes), devices)
+                    self._programs[key] = _compiled(function, static, (shared, lanes), devices, kept=self._kept)
                 accounts.compile_seconds += time.perf_counter() - began
         return self._programs[key]
 
 
 def _compiled(
-    function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, Any], devices: Sequence[Any]
+    function: Callable[..., Any],
+    static: tuple[Any, ...],
+    arguments: tuple[Any, Any],
+    devices: Sequence[Any],
+    *,
+    kept: bool,
 ) -> Any:
     """The program of such calls, from an earlier run or compiled now."""
     structure = jax.tree.structure(arguments)
     leaves = tuple(map(jax.tree.leaves, arguments))
-    name = executables.name_of(function, static, arguments, devices)
-    if name and (kept := executables.find(name, jax.tree.structure((leaves, {})), devices)):
-        return kept
+    name = executables.name_of(function, static, arguments, devices) if kept else None
+    if name and (found := executables.find(name, jax.tree.structure((leaves, {})), devices)):
+        return found
 
     def tile(*leaves: Any) -> Any:
         shared, lanes = jax.tree.unflatten(structure, jax.tree.leaves(leaves))
@@ -77,9 +88,10 @@ def _compiled(
     split = PartitionSpec("lanes")
     sharded = jax.shard_map(tile, mesh=mesh, in_specs=(PartitionSpec(), split), out_specs=split, check_vma=False)
     lowered = jax.jit(sharded).lower(*leaves)
-    if not name:
+    if kept and not name:
         return lowered.compile()
     with executables.compiling():
         program = lowered.compile()
-    executables.keep(name, program)
+    if name:
+        executables.keep(name, program)
     return program
