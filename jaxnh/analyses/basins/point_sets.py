@@ -8,13 +8,15 @@ across it.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import KDTree
 
 from jaxnh.systems.chart import Chart
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 _BETWEEN = 8
 """Parts that the path from point to point is filled in with.
@@ -61,6 +63,8 @@ def point_set(
     scale = np.where(scale > 0.0, scale, 1.0)
     if np.any(steps):
         points, steps = _interpolate(chart, points, steps)
+    from scipy.spatial import KDTree  # here, as it takes a tenth of a second to import
+
     return PointSet(chart, scale, points, steps, KDTree(_scale(chart, points, scale), boxsize=_box(chart, scale)))
 
 

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import stdtrit
 
 from jaxnh.analyses.exponents.tangent_growth import TangentState
 from jaxnh.analyses.options.base import BLOCKS
@@ -36,6 +35,8 @@ class Average(NamedTuple):
 
 def student(count: int) -> float:
     """Return Student's two-sided quantile of 95 % for the mean of so many numbers, by one less degrees of freedom."""
+    from scipy.special import stdtrit  # here, as it takes a tenth of a second to import
+
     return float(stdtrit(count - 1, 0.975))
 
 
