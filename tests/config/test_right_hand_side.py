@@ -140,12 +140,14 @@ def test_exponents_of_lorenz(tmp_path):
     """0.9056, 0, −14.5723 (Sprott 2003, to 5e-5) within the bars.
 
     Their sum is −(σ + 1 + β), but for what a window of 256 units keeps of the speed along the flow, which the exponent
-    there, given as zero, leaves out: by its logarithm, no more than that of 1 to 150 on this attractor.
+    there, given as zero, leaves out: by its logarithm, no more than that of 1 to 150 on this attractor. The bar is itself
+    an estimate from a few block means: of 256 lanes of this length half have one below 0.039, and 999 of 1,000 one below
+    0.093, which depends on the motion and so on its last bits.
     """
     found = session_of(jaxnh.load(write(tmp_path))).run("lyapunov", rho=28.0)
     exponents, errors = found["exponents"].to_numpy(), found["exponents_error"].to_numpy()
     assert np.all(np.abs(exponents - [0.9056, 0.0, -14.5723]) <= errors + 5e-5)
-    assert errors[0] < 0.05
+    assert errors[0] < 0.1
     assert exponents.sum() == pytest.approx(-(10.0 + 1.0 + 8 / 3), abs=np.log(150.0) / 256)
 
 
