@@ -179,8 +179,9 @@ def test_sections():
 
 
 @pytest.mark.slow
-def test_own_systems(tmp_path):
+def test_own_systems(tmp_path, monkeypatch):
     """A user's system has its parameters and coordinates as axes; its programs are those of test_two_axes."""
+    monkeypatch.setattr("jaxnh.engine.accuracy.cost_model.quickest_form", lambda solver, *_: solver)
     (tmp_path / "own.py").write_text(DOUBLE_WELL)
     system = {"file": str(tmp_path / "own.py"), "damping": 0.2}
     sweep = {"drive": {"values": [0.3, 0.35, 0.4]}}
