@@ -36,7 +36,6 @@ _AS_THEY_ARE = {
     "stop_gradient",
 }  # marks for the compiler, or for derivatives
 _CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
-_CALLS |= {"custom_vmap_call": "call"}
 _ELEMENTARY = {sine: "sin", cosine: "cos", exponential: "exp", logarithm: "log", hyperbolic_tangent: "tanh"}
 
 
@@ -201,14 +200,6 @@ def _sum(arithmetic: Arithmetic, params: Mapping[str, Any], a: Double) -> Double
     return a
 
 
-def _row_times_matrix(arithmetic: Arithmetic, params: Mapping[str, Any], a: Double, b: Double) -> Double:
-    """Product of a row (k,) with a matrix (k, n), the only one that maps have."""
-    if params["dimension_numbers"] != (((0,), (0,)), ((), ())) or a.hi.ndim != 1:
-        raise NotImplementedError("dot_general is not known in extended precision but of a row with a matrix")
-    column = Double(*(None if half is None else half.reshape(-1, *(1,) * (b.hi.ndim - 1)) for half in a))
-    return _sum(arithmetic, {"axes": (0,)}, arithmetic.mul(column, b))
-
-
 _OPERATIONS: dict[str, Callable[..., Value]] = {
     "add": lambda arithmetic, _, a, b: arithmetic.add(a, b),
     "add_any": lambda arithmetic, _, a, b: arithmetic.add(a, b),
@@ -222,7 +213,6 @@ _OPERATIONS: dict[str, Callable[..., Value]] = {
     "max": lambda arithmetic, _, a, b: select(arithmetic.less(a, b), b, a),
     "min": lambda arithmetic, _, a, b: select(arithmetic.less(b, a), b, a),
     "reduce_sum": _sum,
-    "dot_general": _row_times_matrix,
     "integer_pow": _power,
     "pow": _real_power,
     "square": lambda arithmetic, _, a: arithmetic.mul(a, a),

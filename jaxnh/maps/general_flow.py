@@ -62,6 +62,7 @@ class GeneralStrobe(ReturnMap):
         grid: ends of the steps, (capacity + 1,); the last one repeats where not all are in use.
         steps: how many are in use; None of the only one, which is no loop.
         values: what time alone decides, at the stages of all steps, each (capacity, stages).
+        carried: whether stages are a loop of sums and products alone, as extended precision knows them.
     """
 
     system: Flow
@@ -69,6 +70,7 @@ class GeneralStrobe(ReturnMap):
     grid: ArrayLike
     steps: ArrayLike | None
     values: tuple[Any, ...] = ()
+    carried: bool = eqx.field(static=True, default=False)
 
     @property
     def most_lanes(self) -> int | None:
@@ -86,13 +88,12 @@ class GeneralStrobe(ReturnMap):
     def _rolls(self, tangents: int) -> bool:
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return False
-        if self.solver.rolled is not None:
-            return self.solver.rolled
+        if self.carried or self.solver.rolled is not None:
+            return self.carried or bool(self.solver.rolled)
         return time_split(self.system).size * (1 + tangents) * self.solver.stages > _LARGEST_STEP
 
     def as_loop(self) -> GeneralStrobe:
-        written_out = isinstance(self.solver, WrittenOutRungeKutta)
-        return replace(self, solver=replace(self.solver, rolled=True)) if written_out else self
+        return replace(self, carried=True) if isinstance(self.solver, WrittenOutRungeKutta) else self
 
     def rescaled_time(self, factor: ArrayLike) -> GeneralStrobe:
         """The map over so many times the time, of a flow without a clock."""
@@ -181,7 +182,8 @@ class GeneralStrobe(ReturnMap):
         """All steps, each projected where there is something to project on."""
         solver, grid = self.solver, jnp.asarray(self.grid)
         assert isinstance(solver, WrittenOutRungeKutta)
-        advance = solver.rolled_stages if self._rolls(tangents) else solver.written_stages
+        rolled = solver.carried_stages if self.carried else solver.rolled_stages
+        advance = rolled if self._rolls(tangents) else solver.written_stages
         values = [jnp.asarray(value) for value in self.values]
 
         def step(i: Any, y: Moving) -> Moving:

@@ -113,14 +113,38 @@ class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
 
         return jax.tree.unflatten(structure, step(h, leaves, list(constants)))
 
-    def _looped(self, field: Callable[[Any, list[Any]], list[Any]], h: Any, leaves: list[Any]) -> list[Any]:
-        """The state after a step, numbers of one lane, or of all as their last axis."""
+    def carried_stages(self, field: Callable[[Any, Any], Any], h: Any, y0: Any) -> Any:
+        """Compute `rolled_stages` by sums and products of the state's own numbers alone, for extended precision.
+
+        The loop carries what every later stage has summed up so far, and each stage adds its share to all of them.
+        """
+        count = self.stages
+        rows = self._tableau()
+        shares = np.zeros((count, count))
+        for i in range(count):
+            shares[i, : count - i] = rows[i + 1 :, i]
+        weights = jnp.asarray(shares)
+
+        def stage(i: Any, ahead: tuple[Any, ...]) -> tuple[Any, ...]:
+            k = _times(field(i, ahead[0]), h)
+            added = [jax.tree.map(lambda y, kj, j=j: y + weights[i, j] * kj, ahead[j + 1], k) for j in range(count)]
+            return (*added, ahead[-1])
+
+        return lax.fori_loop(0, count, stage, (y0,) * (count + 1))[0]
+
+    def _tableau(self) -> np.ndarray:
+        """Rows of the stages, the last of the solution, (stages + 1, stages)."""
         count = self.stages
         tableau = np.zeros((count + 1, count))
         for i, row in enumerate((*self.a[1:count], self.b), 1):
             tableau[i, : min(len(row), count)] = row[:count]
+        return tableau
+
+    def _looped(self, field: Callable[[Any, list[Any]], list[Any]], h: Any, leaves: list[Any]) -> list[Any]:
+        """The state after a step, numbers of one lane, or of all as their last axis."""
+        count = self.stages
         begun = jnp.stack(leaves)
-        rows = jnp.asarray(tableau, begun.dtype)
+        rows = jnp.asarray(self._tableau(), begun.dtype)
 
         def state(i: Any, rates: Any) -> list[Any]:
             moved = begun + (rows[i] @ rates.reshape(count, -1)).reshape(begun.shape)
