@@ -1,10 +1,10 @@
 """How soon strangers' flows are answered, and how rightly; writes results/first_answer.md.
 
-    python -m sweeps.timing.first_answer [NAME ...] [--kept COUNT]
+    python -m sweeps.timing.first_answer [NAME ...] [--every N] [--kept COUNT]
 
 Every flow without delay of the package dysts (pip install dysts) becomes a user's file, as its author wrote it: one
 lane, all exponents, a target of 1e-8. Each is one `jaxnh.sweep` in a process of its own with an empty cache; COUNT of
-them run a second time, with programs kept. Flows that are named run alone and are printed, not written. On a machine
+them run a second time, with programs kept. With N it is every N-th flow, by name. Flows that are named run alone and are printed, not written. On a machine
 that does nothing else.
 
 `first_answer_spectra.json` has spectra of two thirds of the flows by an independent integration: the classical method
@@ -45,8 +45,8 @@ _UNLIKE = ("rhs", "_jac", "jac", "_postprocessing", "__init__")  # methods that 
 _TEXT = """\
 # The first answer
 
-`python -m sweeps.timing.first_answer` runs `jaxnh.sweep` on every flow without delay of dysts {dysts}: one lane, all
-exponents over 1,024 units of time after 256, a target of 1e-8. {machine}
+`python -m sweeps.timing.first_answer{every}` runs `jaxnh.sweep` on {count} of the {whole} flows without delay of dysts
+{dysts}: one lane, all exponents over 1,024 units of time after 256, a target of 1e-8. {machine}
 
 {measured_at}
 
@@ -209,6 +209,7 @@ def differs(name: str, output: Path, spectra: Mapping[str, Mapping[str, Sequence
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME")
+    parser.add_argument("--every", type=int, default=1, metavar="N")
     parser.add_argument("--kept", type=int, default=11, metavar="COUNT")
     given = parser.parse_args()
     spectra = json.loads(_SPECTRA.read_text(encoding="utf-8"))
@@ -216,8 +217,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="jaxnh_first_answer_") as temporary:
         folder = Path(temporary)
         sizes = write_flows(folder)
-        again = {name for k, name in enumerate(sizes) if k % max(1, len(sizes) // given.kept) == 0}
-        for name in given.names or sizes:
+        chosen = given.names or list(sizes)[:: given.every]
+        again = set(chosen[:: max(1, len(chosen) // given.kept)])
+        for name in chosen:
             config, output, cache = folder / name / "c.yaml", folder / f"{name}.h5", folder / f"{name}_cache"
             empty[name] = run(config, output, cache)
             if empty[name].code == 0:
@@ -251,6 +253,8 @@ def page(
         summary="\n".join(_row(cache, answers) for cache, answers in (("empty", answered), ("kept", kept))),
         answered=len(answered),
         count=len(empty),
+        whole=len(sizes),
+        every=f" --every {len(sizes) // len(empty)}" if len(empty) < len(sizes) else "",
         agree=len(compared) - len(differing),
         compared=len(compared),
         refused="\n".join(refused) or "- none",
