@@ -3,9 +3,9 @@
     python -m sweeps.timing.first_answer [NAME ...] [--every N] [--kept COUNT]
 
 Every flow without delay of the package dysts (pip install dysts) becomes a user's file, as its author wrote it: one
-lane, all exponents, a target of 1e-8. Each is one `jaxnh.sweep` in a process of its own with an empty cache; COUNT of
-them run a second time, with programs kept. With N it is every N-th flow, by name. Flows that are named run alone and are printed, not written. On a machine
-that does nothing else.
+lane, all exponents, a target of 1e-8. With N it is every N-th flow, by name. Each is one `jaxnh.sweep` in a process of
+its own with an empty cache; COUNT of them run a second time, with programs kept. Flows that are named run alone and are
+printed, not written. On a machine that does nothing else.
 
 `first_answer_spectra.json` has spectra of two thirds of the flows by an independent integration: the classical method
 of order 4, 2,000 steps a `period` of dysts, tangents by forward derivatives, QR a hundred times a period, 1,000 periods
