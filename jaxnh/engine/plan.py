@@ -110,7 +110,8 @@ def plan_of(
         return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
 
     def enough(plan: Plan) -> bool:
-        return requested is not None and is_short(experiment, axes, plan, requested)
+        double = experiment.precision == "float64"  # in extended precision an operation takes a hundred times as long
+        return double and requested is not None and is_short(experiment, axes, plan, requested)
 
     try:
         return calibration.cheapest(accuracy.target, enough)
