@@ -187,7 +187,7 @@ def run(config: Path, output: Path, cache: Path) -> Answer:
         done = subprocess.run(
             command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=_LONGEST, check=False
         )
-        code, text = done.returncode, done.stdout + done.stderr
+        code, text = done.returncode, (done.stdout + done.stderr).replace(f"{config.parent}/", "")
     except subprocess.TimeoutExpired:
         code, text = 124, f"no answer in {_LONGEST:g} s"
     return Answer(code, time.perf_counter() - began, text)
