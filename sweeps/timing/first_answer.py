@@ -54,8 +54,8 @@ _TEXT = """\
 | :-- | --: | --: | --: | --: |
 {summary}
 
-Seconds from command to result, the process with it. {answered} of {count} flows are answered; {agree} of {compared}
-agree with an independent integration within half as much again as both errors together, 0.001 and 0.2 %.
+Seconds from command to result, the process with it. {answered} of {count} flows are answered. Of {compared} there is an
+independent integration; {agree} agree with it within half as much again as both errors together, 0.001 and 0.2 %.
 
 Not answered, with the message in short:
 

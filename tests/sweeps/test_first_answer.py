@@ -91,6 +91,6 @@ def test_page_has_medians_and_refusals(monkeypatch):
     )
     assert "| empty | 2 | 4.0 | 4.8 | 5.0 |" in page
     assert "| kept | 1 | 2.0 | 2.0 | 2.0 |" in page
-    assert "2 of 3 flows are answered; 1 of 2 agree" in " ".join(page.split())
+    assert "2 of 3 flows are answered. Of 2 there is an independent integration; 1 agree" in " ".join(page.split())
     assert "- c: c.yaml:1: no such key" in page
     assert "| a | 3 | 3.0 | 1.5 | 0.5 |" in page
