@@ -136,7 +136,7 @@ def _bench(experiment: Experiment, began: float) -> PricedExperiment:
     lanes, axes = LaneExecutor(progress(Console(stderr=True))), experiment.axes
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
         calibration = calibrate(experiment, axes, lanes)
-        plan = plan_of(experiment, experiment.axes, calibration)
+        plan = plan_of(experiment, axes, calibration, experiment.requested())
     along = next((axis for axis in axes if axis.kind != "shared"), None)
     count = len(along.values) if along else 1
     places = [np.arange(count) if axis is along else np.zeros(count, int) for axis in axes]

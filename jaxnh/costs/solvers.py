@@ -128,7 +128,7 @@ class SolverBench:
         self._at = state, begun[1]
 
     def seconds(self, setting: SolverSetting, periods: int = 1) -> float:
-        """Wall time of one call a lane-period; a first call compiles, or `Calibration.error` has."""
+        """Wall time of one call a lane-period; a first call compiles."""
         strobe = make_return_map(self.system, setting.solver, setting.steps, compensated=setting.compensated)
         began = time.perf_counter()
         self._lanes.iterate(strobe, periods, self._at)

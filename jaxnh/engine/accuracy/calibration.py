@@ -142,7 +142,7 @@ class Calibration:
         """Error estimate of one period with so many steps; infinite where a state is not finite."""
         return self._largest(self._errors(solver, steps, compensated))
 
-    def cheapest(self, target: float, is_short: Callable[[Plan], bool] = lambda _: False) -> Plan:
+    def cheapest(self, target: float, is_short: Callable[[Plan], bool] | None = None) -> Plan:
         """The solver and steps with the fewest kicks whose error is at most the target.
 
         Args:
@@ -155,7 +155,7 @@ class Calibration:
         if self.floor > target:
             raise self._refusal(target, self._known)
         nearest = Plan(self._way.reference, _REFERENCE_STEPS, False, math.inf)
-        if self._summations == (False,) and isinstance(self._way.reference, WrittenOutRungeKutta):
+        if is_short and isinstance(self._way.reference, WrittenOutRungeKutta):
             reference = self._best(self._way.reference, target, _MOST_KICKS, compensated=False)
             if reference.error_estimate <= target and is_short(reference):
                 return reference
