@@ -57,9 +57,11 @@ class SteppedStrobe(ReturnMap):
     def __call__(self, state: State, p: Parameters) -> State:
         return lax.fori_loop(0, self.steps, lambda _, z: self.step_map(z, p), state)
 
-    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(
+        self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
+    ) -> Pushforward:
         begun = Pushforward(state, tangents, as_batched(jnp.ones_like(state[0][0]), state[0][0]))
-        return lax.fori_loop(0, self.steps, lambda _, pushed: _compose(self.step_map, pushed, p), begun)
+        return lax.fori_loop(0, self.steps, lambda _, pushed: _compose(self.step_map, pushed, p, volume), begun)
 
 
 class _Search(NamedTuple):
@@ -137,14 +139,16 @@ class EventStrobe(ReturnMap):
         ended = self._searched(n, state, (), state.state, p, advance)
         return self._arrived(state, ended, _state_of(ended.carried))
 
-    def pushforward(self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(
+        self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
+    ) -> Pushforward:
         """Push tangents as every map does, then along the flow onto the section, with the field's rate."""
         flow_tangents = tuple(Tangent(t.state.state, t.p) for t in tangents)
         begun = Pushforward(state.state, flow_tangents, jnp.ones_like(state.t))
 
         def advance(step_map: ReturnMap, carried: Carried) -> Carried:
             assert isinstance(carried, Pushforward)
-            return _compose(step_map, carried, p)
+            return _compose(step_map, carried, p, volume)
 
         ended = self._searched(1, state, tuple(t.state.t for t in tangents), begun, p, advance)
         last = ended.carried
@@ -242,8 +246,8 @@ class EventStrobe(ReturnMap):
             moved = jax.tree.map(lambda dz, v, dt=dt: dz + v * dt, tangent.state, moving)
             tangents.append(Tangent(moved, tangent.p))
             later.append(dt)
-        volume = ahead.volume * search.leaving / self.system.rate(ahead.state, p)
-        return Pushforward(ahead.state, tuple(tangents), volume), tuple(later)
+        grown = ahead.volume * search.leaving / self.system.rate(ahead.state, p)
+        return Pushforward(ahead.state, tuple(tangents), grown), tuple(later)
 
     def _side(self, state: State, rate: Array) -> Array:
         """The side that a motion leaves for, of the section or from beside it."""
@@ -293,9 +297,9 @@ def _improve(
     return jnp.where(inside, better, 0.5 * (low + high)), low, high
 
 
-def _compose(step_map: ReturnMap, pushed: Pushforward, p: Parameters) -> Pushforward:
-    """State and tangents one map later, volumes multiplied."""
-    after = step_map.pushforward(pushed.state, p, pushed.tangents)
+def _compose(step_map: ReturnMap, pushed: Pushforward, p: Parameters, volume: bool) -> Pushforward:
+    """State and tangents one map later, volumes multiplied where they are asked for."""
+    after = step_map.pushforward(pushed.state, p, pushed.tangents, volume)
     return after._replace(volume=pushed.volume * after.volume)
 
 

@@ -44,12 +44,12 @@ class Moving(NamedTuple):
 
     Attributes:
         state: of the flow.
-        tangents: of it, one each.
-        log_volume: ∫ divergence dt; None where no tangents go along.
+        tangents: of it, one each; or all of them in one, a number of which is an array (tangents,).
+        log_volume: ∫ divergence dt; None where it is not asked for.
     """
 
     state: State
-    tangents: tuple[State, ...] = ()
+    tangents: Any = ()
     log_volume: Any = None
 
 
@@ -127,19 +127,28 @@ class GeneralStrobe(ReturnMap):
         ended = self._march(field, None, Moving(system.reduction.reduce(placed)), 0)
         return _restored(system, grid[-1], ended.state, placed, p)
 
-    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(
+        self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
+    ) -> Pushforward:
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return self._pushforward_by_diffrax(state, p, tangents)
         own = own_parameters(self.system, p)
-        by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
+        by_p: Any = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
+        moved: Any = tuple(t.state for t in tangents)
+        # In a loop a field with all tangents is one that has one of them, of more numbers.
+        stacked = len(tangents) > 1 and self._rolls(len(tangents) + 1) and not self.carried
+        derivative = linearise_stacked if stacked else linearise
+        if stacked:
+            moved = _stacked(moved)
+            by_p = _stacked([dp or jax.tree.map(jnp.zeros_like, own) for dp in by_p]) if any(by_p) else None
 
         @traced_once
         def rates(values: Sequence[Any], system: Flow, own: Any, y: Moving, by_p: Any) -> Moving:
             def rate(z: State, own: Any) -> State:
                 return time_split(system).rest(values, system, (z, own))
 
-            value, moved = linearise(rate, y.state, own, y.tangents, by_p)
-            return Moving(value, moved, system.divergence_of(lambda z: rate(z, own), y.state))
+            divergence = system.divergence_of(lambda z: rate(z, own), y.state) if volume else None
+            return Moving(*derivative(rate, y.state, own, y.tangents, by_p), divergence)
 
         def field(values: Sequence[Any], y: Moving) -> Moving:
             return rates(list(values), self.system, own, y, by_p)
@@ -154,23 +163,29 @@ class GeneralStrobe(ReturnMap):
                 def of_state(z: State, own: Any) -> State:
                     return change(system, t, z, other, {**p, **own})
 
-                return Moving(*linearise(of_state, y.state, own, y.tangents, by_p), y.log_volume)
+                return Moving(*derivative(of_state, y.state, own, y.tangents, by_p), y.log_volume)
 
             return lambda t, y, other=None: changed(self.system, t, y, other, p, own, by_p)
 
         first, grid, system = jax.tree.leaves(state)[0], jnp.asarray(self.grid), self.system
-        zero = as_batched(jnp.zeros_like(first), first)
-        begun = Moving(state, tuple(t.state for t in tangents), zero)
+        zero = as_batched(jnp.zeros_like(first), first) if volume else None
+        begun = Moving(state, moved, zero)
         project = along_tangents(lambda system, t, z, _, p: system.project(t, z, p))
         if system.reduction.leaves_constraints:
             ended = self._march(field, project, begun, len(tangents) + 1)
         else:
             placed, reduce = project(grid[0], begun), system.reduction.reduce
-            reduced = Moving(reduce(placed.state), tuple(map(reduce, placed.tangents)), zero)
+            reduced = Moving(
+                reduce(placed.state), reduce(placed.tangents) if stacked else tuple(map(reduce, placed.tangents)), zero
+            )
             ended = self._march(field, None, reduced, len(tangents) + 1)
             ended = along_tangents(_restored)(grid[-1], ended, placed.state)
-        moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
-        return Pushforward(ended.state, moved, jnp.exp(ended.log_volume))
+        each = [
+            jax.tree.map(lambda x, i=i: x[i], ended.tangents) if stacked else ended.tangents[i]
+            for i in range(len(tangents))
+        ]
+        pushed = tuple(Tangent(dz, t.p) for dz, t in zip(each, tangents, strict=True))
+        return Pushforward(ended.state, pushed, jnp.exp(ended.log_volume) if volume else jnp.ones_like(first))
 
     def _march(
         self,
@@ -240,6 +255,25 @@ def linearise(
     still = jax.tree.map(jnp.zeros_like, dict(own))
     value, slope = jax.linearize(function, y, dict(own))
     return value, tuple(slope(dy, dp or still) for dy, dp in zip(moved, by_p, strict=True))
+
+
+def linearise_stacked(
+    function: Callable[[Any, Any], Any], y: Any, own: Mapping[str, Any], moved: Any, by_p: Any
+) -> tuple[Any, Any]:
+    """The same along tangents whose numbers are arrays (tangents,), as those of own are where there are some."""
+    if by_p is None:
+        value, slope = jax.linearize(lambda y: function(y, own), y)
+        return value, jax.vmap(slope)(moved)
+    value, slope = jax.linearize(function, y, dict(own))
+    return value, jax.vmap(slope)(moved, by_p)
+
+
+def _stacked(trees: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+
+def _unstacked(tree: Any, count: int) -> list[Any]:
+    return [jax.tree.map(lambda leaf, i=i: leaf[i], tree) for i in range(count)]
 
 
 def lanes_per_tile(each: int) -> int:

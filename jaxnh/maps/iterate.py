@@ -64,7 +64,7 @@ def derivatives(
         tangents.append(Tangent(still, {one: jnp.ones_like(u[0])}))
 
     def period(_: int, carry: tuple[State, tuple[Tangent, ...]]) -> tuple[State, tuple[Tangent, ...]]:
-        pushed = strobe.pushforward(carry[0], p, carry[1])
+        pushed = strobe.pushforward(carry[0], p, carry[1], volume=False)
         return pushed.state, pushed.tangents
 
     state, moved = lax.fori_loop(0, n, period, as_batched((chart.state(u), tuple(tangents)), u[0]))

@@ -65,10 +65,13 @@ class KickStrobe(ReturnMap):
         table = jnp.asarray(self.table)
         return self._end(lax.fori_loop(0, self.kicks, advance, self._begin(state)))
 
-    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(
+        self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
+    ) -> Pushforward:
         # A kick turns θ alone, so few numbers carry every tangent through it: ∂θ'/∂(θ, x1, y1, p). Differentiating
         # where the kick is keeps every component an array of lanes; jacfwd of the whole period would not. Tangents are
         # carried from before one kick to before the next, so that they need the n after a kick alone.
+        del volume  # a product more a kick
         names = tuple(dict.fromkeys(name for t in tangents for name in t.p or ()))
 
         def kick(entry: Array, before: _Carry) -> tuple[_Carry, Vector]:
@@ -76,10 +79,10 @@ class KickStrobe(ReturnMap):
             return after, self._slopes(entry, after.q, before.n, p, names)
 
         def move(
-            length: Array, n: Vector, slopes: Vector, moved: tuple[Vector, ...], volume: Array
+            length: Array, n: Vector, slopes: Vector, moved: tuple[Vector, ...], shrunk: Array
         ) -> tuple[tuple[Vector, ...], Array]:
             kicked = [_kick_tangent(slopes, v, t.p, names) for v, t in zip(moved, tangents, strict=True)]
-            return tuple(_drift_tangent(n, v, length) for v in kicked), volume * slopes[0]
+            return tuple(_drift_tangent(n, v, length) for v in kicked), shrunk * slopes[0]
 
         def advance(i: Array, carry: tuple[_Carry, tuple[Vector, ...], Array]) -> Any:
             after, slopes = _one_loop(partial(kick, table[i]), carry[0])
@@ -90,13 +93,13 @@ class KickStrobe(ReturnMap):
         moved = [(*t.state[0], _cross(state[1], t.state[1])) for t in tangents]
         moved = tuple(_drift_tangent(state[1], v, table[0, 0]) for v in moved)
         begun = self._begin(state), moved, as_batched(jnp.ones_like(state[0][0]), state[0][0])
-        carry, moved, volume = lax.fori_loop(0, self.kicks, advance, begun)
+        carry, moved, shrunk = lax.fori_loop(0, self.kicks, advance, begun)
         q, n = self._end(carry)
         pushed = tuple(
             Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.p)
             for (dx, dy, dtheta), t in zip(moved, tangents, strict=True)
         )
-        return Pushforward((q, n), pushed, volume)
+        return Pushforward((q, n), pushed, shrunk)
 
     def _kick(self, entry: Array, carry: _Carry, p: Parameters) -> _Carry:
         if self.compensated:

@@ -68,7 +68,10 @@ class NystromStrobe(GeneralStrobe):
 
         return self._march_on(force, project, Moving(state)).state
 
-    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def pushforward(
+        self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
+    ) -> Pushforward:
+        del volume  # the damping's, which costs nothing
         form, own = self._form, own_parameters(self.system, p)
         by_p = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
 
@@ -90,8 +93,8 @@ class NystromStrobe(GeneralStrobe):
         ended = self._march_on(force, project, Moving(state, tuple(t.state for t in tangents)))
         moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
         grid, one = jnp.asarray(self.grid), jnp.ones_like(jax.tree.leaves(state)[0])
-        volume = one * jnp.exp(-(grid[-1] - grid[0]) * jnp.sum(jnp.asarray(self.gamma))) if self.damped else one
-        return Pushforward(ended.state, moved, volume)
+        shrunk = one * jnp.exp(-(grid[-1] - grid[0]) * jnp.sum(jnp.asarray(self.gamma))) if self.damped else one
+        return Pushforward(ended.state, moved, shrunk)
 
     @property
     def _form(self) -> SecondOrder:

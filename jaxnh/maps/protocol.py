@@ -84,8 +84,14 @@ class ReturnMap(eqx.Module):
         return lax.fori_loop(0, n, period, state)  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
 
     @abc.abstractmethod
-    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
-        """The state and any number of tangents one strobe period later, exact derivatives of `__call__`."""
+    def pushforward(
+        self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
+    ) -> Pushforward:
+        """The state and any number of tangents one strobe period later, exact derivatives of `__call__`.
+
+        Args:
+            volume: whether the volume is asked for; where it costs a derivative of its own, it is one else.
+        """
 
     def rescaled_time(self, factor: ArrayLike) -> ReturnMap:
         """The map over so many times the time, of a flow without a clock; of maps of one step alone."""

@@ -32,8 +32,10 @@ class SingleStrobe(ReturnMap):
     def __call__(self, state: State, p: Parameters) -> State:
         return _cast(self.inner(*_cast((state, dict(p)), jnp.float32)), jnp.float64)
 
-    def pushforward(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
-        return _cast(self.inner.pushforward(*_cast((state, dict(p), tangents), jnp.float32)), jnp.float64)
+    def pushforward(
+        self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
+    ) -> Pushforward:
+        return _cast(self.inner.pushforward(*_cast((state, dict(p), tangents), jnp.float32), volume), jnp.float64)
 
 
 def in_precision(strobe: ReturnMap, precision: str) -> ReturnMap:

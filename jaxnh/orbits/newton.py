@@ -1,26 +1,19 @@
-"""Periodic orbits of the strobe map: Newton for many lanes at once, near a doubling too.
+"""Periodic orbits of the return map: Newton for many lanes at once, near a doubling too.
 
-Lane functions here are pure and run under `jax.vmap`; which lanes take another step is for the host to say.
+Host code: what it asks of a device is Pⁿ and ∂Pⁿ/∂u at points of some lanes. Which lanes take another step is decided
+here, and their small linear systems are solved here: written out for a device they would be most of a program.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from jaxnh.maps.batching import as_batched
-from jaxnh.maps.iterate import derivatives
-from jaxnh.maps.protocol import ReturnMap
-from jaxnh.systems.elimination import eliminate
-from jaxnh.systems.flow import Parameters
+from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.shooting import Wrap
 
 _NEWTON_STEPS = 12
 # Residuals and steps in sizes of the motion.
@@ -28,18 +21,20 @@ _NEWTON_TOLERANCE = 1e-9  # residual after which one more step reaches the round
 _LARGEST_STEP = 0.25
 _PATIENCE, _NEAR = 4, 1e-2  # after so many steps a lane with a residual above this is given up
 # Gauss–Lobatto rule of five points on [−1, 1], exact to degree 7.
-_NODES, _WEIGHTS = (-1.0, -math.sqrt(3 / 7), 0.0, math.sqrt(3 / 7), 1.0), (0.1, 49 / 90, 32 / 45, 49 / 90, 0.1)
+_NODES = np.array([-1.0, -math.sqrt(3 / 7), 0.0, math.sqrt(3 / 7), 1.0])
+_WEIGHTS = np.array([0.1, 49 / 90, 32 / 45, 49 / 90, 0.1])
 _DOUBLED_STEPS = 16
+_LOST = np.errstate(over="ignore", divide="ignore", invalid="ignore")  # lanes that go to infinity show it by numbers
 
 
 class Orbit(NamedTuple):
-    """A point of a period-n orbit of one lane, or of many: each with the lanes as first axis.
+    """Points of periodic orbits, one a lane.
 
     Attributes:
-        u: section coordinates, shape (d,).
-        residual: largest component of Pⁿ(u) − u, in the sizes of the motion that Newton was given.
-        monodromy: ∂Pⁿ/∂u, shape (d, d).
-        steps: Newton steps taken.
+        u: section coordinates, shape (lanes, d).
+        residual: largest component of Pⁿ(u) − u, in the sizes of the motion that Newton was given, (lanes,).
+        monodromy: ∂Pⁿ/∂u, shape (lanes, d, d).
+        steps: Newton steps taken, (lanes,).
     """
 
     u: Any
@@ -48,38 +43,17 @@ class Orbit(NamedTuple):
     steps: Any
 
 
-class NewtonStep(NamedTuple):
-    """Newton's step on Pⁿ(u) = u and its residual, at a point of one lane.
+class Images(Protocol):
+    """Pⁿ and ∂Pⁿ/∂u of lanes, each with an n of its own: `derivatives` over some of them."""
 
-    Attributes:
-        residual: largest component of Pⁿ(u) − u, in sizes of the motion.
-        monodromy: ∂Pⁿ/∂u, shape (d, d).
-        step: to the next point, shape (d,).
-    """
-
-    residual: Any
-    monodromy: Any
-    step: Any
+    def __call__(self, u: Float[np.ndarray, "points d"], lane: Int[np.ndarray, " points"], /) -> Derivatives:
+        """At points of the lanes with these numbers, one or several of a lane."""
+        ...
 
 
-def look(
-    strobe: ReturnMap, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
-) -> NewtonStep:
-    """The residual of Pⁿ at u of shape (d,), and Newton's step from there; n may be traced.
-
-    Args:
-        size: of the motion in each section coordinate, (d,): what is near is so in these units.
-    """
-    wrap, one = strobe.chart.wrap, jnp.eye(strobe.chart.dimension)
-    image, monodromy, _ = derivatives(strobe, n, u, p)
-    step = solve(monodromy - one, wrap(u - image))
-    step = step * jnp.minimum(1.0, _LARGEST_STEP / jnp.max(_unscale(size, jnp.abs(step))))
-    return NewtonStep(jnp.max(_unscale(size, jnp.abs(wrap(image - u)))), monodromy, step)
-
-
+@_LOST
 def find_orbits(
-    look_at: Callable[[Float[np.ndarray, "some d"], Int[np.ndarray, " some"]], NewtonStep],
-    u: Float[np.ndarray, "lanes d"],
+    images: Images, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"], wrap: Wrap
 ) -> Orbit:
     """Newton on Pⁿ(u; p) = u for many lanes at once, from their points u; lanes that are done wait for no others.
 
@@ -87,38 +61,50 @@ def find_orbits(
     whether the orbit is stable, nor how slowly the map itself would approach it.
 
     Args:
-        look_at: `look` at points of some lanes, whose numbers it is given too.
+        images: Pⁿ and its derivative.
         u: where to begin.
+        size: of the motion in each section coordinate: what is near is so in these units.
+        wrap: of differences of section coordinates.
     """
     (lanes, d), u = u.shape, np.array(u)
-    residual, monodromy, step = np.full(lanes, np.nan), np.full((lanes, d, d), np.nan), np.zeros((lanes, d))
+    residual, monodromy, missing = np.full(lanes, np.nan), np.full((lanes, d, d), np.nan), np.zeros((lanes, d))
     steps, last, open_ = np.zeros(lanes, np.int32), np.zeros(lanes, np.bool_), np.arange(lanes)
     while len(open_):
-        residual[open_], monodromy[open_], step[open_] = look_at(u[open_], open_)
+        image, monodromy[open_], _ = images(u[open_], open_)
+        missing[open_] = wrap(u[open_] - image)
+        residual[open_] = np.max(np.abs(missing[open_] / size[open_]), axis=1)
         hopeless = (steps >= _PATIENCE) & (residual > _NEAR)
         unfinished = ~last & (steps < _NEWTON_STEPS) & np.isfinite(residual) & ~hopeless
         open_ = open_[unfinished[open_]]
         last[open_] = residual[open_] < _NEWTON_TOLERANCE
-        u[open_] += step[open_]
+        step = solve(monodromy[open_] - np.eye(d), missing[open_])
+        length = np.max(np.abs(step / size[open_]), axis=1)
+        u[open_] += step * np.where(length > _LARGEST_STEP, _LARGEST_STEP / length, 1.0)[:, None]
         steps[open_] += 1
     return Orbit(u, residual, monodromy, steps)
 
 
 class _Branches(NamedTuple):
-    """Newton's unknowns of `find_doubled` and how it goes: two points m ± a v, a², steps taken, last two step sizes."""
+    """Newton's unknowns of `find_doubled`, lane by lane: two points m ± a v, and a²."""
 
-    m: Any
-    v: Any
-    square: Any
-    steps: Any
-    size: Any
-    before: Any
+    m: Float[np.ndarray, "lanes d"]
+    v: Float[np.ndarray, "lanes d"]
+    square: Float[np.ndarray, " lanes"]
 
 
+class _Bending(NamedTuple):
+    """Second and third derivatives along the first line, by differences, and the direction v is normalised with."""
+
+    bend: Float[np.ndarray, "lanes d d"]
+    cubic: Float[np.ndarray, "lanes d"]
+    normal: Float[np.ndarray, "lanes d"]
+
+
+@_LOST
 def find_doubled(
-    strobe: ReturnMap, n: ArrayLike, u: Float[Array, " d"], p: Parameters, size: Float[Array, " d"] | float = 1.0
+    images: Images, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"], wrap: Wrap
 ) -> Orbit:
-    """An orbit of period 2n near the doubling that it was born in, from a point of it that `find_orbits` gives.
+    """Orbits of period 2n near the doublings that they were born in, from points of them that `find_orbits` gives.
 
     There P²ⁿ(u) = u has three roots that grow together, the orbits of period 2n and n: a residual of 10⁻⁹ is an error
     of 10⁻³ in u, and rounding alone leaves ε/√(1 − μ) in the multiplier. With Q = Pⁿ and the two points m ± a v of the
@@ -131,87 +117,87 @@ def find_doubled(
     small a. Of the second and third derivatives, which only the steps need, finite differences over the first a do.
 
     Args:
-        size: of the motion in each section coordinate, (d,): all is solved in these units.
+        images: Q and its derivative, of half the period.
+        u: where to begin.
+        size: of the motion in each section coordinate: all is solved in these units.
+        wrap: of differences of section coordinates.
 
     Returns:
-        The orbit of period 2n; the residual is infinite where Newton has not settled.
+        The orbits of period 2n; the residual is infinite where Newton has not settled.
     """
-    chart, d = strobe.chart, strobe.chart.dimension
-    one = jnp.eye(d)
-    half = 0.5 * _unscale(size, chart.wrap(u - derivatives(strobe, n, u, p).image))
-    first = jnp.sqrt(jnp.sum(half**2))
-    normal = half / first
-    _, around = _images_on_line(strobe, n, u - _scale(size, half), first * normal, p, size)
-    bend = (around[-1] - around[0]) / (2.0 * first)
-    cubic = (_mean(around) - around[2]) @ normal / first**2
 
-    def improve(at: _Branches) -> _Branches:
-        m, v, square, steps, last, _ = at
-        image, matrices = _images_on_line(strobe, n, m, jnp.sqrt(square) * v, p, size)
-        ends, whole = 0.5 * (matrices[0] + matrices[-1]), _mean(matrices)
-        rows = [
-            jnp.concatenate([ends - one, square * bend, 0.5 * (bend @ v)[:, None]], axis=1),
-            jnp.concatenate([bend, whole + one, cubic[:, None]], axis=1),
-            jnp.concatenate([jnp.zeros(d), normal, jnp.zeros(1)])[None],
-        ]
-        middle = 0.5 * _unscale(size, chart.wrap(image[0] - m) + chart.wrap(image[-1] - m))
-        missing = jnp.concatenate([middle, whole @ v + v, (normal @ v - 1.0)[None]])
-        step = solve(jnp.concatenate(rows), -missing)
-        moved = square + step[-1]
-        moved = jnp.where(moved > 0.0, moved, square / 16)
-        return _Branches(m + _scale(size, step[:d]), v + step[d:-1], moved, steps + 1, jnp.max(jnp.abs(step)), last)
+    def on_lines(lane: Int[np.ndarray, " some"], m: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Q − m in units of the sizes, and DQ likewise, at the nodes of lines from m − way to m + way: (some, 5, …)."""
+        nodes = m[:, None] + _NODES[:, None] * (way * size[lane])[:, None]
+        image, matrices, _ = images(nodes.reshape(-1, d), np.repeat(lane, len(_NODES)))
+        moved = wrap(image.reshape(nodes.shape) - m[:, None]) / size[lane][:, None]
+        units = size[lane][:, None, :] / size[lane][:, :, None]
+        return moved, matrices.reshape(*nodes.shape, d) * units[:, None]
 
-    def unfinished(at: _Branches) -> Array:
-        settled = (at.size < _NEWTON_TOLERANCE) & (at.size >= 0.25 * at.before)
-        return (at.steps < _DOUBLED_STEPS) & ~settled & ~jnp.isnan(at.size)
-
-    far = jnp.full((), jnp.inf)
-    begun = _Branches(u - _scale(size, half), normal, first**2, jnp.int32(0), far, far)
-    final = lax.while_loop(unfinished, improve, as_batched(begun, u[0]))
-    u = final.m + _scale(size, jnp.sqrt(final.square) * final.v)
-    image, monodromy, _ = derivatives(strobe, 2 * jnp.asarray(n), u, p)
-    residual = jnp.max(_unscale(size, jnp.abs(chart.wrap(image - u))))
-    return Orbit(u, jnp.where(final.size < _NEWTON_TOLERANCE, residual, jnp.inf), monodromy, final.steps)
-
-
-def _images_on_line(
-    strobe: ReturnMap, n: ArrayLike, m: Array, way: Array, p: Parameters, size: Float[Array, " d"] | float
-) -> tuple[Array, Array]:
-    """Pⁿ and ∂Pⁿ/∂u at the nodes of the line from m − way to m + way: (5, d) and (5, d, d).
-
-    The way and the derivatives are in units of the sizes (d,), m and Pⁿ are not.
-    """
-    way = _scale(size, way)
-    image, matrices = jax.vmap(lambda t: derivatives(strobe, n, m + t * way, p)[:2])(jnp.array(_NODES))
-    return image, matrices if isinstance(size, (int, float)) else matrices * jnp.outer(1.0 / size, size)[None]
+    (lanes, d), open_ = u.shape, np.arange(len(u))
+    half = 0.5 * wrap(u - images(u, open_).image) / size
+    first = np.linalg.norm(half, axis=1, keepdims=True)
+    at = _Branches(u - size * half, half / first, first[:, 0] ** 2)
+    _, around = on_lines(open_, at.m, half)
+    bend = (around[:, -1] - around[:, 0]) / (2.0 * first[..., None])
+    known = _Bending(bend, _times(_mean(around) - around[:, 2], at.v) / first**2, at.v.copy())
+    length, settled, steps = np.full(lanes, np.inf), np.zeros(lanes, np.bool_), np.zeros(lanes, np.int32)
+    for _ in range(_DOUBLED_STEPS):
+        here, bent = _Branches(*(leaf[open_] for leaf in at)), _Bending(*(leaf[open_] for leaf in known))
+        step = _doubled_step(here, bent, *on_lines(open_, here.m, _amplitude(here)))
+        moved = here.square + step[:, -1]
+        at.m[open_] += size[open_] * step[:, :d]
+        at.v[open_] += step[:, d:-1]
+        at.square[open_] = np.where(moved > 0.0, moved, here.square / 16)
+        before, length[open_] = length[open_], np.max(np.abs(step), axis=1)
+        steps[open_] += 1
+        settled[open_] = length[open_] < _NEWTON_TOLERANCE
+        open_ = open_[~(settled[open_] & (length[open_] >= 0.25 * before)) & ~np.isnan(length[open_])]
+        if not len(open_):
+            break
+    u = at.m + size * _amplitude(at)
+    once = images(u, every := np.arange(lanes))
+    twice = images(once.image, every)
+    residual = np.max(np.abs(wrap(twice.image - u) / size), axis=1)
+    return Orbit(u, np.where(settled, residual, np.inf), twice.monodromy @ once.monodromy, steps)
 
 
-def _unscale(size: Array | float, difference: Array) -> Array:
-    """A difference (d,) in units of sizes; as it is where there are none, so that the program is as without."""
-    return difference if isinstance(size, (int, float)) else difference / size
+def _doubled_step(
+    at: _Branches, known: _Bending, moved: Float[np.ndarray, "some 5 d"], matrices: Float[np.ndarray, "some 5 d d"]
+) -> Float[np.ndarray, "some 2d+1"]:
+    """Newton's step in (m, v, a²), from Q − m and DQ at the nodes of the line."""
+    (some, d), one = at.v.shape, np.eye(at.v.shape[1])
+    ends, whole = 0.5 * (matrices[:, 0] + matrices[:, -1]), _mean(matrices)
+    system, missing = np.zeros((some, 2 * d + 1, 2 * d + 1)), np.zeros((some, 2 * d + 1))
+    system[:, :d, :d], missing[:, :d] = ends - one, 0.5 * (moved[:, 0] + moved[:, -1])
+    system[:, :d, d:-1] = at.square[:, None, None] * known.bend
+    system[:, :d, -1] = 0.5 * _times(known.bend, at.v)
+    system[:, d:-1, :d], system[:, d:-1, d:-1] = known.bend, whole + one
+    system[:, d:-1, -1], missing[:, d:-1] = known.cubic, _times(whole, at.v) + at.v
+    system[:, -1, d:-1], missing[:, -1] = known.normal, np.sum(known.normal * at.v, axis=1) - 1.0
+    return solve(system, -missing)
 
 
-def _scale(size: Array | float, difference: Array) -> Array:
-    """A difference (d,) given in units of sizes."""
-    return difference if isinstance(size, (int, float)) else difference * size
+def _amplitude(at: _Branches) -> Float[np.ndarray, "lanes d"]:
+    """Return a v."""
+    return np.sqrt(at.square)[:, None] * at.v
 
 
-def _mean(matrices: Array) -> Array:
-    """Mean over the line of matrices at its nodes."""
-    return 0.5 * jnp.tensordot(jnp.array(_WEIGHTS), matrices, axes=1)
+def _times(matrices: Float[np.ndarray, "... d d"], vectors: Float[np.ndarray, "... d"]) -> Float[np.ndarray, "... d"]:
+    return (matrices @ vectors[..., None])[..., 0]
 
 
-def solve(matrix: Array, right: Array) -> Array:
-    """Solution of a small system, (d, d) and (d,) to (d,): batched LAPACK calls are slow on these."""
-    d = len(right)
-    if d == 3:
-        return solve3(matrix, right)
-    (solution,), _ = eliminate([[matrix[i, j] for j in range(d)] for i in range(d)], [[right[i] for i in range(d)]])
-    return jnp.stack(solution)
+def _mean(matrices: Float[np.ndarray, "lanes 5 d d"]) -> Float[np.ndarray, "lanes d d"]:
+    """Mean over lines of matrices at their nodes."""
+    return 0.5 * np.tensordot(matrices, _WEIGHTS, axes=(1, 0))
 
 
-def solve3(matrix: Array, right: Array) -> Array:
-    """Solution of a 3×3 system by cofactors, (3, 3) and (3,) to (3,)."""
-    r0, r1, r2 = matrix
-    c0, c1, c2 = jnp.cross(r1, r2), jnp.cross(r2, r0), jnp.cross(r0, r1)
-    return (c0 * right[0] + c1 * right[1] + c2 * right[2]) / jnp.dot(r0, c0)
+def solve(matrices: Float[np.ndarray, "lanes n n"], right: Float[np.ndarray, "lanes n"]) -> np.ndarray:
+    """Solutions of small linear systems, one a lane; not numbers where a matrix is singular."""
+    try:
+        return np.linalg.solve(matrices, right[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        if len(matrices) == 1:
+            return np.full_like(right, np.nan)
+        each = [solve(matrix[None], vector[None]) for matrix, vector in zip(matrices, right, strict=True)]
+        return np.concatenate(each)

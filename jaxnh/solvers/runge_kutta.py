@@ -6,6 +6,7 @@ costs ten times the arithmetic. Here every stage is an expression of its own, an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -106,10 +107,15 @@ class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
         @step.def_vmap
         def _(size: int, batched: Any, h: Any, leaves: list[Any], constants: list[Any]) -> tuple[list[Any], list[bool]]:
             has_lanes = [0 if each else None for each in batched[2]]
-            of_lanes = jax.vmap(lambda i, leaves, constants: closed(i, leaves, *constants), (None, 0, has_lanes))
-            leaves = [jnp.broadcast_to(leaf, (size,)) for leaf in leaves]
-            ended = self._looped(lambda i, leaves: of_lanes(i, leaves, constants), h, leaves)
-            return ended, [True] * len(ended)
+            of_lanes = jax.vmap(
+                lambda i, leaves, constants: closed(i, leaves, *constants), (None, -1, has_lanes), out_axes=-1
+            )
+            leaves = [
+                jnp.moveaxis(leaf, 0, -1) if moves else jnp.broadcast_to(leaf[..., None], (*leaf.shape, size))
+                for leaf, moves in zip(leaves, batched[1], strict=True)
+            ]
+            ended = self._looped(lambda i, leaves: of_lanes(i, leaves, constants), h, leaves, (size,))
+            return [jnp.moveaxis(leaf, -1, 0) for leaf in ended], [True] * len(ended)
 
         return jax.tree.unflatten(structure, step(h, leaves, list(constants)))
 
@@ -140,18 +146,26 @@ class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
             tableau[i, : min(len(row), count)] = row[:count]
         return tableau
 
-    def _looped(self, field: Callable[[Any, list[Any]], list[Any]], h: Any, leaves: list[Any]) -> list[Any]:
-        """The state after a step, numbers of one lane, or of all as their last axis."""
+    def _looped(
+        self, field: Callable[[Any, list[Any]], list[Any]], h: Any, leaves: list[Any], lanes: tuple[int, ...] = ()
+    ) -> list[Any]:
+        """The state after a step, numbers and arrays of one lane, or of so many as their last axis."""
         count = self.stages
-        begun = jnp.stack(leaves)
+
+        def joined(leaves: list[Any]) -> Any:
+            return jnp.concatenate([leaf.reshape(-1, *lanes) for leaf in leaves])
+
+        begun = joined(leaves)
+        ends = np.cumsum([leaf.size // math.prod(lanes) for leaf in leaves]).tolist()
         rows = jnp.asarray(self._tableau(), begun.dtype)
 
         def state(i: Any, rates: Any) -> list[Any]:
             moved = begun + (rows[i] @ rates.reshape(count, -1)).reshape(begun.shape)
-            return [moved[j] for j in range(len(leaves))]
+            parts = zip([0, *ends], ends, leaves, strict=False)
+            return [moved[start:end].reshape(leaf.shape) for start, end, leaf in parts]
 
         def stage(i: Any, rates: Any) -> Any:
-            moved = jnp.stack(_times(field(i, state(i, rates)), h))
+            moved = joined(_times(field(i, state(i, rates)), h))
             return lax.dynamic_update_slice_in_dim(rates, moved[None], i, 0)
 
         none = jnp.zeros((count, *begun.shape), begun.dtype)

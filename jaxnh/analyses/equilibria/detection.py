@@ -49,24 +49,27 @@ class Equilibrium(NamedTuple):
 
 
 class _RateRun(NamedTuple):
-    """Largest rates of one lane over all units of time and over the last two quarters, and ∂(rate)/∂(coordinate).
-
-    The derivatives are those at the end, and after one and two steps of Newton from there to where all rates are zero.
-    """
+    """Largest rates of one lane over all units of time and over the last two quarters, and where it ends, all (d,)."""
 
     largest: Float[Array, " d"]
     third: Float[Array, " d"]
     fourth: Float[Array, " d"]
-    change: tuple[Float[Array, "d d"], ...]
+    end: Float[Array, " d"]
 
 
 def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equilibrium:
     """Detect which lanes of an autonomous flow are at rest, or come to rest, after so many units of time."""
     batch = batch.without_section()
     run = lanes(_run, (batch.strobe(), batch.flow, np.int32(units)), batch.lanes, periods=units)
-    largest, third, fourth, (change, closer, exact) = run
+    largest, third, fourth, u = run
     never = largest <= _NEVER * largest.max(axis=1, keepdims=True)
     slow = (fourth <= _SLOW * largest) & ((fourth <= third) | (fourth <= _STILL * largest))
+    # At the end, and after one and two steps of Newton from there to where all rates are zero.
+    linear = []
+    for _ in range(3):
+        linear.append(lanes(_linearise, (batch.flow,), (u, dict(batch.p))))
+        u = u - solve(linear[-1].change, linear[-1].rate)
+    change, closer, exact = (at.change for at in linear)
     norm = np.linalg.norm(change, axis=(1, 2))
     holds = _spectrum(change)[0][:, 0] <= _GROWS * norm
     (exponents, bound), near = _spectrum(exact), _spectrum(closer)[0]
@@ -89,28 +92,36 @@ def _spectrum(
 
 def _run(strobe: ReturnMap, flow: Flow, count: ArrayLike, state: State, p: Parameters) -> _RateRun:
     """Run one lane over `count` units of time."""
+    count = jnp.asarray(count)
+    quarter = count // 4
 
     def rate(y: State) -> Array:
-        return jnp.stack(rates(flow, y, p))
+        return jnp.abs(jnp.stack(rates(flow, y, p)))
 
-    def rate_at(u: Float[Array, " d"]) -> Array:
-        return rate(flow.chart.state(u))
+    def unit(i: Array, carry: tuple[State, Array, Array, Array]) -> tuple[State, Array, Array, Array]:
+        state, largest, third, fourth = carry
+        state, last = strobe(state, p), i >= count - quarter
+        now = rate(state)
+        late = jnp.where(i >= count - 2 * quarter, now, 0.0)
+        third = jnp.where(last, third, jnp.maximum(third, late))
+        return state, jnp.maximum(largest, now), third, jnp.where(last, jnp.maximum(fourth, late), fourth)
 
-    def advance(n: ArrayLike, state: State) -> tuple[State, Array]:
-        def unit(_: Array, carry: tuple[State, Array]) -> tuple[State, Array]:
-            y = strobe(carry[0], p)
-            return y, jnp.maximum(carry[1], jnp.abs(rate(y)))
+    none = as_batched(jnp.zeros(flow.chart.dimension), state[0][0])
+    state, largest, third, fourth = lax.fori_loop(0, count, unit, (state, rate(state), none, none))
+    return _RateRun(largest, third, fourth, flow.chart.point(state))
 
-        return lax.fori_loop(0, n, unit, (state, as_batched(jnp.zeros(flow.chart.dimension), state[0][0])))
 
-    quarter = jnp.asarray(count) // 4
-    first = jnp.abs(rate(state))
-    state, half = advance(count - 2 * quarter, state)
-    state, third = advance(quarter, state)
-    state, fourth = advance(quarter, state)
-    largest = jnp.max(jnp.stack([first, half, third, fourth]), axis=0)
-    u, change = flow.chart.point(state), []
-    for _ in range(3):
-        change.append(jax.jacfwd(rate_at)(u))
-        u = u - solve(change[-1], rate_at(u))
-    return _RateRun(largest, third, fourth, tuple(change))
+class _Linearisation(NamedTuple):
+    """Rates (d,) at a point, and ∂(rate)/∂(coordinate), (d, d)."""
+
+    rate: Float[Array, " d"]
+    change: Float[Array, "d d"]
+
+
+def _linearise(flow: Flow, u: Float[Array, " d"], p: Parameters) -> _Linearisation:
+    """Linearise the rates of one lane."""
+
+    def rate(u: Float[Array, " d"]) -> Array:
+        return jnp.stack(rates(flow, flow.chart.state(u), p))
+
+    return _Linearisation(rate(u), jax.jacfwd(rate)(u))

@@ -195,7 +195,7 @@ def advance(
     def part(growth: TangentState, strobe: ReturnMap) -> tuple[TangentState, None]:
         flow: Flow = strobe.system
         pushed = strobe.pushforward(
-            growth.state, p, tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents)
+            growth.state, p, tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents), wanted
         )
         moved = [flow.chart.lower(pushed.state, t.state) for t in pushed.tangents]
         if flow.autonomous:

@@ -20,12 +20,11 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.periodic.newton_on_lanes import (
     CONVERGED,
-    ORBIT_TILE,
+    images,
     largest_multiplier,
     least_period,
     orbits,
     section_distance,
-    sizes,
 )
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import iterate, record
@@ -274,9 +273,8 @@ def polish_beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, surv
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
     for n in np.unique(period[near]):
         born = np.flatnonzero(near & (period == n))
-        arguments = (u[born], select(p, born), *sizes(chart, size[born]))
-        # The bits of this program depend on the shape of a tile.
-        orbit = lanes(find_doubled, (strobe, np.int32(n // 2)), arguments, tile=ORBIT_TILE, together=False)
+        half = images(lanes, strobe, select(p, born), np.full(len(born), n // 2, np.int32))
+        orbit = find_doubled(half, u[born], size[born], chart.wrap)
         settled = (orbit.residual < CONVERGED) & (section_distance(chart, orbit.u, u[born], size[born]) < 2 * _CLOSE)
         part = born[settled]
         u[part], residual[part] = orbit.u[settled], orbit.residual[settled]

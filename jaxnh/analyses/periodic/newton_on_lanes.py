@@ -13,7 +13,8 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneRunner, select
 from jaxnh.maps.family import Maps
-from jaxnh.orbits.newton import NewtonStep, Orbit, find_orbits, look
+from jaxnh.maps.iterate import Derivatives, derivatives
+from jaxnh.orbits.newton import Images, Orbit, find_orbits
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
 
@@ -41,14 +42,11 @@ def orbits(
     Lanes of like periods are neighbours, and wait least for each other.
     """
     n = np.broadcast_to(np.asarray(n, np.int32), len(u))
+    size = np.ones_like(u) if size is None else size
 
     def of(lane: Int[np.ndarray, " group"], tile: int) -> Orbit:
-        def newton_step(u: Float[np.ndarray, "subset d"], subset: Int[np.ndarray, " subset"]) -> NewtonStep:
-            which = lane[subset]
-            at = (n[which], u, select(p, which), *(() if size is None else sizes(strobe.chart, size[which])))
-            return lanes(look, (strobe,), at, tile=tile)
-
-        return find_orbits(newton_step, u[lane])
+        at = images(lanes, strobe, select(p, lane), n[lane], tile)
+        return find_orbits(at, u[lane], size[lane], strobe.chart.wrap)
 
     order = np.argsort(n, kind="stable")
     short, long = order[n[order] <= _SHORT], order[n[order] > _SHORT]
@@ -57,9 +55,15 @@ def orbits(
     return select(orbits_by_group, np.argsort(np.concatenate([lane for lane, _ in groups])))
 
 
-def sizes(chart: Chart, size: Float[np.ndarray, "lanes d"]) -> tuple[Float[np.ndarray, "lanes d"], ...]:
-    """Sizes as Newton's last argument, which a flow without dimensions has none of."""
-    return () if chart.dimensionless else (size,)
+def images(
+    lanes: LaneRunner, strobe: Maps, p: Parameters, n: Int[np.ndarray, " lanes"], tile: int = ORBIT_TILE
+) -> Images:
+    """Pⁿ and ∂Pⁿ/∂u of lanes with these parameters (lanes,), as Newton asks for them."""
+
+    def at(u: Float[np.ndarray, "points d"], lane: Int[np.ndarray, " points"]) -> Derivatives:
+        return lanes(derivatives, (strobe,), (n[lane], u, select(p, lane)), tile=tile)
+
+    return at
 
 
 def section_distance(
@@ -89,8 +93,9 @@ def least_period(
     while len(open_ := np.flatnonzero(factor)):
         open_ = open_[np.argsort(period[open_] // factor[open_], kind="stable")]
         d = (period[open_] // factor[open_]).astype(np.int32)
-        at = (d, u[open_], select(p, open_), *sizes(strobe.chart, size[open_]))
-        back = lanes(look, (strobe,), at, tile=ORBIT_TILE).residual < CONVERGED
+        image = images(lanes, strobe, select(p, open_), d)(u[open_], np.arange(len(open_))).image
+        residual = np.max(np.abs(strobe.chart.wrap(image - u[open_]) / size[open_]), axis=1)
+        back = residual < CONVERGED
         period[open_[back]] //= factor[open_[back]]
         factor[open_] = _prime_factors(period[open_], factor[open_] - back)
     return period

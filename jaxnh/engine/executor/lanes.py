@@ -115,7 +115,6 @@ class LaneExecutor:
         periods: float = 0.0,
         tile: int | None = None,
         static: tuple[Any, ...] = (),
-        together: bool = True,
     ) -> Any:
         """function(*shared, *lane, *static) for every lane.
 
@@ -127,7 +126,6 @@ class LaneExecutor:
             periods: periods that a lane costs, for progress and accounts.
             tile: lanes a tile where a program has few lanes but much to do in each.
             static: further hashable arguments, part of the program.
-            together: whether lanes of several values of a family may share a tile; not where bits depend on its shape.
 
         Returns:
             The function's results as NumPy arrays with the lanes as first axis.
@@ -139,7 +137,7 @@ class LaneExecutor:
         if family is None:
             return self._run(call)
         values, group = family.groups(_own(family, call.lanes))
-        if family.together and together:
+        if family.together:
             return self._in_blocks(call, np.array([family.together.index(one) for one in values])[group])
         results, order = [], []
         for k, one in enumerate(values):
