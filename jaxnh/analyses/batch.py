@@ -205,12 +205,15 @@ class LaneRunner(Protocol):
         periods: float = 0.0,
         tile: int | None = None,
         static: tuple[Any, ...] = (),
-        together: bool = True,
     ) -> Any:
         """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
 
     def iterate(self, maps: Maps, n: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
         """Return Pⁿ of every lane, in as many calls as are needed to let a run be stopped in time."""
+        ...
+
+    def record(self, maps: Maps, count: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
+        """Return the states of every lane after 1, 2, …, count periods, components (lanes, count)."""
         ...
 
     def stage(self, label: str, total: float) -> AbstractContextManager[None]:

@@ -28,7 +28,8 @@ from jaxnh.analyses.base import LANE, Analysis, as_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.chaos import Chaos01Options
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.maps.iterate import iterate, record
+from jaxnh.analyses.section_points import points_at, states_after
+from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import reports
 from jaxnh.systems.flow import Parameters
@@ -55,9 +56,10 @@ def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     angles = np.pi / 5 + 3 * np.pi / 5 * ((np.arange(_ANGLES) * (np.sqrt(5.0) - 1) / 2) % 1.0)
     cost = options.transient + options.periods
     with lanes.stage(f"chaos01: {batch.count} lanes", batch.count * cost):
-        shared = (batch.strobe(), np.int32(options.transient), angles)
-        k, last = lanes(_growth, shared, batch.lanes, periods=cost, tile=_TILE, static=(options.periods,))
-    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], last))["status"]
+        states = states_after(batch, lanes, batch.start, options.transient, options.periods, _TILE)
+    first = np.ascontiguousarray(points_at(batch, lanes, states, _TILE)[:, :, 0])
+    k = lanes(_growth, (angles,), (first,), tile=_TILE, static=(batch.chart.angles[0],))
+    ended = reports(batch.flow, jax.tree.map(lambda component: component[:, -1:], states))["status"]
     k[np.asarray(ended.data) > 0] = np.nan
     low, median, high = np.quantile(k, [0.25, 0.5, 0.75], axis=1)
     words = "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"
@@ -70,13 +72,18 @@ def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     return xr.Dataset(variables, attrs={"angles": _ANGLES, "transient": options.transient})
 
 
-def _growth(
-    strobe: ReturnMap, transient: ArrayLike, angles: Float[Array, " angles"], state: State, p: Parameters, count: int
-) -> tuple[Float[Array, " angles"], State]:
-    """Return K of one lane for every angle, and its last state."""
-    last, states = record(strobe, iterate(strobe, transient, state, p), p, count)
-    signals = strobe.chart.observable(states)
-    return growth_rates(remove_period(signals), angles, mean_square(signals)), last
+def _growth(angles: Float[Array, " angles"], first: Float[Array, " points"], turns: bool) -> Float[Array, " angles"]:
+    """Return K of one lane for every angle, from its first coordinate, whose cosine and sine are taken if it turns."""
+    signals = (jnp.cos(first), jnp.sin(first)) if turns else (first,)
+    return growth_rates(remove_period(signals), angles, mean_square(signals))
+
+
+def _in_one(
+    strobe: ReturnMap, count: ArrayLike, angles: Float[Array, " angles"], state: State, p: Parameters, room: int
+) -> Float[Array, " angles"]:
+    """Return what a run computes of one lane in two programs, its strobes and its walks, for the price of both."""
+    first = jax.vmap(strobe.chart.point)(record(strobe, count, state, p, room))[:, 0]
+    return _growth(angles, first, strobe.chart.angles[0])
 
 
 def mean_square(signals: Signals) -> Array:
@@ -141,9 +148,9 @@ def price(options: Chaos01Options, batch: LaneBatch) -> Price:
     """Return the price of the whole program, the walks of all angles at the end shared out over its periods."""
     strobe = batch.map()
     angles = np.linspace(np.pi / 5, 4 * np.pi / 5, _ANGLES)  # others than in a run, of the same price
-    shared = (strobe, np.asarray(options.transient, np.int32), angles)
-    trip_counts, total = (float(options.transient), *strobe.trip_counts), options.transient + options.periods
-    program = PricedProgram(_growth, shared, batch.lanes, trip_counts, (options.periods,), total, _TILE, whole=True)
+    total = options.transient + options.periods
+    shared, trip_counts = (strobe, np.int32(total), angles), (float(total), *strobe.trip_counts)
+    program = PricedProgram(_in_one, shared, batch.lanes, trip_counts, (options.periods,), total, _TILE, whole=True)
     note = f"walks of {_ANGLES} angles over {options.periods:,} strobes at the end, shared out over {total:,} periods"
     return Price(program, map_alone(batch, strobe, tile=_TILE), note)
 

@@ -55,9 +55,11 @@ from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import VerdictOptions
 from jaxnh.analyses.price import Price, map_alone
+from jaxnh.analyses.section_points import points_at, states_after
 from jaxnh.analyses.window_averages import average_window, extents
-from jaxnh.maps.iterate import iterate, record
+from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
+from jaxnh.systems.chart import wrap_angle
 from jaxnh.systems.flow import NOT_FINITE, Flow, Parameters, status
 from jaxnh.systems.state import State
 
@@ -184,18 +186,18 @@ def find_timeless(batch: LaneBatch, lanes: LaneRunner, which: Int[np.ndarray, " 
     if not len(which):
         return which
     times = batch.flow.period * (np.arange(_LOOKS) + 0.3) / _LOOKS
-    shared = (batch.strobe(), batch.flow, times)
-    return which[lanes(ignores_time, shared, select(batch.lanes, which), periods=_LOOKS)]
+    state, p = select(batch.lanes, which)
+    states = lanes.record(batch.strobe(), _LOOKS, (state, p))
+    return which[lanes(ignores_time, (batch.flow, times), (states, p))]
 
 
 def _recurrences(batch: LaneBatch, lanes: LaneRunner, taken: Int[np.ndarray, " lanes"]) -> Int[np.ndarray, " lanes"]:
     """Return the `recurrence_lag` of lanes, each so many periods from its start."""
-    lags, strobe = np.zeros(batch.count, int), batch.strobe()
+    lags = np.zeros(batch.count, int)
     with lanes.stage(f"verdict: following {batch.count} chaotic lanes", float(np.sum(taken + 3 * _LONGEST))):
         for count in np.unique(taken):
             group = np.flatnonzero(taken == count)
-            shared, cost = (strobe, np.int32(count)), int(count) + 3 * _LONGEST
-            lags[group] = lanes(recurrence_lag, shared, select(batch.lanes, group), periods=cost, static=(_LONGEST,))
+            lags[group] = recurrence_lags(batch.take(group), lanes, int(count))
     return lags
 
 
@@ -217,29 +219,31 @@ def unsteadiness(batch: LaneBatch, lanes: LaneRunner, begun: int, count: int) ->
         return np.max(change / extents(np.array(batch.flow.chart.angles), low, high), axis=1)
 
 
-def recurrence_lag(strobe: ReturnMap, count: ArrayLike, state: State, p: Parameters, longest: int) -> Array:
-    """Return the least lag up to `longest` at which as many points, `count` periods from a state, recur; 0: none.
+def recurrence_lags(batch: LaneBatch, lanes: LaneRunner, count: int) -> Int[np.ndarray, " lanes"]:
+    """Return the least lag up to `_LONGEST` at which as many points, `count` periods from the start, recur; 0: none.
 
     Of a lane that does not come so far `_LOST`.
     """
-    chart = strobe.chart
-    early = jax.vmap(chart.point)(record(strobe, state, p, longest)[1])[longest // 2 :]
-    near = _BACK * (jnp.max(early, axis=0) - jnp.min(early, axis=0)).max()
-    points = jax.vmap(chart.point)(record(strobe, iterate(strobe, count, state, p), p, 2 * longest)[1])
-    first = points[:longest]
+    early = points_at(batch, lanes, states_after(batch, lanes, batch.start, 0, _LONGEST))[:, _LONGEST // 2 :]
+    points = points_at(batch, lanes, states_after(batch, lanes, batch.start, count, 2 * _LONGEST))
+    near = _BACK * np.max(np.ptp(early, axis=1), axis=1)
+    return lanes(_recurrence_lag, (), (points, near), static=(batch.chart.angles,))
+
+
+def _recurrence_lag(points: Float[Array, "points d"], near: Array, angles: tuple[bool, ...]) -> Array:
+    longest = len(points) // 2
 
     def back(lag: Array) -> Array:
-        later = lax.dynamic_slice_in_dim(points, lag, longest)
-        return jnp.max(jnp.abs(chart.wrap(later - first))) <= near
+        moved = lax.dynamic_slice_in_dim(points, lag, longest) - points[:longest]
+        return jnp.max(jnp.abs(jnp.where(np.array(angles), wrap_angle(moved), moved))) <= near
 
     returns = lax.map(back, jnp.arange(1, longest + 1))
     lag = jnp.where(jnp.any(returns), 1 + jnp.argmax(returns), 0)
     return jnp.where(jnp.all(jnp.isfinite(points)), lag, _LOST)
 
 
-def ignores_time(strobe: ReturnMap, flow: Flow, times: Float[Array, " times"], state: State, p: Parameters) -> Array:
-    """Return whether the right-hand side is the same at all times, to the bit, in states that a lane comes to."""
-    _, states = record(strobe, state, p, _LOOKS)
+def ignores_time(flow: Flow, times: Float[Array, " times"], states: State, p: Parameters) -> Array:
+    """Return whether the right-hand side of a lane is the same at all times, to the bit, in some states."""
 
     def rates(t: Array) -> State:
         return jax.vmap(lambda y: flow.rhs(t, y, p))(states)

@@ -12,25 +12,23 @@ import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from jaxnh.analyses.base import Entry, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.cascade import follow
 from jaxnh.analyses.periodic.location import period_map, refined_maps, walk
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, orbits
+from jaxnh.analyses.section_points import points_after
 from jaxnh.costs.stage import StagelessRunner
 from jaxnh.maps.family import Maps
-from jaxnh.maps.iterate import Derivatives, iterate, record, section_map
-from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.iterate import Derivatives, section_map
 from jaxnh.orbits.bifurcations.doubling_points import doubling_point, follow_branch, refine_doubling
 from jaxnh.orbits.newton import Orbit
 from jaxnh.orbits.shooting import Period
-from jaxnh.systems.flow import Parameters
+from jaxnh.systems.chart import Chart
 
 DETECTION, MULTISECTION, INTERPOLATION = "period detection", "multisection", "interpolation"
 
@@ -118,14 +116,8 @@ def by_detection(
         while abs(far - near) > _DETECTED:
             values = np.linspace(near, far, _CANDIDATES)
             row = batch.at_values(values)
-            gap = lanes(
-                _recurrence,
-                (batch.strobe(), np.int32(transient)),
-                (row.chart.host_points(row.start), row.p),
-                periods=transient + 2 * place.n,
-                tile=_TILE,
-                static=(place.n,),
-            )
+            points = points_after(row, lanes, row.chart.host_points(row.start), transient, 2 * place.n, _TILE)
+            gap = _recurrence(row.chart, points, place.n)
             first = _first(gap > _THRESHOLD)
             if first is None:
                 break
@@ -212,13 +204,9 @@ def _smallest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.
     return np.where(np.abs(values.imag) < 1e-12, values.real, np.inf).min(axis=1)
 
 
-def _recurrence(
-    strobe: ReturnMap, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, n: int
-) -> Float[Array, ""]:
-    """Largest distance between signals n strobes apart, over n strobes after a transient, of one lane."""
-    chart = strobe.chart
-    signals = chart.observable(record(strobe, iterate(strobe, transient, chart.state(u), p), p, 2 * n)[1])
-    return jnp.stack([jnp.abs(signal[n:] - signal[:n]).max() for signal in signals]).max()
+def _recurrence(chart: Chart, points: Float[np.ndarray, "lanes points d"], n: int) -> Float[np.ndarray, " lanes"]:
+    """Largest distance between first coordinates n strobes apart, over n strobes."""
+    return np.max(np.abs(chart.wrap(points[:, n:] - points[:, :n]))[..., 0], axis=1)
 
 
 def _first(beyond: Bool[np.ndarray, " lanes"]) -> int | None:

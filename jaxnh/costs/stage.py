@@ -26,5 +26,8 @@ class StagelessRunner:
     def iterate(self, maps: Maps, n: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
         return self._lanes.iterate(maps, n, lanes, tile=tile)
 
+    def record(self, maps: Maps, count: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
+        return self._lanes.record(maps, count, lanes, tile=tile)
+
     def stage(self, label: str, total: float) -> AbstractContextManager[None]:
         return nullcontext()

@@ -28,6 +28,7 @@ from jaxnh.engine.progress import InterruptibleProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes, warnings_of
 from jaxnh.engine.xla_options import configure, describe_differences
 from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
+from jaxnh.jobs.arrays import import_beside
 from jaxnh.jobs.cutting import Piece, share
 from jaxnh.jobs.job import Job
 from jaxnh.jobs.provenance import SecondsSpent, versions
@@ -101,6 +102,7 @@ def run_to_file(
         RunError: the run cannot go on; the message says what is kept.
     """
     began = time.perf_counter()
+    import_beside()
     with tiles.hold(tiles.folder_of(path), how.part):
         return _Run(experiment, path, how, progress, check, began).run()
 

@@ -39,6 +39,7 @@ from jaxnh.engine.progress import CallbackProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import InputError
+from jaxnh.jobs.arrays import import_beside
 from jaxnh.jobs.assembly import assemble
 from jaxnh.jobs.job import Job
 
@@ -83,6 +84,7 @@ class Session:
             JaxStartedWarning: JAX had started without the options of the package.
         """
         configure()
+        import_beside()
         if not isinstance(experiment, Experiment):
             experiment = experiment_of(experiment, start, target, parameters)
         elif start is not None or target is not None or parameters is not None:

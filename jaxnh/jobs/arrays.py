@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -26,6 +27,20 @@ class Hash(Protocol):
     def hexdigest(self) -> str:
         """The checksum of all data so far."""
         ...
+
+
+def import_beside() -> None:
+    """Let xarray import the array libraries that it asks for at its first variable, in a thread beside other work.
+
+    With Dask installed that takes a quarter of a second, in which programs are compiled.
+    """
+
+    def first() -> None:
+        import xarray as xr
+
+        xr.Variable((), 0.0)
+
+    Thread(target=first, daemon=True).start()
 
 
 def with_indices(dataset: xr.Dataset) -> xr.Dataset:

@@ -21,14 +21,18 @@ def iterate(strobe: ReturnMap, n: ArrayLike, state: State, p: Parameters) -> Sta
     return strobe.iterate(n, state, p)
 
 
-def record(strobe: ReturnMap, state: State, p: Parameters, count: int) -> tuple[State, State]:
-    """The state after `count` periods, and those after 1, 2, …, count stacked along a new first axis."""
+def record(strobe: ReturnMap, count: ArrayLike, state: State, p: Parameters, room: int) -> State:
+    """The states after 1, 2, …, count periods along a new first axis, which has room for so many; count may be traced.
 
-    def step(z: State, _: None) -> tuple[State, State]:
-        z = strobe(z, p)
-        return z, z
+    What room is left holds zeros.
+    """
 
-    return lax.scan(step, state, length=count)
+    def period(i: Array, carry: tuple[State, State]) -> tuple[State, State]:
+        z = strobe(carry[0], p)
+        return z, jax.tree.map(lambda kept, x: lax.dynamic_update_index_in_dim(kept, x, i, 0), carry[1], z)
+
+    none = jax.tree.map(lambda x: jnp.zeros((room, *jnp.shape(x)), jnp.result_type(x)), state)
+    return lax.fori_loop(0, count, period, (state, none))[1]
 
 
 def section_map(strobe: ReturnMap, n: ArrayLike, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:

@@ -35,7 +35,9 @@ class SingleStrobe(ReturnMap):
     def pushforward(
         self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
     ) -> Pushforward:
-        return _cast(self.inner.pushforward(*_cast((state, dict(p), tangents), jnp.float32), volume), jnp.float64)
+        return _cast(
+            self.inner.pushforward(*_cast((state, dict(p), tangents), jnp.float32), volume=volume), jnp.float64
+        )
 
 
 def in_precision(strobe: ReturnMap, precision: str) -> ReturnMap:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.shooting import Wrap
+from jaxnh.systems.chart import Wrap
 
 _NEWTON_STEPS = 12
 # Residuals and steps in sizes of the motion.
@@ -129,7 +129,8 @@ def find_doubled(
     def on_lines(lane: Int[np.ndarray, " some"], m: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Q − m in units of the sizes, and DQ likewise, at the nodes of lines from m − way to m + way: (some, 5, …)."""
         nodes = m[:, None] + _NODES[:, None] * (way * size[lane])[:, None]
-        image, matrices, _ = images(nodes.reshape(-1, d), np.repeat(lane, len(_NODES)))
+        at = images(nodes.reshape(-1, d), np.repeat(lane, len(_NODES)))
+        image, matrices = np.asarray(at.image), np.asarray(at.monodromy)
         moved = wrap(image.reshape(nodes.shape) - m[:, None]) / size[lane][:, None]
         units = size[lane][:, None, :] / size[lane][:, :, None]
         return moved, matrices.reshape(*nodes.shape, d) * units[:, None]
@@ -157,8 +158,8 @@ def find_doubled(
             break
     u = at.m + size * _amplitude(at)
     once = images(u, every := np.arange(lanes))
-    twice = images(once.image, every)
-    residual = np.max(np.abs(wrap(twice.image - u) / size), axis=1)
+    twice = images(np.asarray(once.image), every)
+    residual = np.max(np.abs(wrap(np.asarray(twice.image) - u) / size), axis=1)
     return Orbit(u, np.where(settled, residual, np.inf), twice.monodromy @ once.monodromy, steps)
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits import cyclic
+from jaxnh.systems.chart import Wrap
 
 _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-9  # step, in sizes of the orbit, after which the points are known to rounding
@@ -28,12 +29,6 @@ class Period(Protocol):
     def __call__(self, u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"], /) -> Derivatives:
         """At points and values of the parameter, a lane each."""
         ...
-
-
-class Wrap(Protocol):
-    """Brings the angles of differences of section coordinates (..., d) into their range: `Chart.wrap`."""
-
-    def __call__(self, difference: np.ndarray, /) -> np.ndarray: ...
 
 
 class ShootingOrbits(NamedTuple):

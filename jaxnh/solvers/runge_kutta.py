@@ -165,7 +165,7 @@ class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
             return [moved[start:end].reshape(leaf.shape) for start, end, leaf in parts]
 
         def stage(i: Any, rates: Any) -> Any:
-            moved = joined(_times(field(i, state(i, rates)), h))
+            moved = joined(field(i, state(i, rates))) * (h[None] if jnp.ndim(h) else h)
             return lax.dynamic_update_slice_in_dim(rates, moved[None], i, 0)
 
         none = jnp.zeros((count, *begun.shape), begun.dtype)

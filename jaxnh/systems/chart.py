@@ -6,6 +6,7 @@ A chart is made from a flow (`Flow.chart`), or from a flow and a plane (`maps.se
 from __future__ import annotations
 
 import abc
+from typing import Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -86,6 +87,12 @@ class Chart(eqx.Module):
     def scales(self, box: float) -> Float[np.ndarray, " dimension"]:
         """Half the extent of a box of points in each coordinate: of angles π."""
         return np.where(self.angles, np.pi, box)
+
+
+class Wrap(Protocol):
+    """Brings the angles of differences of section coordinates (..., d) into their range: `Chart.wrap`."""
+
+    def __call__(self, difference: np.ndarray, /) -> np.ndarray: ...
 
 
 def general_directions(dimension: int, k: int) -> tuple[Vector, ...]:

@@ -102,7 +102,7 @@ class Study(NamedTuple):
 
 def strobe_points(strobe: ReturnMap, transient: ArrayLike, start: State, p: Parameters, count: int) -> Array:
     """x1 at `count` strobes after a transient, of one lane, (count,)."""
-    return record(strobe, iterate(strobe, transient, start, p), p, count)[1][0][0]
+    return record(strobe, count, iterate(strobe, transient, start, p), p, count)[0][0]
 
 
 def detected_period(x1: np.ndarray, threshold: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import load
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.build import make_return_map
-from jaxnh.maps.iterate import derivatives, iterate, record
+from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
@@ -107,7 +107,8 @@ def means(lanes, strobe, state, p, periods):
     """States `periods` on, and each lane's means of x1, y1, n1, n2 at the strobes until then, (4, lanes)."""
     total, block = np.zeros((4, len(p["b"]))), min(periods, 400)
     for _ in range(periods // block):
-        state, met = lanes(record, (strobe,), (state, p), periods=block, static=(block,))
+        met = lanes.record(strobe, block, (state, p))
+        state = jax.tree.map(lambda leaf: leaf[:, -1], met)
         total += [leaf.sum(axis=1) for leaf in jax.tree.leaves(met)]
     return state, total / (periods // block * block)
 

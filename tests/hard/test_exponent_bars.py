@@ -15,7 +15,6 @@ from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import attractor_survey
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.maps.iterate import record
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.particle import CHART, IsokineticParticle, constant_speed, disturbed_speed
@@ -80,7 +79,7 @@ def of_orbit(scene, lanes, n, u, i):
     """ln|μ|/(nT) (3,) of an orbit by Taylor integration."""
     par, b = twin(scene.system), float(scene.p["b"][i])
     state = jax.tree.map(np.asarray, CHART.state(u[:, None]))
-    points = lanes(record, (scene.strobe(),), (state, {"b": np.full(1, b)}), static=(n,))[1]
+    points = lanes.record(scene.strobe(), n, (state, {"b": np.full(1, b)}))
     points = np.roll(np.array(CHART.point(jax.tree.map(lambda leaf: leaf[0], points))).T, 1, axis=0)
     points = taylor.periodic_orbit(par, n, b, points)  # those above err by what their map does
     return taylor.multiplier_logs(par, n, b, points) / (n * float(par.period))

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.maps.iterate import iterate, record
+from jaxnh.maps.iterate import iterate
 from jaxnh.systems.state import State, error_components
 
 _PERIODS = 32  # that every lane is followed; 1024 lanes make as many samples as there are of a calibration, and more
@@ -34,7 +34,7 @@ def choose_steps(batch: LaneBatch, lanes: LaneRunner, state: State) -> int:
     if not batch.target or batch.steps < 2 * _FEWEST:
         return batch.steps
     strobe, p = batch.strobe(), dict(batch.p)
-    _, after = lanes(record, (strobe,), (state, p), periods=_PERIODS, static=(_PERIODS,))
+    after = lanes.record(strobe, _PERIODS, (state, p))
     before = jax.tree.map(lambda first, later: np.c_[first, later[:, :-1]].ravel(), state, after)
     lane = np.repeat(np.arange(batch.count), _PERIODS)
     each = {name: values[lane] for name, values in p.items()}

@@ -24,7 +24,8 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     section_distance,
 )
 from jaxnh.orbits.bifurcations.doubling_points import DoublingPoint, doubling_function, halves
-from jaxnh.orbits.shooting import Period, ShootingOrbits, Wrap, close_orbits
+from jaxnh.orbits.shooting import Period, ShootingOrbits, close_orbits
+from jaxnh.systems.chart import Wrap
 
 _NEAR, _FAR = 1 / 16, 2.0  # distances beyond a doubling to look at first, in units of that expected to the next one
 

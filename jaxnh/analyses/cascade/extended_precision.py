@@ -38,7 +38,7 @@ from jaxnh.orbits.bifurcations.extended_doublings import (
     next_doubling,
     predict_on_finer_map,
 )
-from jaxnh.orbits.shooting import Wrap
+from jaxnh.systems.chart import Wrap
 
 FLOAT64_LEVELS = 6
 """Doublings that float64 finds first: by then they have been seen to follow the law."""

@@ -10,12 +10,14 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
-from jaxnh.analyses.periodic.attractor_survey import first_points, strobe_points
+from jaxnh.analyses.periodic.attractor_survey import first_points
 from jaxnh.analyses.periodic.location import period_map
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.random_starts import Box, random_start_batch
+from jaxnh.analyses.section_points import points_after
 from jaxnh.maps.iterate import section_map
-from jaxnh.orbits.shooting import Wrap, orbits_from_afar
+from jaxnh.orbits.shooting import orbits_from_afar
+from jaxnh.systems.chart import Wrap
 
 _FIRST_WAVE = 8  # lanes; every later wave has twice as many, half as far apart
 _WINDOWS, _WINDOW = 4, 16  # of a motion: the nearest return in each of so many stretches of so many strobes
@@ -50,11 +52,8 @@ def random_wave(
     many, _ = random_start_batch(batch, starts, seed, box)
     many = replace(many, axis=replace(batch.first_axis, values=np.repeat(batch.first_axis.values, starts)))
     strobe, wrap, values = many.strobe(), batch.chart.wrap, np.tile(many.first_axis.values, 2)
-    count, at = _WINDOWS * _WINDOW + limit, (first_points(many, lanes), dict(many.p))
-    paths = [
-        lanes(strobe_points, (strobe, np.int32(wait)), at, periods=wait + count, static=(count,))
-        for wait in (0, transient)
-    ]
+    count, u = _WINDOWS * _WINDOW + limit, first_points(many, lanes)
+    paths = [points_after(many, lanes, u, wait, count) for wait in (0, transient)]
     path, period = np.concatenate(paths), period_map(many, lanes, strobe)
     seeds = list[SeedOrbit]()
     for n in range(1, limit + 1):

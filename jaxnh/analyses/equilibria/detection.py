@@ -67,7 +67,7 @@ def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equil
     # At the end, and after one and two steps of Newton from there to where all rates are zero.
     linear = []
     for _ in range(3):
-        linear.append(lanes(_linearise, (batch.flow,), (u, dict(batch.p))))
+        linear.append(lanes(_linearise, (batch.strobe(),), (u, dict(batch.p))))
         u = u - solve(linear[-1].change, linear[-1].rate)
     change, closer, exact = (at.change for at in linear)
     norm = np.linalg.norm(change, axis=(1, 2))
@@ -118,10 +118,10 @@ class _Linearisation(NamedTuple):
     change: Float[Array, "d d"]
 
 
-def _linearise(flow: Flow, u: Float[Array, " d"], p: Parameters) -> _Linearisation:
+def _linearise(strobe: ReturnMap, u: Float[Array, " d"], p: Parameters) -> _Linearisation:
     """Linearise the rates of one lane."""
 
     def rate(u: Float[Array, " d"]) -> Array:
-        return jnp.stack(rates(flow, flow.chart.state(u), p))
+        return jnp.stack(rates(strobe.system, strobe.chart.state(u), p))
 
     return _Linearisation(rate(u), jax.jacfwd(rate)(u))

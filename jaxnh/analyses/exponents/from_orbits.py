@@ -9,13 +9,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns, period_parts
 from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey, survey_early
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, orbits
-from jaxnh.systems.flow import Flow
+from jaxnh.analyses.section_points import states_at
 from jaxnh.systems.state import State
 
 _LONGEST = 64  # period of an orbit that is looked for
@@ -73,7 +73,7 @@ def early_orbits(batch: LaneBatch, lanes: LaneRunner, transient: int) -> EarlyOr
     if early is None:
         return None
     orbits, ends = survey_early(batch, lanes, "lyapunov", early)
-    return EarlyOrbits(orbits, lanes(_state_at, (batch.system,), (ends,)), early.periods)
+    return EarlyOrbits(orbits, states_at(batch, lanes, ends), early.periods)
 
 
 def find_orbits(
@@ -172,7 +172,7 @@ def _carry_tangents(
     """
     strobes, k, p = period_parts(batch, parts, refinement), len(growth.tangents), dict(batch.p)
     growth, _ = advance_turns(lanes, strobes, growth, p, np.ones_like(n), tile=ORBIT_TILE)
-    growth = growth._replace(state=lanes(_state_at, (batch.system,), (u,), tile=ORBIT_TILE))
+    growth = growth._replace(state=states_at(batch, lanes, u, ORBIT_TILE))
     rates, moved = np.full((2, len(u), k), np.inf)
     going = np.arange(len(u))
     for _ in range(_TURNS):
@@ -184,7 +184,3 @@ def _carry_tangents(
         if not len(going):
             break
     return rates, moved
-
-
-def _state_at(system: Flow, u: Float[Array, " d"]) -> State:
-    return system.chart.state(u)

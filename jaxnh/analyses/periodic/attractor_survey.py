@@ -14,7 +14,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
@@ -26,8 +25,8 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     orbits,
     section_distance,
 )
+from jaxnh.analyses.section_points import points_at, states_after, states_at
 from jaxnh.maps.family import Maps
-from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
 from jaxnh.orbits.newton import find_doubled
@@ -193,13 +192,9 @@ def _survey_at(
     strobe, count, p = batch.strobe(), batch.count, dict(batch.p)
     (wait, limit, tries), cost = timing, timing.periods
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
-        shared, static = (strobe, np.int32(wait)), (2 * limit,)
-        if batch.chart.dimensionless:
-            points = lanes(strobe_points, shared, (u, p), periods=cost, static=static, tile=tile)
-            size = np.ones_like(u)
-        else:
-            shared = (*shared, batch.flow.period / (2 * np.pi))
-            points, size = lanes(_sized_points, shared, (u, p, batch.start), periods=cost, static=static, tile=tile)
+        states = states_after(batch, lanes, states_at(batch, lanes, u, tile), wait, 2 * limit, tile)
+    points = points_at(batch, lanes, states, tile)
+    size = np.ones_like(u) if batch.chart.dimensionless else _sizes(batch, lanes, points, states)
     recurs = _recurrences(batch.chart, points, size, limit, least, only_doublings)
     period, point, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
     failed |= ~np.all(np.isfinite(points), axis=(1, 2))
@@ -293,41 +288,28 @@ def _first_crossing(strobe: ReturnMap, state: State, p: Parameters) -> Float[Arr
     return strobe.chart.point(strobe(state, p))
 
 
-def strobe_points(
-    strobe: ReturnMap, transient: ArrayLike, u: Float[Array, " d"], p: Parameters, count: int
-) -> Float[Array, "points d"]:
-    """Section points after a transient, of one lane."""
-    settled = iterate(strobe, transient, strobe.chart.state(u), p)
-    return jax.vmap(strobe.chart.point)(record(strobe, settled, p, count)[1])
-
-
-def _sized_points(
-    strobe: ReturnMap,
-    transient: ArrayLike,
-    radian: ArrayLike,
-    u: Float[Array, " d"],
-    p: Parameters,
-    start: State,
-    count: int,
-) -> tuple[Float[Array, "points d"], Float[Array, " d"]]:
-    """Section points after a transient, of one lane, and the size of its motion in each section coordinate.
+def _sizes(
+    batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "lanes points d"], states: State
+) -> Float[np.ndarray, "lanes d"]:
+    """Return the size of the motions in each section coordinate, from points and states of them.
 
     The largest of a coordinate at the points, or with a clock of its rate over a radian of the period, which is not
     small as well where the coordinate happens to be; of an angle it is one. Where an attractor has a coordinate that
     vanishes, all of that decays for ever: it is never less than a small share of the same at the start of the lane.
     Where that is zero too, one.
-
-    Args:
-        radian: of the period, a length of time.
     """
-    chart = strobe.chart
+    chart, strobe, p, radian = batch.chart, batch.strobe(), dict(batch.p), batch.flow.period / (2 * np.pi)
 
-    def size_at(y: State) -> Float[Array, " d"]:
-        rate = jnp.stack(rates(strobe.system, y, p))
-        return jnp.maximum(jnp.abs(chart.point(y)), jnp.abs(rate) * radian)
+    def at(state: State) -> Float[np.ndarray, "lanes d"]:
+        u, rate = lanes(_point_and_rate, (strobe,), (state, p))
+        return np.maximum(np.abs(u), np.abs(rate) * radian)
 
-    states = record(strobe, iterate(strobe, transient, chart.state(u), p), p, count)[1]
-    points = jax.vmap(chart.point)(states)
-    sizes = jnp.abs(points) if strobe.system.flow.autonomous else jax.vmap(size_at)(states)
-    size = jnp.maximum(jnp.max(sizes, axis=0), _SMALLEST * size_at(start))
-    return points, jnp.where(~np.array(chart.angles) & (size > 0.0) & (size < jnp.inf), size, 1.0)
+    size = np.max(np.abs(points), axis=1)
+    if not batch.flow.autonomous:
+        size = np.maximum(size, at(jax.tree.map(lambda component: component[:, -1], states)))
+    size = np.maximum(size, _SMALLEST * at(batch.start))
+    return np.where(~np.array(chart.angles) & (size > 0.0) & (size < np.inf), size, 1.0)
+
+
+def _point_and_rate(strobe: ReturnMap, state: State, p: Parameters) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
+    return strobe.chart.point(state), jnp.stack(rates(strobe.system, state, p))

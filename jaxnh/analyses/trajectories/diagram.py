@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax import lax
@@ -34,7 +35,7 @@ from jaxnh.analyses.trajectories.states import (
 )
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.family import Maps
-from jaxnh.maps.iterate import iterate
+from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import begin
 from jaxnh.maps.single_precision import in_precision
@@ -138,7 +139,7 @@ def _run_side_by_side(
     state = settle_lanes(lanes, strobe, options.transient, state, p)
     if options.snap_to_period:
         state = _move_to_orbits(replace(batch, start=state, p=p, place=None, axis=None), lanes, options.snap_to_period)
-    return lanes(strobe_states, (strobe,), (state, p), periods=options.strobes - 1, static=(options.strobes,))
+    return strobe_states(lanes, strobe, state, p, options.strobes)
 
 
 def _move_to_orbits(batch: LaneBatch, lanes: LaneRunner, limit: int) -> State:
@@ -190,8 +191,7 @@ def _carry_through_flows(
         p = at_value.p
         begun, strobe = _advance_to_phase(options, at_value, lanes, state, p)
         state = settle_lanes(lanes, strobe, options.transient, state if met else begun, p, tile=1)
-        periods = options.strobes - 1
-        met.append(lanes(strobe_states, (strobe,), (state, p), periods=periods, tile=1, static=(options.strobes,)))
+        met.append(strobe_states(lanes, strobe, state, p, options.strobes, tile=1))
         state = jax.tree.map(lambda component: component[:, -1], met[-1])
     back = np.argsort(order)
     return jax.tree.map(lambda *components: np.concatenate(components)[back], *met)
@@ -218,7 +218,9 @@ def carry(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters, 
     """Carry a state of one lane along parameters (values,); return it and the states (values, count) at each."""
 
     def at(z: State, p: Parameters) -> tuple[State, State]:
-        states = strobe_states(strobe, iterate(strobe, transient, z, p), p, count)
+        z = iterate(strobe, transient, z, p)
+        following = record(strobe, count - 1, z, p, max(count - 1, 1))
+        states = jax.tree.map(lambda first, later: jnp.concatenate([first[None], later])[:count], z, following)
         return jax.tree.map(lambda component: component[-1], states), states
 
     return lax.scan(at, state, p)

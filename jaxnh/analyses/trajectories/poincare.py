@@ -6,7 +6,6 @@ Without a clock these are successive crossings of the section, and transients ar
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
@@ -22,12 +21,12 @@ from jaxnh.analyses.trajectories.states import (
     settle_lanes,
     state_variables,
 )
+from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import record
-from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
-_PRICED_STROBES = 65
+_PRICED = 64  # strobes
 
 
 def periods(options: PoincareOptions, lanes: int) -> float:
@@ -50,9 +49,7 @@ def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     strobe, (start, p) = batch.strobe(), batch.lanes
     with lanes.stage(f"poincare: {options.strobes} strobes of {batch.count:,} lanes", periods(options, batch.count)):
         start = settle_lanes(lanes, strobe, options.transient, start, p, TILE)
-        states = lanes(
-            strobe_states, (strobe,), (start, p), periods=options.strobes - 1, tile=TILE, static=(options.strobes,)
-        )
+        states = strobe_states(lanes, strobe, start, p, options.strobes, TILE)
     variables = {}
     if batch.flow is batch.system:  # else every crossing has its own time
         time = batch.flow.period * (options.transient + np.arange(options.strobes))
@@ -61,10 +58,12 @@ def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     return xr.Dataset(variables, attrs=section_attrs(batch))
 
 
-def strobe_states(strobe: ReturnMap, state: State, p: Parameters, count: int) -> State:
-    """Return the state of one lane and those after each of the next periods, (count,)."""
-    _, following = record(strobe, state, p, count - 1)
-    return jax.tree.map(lambda z, later: jnp.concatenate([z[None], later]), state, following)
+def strobe_states(
+    lanes: LaneRunner, strobe: Maps, state: State, p: Parameters, count: int, tile: int | None = None
+) -> State:
+    """Return the states of lanes and those after each of the next periods, (lanes, count)."""
+    following = lanes.record(strobe, count - 1, (state, p), tile=tile)
+    return jax.tree.map(lambda z, later: np.concatenate([z[:, None], later], axis=1), state, following)
 
 
 def price(options: PoincareOptions, batch: LaneBatch) -> Price:
@@ -73,15 +72,15 @@ def price(options: PoincareOptions, batch: LaneBatch) -> Price:
 
 
 def recording_program(batch: LaneBatch, tile: int | None = None) -> PricedProgram:
-    """Return the program that keeps every strobe, over `_PRICED_STROBES` of them."""
+    """Return the program that keeps every strobe, over `_PRICED` of them."""
     strobe = batch.map()
     return PricedProgram(
-        strobe_states,
-        (strobe,),
+        record,
+        (strobe, np.int32(_PRICED)),
         batch.lanes,
-        (0.0, *strobe.trip_counts),
-        (_PRICED_STROBES,),
-        _PRICED_STROBES - 1,
+        (float(_PRICED), *strobe.trip_counts),
+        (_PRICED,),
+        _PRICED,
         tile,
         whole=True,
     )

@@ -24,8 +24,9 @@ from jaxnh.analyses.continuation.known_branches import orbits_at
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.crises.band_phase import embed_points
 from jaxnh.analyses.options.orbits import WindowsOptions
-from jaxnh.analyses.periodic.attractor_survey import strobe_points, survey_from_start
+from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined_maps, walk
+from jaxnh.analyses.section_points import points_after
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
 from jaxnh.analyses.windows.tables import NOWHERE, OWN_NAMES, LocatedValue, dataset, table
@@ -154,24 +155,11 @@ def _crisis(
         def paths(values: Float[np.ndarray, " values"], count: int) -> Float[np.ndarray, "values points k"]:
             seeds = (orbits_at(family, [branch], value) for value in values.tolist())
             begin = np.stack([orbits[0, 0] if len(orbits) else points[0, 0] for orbits in seeds]) + _OFF * size
-            return embed_points(_paths(batch.at_values(values), lanes, begin, _AWAY * n, count), turning, size)
+            path = points_after(batch.at_values(values), lanes, begin, _AWAY * n, count, tile=len(begin))
+            return embed_points(path, turning, size)
 
         crisis = locate_crisis(paths, start, stop, n, most)
     return LocatedValue(crisis.value, crisis.error + window.end.error) if crisis else NOWHERE
-
-
-def _paths(
-    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], transient: int, count: int
-) -> Float[np.ndarray, "lanes count d"]:
-    """Return strobes of lanes after a transient, by as many calls of one program as they need."""
-    strobe, parts = batch.strobe(), list[np.ndarray]()
-    for begun in range(0, count, _AT_ONCE):
-        wait = 0 if begun else transient
-        arguments = (strobe, np.int32(wait)), (u, batch.p)
-        part = lanes(strobe_points, *arguments, periods=wait + _AT_ONCE, tile=len(u), static=(_AT_ONCE,))
-        parts.append(part)
-        u = part[:, -1]
-    return np.concatenate(parts, axis=1)[:, :count]
 
 
 ANALYSIS = Analysis(

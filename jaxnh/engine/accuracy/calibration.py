@@ -23,7 +23,7 @@ from jaxnh.engine.axes import SweepPoints
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map, scheme_of
-from jaxnh.maps.iterate import iterate, record
+from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.maps.single_precision import in_precision
@@ -255,10 +255,15 @@ class Calibration:
         finer, coarser = (self._maps(self._way.reference, n) for n in (steps, max(1, steps // 2)))
         states, gaps = [], []
         for _ in range(_CALLS):
-            end, following = self._by_flow(record, lambda row: (finer(row),), now, _PERIODS, static=(_PERIODS,))
-            states.append(jax.tree.map(lambda z, later: np.c_[z, later[:, :-1]], now.states, following))
-            gaps.append(self._differing(coarser, now._replace(states=states[-1]), following))
-            now = now._replace(states=end)
+            met = [now.states]
+            for _ in range(_PERIODS):
+                met.append(
+                    self._by_flow(iterate, lambda row: (finer(row), np.int32(1)), now._replace(states=met[-1]), 1)
+                )
+            before, following = (jax.tree.map(lambda *z: np.stack(z, axis=1), *part) for part in (met[:-1], met[1:]))
+            states.append(before)
+            gaps.append(self._differing(coarser, now._replace(states=before), following))
+            now = now._replace(states=met[-1])
         whole = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *states)  # (lanes, periods)
         sensitive = np.concatenate(gaps, axis=1)
         sensitive = np.where(np.isfinite(sensitive), sensitive, -1.0)

@@ -16,7 +16,8 @@ from jaxtyping import Float
 from numpy.polynomial import polynomial
 
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.shooting import Period, ShootingOrbits, Wrap, close_orbits
+from jaxnh.orbits.shooting import Period, ShootingOrbits, close_orbits
+from jaxnh.systems.chart import Wrap
 
 FEIGENBAUM = 4.669201609102990
 """Ratio δ of successive distances between doublings, far down a cascade; here it only says where to look."""

@@ -21,7 +21,7 @@ from jaxnh.maps.double_double import two_sum
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits import cyclic
 from jaxnh.orbits.bifurcations.doubling_points import FEIGENBAUM, halves
-from jaxnh.orbits.shooting import Wrap
+from jaxnh.systems.chart import Wrap
 
 Sum = tuple[np.ndarray, np.ndarray]
 """Arrays that are summed without error: hi and lo."""

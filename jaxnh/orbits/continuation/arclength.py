@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.shooting import Wrap
+from jaxnh.systems.chart import Wrap
 
 FINE = 1e-9
 """Step of Newton, in lengths, after which an orbit is known to rounding."""

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, closed_determinant, second_compound
 from jaxnh.orbits.multipliers import multipliers
-from jaxnh.orbits.shooting import Wrap
+from jaxnh.systems.chart import Wrap
 
 ENDS = ("range", "collapsed", "closed", "no_convergence", "most_points", "resonance")
 """Why a curve ends: a parameter leaves its range; the orbit is one of half the period; the curve is closed; Newton does
