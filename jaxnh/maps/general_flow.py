@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
@@ -32,6 +33,7 @@ from jaxnh.systems.tracing import cached_by_structure, traced_once
 
 _SMALLEST_GRID = 2048  # steps of all parts: most accuracies, and refined ones, run through one program
 _LARGEST_STEP = 3000  # equations that are written out in a step; larger ones compile for minutes, and get a loop
+_IN_TURN = 150  # equations of a field from which on tangents take turns: compiled in half the time, and run no slower
 _CACHE = 72 << 10  # bytes for the stages of a tile: measured, of most flows 128 lanes are faster than 64 and 256
 _MOST_LANES, _FEWEST_LANES = 256, 32
 
@@ -137,7 +139,8 @@ class GeneralStrobe(ReturnMap):
         moved: Any = tuple(t.state for t in tangents)
         # In a loop a field with all tangents is one that has one of them, of more numbers.
         stacked = len(tangents) > 1 and self._rolls(len(tangents) + 1) and not self.carried
-        derivative = linearise_stacked if stacked else linearise
+        in_turn = time_split(self.system).size > _IN_TURN
+        derivative = partial(linearise_stacked, in_turn=in_turn) if stacked else linearise
         if stacked:
             moved = _stacked(moved)
             by_p = _stacked([dp or jax.tree.map(jnp.zeros_like, own) for dp in by_p]) if any(by_p) else None
@@ -258,14 +261,22 @@ def linearise(
 
 
 def linearise_stacked(
-    function: Callable[[Any, Any], Any], y: Any, own: Mapping[str, Any], moved: Any, by_p: Any
+    function: Callable[[Any, Any], Any], y: Any, own: Mapping[str, Any], moved: Any, by_p: Any, *, in_turn: bool
 ) -> tuple[Any, Any]:
-    """The same along tangents whose numbers are arrays (tangents,), as those of own are where there are some."""
+    """The same along tangents whose numbers are arrays (tangents,), as those of own are where there are some.
+
+    Args:
+        in_turn: whether tangents take turns in a loop, and do not lie side by side.
+    """
+
+    def each(slope: Callable[..., Any], *along: Any) -> Any:
+        return lax.map(lambda tangent: slope(*tangent), along) if in_turn else jax.vmap(slope)(*along)
+
     if by_p is None:
         value, slope = jax.linearize(lambda y: function(y, own), y)
-        return value, jax.vmap(slope)(moved)
+        return value, each(slope, moved)
     value, slope = jax.linearize(function, y, dict(own))
-    return value, jax.vmap(slope)(moved, by_p)
+    return value, each(slope, moved, by_p)
 
 
 def _stacked(trees: Sequence[Any]) -> Any:
