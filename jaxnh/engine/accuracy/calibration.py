@@ -30,7 +30,6 @@ SAMPLED_LANES = 1024
 
 _LEFT_OUT = 5e-5  # of the periods looked at, that err most: half of the share that may miss the target
 _SAFETY = 2.0  # the error is taken this many times: some lanes of the sweep have larger ones
-_NEAR = 0.1  # of the target: nearer references are not needed, as the error is taken twice
 _ROUNDS = 8
 _SPLIT, _MOST_PARTS = 4, 1024  # parts of a unit of time that is too long for its rounding
 _PRECISE = {
@@ -103,8 +102,10 @@ class Calibration:
         self._samples, looked_at, self._sizes = take_samples(self._maps, rows, sizes or {})
         self.sizes = sizes_by_name(self._maps.flows[0], self._sizes)
         self._left_out = int(_LEFT_OUT * looked_at)
-        self._near = _NEAR * (target or 0.0)
+        self._target = target or 0.0
         self._measure_reference()
+        while self._reference.unresolved and self._split_unit():
+            pass
 
     def error(self, solver: Solver, steps: int, *, compensated: bool = False) -> float:
         """Error estimate of one period with so many steps; infinite where a state is not finite."""
@@ -125,9 +126,9 @@ class Calibration:
             if plan is not None:
                 parts = self._maps.parts
                 return plan._replace(steps=-(-plan.steps // parts) * parts, parts=parts, sizes=self.sizes)
-            if refusal := self._refusal(target, errors):
+            refusal, by_rounding = self._refusal(target, errors)
+            if not (by_rounding and self._split_unit()):
                 raise refusal
-            self._split_unit()
 
     def _cheapest(
         self, target: float, is_short: Callable[[Plan], bool] | None
@@ -158,22 +159,25 @@ class Calibration:
     def _measure_reference(self) -> None:
         """Measure the reference, and the rounding of plain sums."""
         args = self._maps, self._samples, self._sizes
-        self._reference = refine_reference(*args, self._near, self._largest)
+        self._reference = refine_reference(*args, self._target, self._largest_at)
         self.floor = self._largest(self._reference.known)
         self._rounding = rounding_of_sums(*args, self._reference.kicks, self._largest)
 
-    def _split_unit(self) -> None:
-        """Take parts of the unit of time in place of it, as rounding alone is what is left.
+    def _split_unit(self) -> bool:
+        """Take parts of the unit of time in place of it, as its motion enlarges even rounding too much; or no more.
 
         The unit is the user's, and says nothing of how fast the motion enlarges what is small.
         """
         parts = _SPLIT * self._maps.parts
+        if not self._maps.may_be_cut or parts > _MOST_PARTS:
+            return False
         self._maps = self._maps.in_parts(parts)
         self._maps.tell(f"rounding grows beyond the target in a unit of time; errors are of 1/{parts} of it")
         self._measure_reference()
+        return True
 
-    def _refusal(self, target: float, errors: Float[np.ndarray, " samples"]) -> AccuracyError | None:
-        """Explain why the least errors there are exceed the target; None where a shorter map would not."""
+    def _refusal(self, target: float, errors: Float[np.ndarray, " samples"]) -> tuple[AccuracyError, bool]:
+        """Explain why the least errors there are exceed the target, and whether by rounding."""
         worst, parts = self._largest_at(errors), self._maps.parts
         error, sample = float(errors[worst]), self._samples.take_lanes(np.array([worst]))
         system = self._maps.flows[int(sample.row[0])]
@@ -185,17 +189,14 @@ class Calibration:
             length = float(lengths[worst]) if np.isfinite(lengths[worst]) else length
         elif flow.autonomous:
             what = "one unit of time" if parts == 1 else f"1/{parts} of a unit of time"
-        if not (cause := explain_motion(self._maps, sample, length)):
-            cause = explain_rounding(self._maps, sample, self._sizes, error)
-            whole = flow.autonomous and not self._maps.sectioned and not flow.chart.dimensionless
-            if cause and whole and _SPLIT * parts <= _MOST_PARTS:
-                return None
+        cause = explain_motion(self._maps, sample, length)
+        rounding = "" if cause else explain_rounding(self._maps, sample, self._sizes, error)
         relative = ", relative to the size of the motion," if self.sizes else ""
+        hint = "".join(f"; {words}" for words in (why, cause, rounding) if words)
         return AccuracyError(
-            f"no solver has an error of {what} of {target:g} over this sweep; with up to {self._maps.tried:,} "
-            f"kicks, that{relative} at {sample.place(0)} comes down to {error:.2g}"
-            + "".join(f"; {words}" for words in (why, cause) if words)
-        )
+            f"no solver has an error of {what} of {target:g} over this sweep; with up to {self._maps.tried:,} kicks, "
+            f"that{relative} at {sample.place(0)} comes down to {error:.2g}{hint}"
+        ), bool(rounding)
 
     def _best(self, solver: Solver, target: float, most_kicks: int, *, compensated: bool) -> Plan:
         """The plan of one solver with the fewest steps that meet the target, or else the one of the least error."""

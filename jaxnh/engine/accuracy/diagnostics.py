@@ -6,12 +6,14 @@ is seen in `kinks`.
 
 from __future__ import annotations
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxnh.engine.accuracy.kinks import find_kink
 from jaxnh.engine.accuracy.rounding import is_rounding, last_digit
@@ -19,7 +21,7 @@ from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
 from jaxnh.engine.accuracy.sizes import coordinate_names
 from jaxnh.maps.section import Section, System
 from jaxnh.systems.flow import Flow, Parameters
-from jaxnh.systems.state import State
+from jaxnh.systems.state import State, error_components
 
 _LONG = 4.0  # times the median return: errors have grown in it
 _STIFF = 200.0  # rates a unit of time that explicit steps of the reference do not follow
@@ -69,16 +71,25 @@ def explain_motion(maps: SampleMaps, sample: Samples, length: float) -> str:
         sample: of one state.
         length: of its motion.
     """
+    flow, times, passed, p = _motion_of(maps, sample, length)
+    if why := flow.near_degeneracy(times, passed, p):
+        return why
+    if not np.all(finite := _is_finite(passed)):
+        return f"the motion goes to infinity at t = {times[np.argmin(finite)]:.3g}"
+    if kink := find_kink(flow, times, passed, p):
+        return kink.description
+    return _explain_rates(maps, flow, times, passed, p)
+
+
+def order_on_motion(maps: SampleMaps, sample: Samples) -> float:
+    """Power of the steps with which the errors of any method fall on a sample's motion; infinite where it is smooth.
+
+    Args:
+        sample: of one state.
+    """
     system = maps.flows[int(sample.row[0])]
-    flow = system.flow
-    first = jax.tree.map(lambda leaf: leaf[0], sample)
-    state = first.states if flow is system else first.states.state
-    times, passed = _motion(flow, state, first.p, length)
-    return (
-        flow.near_degeneracy(times, passed, first.p)
-        or find_kink(flow, times, passed, first.p)
-        or _explain_rates(maps, flow, times, passed, first.p)
-    )
+    kink = find_kink(*_motion_of(maps, sample, system.flow.period / maps.parts))
+    return kink.order if kink else math.inf
 
 
 def explain_rounding(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray, " components"], error: float) -> str:
@@ -110,6 +121,26 @@ def _explain_rates(maps: SampleMaps, flow: Flow, times: np.ndarray, passed: Stat
 def _stiff(flow: Flow, fastest: float) -> str:
     unit = "unit of time" if flow.autonomous else "period"
     return f"rates of change reach {fastest:.2g} a {unit}, and solvers are explicit: the system is stiff"
+
+
+def rates_are_followed(maps: SampleMaps, sample: Samples) -> bool:
+    """Return whether the most steps tried follow the motion of a sample of one state, and it is finite."""
+    system = maps.flows[int(sample.row[0])]
+    flow, times, passed, p = _motion_of(maps, sample, system.flow.period / maps.parts)
+    return bool(np.all(_is_finite(passed))) and not _explain_rates(maps, flow, times, passed, p)
+
+
+def _is_finite(passed: State) -> Bool[np.ndarray, " points"]:
+    """Return which states of a motion are finite."""
+    return np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(error_components(passed))], axis=0)
+
+
+def _motion_of(maps: SampleMaps, sample: Samples, length: float) -> tuple[Flow, np.ndarray, State, Parameters]:
+    """The flow of a sample of one state, times and states of its motion, and its parameters."""
+    system = maps.flows[int(sample.row[0])]
+    first = jax.tree.map(lambda leaf: leaf[0], sample)
+    state = first.states if system.flow is system else first.states.state
+    return system.flow, *_motion(system.flow, state, first.p, length), first.p
 
 
 def _motion(flow: Flow, y: State, p: Parameters, length: float) -> tuple[np.ndarray, State]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxnh.engine.accuracy.diagnostics import order_on_motion, rates_are_followed
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, differences, gaps_between
 
 REFERENCE_STEPS = 96
@@ -21,6 +23,10 @@ _ROUGH = 1e-8  # references further apart than this say nothing: more steps may 
 _STALLED = 2  # refinements in a row that do not halve the distance: what is left is rounding
 _HOPELESS = 1 << 17  # kicks: what does not converge by now may have corners, and is given little more time
 _PATIENT = 5  # refinements, as corners let the distance fall unevenly
+_NEAR = 0.1  # of the target: nearer references are not needed, as the error is taken twice
+_SUSPECT = 1 << 14  # kicks: where references still differ, the field may jump
+_HOPELESS_BY = 10.0  # times the target: about what the most steps would leave, where that is no use
+_UNRESOLVED = 1e-3  # of the size of the motion: references that differ by more where steps follow it, as in chaos
 _TABLES = 4  # that the rounding of plain sums is measured on
 
 
@@ -31,30 +37,34 @@ class Reference(NamedTuple):
         image: of the samples.
         known: its distance from the one before in each sample, in units of the sizes.
         kicks: evaluations of the field that it takes a period.
+        unresolved: whether a unit of time is so long that its motion enlarges everything, and a part of it should do.
     """
 
     image: Image
     known: Float[np.ndarray, " samples"]
     kicks: int
+    unresolved: bool = False
 
 
 def refine_reference(
     maps: SampleMaps,
     samples: Samples,
     sizes: Float[np.ndarray, " components"],
-    near: float,
-    largest: Callable[[Float[np.ndarray, " samples"]], float],
+    target: float,
+    largest_at: Callable[[Float[np.ndarray, " samples"]], int],
 ) -> Reference:
     """Refine the reference of each sample until rounding is all that is left, most of them a few times only.
 
     That is until twice in a row the distance is not half of the least so far. Once says little, as convergence begins
-    unevenly in fast motion.
+    unevenly in fast motion. Where the field jumps or has a corner on the motion that errs most, and the most steps
+    there can be would not do, no more are tried.
 
     Args:
-        near: of a single target what references need not be nearer to each other than.
-        largest: the distance that counts, of those of all samples.
+        target: the only one that will be asked for, as far as which references are refined; 0 where any may be.
+        largest_at: the sample whose distance counts, of those of all samples.
     """
-    solver, steps, near = maps.scheme.reference, REFERENCE_STEPS, max(_ROUNDING, near)
+    solver, steps, near = maps.scheme.reference, REFERENCE_STEPS, max(_ROUNDING, _NEAR * target)
+    order, unresolved = 0.0, False  # not known yet
     finest = maps.image(maps.of(solver, steps, compensated=True), samples)
     gaps, least = np.full((2, len(samples.row)), np.inf)
     stalled = np.zeros(len(gaps), int)
@@ -63,8 +73,19 @@ def refine_reference(
         patience = np.where(gaps > _ROUGH, _PATIENT if hopeless else np.inf, _STALLED)
         open_ = np.flatnonzero((gaps > _ROUNDING) & (stalled < patience))
         # One small distance may be chance, as where the corner of a field lies in a step: all of them are not.
-        if not len(open_) or largest(gaps) <= near:
+        worst = largest_at(gaps)
+        if not len(open_) or gaps[worst] <= near:
             break
+        kicks = steps * solver.stages
+        if target and kicks > _SUSPECT and gaps[worst] > _ROUGH and not maps.scheme.smooth:
+            order = order or order_on_motion(maps, samples.take_lanes(np.array([worst])))
+            if gaps[worst] * (kicks / MOST_KICKS) ** order > _HOPELESS_BY * target:
+                break
+            unresolved = gaps[worst] > _UNRESOLVED or stalled[worst] >= _STALLED
+            unresolved = unresolved and maps.may_be_cut and order == math.inf
+            if unresolved and rates_are_followed(maps, samples.take_lanes(np.array([worst]))):
+                break
+            unresolved = False
         steps = steps * 3 // 2
         finer = maps.image(maps.of(solver, steps, compensated=True), samples.take_lanes(open_))
         gaps[open_] = gaps_between(differences([leaf[open_] for leaf in finest], finer), sizes)
@@ -72,8 +93,8 @@ def refine_reference(
         least = np.minimum(least, gaps)
         for leaf, new in zip(finest, finer, strict=True):
             leaf[open_] = new
-        maps.tell(f"with {steps * solver.stages:,} kicks a period, references differ by {largest(gaps):.1e}")
-    return Reference(finest, gaps, steps * solver.stages)
+        maps.tell(f"with {steps * solver.stages:,} kicks a period, references differ by {gaps[largest_at(gaps)]:.1e}")
+    return Reference(finest, gaps, steps * solver.stages, unresolved)
 
 
 def rounding_of_sums(

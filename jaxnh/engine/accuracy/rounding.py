@@ -38,7 +38,7 @@ def is_rounding(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray, " co
     Between neighbouring numbers of steps truncation differs by a small share of itself, which falls with more steps.
     """
     most = maps.scheme.reference.most_steps(maps.tried)
-    few, many = (_spread(maps, sample, sizes, max(1, steps)) for steps in (most // 4, most // 2))
+    few, many = (_spread(maps, sample, sizes, max(1, steps)) for steps in (most // 2, most - _NEIGHBOURS))
     return many > few / _FALLS and max(few, many) > _SHARE * error
 
 

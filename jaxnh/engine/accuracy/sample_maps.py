@@ -73,6 +73,12 @@ class SampleMaps:
         """Whether maps go from crossing to crossing of a section."""
         return self.flows[0] is not self.flows[0].flow
 
+    @property
+    def may_be_cut(self) -> bool:
+        """Whether maps are over a unit of time that says nothing of the motion: without a clock and a section."""
+        flow = self.flows[0].flow
+        return flow.autonomous and not self.sectioned and not flow.chart.dimensionless
+
     def in_parts(self, parts: int) -> SampleMaps:
         """Return maps of the same flows over one of so many parts of a unit of time."""
         return SampleMaps(self.flows, self._lanes, parts)

@@ -18,7 +18,7 @@ from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, differ
 from jaxnh.engine.accuracy.sizes import measure_sizes, rough_sizes
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.exceptions import AccuracyError
-from jaxnh.maps.iterate import record
+from jaxnh.maps.iterate import iterate, record
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
@@ -29,6 +29,7 @@ _ALL_LANES_AT = (0, 12, 169)  # periods after the start at which every lane give
 _MOST_SENSITIVE = 512  # of all periods on the way: far more than the share that is left out
 _SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very system
 _MOST_SEED_KICKS = 1 << 16
+_STEPS_A_PART = 64  # of a unit of time: so short that chaos has not yet enlarged everything in it
 _FEWEST_STEPS = 96  # that samples are judged by: what overflows with these is lost
 
 
@@ -101,7 +102,8 @@ def _one_by_one(samples: Samples) -> Samples:
 def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
     """Steps with which the first period is roughly right, whatever its length.
 
-    They are doubled until the image settles. Where the most that are tried leave no lane finite, a first look with
+    They are doubled until the image settles; in a unit of time in which chaos enlarges everything, until that of a part
+    does, from the start and from a unit later. Where the most that are tried leave no lane finite, a first look with
     steps that follow the motion says how many it needs, or that there are none.
     """
     solver, steps = maps.scheme.reference, maps.scheme.rough_steps
@@ -110,13 +112,26 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
     lost = np.ones(len(samples.row), bool)
     while 2 * steps * solver.stages <= _MOST_SEED_KICKS:
         maps.tell(f"the start states with {2 * steps * solver.stages:,} kicks a period")
-        coarser, image = image, maps.image(maps.of(solver, 2 * steps), samples)
+        later = maps.by_flow(iterate, lambda row, n=2 * steps: (maps.of(solver, n)(row), np.int32(1)), samples, 1)
+        coarser, image = image, image_of(later)
         gaps = gaps_between(differences(coarser, image), rough_sizes(maps, start, image))
         lost = ~np.isfinite(gaps)  # by so few steps, where so are all, or for ever
         if not np.all(lost) and np.all(lost | (gaps < _SEED_ERROR)):
             return steps
         steps *= 2
+        if maps.may_be_cut and not np.any(lost) and steps >= 4 * _STEPS_A_PART:
+            part = maps.in_parts(steps // _STEPS_A_PART)
+            if all(_settles(part, samples, steps, states) for states in (samples.states, later)):
+                return steps
     return max(steps, first_look(maps, samples).steps) if np.all(lost) else steps
+
+
+def _settles(maps: SampleMaps, samples: Samples, steps: int, states: State) -> bool:
+    """Return whether images of states of sample lanes are roughly right with so many steps a period."""
+    here = samples._replace(states=states)
+    coarser, finer = (maps.image(maps.of(maps.scheme.reference, n), here) for n in (steps, 2 * steps))
+    gaps = gaps_between(differences(coarser, finer), rough_sizes(maps, image_of(states), finer))
+    return bool(np.all(gaps < _SEED_ERROR))
 
 
 def _at_rest(maps: SampleMaps, samples: Samples) -> Bool[np.ndarray, "samples periods"]:

@@ -1,10 +1,9 @@
 """Sizes of a motion in each component that errors are compared in, measured on the paths of sample lanes.
 
 The paper's particle has sizes of one, so that its errors are absolute. Of any other system the size of a coordinate is
-its largest modulus on the path of a lane, after the first periods; with a clock or a section also its rate over a
-radian of the period, as a coordinate may vanish at every strobe. Where a coordinate runs on, its modulus says nothing
-of the motion: then its size is what it changes by in a period. Of lanes the median counts, as some may be about to
-escape.
+its largest modulus on the path of a lane, after the first periods: at strobes, and within the last of these. Where a
+coordinate runs on, its modulus says nothing of the motion: then its size is what it changes by in a period. Of lanes
+the median counts, as some may be about to escape.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnh.engine.accuracy.first_look import follow
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, image_of
 from jaxnh.maps.section import Crossing, Section, System
 from jaxnh.systems.definition import DefinedFlow
@@ -25,13 +25,15 @@ from jaxnh.systems.state import State, error_components
 
 _FIRST = 17  # periods on the way from the start, in which a motion may be larger than it is later
 _SHARE_OF_FIRST = 1e-3  # of the size there: where an attractor is at rest, this is the size that is left
-_OFFSET = 10.0  # times what it changes by in a period: a modulus that may have nothing to do with the motion
+_APART = 2.0  # times what a coordinate changes by in a period: a modulus that may have nothing to do with the motion
+_FAR = 10.0  # times that: it has come far where it runs on
 _RUNS = 0.5  # of its largest modulus: the way of a coordinate that runs on
 _EVENLY = (0.25, 0.75)  # shares of that way of which it has made one at half time
 _SAME_RATES = 1e-6  # of what half a turn changes, what a turn of an angle changes in rates
 _UNRELATED = 1e-12  # of its size, what rounding leaves between rates
 _VANISHES = 1e-13  # of the largest size: below it a coordinate may be nothing but the rounding of others
-_NO_DIGIT = 0.1  # of a size, by which two integrations differ where it has no digit that is right
+_NOT_EXACT = 1e-6  # of its size, by which two integrations differ in it where it is
+_LESS_EXACT = 100.0  # times what they differ by in others, at least
 
 
 def coordinate_names(system: System) -> tuple[str, ...]:
@@ -76,27 +78,43 @@ def measure_sizes(
     if system.flow.chart.dimensionless:
         return np.ones(len(changes))
     values = np.where(escaping, np.nan, np.stack(image_of(paths.states)))
+    moduli, later = np.abs(values), ~np.all(escaping[:, _FIRST:], axis=1)
+    whole = _largest(moduli)
+    sizes = _median_of_positive(np.where(later, _largest(moduli[..., _FIRST:]), whole))
     steps = _median_of_positive(_largest(np.abs(np.diff(values, axis=2))))
-    moduli = np.abs(values)
-    sizes = np.maximum(
-        _median_of_positive(_largest(moduli[..., _FIRST:])), _SHARE_OF_FIRST * _median_of_positive(_largest(moduli))
-    )
-    if maps.sectioned or not system.flow.autonomous:
-        rates = np.where(escaping, np.nan, _rates_on(maps, paths))
-        periods = np.diff(values[-1], axis=1) if maps.sectioned else np.array([s.flow.period for s in maps.flows])
-        radian = float(np.nanmedian(periods)) / (2 * math.pi) if np.any(np.isfinite(periods)) else 0.0
-        by_rate = _median_of_positive(_largest(np.abs(rates))) * radian
-        sizes, steps = np.maximum(sizes, by_rate), np.maximum(steps, by_rate)
-    far = np.flatnonzero((sizes > _OFFSET * steps) & (steps > 0.0))
-    for component in far:
-        if _runs(values[component]) or _is_free(maps, paths, escaping, int(component)):
-            sizes[component] = steps[component]
+    within, ways = _within_periods(maps, paths, escaping, float(steps[-1]) if maps.sectioned else None)
+    sizes = np.maximum(np.maximum(sizes, within), _SHARE_OF_FIRST * _median_of_positive(whole))
+    steps = np.maximum(steps, ways)
+    for i in np.flatnonzero((sizes > _APART * steps) & (steps > 0.0)):
+        far = sizes[i] > _FAR * steps[i]
+        if (far and _runs(values[i])) or (sizes[i] > math.pi and _is_free(maps, paths, escaping, int(i))):
+            sizes[i] = steps[i]
     if maps.sectioned:
         sizes[-1] = steps[-1]
     sizes = np.where(_is_rounding(sizes, changes), np.max(sizes), _one_for_none(sizes))
     for component, name in enumerate(coordinate_names(system)):
         sizes[component] = given.get(name, 1.0 if name in _angles(system.flow) else sizes[component])
     return sizes
+
+
+def _within_periods(
+    maps: SampleMaps, paths: Samples, escaping: Bool[np.ndarray, "lanes periods"], length: float | None
+) -> tuple[Float[np.ndarray, " components"], Float[np.ndarray, " components"]]:
+    """Largest moduli and ways of the components within the last period of lanes; zero of the time of a crossing.
+
+    At strobes alone a coordinate may vanish, or be at rest.
+    """
+    kept = np.flatnonzero(~np.all(escaping, axis=1))
+    last = escaping.shape[1] - 1 - np.argmin(escaping[:, ::-1], axis=1)
+    picked = paths.take_lanes(kept)
+    at = picked._replace(states=jax.tree.map(lambda leaf: leaf[np.arange(len(kept)), last[kept]], picked.states))
+    if not len(kept):
+        return np.zeros(len(coordinate_names(maps.flows[0]))), np.zeros(len(coordinate_names(maps.flows[0])))
+    passage = follow(maps, at, length)
+    through = passage.arrived >= 1.0
+    moduli, ways = (_median_of_positive(part[through].T) for part in (passage.moduli, passage.ways))
+    time = np.zeros(int(maps.sectioned))
+    return np.concatenate([moduli, time]), np.concatenate([ways, time])
 
 
 def _largest(of_lanes: Float[np.ndarray, "components lanes periods"]) -> Float[np.ndarray, "components lanes"]:
@@ -150,9 +168,12 @@ def _is_free(maps: SampleMaps, paths: Samples, escaping: Bool[np.ndarray, "lanes
 def _is_rounding(
     sizes: Float[np.ndarray, " components"], changes: Float[np.ndarray, "components lanes periods"]
 ) -> Bool[np.ndarray, " components"]:
-    """Return which coordinates are but the rounding of larger ones: small, and without a digit that is right."""
-    shares = [np.median(row[np.isfinite(row)]) if np.any(np.isfinite(row)) else 0.0 for row in changes]
-    return (sizes > 0.0) & (sizes < _VANISHES * np.max(sizes)) & (np.array(shares) > _NO_DIGIT * sizes)
+    """Return which coordinates are but the rounding of larger ones: tiny, and of far fewer digits that are right."""
+    apart = [np.median(row[np.isfinite(row)]) if np.any(np.isfinite(row)) else 0.0 for row in changes]
+    relative = np.array(apart) / _one_for_none(sizes)
+    tiny = (sizes > 0.0) & (sizes < _VANISHES * np.max(sizes))
+    others = np.max(relative, initial=0.0, where=~tiny)
+    return tiny & (relative > max(_NOT_EXACT, _LESS_EXACT * others))
 
 
 def _rates_on(maps: SampleMaps, paths: Samples) -> Float[np.ndarray, "components lanes periods"]:
