@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 import jaxnh
+from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.accuracy.kinks import find_kink
 from jaxnh.engine.accuracy.sizes import coordinate_names
+from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.systems.first_order import first_order
@@ -78,9 +80,6 @@ def test_estimate_is_relative(lanes):
 def test_a_size_that_the_user_gives(lanes):
     flow = first_order(oscillator, {"rate": 1.0, "unit": 2.0}, ("rate",))
     state, p = flow.start({"x": np.ones(1), "v": np.zeros(1)}), {"rate": np.ones(1)}
-    from jaxnh.engine.accuracy.calibration import Calibration
-    from jaxnh.engine.axes import SweepPoints
-
     given, measured = (
         Calibration([SweepPoints(flow, state, p, p)], lanes, sizes=sizes) for sizes in ({"x": 1e4, "v": 1e4}, {})
     )

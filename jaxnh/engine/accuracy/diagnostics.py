@@ -62,14 +62,14 @@ def explain_long_returns(lengths: Float[np.ndarray, " samples"], worst: int) -> 
     return ""
 
 
-def explain_motion(maps: SampleMaps, sample: Samples, length: float) -> str:
+def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = None) -> str:
     """Explain the least error of the sample that errs most by what is seen on its motion; "" where it is nothing.
 
     Constraints that nearly lose rank, a field that jumps or has a corner, or rates that steps do not follow.
 
     Args:
         sample: of one state.
-        length: of its motion.
+        length: of its motion; by default a period or unit of time, or the part of it that maps go over.
     """
     flow, times, passed, p = _motion_of(maps, sample, length)
     if why := flow.near_degeneracy(times, passed, p):
@@ -87,8 +87,7 @@ def order_on_motion(maps: SampleMaps, sample: Samples) -> float:
     Args:
         sample: of one state.
     """
-    system = maps.flows[int(sample.row[0])]
-    kink = find_kink(*_motion_of(maps, sample, system.flow.period / maps.parts))
+    kink = find_kink(*_motion_of(maps, sample))
     return kink.order if kink else math.inf
 
 
@@ -123,21 +122,17 @@ def _stiff(flow: Flow, fastest: float) -> str:
     return f"rates of change reach {fastest:.2g} a {unit}, and solvers are explicit: the system is stiff"
 
 
-def rates_are_followed(maps: SampleMaps, sample: Samples) -> bool:
-    """Return whether the most steps tried follow the motion of a sample of one state, and it is finite."""
-    system = maps.flows[int(sample.row[0])]
-    flow, times, passed, p = _motion_of(maps, sample, system.flow.period / maps.parts)
-    return bool(np.all(_is_finite(passed))) and not _explain_rates(maps, flow, times, passed, p)
-
-
 def _is_finite(passed: State) -> Bool[np.ndarray, " points"]:
     """Return which states of a motion are finite."""
     return np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(error_components(passed))], axis=0)
 
 
-def _motion_of(maps: SampleMaps, sample: Samples, length: float) -> tuple[Flow, np.ndarray, State, Parameters]:
+def _motion_of(
+    maps: SampleMaps, sample: Samples, length: float | None = None
+) -> tuple[Flow, np.ndarray, State, Parameters]:
     """The flow of a sample of one state, times and states of its motion, and its parameters."""
     system = maps.flows[int(sample.row[0])]
+    length = system.flow.period / maps.parts if length is None else length
     first = jax.tree.map(lambda leaf: leaf[0], sample)
     state = first.states if system.flow is system else first.states.state
     return system.flow, *_motion(system.flow, state, first.p, length), first.p

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.engine.accuracy.diagnostics import order_on_motion, rates_are_followed
+from jaxnh.engine.accuracy.diagnostics import explain_motion, order_on_motion
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, differences, gaps_between
 
 REFERENCE_STEPS = 96
@@ -26,7 +26,6 @@ _PATIENT = 5  # refinements, as corners let the distance fall unevenly
 _NEAR = 0.1  # of the target: nearer references are not needed, as the error is taken twice
 _SUSPECT = 1 << 14  # kicks: where references still differ, the field may jump
 _HOPELESS_BY = 10.0  # times the target: about what the most steps would leave, where that is no use
-_UNRESOLVED = 1e-3  # of the size of the motion: references that differ by more where steps follow it, as in chaos
 _TABLES = 4  # that the rounding of plain sums is measured on
 
 
@@ -78,14 +77,13 @@ def refine_reference(
             break
         kicks = steps * solver.stages
         if target and kicks > _SUSPECT and gaps[worst] > _ROUGH and not maps.scheme.smooth:
-            order = order or order_on_motion(maps, samples.take_lanes(np.array([worst])))
-            if gaps[worst] * (kicks / MOST_KICKS) ** order > _HOPELESS_BY * target:
+            sample = samples.take_lanes(np.array([worst]))
+            order = order or order_on_motion(maps, sample)
+            if order < math.inf and gaps[worst] * (kicks / MOST_KICKS) ** order > _HOPELESS_BY * target:
                 break
-            unresolved = gaps[worst] > _UNRESOLVED or stalled[worst] >= _STALLED
-            unresolved = unresolved and maps.may_be_cut and order == math.inf
-            if unresolved and rates_are_followed(maps, samples.take_lanes(np.array([worst]))):
+            if maps.may_be_cut and stalled[worst] >= _STALLED and not explain_motion(maps, sample):
+                unresolved = True
                 break
-            unresolved = False
         steps = steps * 3 // 2
         finer = maps.image(maps.of(solver, steps, compensated=True), samples.take_lanes(open_))
         gaps[open_] = gaps_between(differences([leaf[open_] for leaf in finest], finer), sizes)
