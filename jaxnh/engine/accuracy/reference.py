@@ -25,6 +25,7 @@ _HOPELESS = 1 << 17  # kicks: what does not converge by now may have corners, an
 _PATIENT = 5  # refinements, as corners let the distance fall unevenly
 _NEAR = 0.1  # of the target: nearer references are not needed, as the error is taken twice
 _SUSPECT = 1 << 14  # kicks: where references still differ, the field may jump
+_ENLARGED = 1 << 16  # kicks: where references come no nearer to each other by now, the motion enlarges everything
 _HOPELESS_BY = 10.0  # times the target: about what the most steps would leave, where that is no use
 _TABLES = 4  # that the rounding of plain sums is measured on
 
@@ -81,7 +82,8 @@ def refine_reference(
             order = order or order_on_motion(maps, sample)
             if order < math.inf and gaps[worst] * (kicks / MOST_KICKS) ** order > _HOPELESS_BY * target:
                 break
-            if maps.may_be_cut and stalled[worst] >= _STALLED and not explain_motion(maps, sample):
+            enlarged = maps.may_be_cut and kicks > _ENLARGED and stalled[worst] >= _STALLED
+            if enlarged and not explain_motion(maps, sample):
                 unresolved = True
                 break
         steps = steps * 3 // 2
