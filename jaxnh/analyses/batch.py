@@ -58,6 +58,8 @@ class LaneBatch:
         p: parameters of lanes, by name, each (lanes,): those of their own, and those of the family.
         solver, steps, compensated: what P is computed with.
         error_estimate: error of one period's map that about one in 10,000 of the periods of a sweep's lanes exceeds.
+        sizes: of the motion, that this error is relative to, by coordinate in the order of the components that errors
+            are compared in; none where it is absolute.
         place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
         axis: the first axis, where the lanes are those along it, at one point of all others.
         family: where lanes differ in parameters that a program shares, the system at each value of these.
@@ -79,6 +81,7 @@ class LaneBatch:
     chosen: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     precision: str = "float64"
     target: float = 0.0
+    sizes: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @property
     def count(self) -> int:

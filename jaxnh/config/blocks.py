@@ -220,7 +220,8 @@ class Accuracy(Block):
         default=1e-10,
         ge=1e-13,
         le=1e-2,
-        description="Error of one period's map that 9,999 in 10,000 of the periods of a sweep's lanes keep",
+        description="Error of one period's map that 9,999 in 10,000 of the periods of a sweep's lanes keep; of a "
+        "user's system relative to the size of the motion in each coordinate",
     )
     solver: str | None = Field(
         default=None,
@@ -236,6 +237,11 @@ class Accuracy(Block):
         description="Arithmetic within a period: float64, or if asked for float32, with errors of 1e-5 and more, or"
         " extended, which is double-double for doublings once they are located",
     )
+
+    @property
+    def sizes(self) -> Mapping[str, float]:
+        """Sizes of the motion that the config gives, by coordinate."""
+        return {}
 
     @property
     def only_target(self) -> float | None:

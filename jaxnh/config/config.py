@@ -21,7 +21,7 @@ from jaxnh.config.fitting import check_accuracy
 from jaxnh.config.layout import layout
 from jaxnh.config.messages import Layout, close_match, first_fault
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, Sweep
-from jaxnh.config.user_system import UserInitial, UserSection, UserSweep, UserSystem
+from jaxnh.config.user_system import UserAccuracy, UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_source import ConfigSource, read
 from jaxnh.exceptions import ConfigError, InputError
 from jaxnh.systems.user_text import Names, names_in, read_text
@@ -176,6 +176,9 @@ class UserConfig(Config):
     )
     section: UserSection | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
         default=None, description="Of a system without a clock, the section whose crossings take the strobe's place"
+    )
+    accuracy: UserAccuracy = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        default_factory=dict, validate_default=True, description="Error allowed, or solver and steps"
     )
 
     _names: Names = PrivateAttr()

@@ -21,7 +21,7 @@ def schema() -> dict[str, Any]:
     system = properties["system"]
     properties["system"] = {**system, "oneOf": [*system["oneOf"], {"$ref": users["properties"]["system"]["$ref"]}]}
     kinds = {"then": {"properties": {}}, "else": {"properties": {}}}  # which of the two is known from the system
-    for name in ("initial", "sweep", "section"):
+    for name in ("initial", "sweep", "section", "accuracy"):
         properties[name] = {"description": properties[name]["description"]}
         for word, given in (("then", users), ("else", built_in)):
             form = given["properties"][name]

@@ -12,7 +12,7 @@ from typing import Annotated
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
 from jaxnh.analyses.options.base import Block, rule
-from jaxnh.config.blocks import EvenGrid, Grid, InitialBlock, SectionBlock, SweepBlock, SystemBlock, ValueGrid
+from jaxnh.config.blocks import Accuracy, EvenGrid, Grid, InitialBlock, SectionBlock, SweepBlock, SystemBlock, ValueGrid
 from jaxnh.config.messages import explain_unknown
 from jaxnh.systems.user_text import OF_RESULTS, Names
 
@@ -82,6 +82,31 @@ class UserSweep(SweepBlock, UserBlock):
         """Parameters, then coordinates, of mechanics each with its velocity."""
         parameters, _, states = self._names
         return self._or_own(None if parameters is None or states is None else (*parameters, *states))
+
+
+class UserAccuracy(Accuracy):
+    """Accuracy of the map of one period of a user's system, whose coordinates have sizes of their own."""
+
+    scale: dict[str, Annotated[float, Field(gt=0)]] | None = Field(
+        default=None,
+        description="Size of the motion that the target is relative to, by coordinate NAME or velocity NAME_dot, in "
+        "place of the size measured",
+    )
+
+    @model_validator(mode="after")
+    def _check_scale(self, info: ValidationInfo) -> UserAccuracy:
+        """Check that sizes are those of coordinates, if it is known which there are."""
+        assert isinstance(info.context, Names)
+        known = info.context.states
+        for name in self.scale or {}:
+            if known is not None and name not in known:
+                raise rule(explain_unknown(name, known), f"scale.{name}")
+        return self
+
+    @property
+    def sizes(self) -> Mapping[str, float]:
+        """Sizes of the motion that the config gives, by coordinate."""
+        return self.scale or {}
 
 
 class UserSection(SectionBlock):

@@ -62,19 +62,22 @@ def batch_of(
 ) -> LaneBatch:
     """Lanes with the solver and steps that were decided on."""
     more = {"place": place, "axis": axis, "family": at.family, "chosen": chosen or {}, "precision": precision}
-    return LaneBatch(at.system, at.start, at.p, *plan, **more)
+    return LaneBatch(at.system, at.start, at.p, *plan[:4], sizes=plan.sizes, **more)
 
 
 def solver_plan(plan: NumericalPlan) -> Plan:
     """The solver and steps of a numerical plan."""
     solver = SOLVERS[plan.solver]
-    return Plan(in_loop(solver) if plan.rolled else solver, plan.steps, plan.compensated, plan.error_estimate)
+    form = in_loop(solver) if plan.rolled else solver
+    return Plan(form, plan.steps, plan.compensated, plan.error_estimate, plan.sizes, plan.parts)
 
 
 def numerical_plan(plan: Plan, chosen: Mapping[str, Mapping[str, int]]) -> NumericalPlan:
     """The numerical plan of a solver and steps, with settings that analyses have chosen."""
     rolled = bool(getattr(plan.solver, "rolled", False))
-    return NumericalPlan(plan.solver.name, plan.steps, plan.compensated, plan.error_estimate, chosen, rolled)
+    return NumericalPlan(
+        plan.solver.name, plan.steps, plan.compensated, plan.error_estimate, chosen, rolled, plan.sizes, plan.parts
+    )
 
 
 def executor_for(analysis: Analysis, options: Options, count: int, lanes: LaneExecutor) -> LaneExecutor:

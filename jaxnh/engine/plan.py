@@ -69,7 +69,7 @@ def calibrate(
         except AccuracyError as error:
             raise AccuracyError(f"{experiment.label}: accuracy.solver: {error}") from None
     try:
-        return Calibration(rows, lanes, experiment.precision, target)
+        return Calibration(rows, lanes, experiment.precision, target, asked.sizes)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
 
@@ -107,7 +107,7 @@ def plan_of(
     accuracy = experiment.accuracy
     if accuracy.solver and accuracy.steps:
         solver = SOLVERS[accuracy.solver]
-        return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps))
+        return Plan(solver, accuracy.steps, False, calibration.error(solver, accuracy.steps), calibration.sizes)
 
     def enough(plan: Plan) -> bool:
         double = experiment.precision == "float64"  # in extended precision an operation takes a hundred times as long

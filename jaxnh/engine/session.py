@@ -112,6 +112,7 @@ class Session:
             time = f"in a time of {experiment.flow().period:.4g}"
         chosen = [
             f"{plan.solver.name}, {plan.steps} steps {time}, error of one {turn} {plan.error_estimate:.1g}"
+            f"{', relative to the size of the motion' if plan.sizes else ''}"
             for *_, plan in self._plans
         ]
         return [experiment.title or experiment.label, f"a session over {axes}", *(chosen or ["not calibrated yet"])]

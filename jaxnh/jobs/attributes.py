@@ -63,6 +63,8 @@ def root_attributes(
         "summation": "compensated" if plan.compensated else "plain",
         "precision": precision,
         "error_estimate": plan.error_estimate,
+        **({"sizes_of_motion": json.dumps(plan.sizes)} if plan.sizes else {}),
+        **({"error_estimate_parts": plan.parts} if plan.parts > 1 else {}),
         "wall_seconds": spent.seconds,
         "compile_seconds": spent.compile_seconds,
         "lane_periods": spent.lane_periods,
@@ -82,6 +84,24 @@ def root_attributes(
     if cutting.level:
         attrs |= {"level": cutting.level, "levels": cutting.levels, "refine": cutting.refine}
     return {**attrs, "auto_settings": json.dumps(plan.chosen)}
+
+
+def error_in_words(attrs: Mapping[Any, object], unit: str = "period", digits: str = ".1g") -> str:
+    """The error estimate of a result, from its attributes: "error of one period 1e-09 of the size of the motion".
+
+    Args:
+        unit: what it is of where there is no section.
+        digits: format of the number.
+
+    Raises:
+        KeyError: they have none.
+        ValueError: it is no number.
+    """
+    parts = attrs.get("error_estimate_parts", 1)
+    whole = "return" if "section" in attrs else unit
+    turn = f"one {whole}" if parts == 1 else f"1/{parts} of a {whole}"
+    relative = ", relative to the size of the motion" if "sizes_of_motion" in attrs else ""
+    return f"error of {turn} {float(str(attrs['error_estimate'])):{digits}}{relative}"
 
 
 def steps_in_words(attrs: Mapping[Any, object], unit: str = "period") -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 from jaxnh.jobs.cutting import Cutting
 from jaxnh.jobs.provenance import Provenance
@@ -23,6 +23,8 @@ class NumericalPlan:
             sweep's lanes exceeds.
         chosen: settings that analyses have chosen from the whole sweep, by analysis.
         rolled: whether the stages of a step are a loop.
+        sizes: of the motion, by coordinate, that the error is relative to; none where it is absolute.
+        parts: of a unit of time, of one of which the error is.
     """
 
     solver: str
@@ -31,6 +33,8 @@ class NumericalPlan:
     error_estimate: float
     chosen: Mapping[str, Mapping[str, int]]
     rolled: bool = False
+    sizes: Mapping[str, float] = field(default_factory=dict[str, float])
+    parts: int = 1
 
 
 @dataclass(frozen=True)

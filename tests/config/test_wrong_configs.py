@@ -37,6 +37,9 @@ WRONG = {
     "a user's coordinate": (GOVERNOR, "initial.z=1", "initial.z: unknown key; known keys are project, x, x_dot"),
     "a user's axis": (GOVERNOR, "sweep.omege={values: [1.0]}", "sweep.omege: unknown key"),
     "a user's section": (GOVERNOR, "section.coordinate=z", "section.coordinate: unknown key; known keys are x, y"),
+    "a size of no coordinate": (GOVERNOR, "accuracy.scale={z: 1.0}", "accuracy.scale.z: unknown key; known keys are x, x_dot"),
+    "a size that is none": (GOVERNOR, "accuracy.scale={x: 0.0}", "accuracy.scale.x: must be above 0, not 0.0"),
+    "sizes of the particle": (TABLE, "accuracy.scale={x1: 1.0}", "accuracy.scale: unknown key; known keys are target"),
     "a file that is not there": (GOVERNOR, "system.file=none.py", "system.file: there is no file "),
 }  # fmt: skip
 
@@ -164,6 +167,8 @@ def test_the_same_models_check_names_that_only_the_run_file_gives(tmp_path):
     assert load_config(path, ["initial.x7=1.0"]).title == ""
     told = message(load, path, ["initial.x7=1.0"])
     assert told == "command line: initial.x7: unknown key; known keys are project, x0, x1"
+    told = message(load, path, ["accuracy.scale={x7: 1.0}"])
+    assert told == "command line: accuracy.scale.x7: unknown key; known keys are x0, x1"
     assert message(load_config, path, ["system.b=1.0"]).startswith("command line: system.b: unknown key")
 
 

@@ -39,11 +39,11 @@ def once(calibrate: Calibrate) -> Calibrate:
 
 
 def unless_given(calibrate: Calibrate) -> Calibrate:
-    """`calibrate`, but for experiments that give their steps: of those no error is measured, and 1e-6 is said."""
+    """`calibrate`, but for experiments that give their steps: no error is measured of those, nor sizes, and 1e-6 is said."""
 
     def calibrate_unless_given(experiment: Experiment, *others: Any, **named: Any) -> Calibration:
         if experiment.accuracy.solver:
-            return cast(Calibration, SimpleNamespace(error=lambda *_: 1e-6))
+            return cast(Calibration, SimpleNamespace(error=lambda *_: 1e-6, sizes={}))
         return calibrate(experiment, *others, **named)
 
     return calibrate_unless_given

@@ -27,9 +27,9 @@ _ROUNDS = 8
 def choose_steps(batch: LaneBatch, lanes: LaneRunner, state: State) -> int:
     """Return the fewest steps of a period that meet the target of a batch, or all of its steps if half are too few.
 
-    An error is the largest difference of any component after a period from the map of the batch, in all periods of its
-    lanes from these states on. That map has twice the steps or more, and of a method of order six an error 64 times as
-    small.
+    An error is the largest difference of any component after a period from the map of the batch, relative to the size
+    of the motion where the target is, in all periods of its lanes from these states on. That map has twice the steps or
+    more, and of a method of order six an error 64 times as small.
     """
     if not batch.target or batch.steps < 2 * _FEWEST:
         return batch.steps
@@ -65,5 +65,7 @@ def choose_steps(batch: LaneBatch, lanes: LaneRunner, state: State) -> int:
 
 
 def _numbers(batch: LaneBatch, state: State) -> np.ndarray:
-    """Return the components of states that errors count in, (components, points)."""
-    return np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(error_components(state))])
+    """Return the components of states that errors count in, (components, points), in units of their sizes."""
+    components = [np.asarray(leaf) for leaf in jax.tree.leaves(error_components(state))]
+    sizes = list(batch.sizes.values()) or [1.0] * len(components)
+    return np.stack([component / size for component, size in zip(components, sizes, strict=True)])

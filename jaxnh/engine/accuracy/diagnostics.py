@@ -1,83 +1,145 @@
-"""Explanations for the user of a system: why no number of steps meets an accuracy, or why a map has no value."""
+"""Explanations for the user of a system: why no number of steps meets an accuracy, or why a map has no value.
+
+Each cause is looked for on the motion that errs most, and named where it is there; that a field has a jump or a corner
+is seen in `kinks`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from jaxnh.engine.accuracy.kinks import find_kink
+from jaxnh.engine.accuracy.rounding import is_rounding, last_digit
+from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
+from jaxnh.engine.accuracy.sizes import coordinate_names
 from jaxnh.maps.section import Section, System
 from jaxnh.systems.flow import Flow, Parameters
-from jaxnh.systems.state import State
-
-ROUGH = 1e-8
-"""References further apart than this say nothing: more steps may yet help."""
+from jaxnh.systems.state import State, error_components
 
 _LONG = 4.0  # times the median return: errors have grown in it
 _STIFF = 200.0  # rates a unit of time that explicit steps of the reference do not follow
+_UNRESOLVED = 1.0  # of a rate times a step: from here on explicit steps do not follow it
 _ROUGHLY = 2048  # steps along a motion that is looked at
-_NOT_SMOOTH, _ORDER_OF_LAST = 2.5, 5  # order seen in the last refinements below which fields are taken to have corners
+_LOOKED_AT = 64  # states of these at which rates are
+_MODERATE = 100.0  # times that a map enlarges a rounding, which is then that of a large number and not of chaos
+_LARGE = 100.0  # times the size of its motion, that a coordinate is far from zero
 
 
-def fault_of(system: System, state: State, p: Parameters) -> str:
-    """Explain why the map of a state, floats, has no value; "" where no cause is seen."""
+def fault_of(system: System, state: State, p: Parameters, first_look: str = "") -> str:
+    """Explain why the map of a state, floats, has no value; "" where no cause is seen.
+
+    Args:
+        first_look: what a first look at the motion has seen.
+    """
     flow = system.flow
     state = state if flow is system else state.state
-    if why := flow.fault_at(0.0, state, p) or _explain_loss(flow, state, p, flow.period):
+    if why := flow.fault_at(0.0, state, p):
         return why
-    if (fastest := _fastest_rate(flow, state, p)) > _STIFF:
+    motion = _motion(flow, state, p, flow.period)
+    if why := flow.near_degeneracy(*motion, p):
+        return why
+    if (fastest := _fastest_rate(flow, 0.0, state, p) * flow.period) > _STIFF:
         time_unit = ", or give a smaller time_unit" if flow.autonomous else ""
-        unit = "unit of time" if flow.autonomous else "period"
-        return (
-            f"rates of change reach {fastest:.2g} a {unit}, and solvers are explicit: the system is stiff; "
-            f"slow down what is fast in it{time_unit}"
-        )
+        return f"{_stiff(flow, fastest)}; slow down what is fast in it{time_unit}"
+    if first_look:
+        return first_look
     if isinstance(system, Section):
         return f"the section may not be met within {system.longest:g} units of time"
     return ""
 
 
-def explain_motion(system: System, state: State, p: Parameters, length: float) -> str:
-    """Explain the largest error by what the motion of its sample nearly loses in that time; "" where it is nothing."""
-    state = state if system.flow is system else state.state
-    why = _explain_loss(system.flow, state, p, length)
-    return why and f"; {why}"
-
-
 def explain_long_returns(lengths: Float[np.ndarray, " samples"], worst: int) -> str:
     """Explain the largest error by the long returns of its sample to a section; "" where they are not long."""
     if lengths[worst] > _LONG * np.nanmedian(lengths):
-        return f"; it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
+        return f"it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
     return ""
 
 
-def explain_slow_convergence(fall: Sequence[tuple[int, float]]) -> str:
-    """Explain why references of more and more kicks converge slowly; "" where they do not."""
-    if observed_order(fall) < _NOT_SMOOTH:
-        return (
-            "; more steps lessen it so slowly as where the equations jump or have corners (sign, abs, where): "
-            "make these smooth, or ask for less"
-        )
-    return ""
+def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = None) -> str:
+    """Explain the least error of the sample that errs most by what is seen on its motion; "" where it is nothing.
+
+    Constraints that nearly lose rank, a field that jumps or has a corner, or rates that steps do not follow.
+
+    Args:
+        sample: of one state.
+        length: of its motion; by default a period or unit of time, or the part of it that maps go over.
+    """
+    flow, times, passed, p = _motion_of(maps, sample, length)
+    if why := flow.near_degeneracy(times, passed, p):
+        return why
+    if not np.all(finite := _is_finite(passed)):
+        return f"the motion goes to infinity at t = {times[np.argmin(finite)]:.3g}"
+    if kink := find_kink(flow, times, passed, p):
+        return kink.description
+    return _explain_rates(maps, flow, times, passed, p)
 
 
-def observed_order(fall: Sequence[tuple[int, float]]) -> float:
-    """Return the power of the kicks by which distances fall in the last refinements; infinite where it is not known."""
-    seen = [(kicks, gap) for kicks, gap in fall if gap < math.inf][-_ORDER_OF_LAST:]
-    if len(seen) < _ORDER_OF_LAST or min(gap for _, gap in seen) < ROUGH:
-        return math.inf
-    kicks, gaps = np.log(np.array(seen)).T
-    return float(-np.polyfit(kicks, gaps, 1)[0])
+def order_on_motion(maps: SampleMaps, sample: Samples) -> float:
+    """Power of the steps with which the errors of any method fall on a sample's motion; infinite where it is smooth.
+
+    Args:
+        sample: of one state.
+    """
+    kink = find_kink(*_motion_of(maps, sample))
+    return kink.order if kink else math.inf
 
 
-def _explain_loss(flow: Flow, y: State, p: Parameters, length: float) -> str:
-    """Describe what a motion from a state at t = 0 nearly loses in a time, by the classical method of order 4."""
+def explain_rounding(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray, " components"], error: float) -> str:
+    """Explain an error by rounding, and the coordinate whose last digit matters most; "" where it is none."""
+    if not is_rounding(maps, sample, sizes, error):
+        return ""
+    name, value, digit, change = last_digit(maps, sample, sizes)
+    size = sizes[coordinate_names(maps.flows[0].flow).index(name)]
+    words = f"that is rounding: {name} = {value:.4g} has a last digit of {digit:.1g}"
+    if change * size < _MODERATE * digit and abs(value) > _LARGE * size:
+        return f"{words}, and moves by {size:.2g} only; let it begin nearer to zero, or ask for less"
+    autonomous = maps.flows[0].flow.autonomous
+    unit = "return" if maps.sectioned else "unit of time" if autonomous else "period"
+    remedy = "take a section that is met more often, or ask for less" if maps.sectioned else "ask for less"
+    return f"{words}, which a {unit} makes {change:.1g} of the size of the motion; {remedy}"
+
+
+def _explain_rates(maps: SampleMaps, flow: Flow, times: np.ndarray, passed: State, p: Parameters) -> str:
+    """Explain an error by rates on a motion that the most steps do not follow; "" where these do."""
+    picked = np.linspace(0, len(times) - 1, _LOOKED_AT).round().astype(int)
+    each = ((float(times[i]), jax.tree.map(lambda leaf, i=i: leaf[i], passed)) for i in picked)
+    fastest = max(_fastest_rate(flow, t, y, p) for t, y in each) * flow.period
+    steps = max(1, maps.scheme.reference.most_steps(maps.tried))
+    if fastest < _UNRESOLVED * steps:
+        return ""
+    return f"{_stiff(flow, fastest)}; slow down what is fast in it, or ask for less"
+
+
+def _stiff(flow: Flow, fastest: float) -> str:
+    unit = "unit of time" if flow.autonomous else "period"
+    return f"rates of change reach {fastest:.2g} a {unit}, and solvers are explicit: the system is stiff"
+
+
+def _is_finite(passed: State) -> Bool[np.ndarray, " points"]:
+    """Return which states of a motion are finite."""
+    return np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(error_components(passed))], axis=0)
+
+
+def _motion_of(
+    maps: SampleMaps, sample: Samples, length: float | None = None
+) -> tuple[Flow, np.ndarray, State, Parameters]:
+    """The flow of a sample of one state, times and states of its motion, and its parameters."""
+    system = maps.flows[int(sample.row[0])]
+    length = system.flow.period / maps.parts if length is None else length
+    first = jax.tree.map(lambda leaf: leaf[0], sample)
+    state = first.states if system.flow is system else first.states.state
+    return system.flow, *_motion(system.flow, state, first.p, length), first.p
+
+
+def _motion(flow: Flow, y: State, p: Parameters, length: float) -> tuple[np.ndarray, State]:
+    """Times and states of a motion from t = 0 over a length of time, by the classical method of order 4."""
     h = length / _ROUGHLY
     times = h * np.arange(_ROUGHLY)
 
@@ -96,12 +158,11 @@ def _explain_loss(flow: Flow, y: State, p: Parameters, length: float) -> str:
 
         return lax.scan(step, y, jnp.asarray(times))[1]
 
-    passed = jax.tree.map(np.asarray, motion(jax.tree.map(jnp.asarray, y), p))
-    return flow.near_degeneracy(times, passed, p)
+    return times, jax.tree.map(np.asarray, motion(jax.tree.map(jnp.asarray, y), p))
 
 
-def _fastest_rate(flow: Flow, y: State, p: Parameters) -> float:
-    """Largest modulus of the eigenvalues of a flow's linearisation at a state and t = 0, times its unit of time."""
+def _fastest_rate(flow: Flow, t: float, y: State, p: Parameters) -> float:
+    """Largest modulus of the eigenvalues of a flow's linearisation at a state; zero where it has none."""
     flat, whole = ravel_pytree(jax.tree.map(jnp.asarray, y))
-    jacobian = np.asarray(jax.jacfwd(lambda z: ravel_pytree(flow.rhs(0.0, whole(z), p))[0])(flat))
-    return float(np.abs(np.linalg.eigvals(jacobian)).max()) * flow.period if np.isfinite(jacobian).all() else 0.0
+    jacobian = np.asarray(jax.jacfwd(lambda z: ravel_pytree(flow.rhs(t, whole(z), p))[0])(flat))
+    return float(np.abs(np.linalg.eigvals(jacobian)).max()) if np.isfinite(jacobian).all() else 0.0

@@ -1,0 +1,158 @@
+"""A first look at a motion with steps that follow it, before anything is known of how many a period needs.
+
+By the pair of orders 3 and 2 of Bogacki and Shampine, Appl. Math. Lett. 2 (1989) 321, each lane with steps of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
+from jaxnh.maps.batching import as_batched
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State, error_components
+
+_LANES = 8  # of the sweep that are looked at, evenly among all
+_TOLERANCE = 1e-4  # error of a step, of the largest modulus of each coordinate so far
+_FIRST_STEP = 1e-6  # of the length of time
+_SHORTEST = 1e-13  # of it: what needs shorter steps goes to infinity, or its rates do
+_VANISHES = 1e-13  # of the largest coordinate: below it one may be nothing but the rounding of others
+_LIMITING = 0.05  # of the tolerance: an error by which the length of a step was chosen, as that of the first is not
+_MOST_TRIALS = 1 << 18
+_MOST_STEPS = 1 << 16  # of the reference, that samples are taken with
+_ORDER = 3
+
+
+class FirstLook(NamedTuple):
+    """Result of a first look.
+
+    Attributes:
+        steps: equal steps of a period, as short as the shortest that a motion that stays finite needs; 0 where none
+            does.
+        explanation: where no motion comes to the end of its period, why; else "".
+    """
+
+    steps: int
+    explanation: str
+
+
+class _Motion(NamedTuple):
+    """One lane on its way.
+
+    Attributes:
+        y: coordinates.
+        t: time.
+        h: length of the next step.
+        shortest: shortest step so far that the motion has needed.
+        size: largest modulus of each coordinate so far.
+        way: largest distance of each from where it began.
+        trials: steps tried.
+    """
+
+    y: Float[Array, " d"]
+    t: Array
+    h: Array
+    shortest: Array
+    size: Float[Array, " d"]
+    way: Float[Array, " d"]
+    trials: Array
+
+
+class Passage(NamedTuple):
+    """Passages of a handful of lanes, each with steps of its own.
+
+    Attributes:
+        arrived: share of the length of time that a lane has come through.
+        needed: steps of the length of the shortest that its motion needs, in that time.
+        moduli: largest modulus of each component.
+        ways: largest distance of each component from where it began.
+    """
+
+    arrived: Float[np.ndarray, " lanes"]
+    needed: Float[np.ndarray, " lanes"]
+    moduli: Float[np.ndarray, "lanes components"]
+    ways: Float[np.ndarray, "lanes components"]
+
+
+def follow(maps: SampleMaps, samples: Samples, length: float | None = None) -> Passage:
+    """Follow a handful of lanes with steps that their motions need.
+
+    Args:
+        length: of time, by default a period or a unit of time.
+    """
+    picked = np.unique(np.linspace(0, len(samples.row) - 1, _LANES).round().astype(int))
+    few = samples.take_lanes(picked)
+    if maps.sectioned:
+        few = few._replace(states=few.states.state)
+
+    def shared(row: int) -> tuple[Flow, float]:
+        flow = maps.flows[row].flow
+        return flow, flow.period if length is None else length
+
+    return Passage(*maps.by_flow(_follow, shared, few, 1))
+
+
+def first_look(maps: SampleMaps, samples: Samples) -> FirstLook:
+    """Look whether motions come through a period, or a unit of time, and how many steps that takes."""
+    passage = follow(maps, samples)
+    arrived = passage.arrived >= 1.0
+    if np.any(arrived):
+        needed = float(np.max(passage.needed[arrived]))
+        return FirstLook(min(_MOST_STEPS, 1 << max(0, math.ceil(math.log2(needed)))), "")
+    share = float(np.max(passage.arrived))
+    if share > 0.0:
+        return FirstLook(0, f"the motion goes to infinity at t = {share * maps.flows[0].flow.period:.3g}")
+    return FirstLook(0, "")
+
+
+def _follow(flow: Flow, length: ArrayLike, state: State, p: Parameters) -> tuple[Array, Array, Array, Array]:
+    """One lane's part of a `Passage`."""
+    flat, whole = ravel_pytree(state)
+    begun = jnp.abs(flat)
+
+    def rate(t: Array, y: Float[Array, " d"]) -> Float[Array, " d"]:
+        return ravel_pytree(flow.rhs(t, whole(y), p))[0]
+
+    def unfinished(motion: _Motion) -> Array:
+        return (motion.t < length) & (motion.h > _SHORTEST * length) & (motion.trials < _MOST_TRIALS)
+
+    def step(motion: _Motion) -> _Motion:
+        y, t = motion.y, motion.t
+        h = jnp.minimum(motion.h, length - t)
+        k1 = rate(t, y)
+        k2 = rate(t + 0.5 * h, y + 0.5 * h * k1)
+        k3 = rate(t + 0.75 * h, y + 0.75 * h * k2)
+        new = y + h * (2.0 * k1 + 3.0 * k2 + 4.0 * k3) / 9.0
+        k4 = rate(t + h, new)
+        gap = jnp.abs(h * (-5.0 * k1 / 72.0 + k2 / 12.0 + k3 / 9.0 - k4 / 8.0))
+        size = jnp.maximum(motion.size, jnp.abs(new))
+        measure = jnp.maximum(size, _VANISHES * jnp.max(size))
+        error = jnp.max(jnp.where(gap > 0.0, gap / (_TOLERANCE * measure), 0.0))
+        error = jnp.where(jnp.all(jnp.isfinite(new)) & jnp.isfinite(error), error, jnp.inf)
+        good = error <= 1.0
+        last = h >= length - t
+        change = jnp.clip(0.9 * jnp.maximum(error, 1e-9) ** (-1.0 / _ORDER), 0.1, 5.0)
+        return _Motion(
+            jnp.where(good, new, y),
+            jnp.where(good, jnp.where(last, length, t + h), t),
+            h * change,
+            jnp.where(good & ~last & (error > _LIMITING), jnp.minimum(motion.shortest, h), motion.shortest),
+            jnp.where(good, size, motion.size),
+            jnp.where(good, jnp.maximum(motion.way, jnp.abs(new - flat)), motion.way),
+            motion.trials + 1,
+        )
+
+    zero = jnp.zeros_like(flat[0])
+    begin = _Motion(flat, zero, zero + _FIRST_STEP * length, zero + length, begun, jnp.zeros_like(flat), jnp.int32(0))
+    end = lax.while_loop(unfinished, step, as_batched(begin, zero))
+    count = len(jax.tree.leaves(error_components(state)))
+    return end.t / length, jnp.asarray(length) / end.shortest, end.size[:count], end.way[:count]

@@ -1,0 +1,105 @@
+"""Jumps and corners of a field on a motion, found by halving the steps of it in which the field changes most.
+
+Of a smooth field what changes over a step halves with it, and in thirty halvings becomes a billionth. A jump of the
+field, or of its derivative along the motion at a corner, stays in one of the halves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from jaxnh.engine.accuracy.sample_maps import image_of
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State
+
+_STEPS = 16  # of a motion in which the field changes most, that are halved
+_HALVINGS = 30
+_STAYS = 0.25  # of a change over a step, that is left of it
+_NOTHING = 1e-6  # of the largest value: a change that may be rounding
+
+
+class Kink(NamedTuple):
+    """A jump or a corner of a field.
+
+    Attributes:
+        order: power of the steps with which errors fall, of any method whose steps do not end there: of a jump 1, of a
+            corner 2.
+        description: what it is, where, and what would be right.
+    """
+
+    order: int
+    description: str
+
+
+def find_kink(flow: Flow, times: Float[np.ndarray, " points"], passed: State, p: Parameters) -> Kink | None:
+    """Find a jump or a corner of a field on a motion; None where none is seen.
+
+    Args:
+        times, passed: of states of the motion, one after the other.
+    """
+    finite = np.all(np.isfinite(image_of(passed)), axis=0)
+    points = len(times) if np.all(finite) else int(np.argmin(finite))
+    if points < 2:
+        return None
+    begin = jax.tree.map(lambda leaf: leaf[: points - 1], passed)
+    end = jax.tree.map(lambda leaf: leaf[1:points], passed)
+    ends = times[: points - 1], times[1:points], begin, end
+
+    @jax.jit
+    @jax.vmap
+    def field(t0: Array, t1: Array, y0: State, y1: State, share: Array) -> Float[Array, "2 d"]:
+        """The field at a share of a step, and its derivative along the step."""
+
+        def at(s: Array) -> Float[Array, " d"]:
+            y = jax.tree.map(lambda a, b: a + s * (b - a), y0, y1)
+            return ravel_pytree(flow.rhs(t0 + s * (t1 - t0), y, p))[0]
+
+        return jnp.stack(jax.jvp(at, (share,), (jnp.ones_like(share),)))
+
+    zero = np.zeros(points - 1)
+    low, high = (np.asarray(field(*ends, share)) for share in (zero, zero + 1.0))
+    for order, words in enumerate(("jumps", "has a corner")):
+        largest = np.nanmax(np.maximum(np.abs(low[:, order]), np.abs(high[:, order])), axis=0)
+        measure = np.where(largest > 0.0, largest, np.inf)
+        step, share = _lasting_change(field, ends, low[:, order], high[:, order], measure, order)
+        if step is not None:
+            at = jax.tree.map(lambda a, b, i=step, s=share: a[i] + s * (b[i] - a[i]), begin, end)
+            place = ", ".join(
+                f"{name} = {float(output.data):.4g}" for name, output in flow.outputs(at, np.zeros(1)).items()
+            )
+            time = ends[0][step] + share * (ends[1][step] - ends[0][step])
+            where = f"at t = {time:.4g}, {place}"
+            return Kink(order + 1, f"the right-hand side {words} {where}: make it smooth there, or ask for less")
+    return None
+
+
+def _lasting_change(
+    field: Callable[..., Any],
+    ends: tuple[Any, ...],
+    low: Float[np.ndarray, "steps d"],
+    high: Float[np.ndarray, "steps d"],
+    measure: Float[np.ndarray, " d"],
+    order: int,
+) -> tuple[int | None, float]:
+    """The step whose change lasts as it is halved, and the share of it where that is; none where it does of no step."""
+    changes = np.nan_to_num(np.max(np.abs(high - low) / measure, axis=1))
+    picked = np.sort(np.argsort(-changes, kind="stable")[:_STEPS])
+    few = jax.tree.map(lambda leaf: leaf[picked], ends)
+    low, high, begin, width = low[picked], high[picked], np.zeros(len(picked)), 1.0
+    for _ in range(_HALVINGS):
+        width *= 0.5
+        middle = np.asarray(field(*few, begin + width))[:, order]
+        first, second = (np.max(np.abs(change) / measure, axis=1) for change in (middle - low, high - middle))
+        later = second > first
+        low, high = np.where(later[:, None], middle, low), np.where(later[:, None], high, middle)
+        begin = np.where(later, begin + width, begin)
+    left = np.max(np.abs(high - low) / measure, axis=1)
+    lasting = (changes[picked] > _NOTHING) & (left > _STAYS * changes[picked])
+    return (int(picked[np.argmax(lasting)]), float(begin[np.argmax(lasting)])) if np.any(lasting) else (None, 0.0)

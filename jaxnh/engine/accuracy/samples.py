@@ -1,0 +1,177 @@
+"""Sample states of a sweep: where its motion goes from the start on, and which of its periods err most.
+
+What runs maps on samples is in `sample_maps`, the sizes that errors are compared in are in `sizes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxnh.engine.accuracy.diagnostics import fault_of
+from jaxnh.engine.accuracy.first_look import first_look
+from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, differences, gaps_between, image_of
+from jaxnh.engine.accuracy.sizes import measure_sizes, rough_sizes
+from jaxnh.engine.axes import SweepPoints
+from jaxnh.exceptions import AccuracyError
+from jaxnh.maps.iterate import iterate
+from jaxnh.maps.section import Crossing, Section
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
+
+_CALLS, _PERIODS = 10, 17  # calls, and periods in each, in which sampled lanes are followed from the start
+_AT_REST = 1e-6  # of a lane's fastest crossing
+_ALL_LANES_AT = (0, 12, 169)  # periods after the start at which every lane gives a sample
+_MOST_SENSITIVE = 512  # of all periods on the way: far more than the share that is left out
+_SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very system
+_MOST_SEED_KICKS = 1 << 16
+_STEPS_A_PART = 64  # of a unit of time: so short that chaos has not yet enlarged everything in it
+_FEWEST_STEPS = 96  # that samples are judged by: what overflows with these is lost
+
+
+class SamplePaths(NamedTuple):
+    """Samples of a sweep that is calibrated.
+
+    Attributes:
+        samples: those that errors are measured on.
+        periods: number of periods that they were chosen from.
+        sizes: size of the motion in each component that errors are compared in.
+    """
+
+    samples: Samples
+    periods: int
+    sizes: Float[np.ndarray, " components"]
+
+
+def take_samples(maps: SampleMaps, rows: Sequence[SweepPoints], given: Mapping[str, float]) -> SamplePaths:
+    """Return states across a sweep from the start towards the attractor: those whose periods err most, and some of all.
+
+    Args:
+        rows: sample lanes, those of each value of the shared axes together.
+        given: sizes by coordinate, in place of those measured.
+
+    Raises:
+        AccuracyError: no lane has a period that can be computed.
+    """
+    number = np.concatenate([np.full(len(jax.tree.leaves(row.start)[0]), i) for i, row in enumerate(rows)])
+    start, p, where = (
+        jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        for parts in zip(*((row.start, dict(row.p), dict(row.where)) for row in rows), strict=True)
+    )
+    now = Samples(start, p, number, where)
+    steps = _seed_steps(maps, now)
+    finer, coarser = (maps.of(maps.scheme.reference, n) for n in (steps, max(1, steps // 2)))
+    states: list[State] = []
+    apart: list[Float[np.ndarray, "components lanes periods"]] = []
+    for _ in range(_CALLS):
+        met: list[State] = [now.states]
+        for _ in range(_PERIODS):
+            at = now._replace(states=met[-1])
+            met.append(maps.by_flow(iterate, lambda row: (finer(row), np.int32(1)), at, 1))
+        before, following = (jax.tree.map(lambda *z: np.stack(z, axis=1), *part) for part in (met[:-1], met[1:]))
+        states.append(before)
+        each = _one_by_one(now._replace(states=states[-1]))
+        image = differences(maps.image(coarser, each), image_of(jax.tree.map(np.ravel, following)))
+        apart.append(image.reshape(len(image), -1, _PERIODS))
+        now = now._replace(states=met[-1])
+    whole = now._replace(states=jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *states))
+    changes = np.concatenate(apart, axis=2)
+    escaping = _is_escaping(whole.states)
+    sizes = measure_sizes(maps, whole, changes, escaping, given)
+    sensitive = gaps_between(changes, sizes)
+    sensitive = np.where(np.isfinite(sensitive), sensitive, -1.0)
+    sensitive[:, _ALL_LANES_AT] = np.inf
+    if not np.all(escaping):
+        sensitive[escaping] = -1.0
+    count = min(_MOST_SENSITIVE + len(number) * len(_ALL_LANES_AT), int(np.sum(~escaping)) or sensitive.size)
+    chosen = np.sort(np.argsort(-sensitive, axis=None, kind="stable")[:count])
+    moving = chosen[~_at_rest(maps, whole).ravel()[chosen]]
+    lane, time = np.divmod(moving if len(moving) else chosen, sensitive.shape[1])
+    taken = jax.tree.map(lambda leaf: leaf[lane], now)
+    taken = taken._replace(states=jax.tree.map(lambda leaf: leaf[lane, time], whole.states))
+    return SamplePaths(_without_lost(maps, taken, max(_FEWEST_STEPS, steps)), sensitive.size, sizes)
+
+
+def _one_by_one(samples: Samples) -> Samples:
+    """Return samples with states (lanes, periods) as samples of one state each."""
+    periods = jax.tree.leaves(samples.states)[0].shape[1]
+    lane = np.repeat(np.arange(len(samples.row)), periods)
+    return samples.take_lanes(lane)._replace(states=jax.tree.map(np.ravel, samples.states))
+
+
+def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
+    """Steps with which the first period is roughly right, whatever its length.
+
+    They are doubled until the image settles; in a unit of time in which chaos enlarges everything, until that of a part
+    does, from the start and from a unit later. Where the most that are tried leave no lane finite, a first look with
+    steps that follow the motion says how many it needs, or that there are none.
+    """
+    solver, steps = maps.scheme.reference, maps.scheme.rough_steps
+    start = image_of(samples.states)
+    image = maps.image(maps.of(solver, steps), samples)
+    lost = np.ones(len(samples.row), bool)
+    while 2 * steps * solver.stages <= _MOST_SEED_KICKS:
+        maps.tell(f"the start states with {2 * steps * solver.stages:,} kicks a period")
+        later = maps.by_flow(iterate, lambda row, n=2 * steps: (maps.of(solver, n)(row), np.int32(1)), samples, 1)
+        coarser, image = image, image_of(later)
+        gaps = gaps_between(differences(coarser, image), rough_sizes(maps, start, image))
+        lost = ~np.isfinite(gaps)  # by so few steps, where so are all, or for ever
+        if not np.all(lost) and np.all(lost | (gaps < _SEED_ERROR)):
+            return steps
+        steps *= 2
+        if maps.may_be_cut and not np.any(lost) and steps >= 4 * _STEPS_A_PART:
+            part = maps.in_parts(steps // _STEPS_A_PART)
+            if all(_settles(part, samples, steps, states) for states in (samples.states, later)):
+                return steps
+    return max(steps, first_look(maps, samples).steps) if np.all(lost) else steps
+
+
+def _settles(maps: SampleMaps, samples: Samples, steps: int, states: State) -> bool:
+    """Return whether images of states of sample lanes are roughly right with so many steps a period."""
+    here = samples._replace(states=states)
+    coarser, finer = (maps.image(maps.of(maps.scheme.reference, n), here) for n in (steps, 2 * steps))
+    gaps = gaps_between(differences(coarser, finer), rough_sizes(maps, image_of(states), finer))
+    return bool(np.all(gaps < _SEED_ERROR))
+
+
+def _at_rest(maps: SampleMaps, samples: Samples) -> Bool[np.ndarray, "samples periods"]:
+    """Return where lanes cross their section so slowly that they rest on it: their time is then no number."""
+    if not maps.sectioned:
+        return np.zeros(jax.tree.leaves(samples.states)[0].shape, bool)
+    speed = np.abs(maps.by_flow(_crossing_rates, lambda row: (maps.flows[row],), samples, 0))
+    return speed < _AT_REST * np.max(speed, axis=1, initial=0.0, where=np.isfinite(speed), keepdims=True)
+
+
+def _crossing_rates(section: Section, states: Crossing, p: Parameters) -> Float[Array, " points"]:
+    """Rate of the height above the section at states of one lane."""
+    return jax.vmap(lambda y: section.rate(y, p))(states.state)
+
+
+def _without_lost(maps: SampleMaps, samples: Samples, steps: int) -> Samples:
+    """Leave out samples that overflow whatever the steps, as those of an absurd b: their lanes are marked failed.
+
+    Raises:
+        AccuracyError: there are no others.
+    """
+    image: Image = maps.image(maps.of(maps.scheme.reference, steps), samples)
+    kept = np.flatnonzero(np.all(np.isfinite(image), axis=0))
+    if not len(kept):
+        first = jax.tree.map(lambda leaf: leaf[0], samples)
+        why = fault_of(maps.flows[int(first.row)], first.states, first.p, first_look(maps, samples).explanation)
+        why = why and f"; at {samples.place(0)} {why}"
+        raise AccuracyError(f"every lane of this sweep has a non-finite state within a period{why}")
+    return samples.take_lanes(kept)
+
+
+def _is_escaping(states: State) -> Bool[np.ndarray, "lanes periods"]:
+    """Return where a lane goes to infinity: not finite within two periods, as motion that blows up does ever faster.
+
+    No number of steps gives such a period an error that means anything; the lane is marked as failed where it is run.
+    """
+    finite = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(states)], axis=0)
+    lost = np.pad(~finite, [(0, 0), (0, 2)])
+    return lost[:, :-2] | lost[:, 1:-1] | lost[:, 2:]
