@@ -126,9 +126,9 @@ class Calibration:
             if plan is not None:
                 parts = self._maps.parts
                 return plan._replace(steps=-(-plan.steps // parts) * parts, parts=parts, sizes=self.sizes)
-            refusal, by_rounding = self._refusal(target, errors)
+            why, by_rounding = self._explain(target, errors)
             if not (by_rounding and self._split_unit()):
-                raise refusal
+                raise AccuracyError(why)
 
     def _cheapest(
         self, target: float, is_short: Callable[[Plan], bool] | None
@@ -176,7 +176,7 @@ class Calibration:
         self._measure_reference()
         return True
 
-    def _refusal(self, target: float, errors: Float[np.ndarray, " samples"]) -> tuple[AccuracyError, bool]:
+    def _explain(self, target: float, errors: Float[np.ndarray, " samples"]) -> tuple[str, bool]:
         """Explain why the least errors there are exceed the target, and whether by rounding."""
         worst, parts = self._largest_at(errors), self._maps.parts
         error, sample = float(errors[worst]), self._samples.take_lanes(np.array([worst]))
@@ -193,10 +193,11 @@ class Calibration:
         rounding = "" if cause else explain_rounding(self._maps, sample, self._sizes, error)
         relative = ", relative to the size of the motion," if self.sizes else ""
         hint = "".join(f"; {words}" for words in (why, cause, rounding) if words)
-        return AccuracyError(
+        return (
             f"no solver has an error of {what} of {target:g} over this sweep; with up to {self._maps.tried:,} kicks, "
-            f"that{relative} at {sample.place(0)} comes down to {error:.2g}{hint}"
-        ), bool(rounding)
+            f"that{relative} at {sample.place(0)} comes down to {error:.2g}{hint}",
+            bool(rounding),
+        )
 
     def _best(self, solver: Solver, target: float, most_kicks: int, *, compensated: bool) -> Plan:
         """The plan of one solver with the fewest steps that meet the target, or else the one of the least error."""
