@@ -185,11 +185,11 @@ def rate_units(flow: Flow) -> str:
 
 
 def iterate_units(system: System) -> str:
-    """Return the unit that iterates of a system's map count: periods, crossings, or units of time."""
+    """Return the unit that iterates of a system's map count: periods, iterates, crossings, or units of time."""
     if system.flow is not system:
         return "crossings"
     if not system.flow.autonomous:
-        return "periods"
+        return "periods" if system.flow.continuous else "iterates"
     return "units of time 2 pi/omega" if "omega" in system.flow.parameters else "units of time"
 
 

@@ -180,9 +180,9 @@ def _classify_without_clock(
 
 
 def find_timeless(batch: LaneBatch, lanes: LaneRunner, which: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
-    """Return the lanes of a subset whose right-hand side is the same at all times."""
-    if not len(which):
-        return which
+    """Return the lanes of a subset whose right-hand side is the same at all times; none of a map, which has none."""
+    if not len(which) or not batch.flow.continuous:
+        return which[:0]
     times = batch.flow.period * (np.arange(_LOOKS) + 0.3) / _LOOKS
     shared = (batch.strobe(), batch.flow, times)
     return which[lanes(ignores_time, shared, select(batch.lanes, which), periods=_LOOKS)]

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from jaxnh.exceptions import InputError, ResultError
-from jaxnh.jobs.attributes import steps_in_words
+from jaxnh.jobs.attributes import steps_in_words, turn_in_words
 from jaxnh.storage import hdf5 as store
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def _facts(path: Path, attrs: store.Attributes, axes: dict[str, np.ndarray]) -> 
         yield (
             "accuracy",
             f"{attrs['solver']}, {steps_in_words(attrs)}, {attrs.get('summation', 'plain')} sums, "
-            f"error of one {'return' if 'section' in attrs else 'period'} {attrs['error_estimate']:.1e}",
+            f"error of one {turn_in_words(attrs)} {attrs['error_estimate']:.1e}",
         )
     wall, work = float(attrs.get("wall_seconds", math.nan)), float(attrs.get("lane_periods", math.nan))
     compiled = float(attrs.get("compile_seconds", math.nan))

@@ -13,7 +13,7 @@ from jaxnh.cli.terminal import show
 from jaxnh.config.messages import join_words
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.run import RunSummary
-from jaxnh.jobs.attributes import steps_in_words
+from jaxnh.jobs.attributes import steps_in_words, turn_in_words
 from jaxnh.storage.hdf5 import read_attrs, read_group
 
 _LOG_WIDTH = 100  # columns of a table that goes to a file
@@ -36,10 +36,10 @@ def report(
             print(f"warning: {warning}", file=sys.stderr)
     if quiet:
         return
-    unit = "unit of time" if experiment.autonomous else "period"
+    attrs, unit = read_attrs(path), "unit of time" if experiment.autonomous else "period"
     print(
-        f"{plan.solver} in {experiment.precision}, {steps_in_words(read_attrs(path), unit)}, "
-        f"error of one {'return' if experiment.sectioned else unit} {plan.error_estimate:.1e}; "
+        f"{plan.solver} in {experiment.precision}, {steps_in_words(attrs, unit)}, "
+        f"error of one {turn_in_words(attrs, unit)} {plan.error_estimate:.1e}; "
         f"{total.lane_periods:,.0f} lane-periods"
     )
     if cutting.levels > 1:

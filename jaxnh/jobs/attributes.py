@@ -13,6 +13,9 @@ from jaxnh.jobs.arrays import Attributes
 from jaxnh.jobs.job import Job
 from jaxnh.jobs.provenance import SecondsSpent
 
+ITERATION = "iteration"
+"""What stands in place of a solver where a map is iterated (`solvers.iteration`)."""
+
 
 class UserFileText(NamedTuple):
     """A user's system: the file as the config names it, its text, and the SHA-256 of that."""
@@ -87,6 +90,8 @@ def root_attributes(
 def steps_in_words(attrs: Mapping[Any, object], unit: str = "period") -> str:
     """Steps of the solver, from attributes of a result: "60 steps a period", on a section "6 steps in a time of 1".
 
+    Of a map there are none.
+
     Args:
         unit: what they are in where there is no section.
 
@@ -95,7 +100,20 @@ def steps_in_words(attrs: Mapping[Any, object], unit: str = "period") -> str:
         ValueError: a length of time is no number.
     """
     steps = attrs["steps_per_period"]
+    if attrs.get("solver") == ITERATION:
+        return "no steps"
     if "section" not in attrs:
         return f"{steps} steps a {unit}"
     units = np.unique(np.asarray(attrs["strobe_period"], dtype=float))
     return f"{steps} steps in a {f'time of {units[0]:.4g}' if len(units) == 1 else 'unit of time'}"
+
+
+def turn_in_words(attrs: Mapping[Any, object], unit: str = "period") -> str:
+    """What the error estimate is of, from attributes of a result: a period, on a section a return, of a map an iterate.
+
+    Args:
+        unit: what it is of where there is no section.
+    """
+    if attrs.get("solver") == ITERATION:
+        return "iterate"
+    return "return" if "section" in attrs else unit

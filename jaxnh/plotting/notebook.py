@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.exceptions import JaxnhError
-from jaxnh.jobs.attributes import steps_in_words
+from jaxnh.jobs.attributes import steps_in_words, turn_in_words
 from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import kind_of
 
@@ -67,7 +67,7 @@ def html(result: xr.DataTree | xr.Dataset) -> str:
     axes = " and ".join(f"{axis} ({size:,})" for axis, size in _axes(groups, str(about.get("axes", ""))).items())
     lines = [f"<b>{escape(title)}</b>{f', over {escape(axes)}' if axes else ''}"]
     if "error_estimate" in about:
-        turn, error = "return" if "section" in about else "period", float(about["error_estimate"])
+        turn, error = turn_in_words(about), float(about["error_estimate"])
         lines.append(f"{escape(str(about['solver']))}, {steps_in_words(about)}, error of one {turn} {error:.1g}")
     rows = [row for name, data in groups.items() for row in _rows(name, data)]
     more = f"<br>… and {len(rows) - _MOST_ROWS} more" if len(rows) > _MOST_ROWS else ""

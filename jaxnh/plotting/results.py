@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnh.exceptions import ArgumentError, InputError, ResultError
-from jaxnh.jobs.attributes import steps_in_words
+from jaxnh.jobs.attributes import steps_in_words, turn_in_words
 from jaxnh.plotting.colouring import colouring
 from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import (
@@ -349,7 +349,7 @@ def _provenance(attrs: Mapping[str, object]) -> list[str]:
     try:
         version, solver, steps = attrs["jaxnh_version"], attrs["solver"], steps_in_words(attrs)
         error = float(str(attrs["error_estimate"]))
-        turn = "return" if "section" in attrs else "period"
+        turn = turn_in_words(attrs)
     except (KeyError, ValueError) as missing:
         raise ResultError(f"its attributes are not as jaxnh writes them: {missing}") from missing
     return [f"jaxnh {version}, {solver}, {steps}, error of one {turn} {error:.1g}"]

@@ -103,7 +103,7 @@ def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     Also choose the refinement of the steps, where tangents need more of them than states.
     """
     batch, k = batch.without_section(), tangents(options, batch.without_section())
-    if k == 1:
+    if k == 1 or not batch.flow.continuous:
         return {"parts": 1}
     parts, growth = parts_needed(batch, lanes, k)
     refinement = refinement_needed(batch, lanes, growth, parts)
@@ -288,7 +288,8 @@ def _dataset(
     if every_exponent(options, batch):
         # At rest the flow has no direction once its rate has come down to rounding.
         sums = np.where(spectrum.source == SOURCES.index("equilibrium"), mean.sum(axis=1), sums)
-        residual = sums - volume[:, 1 if symbols else 0]
+        with np.errstate(invalid="ignore"):  # both are minus infinity on a superstable orbit of a map
+            residual = sums - volume[:, 1 if symbols else 0]
         of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
         error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average])
     attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
@@ -301,9 +302,11 @@ def _dataset(
     order = np.argsort(-mean, axis=1)[:, :wanted]
     exponents, errors = np.take_along_axis(mean, order, axis=1), np.take_along_axis(error, order, axis=1)
     each, unit = (LANE, "exponent"), rate_units(batch.flow)
-    words = "Lyapunov exponents, natural logarithm"
+    each_iterate = "" if batch.flow.continuous else " an iterate"
+    words = f"Lyapunov exponents{each_iterate}, natural logarithm"
     ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], averages.growth.state))["status"]
-    lost = ~np.all(np.isfinite(exponents), axis=1) & (spectrum.source != SOURCES.index("equilibrium"))
+    known = [SOURCES.index(source) for source in ("equilibrium", "orbit")]  # some of which are minus infinity
+    lost = ~np.all(np.isfinite(exponents), axis=1) & ~np.isin(spectrum.source, known)
     code = np.where(lost & (np.asarray(ended.data) == 0), NOT_FINITE, ended.data)
     variables = {
         "exponent": variable("exponent", np.arange(1, wanted + 1), "number of the exponent, largest first"),
@@ -322,13 +325,15 @@ def _dataset(
     )
     if residual is not None:
         what = "sum of the plain averages, at rest of the exponents"
-        words = f"{what}, minus the mean divergence{divergence}, integrated by itself"
+        other = f"mean divergence{divergence}, integrated by itself"
+        words = f"{what}, minus the {other if batch.flow.continuous else 'mean of ln |det| of the derivative'}"
         variables["sum_rule_residual"] = variable(LANE, residual, words, unit)
         if divergence:
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
             variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, unit)
         # Without a clock the exponent along the flow counts as well.
-        of = "of the flow" if batch.flow.autonomous else "of the Poincaré section"
+        of_strobes = "of the Poincaré section" if batch.flow.continuous else "of the map"
+        of = "of the flow" if batch.flow.autonomous else of_strobes
         variables["kaplan_yorke"] = variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {of}")
     return xr.Dataset(variables, attrs=attrs)
 
@@ -368,7 +373,7 @@ def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
     """Return the sign of the largest exponent, 0 where its bar covers zero, 2 where there is no exponent."""
     largest, error = (data[name].to_numpy()[..., 0] for name in ("exponents", "exponents_error"))
     sign = np.where(np.abs(largest) > error, np.sign(largest), 0.0)
-    return np.where(np.isfinite(largest), sign, 2.0).astype(int)
+    return np.where(largest < np.inf, sign, 2.0).astype(int)
 
 
 ANALYSIS = Analysis(
