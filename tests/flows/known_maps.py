@@ -78,7 +78,7 @@ def system(mu=0.1):
 """At 0 a fixed point of multipliers -(1 + mu) and 1/2; from mu = 0 on a cycle of two, u^2 = mu, of (1 - 2 mu)^2 and 1/4."""
 
 TWO_WELLS = """\
-def system(a=0.5):
+def system(a=0.4):
     def image(y):
         return (1.0 + a) * y[0] - y[0] ** 3
 
