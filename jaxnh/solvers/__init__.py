@@ -9,7 +9,7 @@ from jaxnh.solvers.isokinetic import (
     isokinetic_terms,
     kick,
 )
-from jaxnh.solvers.iteration import Iteration, iteration
+from jaxnh.solvers.iterations import Iteration, iteration
 from jaxnh.solvers.nystrom import NYSTROM, Nystrom, nystrom8
 from jaxnh.solvers.projection import ProjectedSolver
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta

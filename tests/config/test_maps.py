@@ -10,6 +10,7 @@ from jaxnh.exceptions import ConfigError, InputError
 from jaxnh.systems.discrete_map import DiscreteMap
 from tests.flows.known_maps import HENON
 from tests.helpers.commands import run_here
+from tests.helpers.paths import ROOT
 
 CONFIG = """system: {file: own.py, b: 0.3}
 initial: {x: 0.1}
@@ -83,6 +84,13 @@ def test_fault_in_the_file(tmp_path, edit, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("path", sorted((ROOT / "configs/maps").glob("*.yaml")), ids=lambda path: path.stem)
+def test_configs_load(path):
+    experiment = jaxnh.load(path)
+    assert isinstance(experiment.flow(), DiscreteMap)
+    assert {"diagram", "lyapunov"} <= set(experiment.analyses.options())
+
+
 def test_a_session(tmp_path):
     """A function in Python, and the batch job of it."""
     session = jaxnh.Session(henon, start={"x": 0.1})
@@ -93,9 +101,9 @@ def test_a_session(tmp_path):
     session.experiment.save(tmp_path / "job.yaml")
     again = jaxnh.run(jaxnh.load(tmp_path / "job.yaml"), tmp_path / "job.h5")["poincare"].to_dataset()
     assert np.array_equal(again["y"], data["y"])
-    with pytest.raises(InputError, match="accuracy.target: a map is iterated as it is"):
+    with pytest.raises(InputError, match="a map is iterated as it is, exact to rounding; leave target out"):
         jaxnh.Session(henon, target=1e-8)
-    with pytest.raises(InputError, match="section: a map is seen at its iterates"):
+    with pytest.raises(InputError, match="a map is seen at its iterates; leave section out"):
         session.on("x")
 
 

@@ -22,7 +22,7 @@ import xarray as xr
 from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, as_variable, flag, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_units, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.errors import (
     average_blocks,
@@ -301,17 +301,16 @@ def _dataset(
         attrs["along_flow"] = "the exponent along the flow is known to be zero"
     order = np.argsort(-mean, axis=1)[:, :wanted]
     exponents, errors = np.take_along_axis(mean, order, axis=1), np.take_along_axis(error, order, axis=1)
-    each, unit = (LANE, "exponent"), rate_units(batch.flow)
-    each_iterate = "" if batch.flow.continuous else " an iterate"
-    words = f"Lyapunov exponents{each_iterate}, natural logarithm"
+    each, rate = (LANE, "exponent"), rate_attrs(batch.flow)
+    words = "Lyapunov exponents, natural logarithm"
     ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], averages.growth.state))["status"]
     known = [SOURCES.index(source) for source in ("equilibrium", "orbit")]  # some of which are minus infinity
     lost = ~np.all(np.isfinite(exponents), axis=1) & ~np.isin(spectrum.source, known)
     code = np.where(lost & (np.asarray(ended.data) == 0), NOT_FINITE, ended.data)
     variables = {
         "exponent": variable("exponent", np.arange(1, wanted + 1), "number of the exponent, largest first"),
-        "exponents": variable(each, exponents, words, unit, ancillary_variables="exponents_error exponents_method"),
-        "exponents_error": variable(each, errors, "error of the exponents at 95 %", unit, comment=_COMMENT),
+        "exponents": variable(each, exponents, words, **rate, ancillary_variables="exponents_error exponents_method"),
+        "exponents_error": variable(each, errors, "error of the exponents at 95 %", **rate, comment=_COMMENT),
         "exponents_method": flag(LANE, spectrum.source, "what the exponents of a lane are", SOURCES),
         "status": as_variable(LANE, status(code)),
     }
@@ -319,7 +318,7 @@ def _dataset(
     if symbols:
         divergence = f" −{symbols}"
         words = f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
-        variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, unit)
+        variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, **rate)
     variables["averaging_periods"] = variable(
         LANE, averaged, "length of the average", counted_in=iterate_units(batch.system)
     )
@@ -327,10 +326,10 @@ def _dataset(
         what = "sum of the plain averages, at rest of the exponents"
         other = f"mean divergence{divergence}, integrated by itself"
         words = f"{what}, minus the {other if batch.flow.continuous else 'mean of ln |det| of the derivative'}"
-        variables["sum_rule_residual"] = variable(LANE, residual, words, unit)
+        variables["sum_rule_residual"] = variable(LANE, residual, words, **rate)
         if divergence:
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
-            variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, unit)
+            variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, **rate)
         # Without a clock the exponent along the flow counts as well.
         of_strobes = "of the Poincaré section" if batch.flow.continuous else "of the map"
         of = "of the flow" if batch.flow.autonomous else of_strobes
