@@ -159,6 +159,8 @@ class Sessions:
         plan = known.session.plan
         over = ", ".join(f"{name} in {low:g}..{high:g}" for name, (low, high) in known.ends.items())
         notes = [f"{plan.solver.name}, {plan.steps} steps, error of one period {plan.error_estimate:.1g} over {over}"]
+        if plan.solver.name not in SOLVERS:
+            notes = [f"iterates of a map, error of one {plan.error_estimate:.1g} over {over}"]
         for name, (low, high) in view.ranges.items():
             if high - low < _SHIFTED * plan.error_estimate:
                 notes.append(

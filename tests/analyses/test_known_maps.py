@@ -78,9 +78,10 @@ def test_exponents_near_and_at_superstable_orbits():
 
 def test_exactly_superstable_orbits():
     """The cycles 0 and 0, −1 of c + x²: a derivative that is zero to the bit."""
-    config = "initial: {x: 0.1}\nsweep: {c: {values: [0.0, -1.0]}}\nanalyses: {lyapunov: {}, period: {}, basins: {}}"
+    config = "initial: {x: 0.1}\nsweep: {c: {values: [0.0, -1.0]}}\nanalyses: {verdict: {}, basins: {}}"
     groups = groups_of(known_maps.QUADRATIC, config)
     assert groups["lyapunov"]["exponents"].to_numpy().ravel().tolist() == [-np.inf, -np.inf]
+    assert kinds_of(groups["verdict"]) == ["periodic", "periodic"]
     assert groups["period"]["period"].to_numpy().tolist() == [1, 2]
     assert groups["period"]["multiplier"].to_numpy().tolist() == [0.0, 0.0]
     assert np.all(groups["basins"]["attractor"].to_numpy() > 0)
