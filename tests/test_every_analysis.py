@@ -25,7 +25,7 @@ from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.maps import general_flow
-from tests.flows import constrained_oscillators, moebius, paper_equations
+from tests.flows import constrained_oscillators, known_maps, moebius, paper_equations
 from tests.flows.moebius import TURN
 from tests.helpers import contract, taylor
 from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
@@ -92,6 +92,19 @@ def follows(rates, names, angle=False):
             if angle:
                 gap[2] = (gap[2] + np.pi) % TURN - np.pi
             assert np.abs(gap).max() < 20 * CLOSE, lane
+
+    return check
+
+
+def iterates_of(image, names):
+    """Every strobe follows from the one before by a map written anew, to rounding."""
+
+    def check(data, _):
+        *columns, values = lanes_of(data, *names)
+        later = image(*(leaf[:, :-1] for leaf in columns), **{key: leaf[:, None] for key, leaf in values.items()})
+        for leaf, image_of_it in zip(columns, later, strict=True):
+            assert np.abs(leaf[:, 1:] - image_of_it).max() < 1e-15
+            assert np.abs(leaf).max() > 0.0
 
     return check
 
@@ -270,6 +283,16 @@ def zero(data=None):
     return 0.0
 
 
+def cubic(u, v, mu):
+    return u**3 - (mu + 1) * u, v / 2
+
+
+def cubic_exponents(values):
+    """ln of the moduli of `known_maps.CUBIC`'s multipliers, an iterate."""
+    mu = values["mu"]
+    return np.log(np.abs(np.where(mu > 0, 1 - 2 * mu, 1 + mu))), np.full_like(mu, np.log(0.5))
+
+
 MOEBIUS = {
     "portrait": follows(moebius.moebius, ("u", "v")),
     "poincare": follows(moebius.moebius, ("u", "v")),
@@ -334,6 +357,16 @@ def particle(names, rates=paper_equations.at_speed):
 KINDS = {
     "a right-hand side with a clock": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS, MOEBIUS, moebius.MOEBIUS
+    ),
+    "a map": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.6, stop: 0.6, count: 4}}",
+        MOEBIUS
+        | dict.fromkeys(("poincare", "diagram"), iterates_of(cubic, ("u", "v")))
+        | {
+            "portrait": "a map has nothing between its iterates",
+            "lyapunov": exponents(cubic_exponents),
+        },
+        known_maps.CUBIC,
     ),
     "two axes": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.2, stop: 0.2, count: 4}, "
@@ -491,7 +524,7 @@ KINDS = {
 @functools.cache
 def session(kind):
     """A session of a kind, whose steps are loops over stages and whose tiles are small."""
-    config = KINDS[kind].config.replace("FILE", str(written(kind))) + "\nanalyses: {portrait: {}}"
+    config = KINDS[kind].config.replace("FILE", str(written(kind))) + "\nanalyses: {lyapunov: {}}"
     made = session_of(Experiment.from_text(config))
     made._lanes = lanes_with_kept_programs(None, made._lanes.devices[:1], 8)
     return made

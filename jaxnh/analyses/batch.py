@@ -181,18 +181,20 @@ def broadcast_start(start: State, lanes: int) -> State:
     return jax.tree.map(lane, start)
 
 
-def rate_units(flow: Flow) -> str:
-    """Return the units of a rate, for `variable`."""
+def rate_attrs(flow: Flow) -> dict[str, str]:
+    """Return the units of a rate, for `variable`; of a map also what it is counted in."""
+    if not flow.continuous:
+        return {"units": "1", "counted_in": "1/iterate"}
     time = flow.labels.units["t"]
-    return time if time in ("1", UNSAID) else f"1/{time}" if time.isalpha() else f"1/({time})"
+    return {"units": time if time in ("1", UNSAID) else f"1/{time}" if time.isalpha() else f"1/({time})"}
 
 
 def iterate_units(system: System) -> str:
-    """Return the unit that iterates of a system's map count: periods, crossings, or units of time."""
+    """Return the unit that iterates of a system's map count: periods, iterates, crossings, or units of time."""
     if system.flow is not system:
         return "crossings"
     if not system.flow.autonomous:
-        return "periods"
+        return "periods" if system.flow.continuous else "iterates"
     return "units of time 2 pi/omega" if "omega" in system.flow.parameters else "units of time"
 
 

@@ -68,6 +68,7 @@ KINDS = ("periodic", "quasiperiodic", "chaotic", "undecided", "failed", "equilib
 
 _LOOKS = 5
 _SMALL_ERROR = 0.005 * 2 * np.pi  # of an exponent a period
+_SUPERSTABLE = 1e-6  # multiplier of an orbit of a map whose exponent is minus infinity, with what rounding leaves in it
 _COMING = 4.0
 _LONGEST = 512  # lags that a motion may repeat itself after, and points that have to come back
 _BACK = 1e-6  # of the extent of the points
@@ -182,9 +183,9 @@ def _classify_without_clock(
 
 
 def find_timeless(batch: LaneBatch, lanes: LaneRunner, which: Int[np.ndarray, " some"]) -> Int[np.ndarray, " timeless"]:
-    """Return the lanes of a subset whose right-hand side is the same at all times."""
-    if not len(which):
-        return which
+    """Return the lanes of a subset whose right-hand side is the same at all times; none of a map, which has none."""
+    if not len(which) or not batch.flow.continuous:
+        return which[:0]
     times = batch.flow.period * (np.arange(_LOOKS) + 0.3) / _LOOKS
     state, p = select(batch.lanes, which)
     states = lanes.record(batch.strobe(), _LOOKS, (state, p))
@@ -296,9 +297,10 @@ def judge(
         time = iterates * each
         expected = np.log(multiplier) / (np.maximum(period, 1) * each)
         agrees = np.abs(largest - np.maximum(expected, -1e3)) <= error + _COMING / time
+    agrees |= (largest == -np.inf) & (multiplier < _SUPERSTABLE)
     regular = k < 0.5
     conditions = [
-        failed | ~np.isfinite(largest),
+        failed | ~(largest < np.inf),
         (period > 0) & (multiplier < 1.0) & agrees & regular,
         (period == 0) & exceeds_shear(largest, error, iterates, each) & ~regular,
         (period == 0) & nearly_zero(largest, error, each) & regular,

@@ -28,7 +28,7 @@ from jaxnh.engine.output import check_output
 from jaxnh.engine.plan import calibrate, in_quickest_form, job_of, plan_of, work_of
 from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.xla_options import configure
-from jaxnh.exceptions import ArgumentError, ResultError
+from jaxnh.exceptions import ArgumentError, InputError, ResultError
 from jaxnh.plotting import costs as figures_cost
 from jaxnh.plotting.style import save
 from jaxnh.storage import hdf5
@@ -51,9 +51,12 @@ def price(experiment: Experiment, output: Path | None, repeats: int, began: floa
     """Price accuracy, or effects, into a file; by default results/NAME_cost.h5 or results/NAME_effects.h5.
 
     Raises:
+        InputError: the system is a map, which has no steps to price.
         ArgumentError: the file cannot be written, or is something else.
         AccuracyError: nothing meets the accuracy asked for.
     """
+    if not experiment.flow().continuous:
+        raise InputError(f"{experiment.label}: the cost of accuracy is that of steps in time, and a map has none")
     path = output or Path("results") / f"{Path(experiment.label).stem}_{'effects' if effects else 'cost'}.h5"
     _check_replaceable(path)
     check_output(path)

@@ -17,7 +17,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationError, field_vali
 from jaxnh.analyses.options import OPTIONS
 from jaxnh.analyses.options.base import Block, rule
 from jaxnh.config.blocks import Accuracy, Analyses, Levels, PublishedValues, SystemBlock
-from jaxnh.config.fitting import check_accuracy
+from jaxnh.config.fitting import check_accuracy, check_map_accuracy
 from jaxnh.config.layout import layout
 from jaxnh.config.messages import Layout, close_match, first_fault
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, Sweep
@@ -196,6 +196,16 @@ class UserConfig(Config):
                 f"as section: {{coordinate: {first}, value: 0.0, direction: up}}"
             )
             raise rule(message, "section", f"analyses.{at_crossings[0]}", "analyses")
+
+    def check_map(self) -> None:
+        """Check that nothing is asked of a map that only flows have.
+
+        Raises:
+            ValueError: something is; the rule names the key.
+        """
+        check_map_accuracy(self.accuracy)
+        if self.section:
+            raise rule("a map is seen at its iterates; leave section out", "section")
 
     def _texts_beside(self, folder: Path) -> dict[Path, str]:
         return {folder / self.system.file: self._user_text}

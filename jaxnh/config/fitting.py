@@ -11,6 +11,17 @@ from jaxnh.config.messages import join_words
 from jaxnh.config.solver_names import NYSTROM, PROCESSED, RUNGE_KUTTA, SPLITTINGS
 
 
+def check_map_accuracy(accuracy: Accuracy) -> None:
+    """Check that a map, which has no steps, is asked for none.
+
+    Raises:
+        ValueError: it is; the rule names the key.
+    """
+    for name in ("target", "solver", "steps"):
+        if name in accuracy.model_fields_set and getattr(accuracy, name) is not None:
+            raise rule(f"a map is iterated as it is, exact to rounding; leave {name} out", f"accuracy.{name}")
+
+
 def check_accuracy(accuracy: Accuracy, requested: Mapping[str, Options], *, prescribed: bool, clock: bool) -> None:
     """Check that solver and precision go with the system and the analyses.
 

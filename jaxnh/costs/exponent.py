@@ -15,7 +15,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_units
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.costs.stage import StagelessRunner
 
@@ -83,7 +83,7 @@ def _dataset(
     batch: LaneBatch, value: float, averaged: Int[np.ndarray, " times"], averages: list[_Average], reference: float
 ) -> xr.Dataset:
     """Quantiles over the lanes, (averaged, quantile)."""
-    name, unit, spread = batch.first_axis.name, rate_units(batch.flow), ("averaging_periods", "quantile")
+    name, rate, spread = batch.first_axis.name, rate_attrs(batch.flow), ("averaging_periods", "quantile")
     errors = np.abs(np.array([average.exponent for average in averages]) - reference)
     errors, bars = (
         np.quantile(values, _QUANTILES, axis=1).T for values in (errors, [average.bar for average in averages])
@@ -95,8 +95,8 @@ def _dataset(
             "averaging_periods", averaged, "averaging time", counted_in=iterate_units(batch.without_section().system)
         ),
         "quantile": variable("quantile", np.array(_QUANTILES), "part of the lanes below"),
-        "error": variable(spread, errors, "distance of the largest exponent from a longer run", unit),
-        "error_bar": variable(spread, bars, "error bar that the analysis gives", unit),
+        "error": variable(spread, errors, "distance of the largest exponent from a longer run", **rate),
+        "error_bar": variable(spread, bars, "error bar that the analysis gives", **rate),
         "seconds": variable("averaging_periods", seconds, f"time {together}", "s"),
         "cpu_seconds": variable("averaging_periods", cpu_seconds, f"time of all processors {together}", "s"),
     }

@@ -17,7 +17,7 @@ from jaxnh.jobs.cutting import Cutting, Piece
 from jaxnh.jobs.job import Job
 from jaxnh.maps.build import scheme_of
 from jaxnh.maps.family import GROUPS
-from jaxnh.solvers import SOLVERS
+from jaxnh.solvers import NAMED
 
 Requested = Sequence[tuple[Analysis, Options]]
 
@@ -79,7 +79,7 @@ def stackable(experiment: Experiment, axes: Sequence[Axis], requested: Requested
     if not all(analysis.stackable for analysis, options in requested if analysis.independent(options)):
         return False
     flow = experiment.flow(shared)
-    return not flow.autonomous and scheme_of(flow, SOLVERS[solver]).stacked
+    return not flow.autonomous and scheme_of(flow, NAMED[solver]).stacked
 
 
 def lanes_of(piece: Piece, level: Level | None) -> int:

@@ -23,7 +23,7 @@ from jaxnh.engine.levels.levels import Level, fill_level, mark_computed
 from jaxnh.jobs.cutting import Piece
 from jaxnh.jobs.job import Job, NumericalPlan
 from jaxnh.jobs.provenance import SecondsSpent
-from jaxnh.solvers import SOLVERS
+from jaxnh.solvers import NAMED
 from jaxnh.solvers.runge_kutta import in_loop
 
 
@@ -67,7 +67,7 @@ def batch_of(
 
 def solver_plan(plan: NumericalPlan) -> Plan:
     """The solver and steps of a numerical plan."""
-    solver = SOLVERS[plan.solver]
+    solver = NAMED[plan.solver]
     form = in_loop(solver) if plan.rolled else solver
     return Plan(form, plan.steps, plan.compensated, plan.error_estimate, plan.sizes, plan.parts)
 

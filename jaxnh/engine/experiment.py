@@ -30,11 +30,9 @@ from jaxnh.engine.fitting import check_analysis, check_levels
 from jaxnh.engine.flows import particle_flow, section_of
 from jaxnh.engine.start_states import admit_starts, check_constraints, spread_indices
 from jaxnh.maps.section import System, begin
-from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.flow import Flow
-from jaxnh.systems.lagrangian import Lagrangian
 from jaxnh.systems.state import State
-from jaxnh.systems.user_file import UserFile
+from jaxnh.systems.user_file import UserFile, UserFlow
 
 _MOST_CLOCKS = 1000  # values of a parameter at which the period is looked at
 
@@ -304,10 +302,12 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
 
     def _try_out(self) -> None:
         check_constraints(self.flow(), self.initial, self.sweep)
+        if self._file.discrete:
+            self.check_map()
         self.check_clock(not self.autonomous)
         super()._try_out()
 
-    def _flow(self, parameters: Mapping[str, float]) -> Lagrangian | FirstOrder:
+    def _flow(self, parameters: Mapping[str, float]) -> UserFlow:
         return self._file.flow({**self._own_parameters(), **parameters}, tuple(parameters))
 
     @property

@@ -21,6 +21,7 @@ System = Callable[..., Any] | IsokineticParticle | DefinedFlow
 """A system in Python: a function of parameters, `constant_speed(...)` and the others, or `lagrangian(...)`."""
 
 _FIRST = {"portrait": {}}  # an experiment asks for something
+_FIRST_OF_MAPS = {"poincare": {}}
 
 
 def experiment_of(
@@ -62,6 +63,7 @@ def experiment_of(
         path = Path(f"{getattr(function, '__name__', 'system')}.py")
         user_file = UserFile(path, source_text(function))
         content["system"] = {"file": str(path), **given, **(parameters or {})}
+        content["analyses"] = _FIRST_OF_MAPS if user_file.discrete else _FIRST
         lane = _one_lane(user_file, content)
     else:
         raise InputError(

@@ -31,7 +31,7 @@ from jaxnh.jobs.job import Job
 from jaxnh.jobs.provenance import Provenance, versions
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.section import Section
-from jaxnh.solvers import SOLVERS, Solver
+from jaxnh.solvers import SOLVERS, Solver, iteration
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.flow import Flow
 
@@ -91,6 +91,19 @@ def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:
     own = row.start, dict(row.p), dict(row.where)
     start, p, where = jax.tree.map(lambda *leaves: np.concatenate(leaves), own, drawn)
     return row._replace(start=start, p=p, where=where)
+
+
+def find_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneExecutor, requested: Requested) -> Plan:
+    """The solver and steps of a sweep, which is calibrated for it; of a map, which has no steps, none.
+
+    Raises:
+        AccuracyError: as of `calibrate` and `plan_of`.
+    """
+    if not experiment.flow().continuous:
+        return Plan(iteration, 1, False, float(np.finfo(float).eps))
+    with lanes.stage("accuracy: errors of one period on sample lanes", 0):
+        calibration = calibrate(experiment, axes, lanes, experiment.accuracy.only_target, requested)
+        return plan_of(experiment, axes, calibration, requested)
 
 
 def plan_of(
@@ -224,12 +237,10 @@ def decide(
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
     else:
-        with lanes.stage("accuracy: errors of one period on sample lanes", 0):
-            calibration = calibrate(experiment, axes, lanes, experiment.accuracy.only_target)
-            plan = plan_of(experiment, axes, calibration, requested)
-            plan = in_quickest_form(experiment, axes, plan, requested)
-            if not asked:
-                check_size(experiment, axes, plan, requested, lanes)
+        plan = in_quickest_form(experiment, axes, find_plan(experiment, axes, lanes, requested), requested)
+        if not asked:
+            check_size(experiment, axes, plan, requested, lanes)
+        with lanes.stage("accuracy: settings of analyses on sample lanes", 0):
             chosen = choose(experiment, axes, plan, requested, lanes)
         calibrations.keep(name, Decision(numerical_plan(plan, chosen), lanes.accounts.fastest))
     return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)

@@ -26,13 +26,12 @@ from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.from_python import System, experiment_of
 from jaxnh.engine.levels.levels import Level, axes_of, level_of
 from jaxnh.engine.plan import (
-    calibrate,
     choose,
     count_warnings,
+    find_plan,
     in_quickest_form,
     is_short,
     job_of,
-    plan_of,
     start_samplers,
 )
 from jaxnh.engine.progress import CallbackProgress, NullProgress, Progress
@@ -110,6 +109,8 @@ class Session:
         turn, time = "return" if experiment.sectioned else "period", "a period"
         if experiment.sectioned:
             time = f"in a time of {experiment.flow().period:.4g}"
+        if not experiment.flow().continuous:
+            return [experiment.title or experiment.label, f"a session over {axes}", "iterates of a map"]
         chosen = [
             f"{plan.solver.name}, {plan.steps} steps {time}, error of one {turn} {plan.error_estimate:.1g}"
             f"{', relative to the size of the motion' if plan.sizes else ''}"
@@ -269,10 +270,7 @@ class Session:
                 return plan
         if _within(axes, self.experiment.axes) and self.experiment.sectioned >= experiment.sectioned:
             experiment, axes = self.experiment, self.experiment.axes
-        with self._lanes.stage("accuracy: errors of one period on sample lanes", 0):
-            target = experiment.accuracy.only_target
-            calibration = calibrate(experiment, axes, self._lanes, target, requested)
-            plan = plan_of(experiment, axes, calibration, requested)
+        plan = find_plan(experiment, axes, self._lanes, requested)
         short = is_short(experiment, axes, plan, requested)
         self._plans.append((axes, experiment.sectioned, drawn, short, plan))
         return plan

@@ -19,7 +19,7 @@ from jaxnh.engine.plan import job_of
 from jaxnh.engine.xla_options import configure
 from jaxnh.exceptions import ResultError, RunError
 from jaxnh.jobs.cutting import Cutting, Piece, slab, tile_shape
-from jaxnh.solvers import SOLVERS
+from jaxnh.solvers import NAMED
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.storage import hdf5
 
@@ -45,7 +45,7 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     # Of a user's system the text in the result alone, never a file that a config in it may name.
     experiment = Experiment.from_text(attrs["config"], attrs.get("system_file", ""))
     requested = experiment.requested()
-    solver = SOLVERS[attrs["solver"]]
+    solver = NAMED[attrs["solver"]]
     plan = Plan(
         in_loop(solver) if attrs.get("stages") == "loop" else solver,
         int(attrs["steps_per_period"]),

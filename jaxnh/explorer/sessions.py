@@ -21,6 +21,7 @@ from jaxnh.exceptions import InputError
 from jaxnh.explorer import batch
 from jaxnh.explorer.source import LaneReport, Parameter
 from jaxnh.explorer.view import View
+from jaxnh.solvers import SOLVERS
 
 _CALIBRATED = 1024  # values of an axis that a session is calibrated over
 _FEW = 16  # lanes of a tile where one lane is asked for
@@ -149,7 +150,8 @@ class Sessions:
         """The YAML of a batch job that computes a view again, bit for bit where its sums are plain ones."""
         known = next((one for one in self._calibrated if one.holds(view, self.changed_parameters(view))), None)
         plan = known.session.plan if known else None
-        solver = (plan.solver.name, plan.steps) if plan and not plan.compensated else None
+        named = plan and plan.solver.name in SOLVERS and not plan.compensated
+        solver = (plan.solver.name, plan.steps) if plan and named else None
         return batch.batch_text(self.content, view, analyses, self.coordinates, solver, title)
 
     def notes(self, view: View, known: CalibratedSession) -> tuple[str, ...]:
@@ -157,6 +159,8 @@ class Sessions:
         plan = known.session.plan
         over = ", ".join(f"{name} in {low:g}..{high:g}" for name, (low, high) in known.ends.items())
         notes = [f"{plan.solver.name}, {plan.steps} steps, error of one period {plan.error_estimate:.1g} over {over}"]
+        if plan.solver.name not in SOLVERS:
+            notes = [f"iterates of a map, error of one {plan.error_estimate:.1g} over {over}"]
         for name, (low, high) in view.ranges.items():
             if high - low < _SHIFTED * plan.error_estimate:
                 notes.append(

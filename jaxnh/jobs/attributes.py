@@ -13,6 +13,9 @@ from jaxnh.jobs.arrays import Attributes
 from jaxnh.jobs.job import Job
 from jaxnh.jobs.provenance import SecondsSpent
 
+ITERATION = "iteration"
+"""What stands in place of a solver where a map is iterated (`solvers.iterations`)."""
+
 
 class UserFileText(NamedTuple):
     """A user's system: the file as the config names it, its text, and the SHA-256 of that."""
@@ -98,7 +101,7 @@ def error_in_words(attrs: Mapping[Any, object], unit: str = "period", digits: st
         ValueError: it is no number.
     """
     parts = attrs.get("error_estimate_parts", 1)
-    whole = "return" if "section" in attrs else unit
+    whole = "iterate" if attrs.get("solver") == ITERATION else "return" if "section" in attrs else unit
     turn = f"one {whole}" if parts == 1 else f"1/{parts} of a {whole}"
     relative = ", relative to the size of the motion" if "sizes_of_motion" in attrs else ""
     return f"error of {turn} {float(str(attrs['error_estimate'])):{digits}}{relative}"
@@ -106,6 +109,8 @@ def error_in_words(attrs: Mapping[Any, object], unit: str = "period", digits: st
 
 def steps_in_words(attrs: Mapping[Any, object], unit: str = "period") -> str:
     """Steps of the solver, from attributes of a result: "60 steps a period", on a section "6 steps in a time of 1".
+
+    Of a map there are none.
 
     Args:
         unit: what they are in where there is no section.
@@ -115,6 +120,8 @@ def steps_in_words(attrs: Mapping[Any, object], unit: str = "period") -> str:
         ValueError: a length of time is no number.
     """
     steps = attrs["steps_per_period"]
+    if attrs.get("solver") == ITERATION:
+        return "no steps"
     if "section" not in attrs:
         return f"{steps} steps a {unit}"
     units = np.unique(np.asarray(attrs["strobe_period"], dtype=float))

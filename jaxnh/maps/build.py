@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxnh.maps.crossings import EventStrobe, SteppedStrobe
 from jaxnh.maps.general_flow import general_strobe, stack_leaves, unit_step
+from jaxnh.maps.iteration import IterationStrobe
 from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table, whole_period
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.maps.nystrom import nystrom_strobe, nystrom_unit_step
@@ -32,6 +33,7 @@ from jaxnh.solvers import (
     tsitouras_papakostas8,
     verner9,
 )
+from jaxnh.systems.discrete_map import DiscreteMap
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.particle import IsokineticParticle
 
@@ -224,6 +226,8 @@ def make_return_map(
 ) -> ReturnMap:
     """The strobe map of a flow under a solver with so many steps a period; of a flow on a section, its return map.
 
+    Of a map it is the map itself, whatever the solver and the steps.
+
     Args:
         compensated: lower the rounding floor of a splitting; Runge–Kutta methods and maps without a clock ignore it.
         span: times (t0, t1) of another stretch than the period from 0, for a map over part of a period or a strobe at
@@ -232,6 +236,8 @@ def make_return_map(
     Raises:
         TypeError: the solver is none for flows of this kind.
     """
+    if isinstance(system, DiscreteMap):
+        return IterationStrobe(system)
     if isinstance(system, Section):
         most = math.ceil(system.longest * steps)
         return EventStrobe(system, _unit_step(system.flow, solver), system.flow.period / steps, np.int32(most))
@@ -273,8 +279,10 @@ def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     """The strobe map cut into so many maps of equally many steps, stacked as by `make_parts`.
 
     The parts differ in length, and together have the least multiple of `parts` from `steps` on as steps. A processed
-    solver's processor stands at the ends of the first and of the last alone.
+    solver's processor stands at the ends of the first and of the last alone. A map has one part.
     """
+    if isinstance(system, DiscreteMap):
+        return IterationStrobe(system).stacked()
     each = -(-steps // parts)
     if system.autonomous:
         return _equal_steps(system, solver, each, system.period / parts, parts)

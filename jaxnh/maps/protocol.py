@@ -33,7 +33,8 @@ class Pushforward(NamedTuple):
     Attributes:
         state: the state later.
         tangents: the tangents later, in the order given.
-        volume: determinant of the derivative of the section coordinates, of (x1, y1, θ) exp(−∫ n·F/s dt).
+        volume: determinant of the derivative of the section coordinates, of (x1, y1, θ) exp(−∫ n·F/s dt); of a map,
+            which may turn space over, its modulus.
     """
 
     state: State
@@ -44,7 +45,7 @@ class Pushforward(NamedTuple):
 class ReturnMap(eqx.Module):
     """P(z; p) for one lane: state and its own parameters in, the state one strobe period later out.
 
-    Use under `jax.vmap`. For a section, from one crossing to the next.
+    Use under `jax.vmap`. For a section, from one crossing to the next; for a map, one iterate.
 
     Attributes:
         system: a `Flow`, or a `Section` of one.

@@ -1,11 +1,11 @@
-"""Any system of differential equations ẏ = rhs(y, t) as a flow: its coordinates are those of its section.
+"""Systems whose state is a point, its coordinates those of the section; of these, differential equations ẏ = rhs(y, t).
 
-There is no constraint to keep, and nothing to report but whether a state is finite.
+There is no constraint to keep, and nothing to report but whether a state is finite. Maps are in `discrete_map`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -41,8 +41,8 @@ class CoordinateChart(Chart):
         return general_directions(self.dimension, k)
 
 
-class FirstOrder(DefinedFlow):
-    """Any system of a right-hand side, its definition's `rhs`; made by `first_order`."""
+class PointFlow(DefinedFlow):
+    """A system whose state is a point, a number a coordinate."""
 
     # ---- names
 
@@ -58,11 +58,6 @@ class FirstOrder(DefinedFlow):
         return self.labelled(kinds, pairs(self.names))
 
     # ---- motion
-
-    def rhs(self, t: ArrayLike, y: Point, p: Parameters) -> Point:
-        """Time derivative of a state."""
-        rates = self.definition(p)["rhs"](tuple(y.y), t)
-        return Point(tuple(jnp.asarray(rate, jnp.float64) + jnp.zeros_like(y.y[0]) for rate in rates))
 
     @property
     def exponents(self) -> int:
@@ -87,6 +82,20 @@ class FirstOrder(DefinedFlow):
             name: Output(wrap_angle(x) if angle else x, words.long_names[name], {"units": words.units[name]})
             for name, x, angle in zip(self.names, y.y, self.angles, strict=True)
         }
+
+
+class FirstOrder(PointFlow):
+    """Any system of a right-hand side, its definition's `rhs`; made by `first_order`."""
+
+    def rhs(self, t: ArrayLike, y: Point, p: Parameters) -> Point:
+        """Time derivative of a state."""
+        rates = self.definition(p)["rhs"](tuple(y.y), t)
+        return point_like(rates, y)
+
+
+def point_like(numbers: Iterable[Number], y: Point) -> Point:
+    """Numbers that a definition returns, constants among them, as a point of the shape of another."""
+    return Point(tuple(jnp.asarray(number, jnp.float64) + jnp.zeros_like(y.y[0]) for number in numbers))
 
 
 def first_order(

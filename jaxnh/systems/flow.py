@@ -105,6 +105,11 @@ class Flow(eqx.Module):
     def autonomous(self) -> bool:
         """Return whether there is no clock."""
 
+    @property
+    def continuous(self) -> bool:
+        """Return whether time is continuous; that of a map counts its iterates."""
+        return True
+
     def density(self, t: np.ndarray) -> np.ndarray:
         """Steps a unit of time, up to a factor, that suit all lanes; t of any shape."""
         return np.ones_like(t)

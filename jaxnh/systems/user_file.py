@@ -10,6 +10,10 @@
         def f(q, v, t): ...                           # constraints: numbers that are zero; without any, leave it out
         return dict(T=T, Q=Q, f=f, coordinates=("x", "y"), period=2 * jnp.pi)
 
+    def system(a=1.4, b=0.3):
+        def image(y): ...                             # or a map: the next iterate, a number a coordinate
+        return dict(map=image, coordinates=("x", "y"))
+
 `y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. One number or one name
 stands for the tuple of it. What depends on t has a `period`; what does not may have a `time_unit`. Results and pictures
 take words and units of parameters and coordinates, and units of t, from labels={"x": "displacement"} and
@@ -35,6 +39,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxnh.exceptions import UserFileError
+from jaxnh.systems.discrete_map import DiscreteMap, discrete_map
 from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
@@ -42,23 +47,31 @@ from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
 from jaxnh.systems.user_text import BESIDE_STATES, Names, can_be_states, read_text, with_velocities
 
-_ALWAYS = ("coordinates", "period", "time_unit", "angles", "labels", "units")
-_FIRST_ORDER = ("rhs", *_ALWAYS)
-_MECHANICS = ("T", "Q", "f", "ignorable", *_ALWAYS)
 _CLOCKS = ("period", "time_unit")
+_OF_ALL = ("coordinates", "angles", "labels", "units")
+_FIRST_ORDER = ("rhs", *_CLOCKS, *_OF_ALL)
+_MECHANICS = ("T", "Q", "f", "ignorable", *_CLOCKS, *_OF_ALL)
+_MAP = ("map", *_OF_ALL)
 _LISTS_OF_NAMES = ("coordinates", "angles", "ignorable")
-_FUNCTIONS = ("rhs", "T", "Q", "f")
-_OF_COMPONENTS = ("rhs", "Q", "f")  # functions that return a number a coordinate, or a constraint
+_ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "T": "(q, v, t)", "Q": "(q, v, t)", "f": "(q, v, t)"}  # of the functions
+_FUNCTIONS = tuple(_ARGUMENTS)
+_OF_COMPONENTS = ("map", "rhs", "Q", "f")  # functions that return a number a coordinate, or a constraint
 _PROBES = 16  # random states and times at which equations are held against themselves a period later
 _ALIKE = 1e-8  # of the largest number there: a period of ten digits will do
+_OWN_KEYS = {"map": _MAP, "rhs": _FIRST_ORDER}  # of a system that returns one of these
 _KEYS = ("file", "constraint")  # of a config, beside the parameters
 _RETURNED = {
     "T": "a number",
+    "map": "a number a coordinate",
     "rhs": "a number a coordinate",
     "Q": "a number a coordinate",
     "f": "a number a constraint",
 }
 _AS_IN = {"labels": "displacement", "units": "m"}
+
+
+UserFlow = Lagrangian | FirstOrder | DiscreteMap
+"""A system that a user's file defines."""
 
 
 class UserFile:
@@ -70,6 +83,7 @@ class UserFile:
         parameters: names of the parameters with their defaults.
         coordinates: names of the coordinates.
         mechanical: whether it says T and Q, so that each coordinate has a velocity.
+        discrete: whether it says a map, so that nothing is integrated.
     """
 
     def __init__(self, path: Path, text: str | None = None) -> None:
@@ -89,8 +103,8 @@ class UserFile:
         self._periodic: set[tuple[float, ...]] = set()  # parameters at which the equations were seen to have the period
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
-        self.mechanical = "rhs" not in definition
-        uses_time = self._try_mechanics() if self.mechanical else self._try_rhs()
+        self.discrete, self.mechanical = "map" in definition, "T" in definition
+        uses_time = self._try_mechanics() if self.mechanical else self._try_point("map" if self.discrete else "rhs")
         if uses_time and "period" not in definition:
             raise self._fault(self._line_of("rhs"), "the system depends on t: give its period, period=2 * jnp.pi")
         if not uses_time and "period" in definition:
@@ -130,25 +144,22 @@ class UserFile:
         said = self._guarded(lambda: self._define(**parameters))
         line = self._define.__code__.co_firstlineno
         if not isinstance(said, Mapping):
-            raise self._fault(line, "system must return dict(rhs=..., coordinates=...), or dict(T=..., Q=..., ...)")
+            message = (
+                "system must return dict(rhs=..., coordinates=...), or dict(T=..., Q=..., ...), or dict(map=..., ...)"
+            )
+            raise self._fault(line, message)
         definition = _with_lists_of_names(said)
-        known = _FIRST_ORDER if "rhs" in definition else _MECHANICS
+        main, known = next(((key, keys) for key, keys in _OWN_KEYS.items() if key in definition), ("T", _MECHANICS))
         for name in definition:
             if name not in known:
-                close = difflib.get_close_matches(str(name), known, n=1)
-                meant = f" (did you mean {close[0]}?)" if close else ""
-                message = f"system returns {name!r}, which is unknown{meant}; known are {', '.join(known)}"
-                if name in _MECHANICS:
-                    message = f"system returns rhs and {name!r}; a system is a right-hand side, or T and Q"
-                raise self._fault(line, message)
-        needed = ("rhs", "coordinates") if "rhs" in definition else ("T", "Q", "coordinates")
-        for name in needed:
+                raise self._fault(line, _unknown(str(name), main, known))
+        for name in (*(("T", "Q") if main == "T" else (main,)), "coordinates"):
             if name not in definition:
-                other = ", or a right-hand side rhs" if name == "T" else ""
+                other = ", or a right-hand side rhs, or a map" if name == "T" else ""
                 raise self._fault(line, f"system must also return {name}{other}")
-        for name in ("rhs", "T", "Q", "f"):
+        for name, arguments in _ARGUMENTS.items():
             if definition.get(name) is not None and not callable(definition[name]):
-                raise self._fault(line, f"{name} must be a function of {'(y, t)' if name == 'rhs' else '(q, v, t)'}")
+                raise self._fault(line, f"{name} must be a function of {arguments}")
         self._check_names(definition, line)
         if all(name in definition for name in _CLOCKS):
             raise self._fault(line, "period and time_unit exclude each other: with a period, it is the unit of time")
@@ -163,7 +174,7 @@ class UserFile:
         """Strobe period, or the unit of time, with these parameters."""
         return unit_of_time(self.define(**parameters))
 
-    def flow(self, parameters: Mapping[str, float], of_lanes: tuple[str, ...] = ()) -> Lagrangian | FirstOrder:
+    def flow(self, parameters: Mapping[str, float], of_lanes: tuple[str, ...] = ()) -> UserFlow:
         """The system with these parameters.
 
         Args:
@@ -174,7 +185,7 @@ class UserFile:
             UserFileError: the equations are other ones a period later.
         """
         self._check_period(parameters)
-        made = lagrangian if self.mechanical else first_order
+        made = lagrangian if self.mechanical else discrete_map if self.discrete else first_order
         flow = made(self.define, parameters, of_lanes)
         return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.is_shared(name)))
 
@@ -218,7 +229,7 @@ class UserFile:
         self._guarded(lambda: exec(code, scope))
         if not inspect.isfunction(scope.get("system")):
             raise self._fault(
-                1, "there is no function system(...) that returns rhs and coordinates, or T, Q, f and coordinates"
+                1, "there is no function system(...) that returns rhs, a map, or T, Q and f, with their coordinates"
             )
         return scope["system"]
 
@@ -238,7 +249,7 @@ class UserFile:
         names = definition["coordinates"]
         if not names or not all(isinstance(n, str) and n.isidentifier() for n in names):
             raise self._fault(line, 'coordinates must be names, as in coordinates=("x", "y")')
-        every = list(names) if "rhs" in definition else list(with_velocities(names))
+        every = list(with_velocities(names)) if "T" in definition else list(names)
         if not can_be_states(every):
             raise self._fault(line, f"coordinates must differ, and not be one of {', '.join(BESIDE_STATES)}")
         for name in every:
@@ -250,7 +261,7 @@ class UserFile:
                 raise self._fault(
                     line, f'{kind} must be words by name, as in {kind}={{"{every[0]}": "{_AS_IN[kind]}"}}'
                 )
-            more = ("t",) if kind == "units" else ()
+            more = ("t",) if kind == "units" and "map" not in definition else ()
             for name in said:
                 if name not in (*every, *more, *inspect.signature(self._define).parameters):
                     raise self._fault(line, f"{kind} names {name!r}, which is no parameter, coordinate or velocity")
@@ -282,18 +293,19 @@ class UserFile:
                 raise self._fault(line, f"f returns {len(leaves)} numbers; {k} coordinates can have {k - 1} at most")
         return uses_time
 
-    def _try_rhs(self) -> bool:
-        """Trace the right-hand side likewise."""
-        line, d = self._line_of("rhs"), len(self.coordinates)
+    def _try_point(self, name: str) -> bool:
+        """Trace a right-hand side, or a map, likewise."""
+        line, d = self._line_of(name), len(self.coordinates)
 
         def evaluate(p: Mapping[str, Any], t: Any, y: Any) -> Any:
-            return self._numbers("rhs", self.define(**p)["rhs"](y, t))
+            function = self.define(**p)[name]
+            return self._numbers(name, function(y) if self.discrete else function(y, t))
 
         leaves, uses_time = self._traced(evaluate, 1)
         if any(leaf.shape for leaf in leaves):
-            raise self._fault(line, f"rhs must return {_RETURNED['rhs']}")
+            raise self._fault(line, f"{name} must return {_RETURNED[name]}")
         if len(leaves) != d:
-            raise self._fault(line, f"rhs must return {d} numbers, one a coordinate, not {len(leaves)}")
+            raise self._fault(line, f"{name} must return {d} numbers, one a coordinate, not {len(leaves)}")
         return uses_time
 
     def _traced(self, evaluate: Callable[..., Any], vectors: int) -> tuple[list[Any], bool]:
@@ -330,6 +342,17 @@ class UserFile:
 
     def _fault(self, line: int, message: str) -> UserFileError:
         return UserFileError(f"{self.path}:{line}: {message}")
+
+
+def _unknown(name: str, main: str, known: Sequence[str]) -> str:
+    """Describe what is wrong with a key of a definition whose main one, as rhs, is another."""
+    if main == "map" and name in _CLOCKS:
+        return f"a map has no {name}: lengths of time are counted in its iterates; leave it out"
+    if name in (*_FUNCTIONS, *_MECHANICS):
+        return f"system returns {main} and {name!r}; a system is a right-hand side, or T and Q, or a map"
+    close = difflib.get_close_matches(name, known, n=1)
+    meant = f" (did you mean {close[0]}?)" if close else ""
+    return f"system returns {name!r}, which is unknown{meant}; known are {', '.join(known)}"
 
 
 def _with_lists_of_names(definition: Mapping[str, Any]) -> dict[str, Any]:

@@ -24,7 +24,7 @@ class Names(NamedTuple):
 
     Attributes:
         parameters: of the function `system`.
-        coordinates: positions, or what a right-hand side acts on.
+        coordinates: positions, or what a right-hand side or a map acts on.
         states: coordinates, of mechanics each with its velocity NAME_dot.
     """
 
@@ -79,7 +79,7 @@ def can_be_states(names: Sequence[str]) -> bool:
 def _coordinates(system: ast.FunctionDef) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
     """Coordinates and states of the one definition with written-out coordinates; None where there is not one."""
     definitions = [entries for entries in map(_entries, ast.walk(system)) if "coordinates" in entries]
-    if len(definitions) != 1 or len(definitions[0].keys() & {"rhs", "T"}) != 1:
+    if len(definitions) != 1 or len(definitions[0].keys() & {"rhs", "T", "map"}) != 1:
         return None, None
     [definition] = definitions
     try:
@@ -89,7 +89,7 @@ def _coordinates(system: ast.FunctionDef) -> tuple[tuple[str, ...] | None, tuple
     names = (names,) if isinstance(names, str) else names
     if not isinstance(names, tuple | list) or not all(isinstance(name, str) for name in names):
         return None, None
-    states = tuple(names) if "rhs" in definition else with_velocities(names)
+    states = with_velocities(names) if "T" in definition else tuple(names)
     return (tuple(names), states) if can_be_states(states) else (None, None)
 
 

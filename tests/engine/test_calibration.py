@@ -178,7 +178,7 @@ def test_random_starts_are_among_the_samples(analysis):
     variant = session.experiment.variant({analysis: options}, {})
     drawn = session._plan_for(variant, variant.axes)
     longer = session.experiment.variant({analysis: {**options, "transient": 64}}, {})  # the same starts
-    with mock.patch("jaxnh.engine.session.calibrate", side_effect=AssertionError):
+    with mock.patch("jaxnh.engine.plan.calibrate", side_effect=AssertionError):
         assert session._plan_for(longer, variant.axes) == drawn
     assert session.plan == still
 

@@ -14,6 +14,7 @@ from jaxnh.explorer.lattice import Lattice, blocks
 from jaxnh.explorer.live import live
 from jaxnh.explorer.quantities import analyses_of
 from jaxnh.explorer.view import View
+from tests.flows.known_maps import HENON
 from tests.helpers.paths import ROOT
 
 pytestmark = pytest.mark.usefixtures("uncalibrated")
@@ -129,3 +130,22 @@ def test_a_moved_parameter_is_that_of_the_saved_config(plane):
     view = replace(plane.first, fixed={"c": 1.2})
     next(plane.passes(view))
     assert jaxnh.Experiment.from_text(plane.batch_text(view)).system.c == 1.2
+
+
+def test_a_map_has_no_solver_to_write_down(tmp_path):
+    """A click gives its iterates, and the batch job of a view is the same to the bit."""
+    (tmp_path / "own.py").write_text(HENON)
+    (tmp_path / "own.yaml").write_text(
+        "system: {file: own.py}\ninitial: {x: 0.1}\nsweep: {a: {start: 0.9, stop: 1.2, count: 4}, "
+        "b: {start: 0.1, stop: 0.3, count: 4}}\nanalyses: {lyapunov: {transient: 64, periods: 128}}\n"
+    )
+    plane = live(jaxnh.load(tmp_path / "own.yaml"), NullProgress(), COLUMNS)
+    first, last = plane.lane(plane.first, {"a": 1.0, "b": 0.2})
+    assert list(first.groups) == ["poincare", "period"]
+    assert int(last.groups["verdict"]["status"]) == 0
+    view = plane.first
+    *_, drawn = plane.passes(view)
+    assert "accuracy" not in plane.batch_text(view)
+    assert any("iterates of a map" in note for note in drawn.notes)
+    batch = jaxnh.run(jaxnh.Experiment.from_text(plane.batch_text(view), HENON))["lyapunov"]
+    assert np.array_equal(batch["exponents"], drawn.data["lyapunov"]["exponents"])

@@ -9,7 +9,7 @@ from typing import Any, cast
 from unittest import mock
 
 from jaxnh.analyses.batch import Axis
-from jaxnh.engine import plan, session
+from jaxnh.engine import plan
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
@@ -52,6 +52,5 @@ def unless_given(calibrate: Calibrate) -> Calibrate:
 @contextlib.contextmanager
 def calibrating_by(change: Callable[[Calibrate], Calibrate]) -> Iterator[None]:
     """Runs and sessions of this process calibrate by a changed `calibrate`."""
-    calibrate = change(plan.calibrate)
-    with mock.patch.object(plan, "calibrate", calibrate), mock.patch.object(session, "calibrate", calibrate):
+    with mock.patch.object(plan, "calibrate", change(plan.calibrate)):
         yield

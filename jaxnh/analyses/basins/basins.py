@@ -25,7 +25,7 @@ from jaxnh.analyses.basins.paths import batch_from_points, record_points
 from jaxnh.analyses.basins.settling import FAILED, LaneRecords, settle
 from jaxnh.analyses.basins.steps_after_transient import choose_steps
 from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_units, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs, select
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.basins import BasinsOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
@@ -148,7 +148,7 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
         basins = basins.merge(boundary_variables(number, sweep.axes))
     return {
         "basins": basins,
-        "attractors": attractors_group(table, axes, hits, unit, rate_units(flow)),
+        "attractors": attractors_group(table, axes, hits, unit, rate_attrs(flow)),
     }
 
 

@@ -98,7 +98,11 @@ def basins_group(
 
 
 def attractors_group(
-    known: SweepAttractors, axes: Sequence[Axis], hits: tuple[np.ndarray, np.ndarray], unit: str, rate: str
+    known: SweepAttractors,
+    axes: Sequence[Axis],
+    hits: tuple[np.ndarray, np.ndarray],
+    unit: str,
+    rate: Mapping[str, str],
 ) -> xr.Dataset:
     """Return all attractors over the axes that are parameters, with their changes; `hits` as `shares` gives them."""
     names, sizes = tuple(axis.name for axis in axes), tuple(len(axis.values) for axis in axes)
@@ -135,7 +139,7 @@ def attractors_group(
         "period": number_variable(
             dims, table(period, 0), "least period of a periodic orbit", ("none",), counted_in=unit
         ),
-        "exponent": variable(dims, table(exponent, np.nan), of_exponent, rate),
+        "exponent": variable(dims, table(exponent, np.nan), of_exponent, **rate),
         "multiplier": variable(dims, table(multiplier, np.nan), of_multiplier),
         **{name: variable(dims, v.reshape(*sizes, most), words[name]) for name, v in fraction.items()},
     }

@@ -69,7 +69,8 @@ def check(options: BranchesOptions, setting: Setting) -> None:
     if options.box:
         check_box(options.box, setting, "box")
     if options.equilibria and not setting.autonomous:
-        raise OptionError("a flow with a clock has no equilibria; leave it out", "equilibria")
+        what = "a flow with a clock" if setting.flow.continuous else "a map has orbits of period 1, and"
+        raise OptionError(f"{what} has no equilibria; leave it out", "equilibria")
     if options.equilibria and setting.flow.chart.dimension > setting.flow.exponents:
         raise OptionError("equilibria of a flow with constraints are not isolated; leave it out", "equilibria")
 

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns, period_parts
 from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey, survey_early
-from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, orbits
+from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images, orbits
 from jaxnh.analyses.section_points import states_at
 from jaxnh.systems.state import State
 
@@ -22,6 +22,7 @@ _LONGEST = 64  # period of an orbit that is looked for
 _SEEN = 1e-6  # a multiplier below this share of the monodromy matrix is left to tangents
 _TURNS = 6  # around the orbit, that tangents are carried at most
 _SETTLED = 1e-12  # a turn
+_ULPS = 4  # that a point of an orbit of a map may be off, in sizes of the motion
 _ROUNDING = 1e-12  # of a multiplier's logarithm, times the matrix over the multiplier
 
 
@@ -31,7 +32,8 @@ class OrbitExponents(NamedTuple):
     Attributes:
         lanes: their numbers, (some,).
         logs: ln|μ|/n, largest first, (some, k).
-        error: (some, k): twice what twice the steps change, and rounding.
+        error: (some, k): twice what twice the steps change, and rounding. Of maps an orbit may be superstable: a
+            multiplier that rounding does not tell from zero has the exponent −∞, without error.
     """
 
     lanes: Int[np.ndarray, " some"]
@@ -122,11 +124,21 @@ def orbit_exponents(
     settled, survey = settled[order], select(survey, order)
     batch, growth, n = batch.take(settled), select(growth, settled), survey.period
     p = dict(batch.p)
-    finer = orbits(lanes, batch.strobe(2), survey.u, p, n, survey.size)
+    if batch.flow.continuous:
+        finer = orbits(lanes, batch.strobe(2), survey.u, p, n, survey.size)
+        u, monodromy = finer.u, finer.monodromy
+    else:  # there are no steps, but a point is right to a few roundings only
+        u = survey.u + _ULPS * np.finfo(float).eps * survey.size
+        monodromy = np.asarray(images(lanes, batch.strobe(), p, n.astype(np.int32))(u, np.arange(len(n))).monodromy)
     logs, rounding = _logs(batch, lanes, growth, n, survey.u, survey.monodromy, parts, 1)
-    fine, _ = _logs(batch, lanes, growth, n, finer.u, finer.monodromy, parts, 2)
-    error = 2.0 * np.abs(logs - fine) + rounding
-    kept = np.all(np.isfinite(logs) & np.isfinite(error), axis=1)
+    fine, _ = _logs(batch, lanes, growth, n, u, monodromy, parts, 2)
+    with np.errstate(invalid="ignore"):
+        change = np.abs(logs - fine)
+    error = 2.0 * change + rounding
+    if not batch.flow.continuous:
+        superstable = ~(change * n[:, None] < np.log(2.0))
+        logs, error = np.where(superstable, -np.inf, logs), np.where(superstable, 0.0, error)
+    kept = np.all(np.isfinite(error), axis=1)
     return OrbitExponents(settled[kept], logs[kept], error[kept])
 
 
@@ -143,8 +155,8 @@ def _logs(
     """Return ln|μ|/n of orbits of periods n through points u, largest first, and its rounding, with refined steps."""
     k = len(growth.tangents)
     moduli = np.sort(np.abs(np.linalg.eigvals(monodromy)), axis=1)[:, ::-1][:, :k]
-    share = moduli / np.linalg.norm(monodromy, axis=(1, 2))[:, None]
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # of maps a multiplier, or the whole matrix, may vanish
+        share = moduli / np.linalg.norm(monodromy, axis=(1, 2))[:, None]
         logs, rounding = np.log(moduli) / n[:, None], _ROUNDING / share / n[:, None]
     unseen = ~(share > _SEEN)
     lost = np.flatnonzero(np.any(unseen, axis=1))
@@ -177,7 +189,8 @@ def _carry_tangents(
     going = np.arange(len(u))
     for _ in range(_TURNS):
         growth, sums = advance_turns(lanes, strobes, growth, select(p, going), n[going], tile=ORBIT_TILE)
-        moved[going] = np.abs(sums - rates[going])
+        with np.errstate(invalid="ignore"):
+            moved[going] = np.abs(sums - rates[going])
         rates[going] = sums
         left = ~np.all(moved[going] < _SETTLED, axis=1)
         going, growth = going[left], select(growth, left)

@@ -22,7 +22,7 @@ import xarray as xr
 from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, as_variable, flag, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_units, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.errors import (
     average_blocks,
@@ -103,7 +103,7 @@ def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     Also choose the refinement of the steps, where tangents need more of them than states.
     """
     batch, k = batch.without_section(), tangents(options, batch.without_section())
-    if k == 1:
+    if k == 1 or not batch.flow.continuous:
         return {"parts": 1}
     parts, growth = parts_needed(batch, lanes, k)
     refinement = refinement_needed(batch, lanes, growth, parts)
@@ -288,7 +288,8 @@ def _dataset(
     if every_exponent(options, batch):
         # At rest the flow has no direction once its rate has come down to rounding.
         sums = np.where(spectrum.source == SOURCES.index("equilibrium"), mean.sum(axis=1), sums)
-        residual = sums - volume[:, 1 if symbols else 0]
+        with np.errstate(invalid="ignore"):  # both are minus infinity on a superstable orbit of a map
+            residual = sums - volume[:, 1 if symbols else 0]
         of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
         error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average])
     attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
@@ -300,15 +301,16 @@ def _dataset(
         attrs["along_flow"] = "the exponent along the flow is known to be zero"
     order = np.argsort(-mean, axis=1)[:, :wanted]
     exponents, errors = np.take_along_axis(mean, order, axis=1), np.take_along_axis(error, order, axis=1)
-    each, unit = (LANE, "exponent"), rate_units(batch.flow)
+    each, rate = (LANE, "exponent"), rate_attrs(batch.flow)
     words = "Lyapunov exponents, natural logarithm"
     ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], averages.growth.state))["status"]
-    lost = ~np.all(np.isfinite(exponents), axis=1) & (spectrum.source != SOURCES.index("equilibrium"))
+    known = [SOURCES.index(source) for source in ("equilibrium", "orbit")]  # some of which are minus infinity
+    lost = ~np.all(np.isfinite(exponents), axis=1) & ~np.isin(spectrum.source, known)
     code = np.where(lost & (np.asarray(ended.data) == 0), NOT_FINITE, ended.data)
     variables = {
         "exponent": variable("exponent", np.arange(1, wanted + 1), "number of the exponent, largest first"),
-        "exponents": variable(each, exponents, words, unit, ancillary_variables="exponents_error exponents_method"),
-        "exponents_error": variable(each, errors, "error of the exponents at 95 %", unit, comment=_COMMENT),
+        "exponents": variable(each, exponents, words, **rate, ancillary_variables="exponents_error exponents_method"),
+        "exponents_error": variable(each, errors, "error of the exponents at 95 %", **rate, comment=_COMMENT),
         "exponents_method": flag(LANE, spectrum.source, "what the exponents of a lane are", SOURCES),
         "status": as_variable(LANE, status(code)),
     }
@@ -316,19 +318,21 @@ def _dataset(
     if symbols:
         divergence = f" −{symbols}"
         words = f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
-        variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, unit)
+        variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, **rate)
     variables["averaging_periods"] = variable(
         LANE, averaged, "length of the average", counted_in=iterate_units(batch.system)
     )
     if residual is not None:
         what = "sum of the plain averages, at rest of the exponents"
-        words = f"{what}, minus the mean divergence{divergence}, integrated by itself"
-        variables["sum_rule_residual"] = variable(LANE, residual, words, unit)
+        other = f"mean divergence{divergence}, integrated by itself"
+        words = f"{what}, minus the {other if batch.flow.continuous else 'mean of ln |det| of the derivative'}"
+        variables["sum_rule_residual"] = variable(LANE, residual, words, **rate)
         if divergence:
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
-            variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, unit)
+            variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, **rate)
         # Without a clock the exponent along the flow counts as well.
-        of = "of the flow" if batch.flow.autonomous else "of the Poincaré section"
+        of_strobes = "of the Poincaré section" if batch.flow.continuous else "of the map"
+        of = "of the flow" if batch.flow.autonomous else of_strobes
         variables["kaplan_yorke"] = variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {of}")
     return xr.Dataset(variables, attrs=attrs)
 
@@ -368,7 +372,7 @@ def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
     """Return the sign of the largest exponent, 0 where its bar covers zero, 2 where there is no exponent."""
     largest, error = (data[name].to_numpy()[..., 0] for name in ("exponents", "exponents_error"))
     sign = np.where(np.abs(largest) > error, np.sign(largest), 0.0)
-    return np.where(np.isfinite(largest), sign, 2.0).astype(int)
+    return np.where(largest < np.inf, sign, 2.0).astype(int)
 
 
 ANALYSIS = Analysis(

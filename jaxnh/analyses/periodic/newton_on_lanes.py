@@ -72,7 +72,8 @@ def section_distance(
     """Largest difference (...) between section points in sizes of the motion; without dimensions that of positions."""
     if chart.dimensionless:
         return chart.distance(one, other)
-    return np.max(np.abs(chart.wrap(one - other)) / size, axis=-1)
+    with np.errstate(invalid="ignore"):  # of lanes that escape
+        return np.max(np.abs(chart.wrap(one - other)) / size, axis=-1)
 
 
 def least_period(

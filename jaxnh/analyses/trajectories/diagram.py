@@ -66,7 +66,7 @@ def numbers(options: DiagramOptions) -> int:
 def check(options: DiagramOptions, setting: Setting) -> None:
     """Check that a phase has a period, a carried state a parameter, and that there is one kind of start states."""
     check_transient(options.transient, setting)
-    if setting.autonomous and options.phase:
+    if options.phase and (setting.autonomous or not setting.flow.continuous):
         raise OptionError("there is no period to have a phase in; leave it out", "phase")
     first = setting.axes[0]
     if options.carried and first.kind == "start":

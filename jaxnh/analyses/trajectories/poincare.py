@@ -53,7 +53,8 @@ def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     variables = {}
     if batch.flow is batch.system:  # else every crossing has its own time
         time = batch.flow.period * (options.transient + np.arange(options.strobes))
-        variables["t"] = variable("strobe", time, "time since the start", batch.flow.labels.units["t"])
+        words = "time since the start" if batch.flow.continuous else "number of iterates since the start"
+        variables["t"] = variable("strobe", time, words, batch.flow.labels.units["t"])
     variables |= state_variables(batch.system, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
     return xr.Dataset(variables, attrs=section_attrs(batch))
 

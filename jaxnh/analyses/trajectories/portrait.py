@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jax import lax
 
-from jaxnh.analyses.base import LANE, Analysis, variable
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.trajectories import PortraitOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
@@ -29,6 +29,12 @@ def periods(options: PortraitOptions, lanes: int) -> float:
 def numbers(options: PortraitOptions) -> int:
     """Return how many numbers a lane leaves."""
     return 4 * options.periods * options.samples
+
+
+def check(options: PortraitOptions, setting: Setting) -> None:
+    """Check that there is something between strobes."""
+    if not setting.flow.continuous:
+        raise OptionError("a map has nothing between its iterates, which are in poincare: ask for that")
 
 
 def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -93,6 +99,7 @@ ANALYSIS = Analysis(
     run,
     numbers=numbers,
     count=count,
+    check=check,
     price=price,
     brief={"transient": 1},
 )

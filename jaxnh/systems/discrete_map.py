@@ -1,0 +1,65 @@
+"""A map y → image(y) as a system: time counts its iterates, and one iterate takes the place of a period."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxnh.systems.definition import Definition, marked
+from jaxnh.systems.first_order import Point, PointFlow, point_like
+from jaxnh.systems.flow import Labels, Parameters
+from jaxnh.systems.state import Number
+
+
+class DiscreteMap(PointFlow):
+    """Any map, its definition's `map`; made by `discrete_map`.
+
+    Its clock has an iterate as period, 1. What is a rate of a flow is here a change in one iterate.
+    """
+
+    @property
+    def continuous(self) -> bool:
+        """No: there is nothing between two iterates."""
+        return False
+
+    @property
+    def labels(self) -> Labels:
+        """Labels of the definition; a number of iterates has no units."""
+        labels = super().labels
+        return labels._replace(units={**labels.units, "t": "1"})
+
+    def image(self, y: Point, p: Parameters) -> Point:
+        """The next iterate."""
+        return point_like(self.definition(p)["map"](tuple(y.y)), y)
+
+    def rhs(self, t: ArrayLike, y: Point, p: Parameters) -> Point:
+        """Displacement in one iterate."""
+        return jax.tree.map(jnp.subtract, self.image(y, p), y)
+
+    def divergence(self, t: ArrayLike, y: Point, p: Parameters) -> Number:
+        """Logarithm of the growth of volume in one iterate, ln |det ∂image/∂y|, at one state.
+
+        Its mean is the sum of the Lyapunov exponents; minus infinity where the map folds.
+        """
+        jacobian = jax.jacfwd(lambda u: jnp.stack(self.image(Point(tuple(u)), p).y))(jnp.stack(y.y))
+        return jnp.log(jnp.abs(jnp.linalg.det(jacobian)))
+
+
+def discrete_map(
+    define: Callable[..., Definition], parameters: Mapping[str, float], of_lanes: tuple[str, ...] | None = None
+) -> DiscreteMap:
+    """The map that a function of its parameters defines.
+
+    Args:
+        define: parameters by name to a mapping with `map`, a function of y, a tuple of d numbers, to d numbers, the
+            next iterate; `coordinates`, their d names; and where there are some, names of coordinates that are
+            `angles`.
+        parameters: values of all parameters.
+        of_lanes: names of those that lanes may have of their own, by default all.
+    """
+    definition = define(**parameters)
+    names = tuple(definition["coordinates"])
+    return DiscreteMap(define, dict(parameters), of_lanes, names, marked(definition, "angles"), True)

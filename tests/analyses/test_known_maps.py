@@ -1,0 +1,207 @@
+"""What runs give of maps whose bifurcations, exponents and basins are known in closed form, or by iterating in NumPy."""
+
+from __future__ import annotations
+
+from decimal import Decimal, getcontext
+
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.engine.experiment import Experiment
+from tests.flows import known_maps
+from tests.helpers.kept_programs import session_of
+
+DIGITS = 40
+DOUBLINGS = (3.0, 1 + np.sqrt(6.0), 3.5440903595519228536)  # OEIS A086181 is the third
+LIMIT, DELTA = 3.5699456718709449018, 4.6692016091029906718  # OEIS A098587 and A006890
+TO_ROUNDING = 1e-14
+
+
+def groups_of(map_text, config):
+    """The groups that a config with a map asks for."""
+    experiment = Experiment.from_text("system: {file: own.py}\n" + config, map_text)
+    return session_of(experiment).groups(dict.fromkeys(experiment.analyses.options()))
+
+
+def kinds_of(data, name="kind"):
+    """The words of a variable of flags."""
+    return jaxnh.labels(data[name]).to_numpy().ravel().tolist()
+
+
+def test_doublings_of_the_logistic_map():
+    config = "initial: {x: 0.3}\nsweep: {r: {start: 2.9, stop: 3.58, count: 100}}\nanalyses: {doubling: {levels: 8}}"
+    data = groups_of(known_maps.LOGISTIC, config)["doubling"]
+    assert data["period"].to_numpy().tolist() == [2**k for k in range(8)]
+    assert data["period"].attrs["counted_in"] == "iterates"
+    apart = np.abs(data["r"].to_numpy()[:3] - DOUBLINGS)
+    assert np.all(apart < data["r_error"].to_numpy()[:3] + 4.5e-16)
+    assert data["r_error"].to_numpy().max() < TO_ROUNDING
+    assert abs(float(data["limit"]) - LIMIT) < float(data["limit_error"]) < 1e-9
+    assert abs(float(data["delta_limit"]) - DELTA) < float(data["delta_limit_error"]) < 1e-4
+
+
+def test_doublings_in_extended_precision():
+    """The second one, 1 + √6, to thirty digits: the steps of a flow err at sixteen, and a map has none."""
+    config = "initial: {x: 0.3}\nsweep: {r: {start: 2.9, stop: 3.58, count: 100}}\naccuracy: {precision: extended}\n"
+    data = groups_of(known_maps.LOGISTIC, config + "analyses: {doubling: {levels: 4}}")["doubling"]
+    getcontext().prec = DIGITS
+    high, low = (Decimal(float(data[name][1])) for name in ("r", "r_low"))
+    assert abs(high + low - (1 + Decimal(6).sqrt())) < Decimal("1e-30")
+
+
+@pytest.mark.parametrize(
+    ("name", "sweep", "at_most"),
+    [("LOGISTIC", "r: {values: [4.0]}", 0.02), ("QUADRATIC", "c: {values: [-2.0]}", 0.03)],
+)
+def test_exponent_of_full_chaos(name, sweep, at_most):
+    """Both are the tent map in another coordinate: ln 2 an iterate (Ulam and von Neumann 1947)."""
+    config = f"initial: {{x: 0.31}}\nsweep: {{{sweep}}}\nanalyses: {{lyapunov: {{periods: 4096}}}}"
+    data = groups_of(getattr(known_maps, name), config)["lyapunov"]
+    assert abs(float(data["exponents"].item()) - np.log(2.0)) < float(data["exponents_error"].item()) < at_most
+    assert (data["exponents"].attrs["units"], data["exponents"].attrs["counted_in"]) == ("1", "1/iterate")
+
+
+def test_exponents_near_and_at_superstable_orbits():
+    """ln |2 − r| of the fixed point of the logistic map; at r = 2 and 1 + √5 there is none, which is −∞."""
+    values = [2.0, 1.0 + 5.0**0.5, 2.0001, 2.6]
+    config = f"initial: {{x: 0.3}}\nsweep: {{r: {{values: {values}}}}}\nanalyses: {{lyapunov: {{}}}}"
+    data = groups_of(known_maps.LOGISTIC, config)["lyapunov"]
+    ours, error = data["exponents"].to_numpy()[:, 0], data["exponents_error"].to_numpy()[:, 0]
+    assert kinds_of(data, "exponents_method") == ["orbit"] * 4
+    assert kinds_of(data, "status") == ["ok"] * 4
+    assert ours[:2].tolist() == [-np.inf, -np.inf]
+    exact = np.log(np.abs(2.0 - np.array(values[2:])))
+    assert np.all(np.abs(ours[2:] - exact) < error[2:])
+    assert error[2:].max() < 1e-10
+
+
+def test_exactly_superstable_orbits():
+    """The cycles 0 and 0, −1 of c + x²: a derivative that is zero to the bit."""
+    config = "initial: {x: 0.1}\nsweep: {c: {values: [0.0, -1.0]}}\nanalyses: {verdict: {}, basins: {}}"
+    groups = groups_of(known_maps.QUADRATIC, config)
+    assert groups["lyapunov"]["exponents"].to_numpy().ravel().tolist() == [-np.inf, -np.inf]
+    assert kinds_of(groups["verdict"]) == ["periodic", "periodic"]
+    assert groups["period"]["period"].to_numpy().tolist() == [1, 2]
+    assert groups["period"]["multiplier"].to_numpy().tolist() == [0.0, 0.0]
+    assert np.all(groups["basins"]["attractor"].to_numpy() > 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "total"),
+    [
+        ("HENON", "initial: {x: 0.1}\nsweep: {a: {values: [0.2, 1.0, 1.4]}}", np.log(0.3)),
+        ("STANDARD", "initial: {angle: 1.0, momentum: 0.5}\nsweep: {k: {values: [0.2, 0.9, 10.0]}}", 0.0),
+        ("IKEDA", "initial: {x: 0.1}\nsweep: {u: {values: [0.9]}}", 2 * np.log(0.9)),
+    ],
+)
+def test_sums_of_exponents(name, config, total):
+    """The determinant of each of these maps is the same everywhere."""
+    data = groups_of(getattr(known_maps, name), config + "\nanalyses: {lyapunov: {}}")["lyapunov"]
+    assert np.abs(data["exponents"].sum("exponent") - total).max() < 1e-10
+    assert np.abs(data["sum_rule_residual"]).max() < 1e-10
+
+
+def test_largest_exponent_of_henon():
+    """0.41922 (Sprott, Chaos and Time-Series Analysis, 2003, p. 423); an average has scatter."""
+    config = "initial: {x: 0.1}\nsweep: {a: {values: [1.4]}}\nanalyses: {lyapunov: {periods: 65536}}"
+    data = groups_of(known_maps.HENON, config)["lyapunov"]
+    largest, error = float(data["exponents"][0, 0]), float(data["exponents_error"][0, 0])
+    assert abs(largest - 0.41922) < error + 1e-5
+    assert error < 0.01
+
+
+def test_angles_wrap():
+    config = "initial: {angle: 1.0, momentum: 0.5}\nsweep: {k: {values: [10.0]}}\n"
+    data = groups_of(known_maps.STANDARD, config + "analyses: {poincare: {transient: 0, strobes: 16}}")["poincare"]
+    angle, momentum = 1.0, 0.5
+    for k in range(16):
+        turn = 2 * np.pi
+        for ours, exact in ((data["angle"], angle), (data["momentum"], momentum)):
+            gap = float(ours[0, k]) - exact
+            assert abs(gap - turn * round(gap / turn)) < 1e-8 * 10 ** min(k, 8)
+            assert -np.pi <= float(ours[0, k]) < np.pi
+        momentum = momentum + 10.0 * np.sin(angle)
+        angle = angle + momentum
+
+
+def test_kinds_of_motion():
+    """Below r = 2 a fixed point, beyond it a circle (Neimark–Sacker), at 2.27 chaos (Aronson and co-workers 1982)."""
+    config = "initial: {x: 0.4, y: 0.4}\nsweep: {r: {values: [1.9, 2.05, 2.27]}}\nanalyses: {verdict: {}}"
+    assert kinds_of(groups_of(known_maps.DELAYED, config)["verdict"]) == ["periodic", "quasiperiodic", "chaotic"]
+
+
+def test_fold_and_doubling_of_the_quadratic_map():
+    config = "sweep: {c: {start: -0.9, stop: 0.3, count: 24}}\nanalyses: {branches: {max_period: 1}}"
+    located = groups_of(known_maps.QUADRATIC, config)["bifurcations"]
+    where = dict(zip(kinds_of(located), located["c"].to_numpy(), strict=True))
+    assert where == pytest.approx({"fold": 0.25, "period doubling": -0.75}, abs=TO_ROUNDING)
+    assert located["c_error"].to_numpy().max() < TO_ROUNDING
+
+
+def test_neimark_sacker_of_the_delayed_logistic_map():
+    config = "initial: {x: 0.4, y: 0.4}\nsweep: {r: {start: 1.5, stop: 2.2, count: 15}}\n"
+    located = groups_of(known_maps.DELAYED, config + "analyses: {branches: {max_period: 1}}")["bifurcations"]
+    assert kinds_of(located) == ["neimark sacker"]
+    assert kinds_of(located, "criticality") == ["supercritical"]
+    assert float(located["r"][0]) == pytest.approx(2.0, abs=TO_ROUNDING)
+    multipliers = located["multipliers"].to_numpy()[0]
+    exact = np.exp(1j * np.pi / 3)
+    assert np.sort_complex(multipliers[:, 0] + 1j * multipliers[:, 1]) == pytest.approx(
+        np.sort_complex([exact, exact.conjugate()]), abs=TO_ROUNDING
+    )
+
+
+def test_curves_of_henon():
+    """a = −(1 − b)²/4 for folds of fixed points, 3 (1 − b)²/4 for their doublings, over the whole plane."""
+    config = "initial: {x: 0.1}\nsweep: {a: {start: -0.3, stop: 0.5, count: 9}, b: {start: 0.1, stop: 0.4, count: 4}}\n"
+    data = groups_of(known_maps.HENON, config + "analyses: {curves: {max_period: 1}}")["curves"]
+    exact = {"fold": -0.25, "period doubling": 0.75}
+    assert sorted(kinds_of(data)) == sorted(exact)
+    for k, kind in enumerate(kinds_of(data)):
+        a, b = (data[name].to_numpy()[k] for name in ("a", "b"))
+        there = np.isfinite(a)
+        assert there.sum() > 20
+        assert np.abs(a - exact[kind] * (1.0 - b) ** 2)[there].max() < TO_ROUNDING
+
+
+def test_window_of_period_three():
+    """Born in a fold at 1 + √8."""
+    config = "initial: {x: 0.3}\nsweep: {r: {start: 3.82, stop: 3.85, count: 121}}\n"
+    data = groups_of(known_maps.LOGISTIC, config + "analyses: {windows: {max_period: 3, levels: 1}}")["windows"]
+    [place] = np.flatnonzero(data["period"].to_numpy() == 3)
+    assert kinds_of(data, "begin_kind")[place] == "fold"
+    assert abs(float(data["begin"][place]) - (1.0 + np.sqrt(8.0))) < float(data["begin_error"][place]) + 4.5e-16
+
+
+# ---- basins
+
+
+def test_basins_of_two_fixed_points():
+    starts = np.linspace(-1.5, 1.5, 64)
+    config = "sweep: {x: {start: -1.5, stop: 1.5, count: 64}}\nanalyses: {basins: {}}"
+    groups = groups_of(known_maps.TWO_WELLS, config)
+    x = starts
+    for _ in range(2000):
+        x = 1.4 * x - x**3
+    assert np.abs(np.abs(x) - np.sqrt(0.4)).max() < 1e-12
+    of = groups["attractors"]["x"].to_numpy()[groups["basins"]["attractor"].to_numpy() - 1]
+    assert np.array_equal(np.sign(of), np.sign(x))
+    assert groups["attractors"]["multiplier"].to_numpy() == pytest.approx(0.2, abs=1e-12)  # 1 − 2 a
+
+
+def test_basin_of_henon():
+    """The starts that escape are those that escape in NumPy, and all others lead to the one attractor."""
+    axis = np.linspace(-2.0, 2.0, 41)
+    config = "sweep: {x: {start: -2.0, stop: 2.0, count: 41}, y: {start: -2.0, stop: 2.0, count: 41}}\n"
+    data = groups_of(known_maps.HENON, config + "analyses: {basins: {}}")["basins"]
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(5000):
+            x, y = 1.0 - 1.4 * x**2 + y, 0.3 * x
+    escaped = ~np.isfinite(x)
+    assert 500 < escaped.sum() < 1500
+    number = data["attractor"].to_numpy()
+    assert np.array_equal(data["status"].to_numpy() > 0, escaped)
+    assert np.all(number[escaped] == -1)
+    assert np.all(number[~escaped] == 1)
