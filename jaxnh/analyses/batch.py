@@ -153,7 +153,7 @@ class LaneBatch:
     def strobe(self, refinement: float = 1) -> Maps:
         """Return P with `refinement` times the steps that the accuracy asks for; for a family one for each value."""
         if (family := self.family) is not None:
-            return family.maps(self.system, ("period", refinement), lambda one: self.with_system(one).map(refinement))
+            return family.maps(self.system, ("period", refinement), lambda tree: self.with_system(tree).map(refinement))
         return self.map(refinement)
 
     def map(self, refinement: float = 1) -> ReturnMap:

@@ -87,8 +87,8 @@ def _keys(node: dict[str, Any], schema: dict[str, Any], path: str) -> Iterator[s
             yield from _keys(schema["$defs"][name], schema, path)
         return
     cases = (node[word] for word in ("then", "else") if word in node)
-    for one in (*node.get("oneOf", ()), *node.get("anyOf", ()), *cases):
-        yield from _keys(one, schema, path)
+    for case in (*node.get("oneOf", ()), *node.get("anyOf", ()), *cases):
+        yield from _keys(case, schema, path)
     for key, value in node.get("properties", {}).items():
         yield from _keys(value, schema, f"{path}.{key}" if path else key)
     if node.get("type") == "null":

@@ -62,9 +62,9 @@ def points_together(
     def joined(*leaves: np.ndarray) -> np.ndarray:
         return np.concatenate(leaves)[back]
 
-    start, p, where = jax.tree.map(joined, *((one.start, dict(one.p), dict(one.where)) for one in parts))
+    start, p, where = jax.tree.map(joined, *((part.start, dict(part.p), dict(part.where)) for part in parts))
     names = tuple(axis.name for axis in axes if axis.kind == "shared")
-    systems = {tuple(float(one.where[name][0]) for name in names): one.system for one in parts}
+    systems = {tuple(float(part.where[name][0]) for name in names): part.system for part in parts}
     family = ParameterFamily(names, systems.__getitem__, tuple(systems))
     return SweepPoints(parts[0].system, start, {**p, **{name: where[name] for name in names}}, where, family)
 

@@ -272,7 +272,7 @@ def check_size(
 
 def _duration(seconds: float) -> str:
     """A time in words."""
-    _, unit, name = next(one for one in _UNITS if seconds >= one[0])
+    _, unit, name = next(unit_of for unit_of in _UNITS if seconds >= unit_of[0])
     return f"{float(f'{seconds / unit:.2g}'):,g} {name}"
 
 

@@ -374,7 +374,7 @@ class _Run:
     def _on_workers(self, job: Job, stages: Sequence[Sequence[Piece]], cost: dict[int, float]) -> None:
         if self._client is None:
             self._client = self._workers.enter_context(dask_workers.cluster(self._how.dask or ""))
-        dask_workers.run(self._client, self._folder, job, stages, self._check, lambda one: self._done(one, cost))
+        dask_workers.run(self._client, self._folder, job, stages, self._check, lambda piece: self._done(piece, cost))
 
     def _done(self, receipt: TileRecord, cost: dict[int, float]) -> None:
         with self._one_at_a_time:

@@ -148,7 +148,7 @@ class Sessions:
 
     def batch_text(self, view: View, analyses: Mapping[str, Any], title: str) -> str:
         """The YAML of a batch job that computes a view again, bit for bit where its sums are plain ones."""
-        known = next((one for one in self._calibrated if one.holds(view, self.changed_parameters(view))), None)
+        known = next((old for old in self._calibrated if old.holds(view, self.changed_parameters(view))), None)
         plan = known.session.plan if known else None
         named = plan and plan.solver.name in SOLVERS and not plan.compensated
         solver = (plan.solver.name, plan.steps) if plan and named else None

@@ -64,8 +64,8 @@ def derivatives(
     chart, d = strobe.chart, strobe.chart.dimension
     tangents = [Tangent(jax.jvp(chart.state, (u,), (e,))[1]) for e in jnp.eye(d)]
     still = jax.tree.map(jnp.zeros_like, tangents[0].state)
-    for one in (name,) if isinstance(name, str) else name or ():
-        tangents.append(Tangent(still, {one: jnp.ones_like(u[0])}))
+    for parameter in (name,) if isinstance(name, str) else name or ():
+        tangents.append(Tangent(still, {parameter: jnp.ones_like(u[0])}))
 
     def period(_: int, carry: tuple[State, tuple[Tangent, ...]]) -> tuple[State, tuple[Tangent, ...]]:
         pushed = strobe.pushforward(carry[0], p, carry[1], volume=False)

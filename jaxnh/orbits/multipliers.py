@@ -22,7 +22,7 @@ def multipliers(blocks: Float[np.ndarray, "... n d d"]) -> Complex[np.ndarray, "
     if n == 1:
         values = np.linalg.eigvals(flat[:, 0]).astype(complex)
     else:
-        values = np.array([_block_eigenvalues(*one) for one in zip(*_last_turn(flat), strict=True)]).reshape(-1, d)
+        values = np.array([_block_eigenvalues(*block) for block in zip(*_last_turn(flat), strict=True)]).reshape(-1, d)
     order = np.lexsort((np.imag(values), -np.abs(values)), axis=-1)
     values = np.take_along_axis(values, order, axis=-1)
     return np.where(finite[:, None], values, np.nan).reshape(*blocks.shape[:-3], d)

@@ -81,16 +81,16 @@ def _pixels(data: xr.Dataset, known: Sequence[xr.Dataset]) -> tuple[Pixels, list
     named = _name_attractors(known[0] if known else None, most)
     shares = {number: 100 * float(np.mean(plane.values == number)) for number in range(_FAILED, most + 1)}
     entries = [
-        Entry(one.colour, f"{one.words}: {_percent(shares[one.number])}", one.points)
-        for one in named[: len(_COLOURS)]
-        if shares[one.number]
+        Entry(attractor.colour, f"{attractor.words}: {_percent(shares[attractor.number])}", attractor.points)
+        for attractor in named[: len(_COLOURS)]
+        if shares[attractor.number]
     ]
-    if beyond := sum(shares[one.number] for one in named[len(_COLOURS) :]):
+    if beyond := sum(shares[attractor.number] for attractor in named[len(_COLOURS) :]):
         entries.append(Entry(_REST, f"{len(named) - len(_COLOURS)} others: {_percent(beyond)}"))
     for number, colour, words in ((_UNDECIDED, NONE, "undecided"), (_FAILED, FAILED, "failed or escaped")):
         if shares[number]:
             entries.append(Entry(colour, f"{words}: {_percent(shares[number])}"))
-    colours = ListedColormap([FAILED, NONE, *(one.colour for one in named)])
+    colours = ListedColormap([FAILED, NONE, *(attractor.colour for attractor in named)])
     return colour_pixels(data, plane, plane.values, colours, Normalize(_FAILED - 0.5, most + 0.5), entries), named
 
 
@@ -116,15 +116,15 @@ def shares(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     x, shares = axis.to_numpy()[order], 100.0 * np.nan_to_num(whole.to_numpy().reshape(axis.size, -1)[order])
     bars = [100.0 * along_axis(data, variable)[1].to_numpy().reshape(axis.size, -1)[order] for variable in (low, high)]
     total = np.zeros(len(x))
-    for one in _name_attractors(None, shares.shape[1]):
-        own = shares[:, one.number - 1]
+    for attractor in _name_attractors(None, shares.shape[1]):
+        own = shares[:, attractor.number - 1]
         below, total = total, total + own
         if not own.any():
             continue
-        ax.fill_between(x, below, total, color=one.colour, linewidth=0, label=one.words)
-        ax.plot(x, np.where(own > 0, total, np.nan), color=one.points, linewidth=0.8)
-        lower, upper = (below + bar[:, one.number - 1] for bar in bars)
-        ax.fill_between(x, lower, upper, where=own > 0, color=one.points, alpha=0.35, linewidth=0, zorder=3)
+        ax.fill_between(x, below, total, color=attractor.colour, linewidth=0, label=attractor.words)
+        ax.plot(x, np.where(own > 0, total, np.nan), color=attractor.points, linewidth=0.8)
+        lower, upper = (below + bar[:, attractor.number - 1] for bar in bars)
+        ax.fill_between(x, lower, upper, where=own > 0, color=attractor.points, alpha=0.35, linewidth=0, zorder=3)
     if np.any(total < 100.0 - 1e-9):
         ax.fill_between(x, total, 100.0, color=NONE, linewidth=0, label="undecided, failed or escaped")
     over_axis(data, axis, ax, "share of the start states (%)")
@@ -168,7 +168,7 @@ def _attractors(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray], name
 def _points(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray]) -> Iterator[np.ndarray]:
     """Different points of every attractor, each (points, 2); an angle as often as the axis goes around."""
     of_axes = [group[f"{coordinate_of(str(axis.name))}_points"] for axis in axes]
-    for plane in zip(*(one.to_numpy() for one in of_axes), strict=True):
+    for plane in zip(*(values.to_numpy() for values in of_axes), strict=True):
         points = np.column_stack(plane)
         points = points[np.all(np.isfinite(points), axis=1)]
         unit = _SAME * max(float(np.abs(points).max(initial=0.0)), 1e-300)

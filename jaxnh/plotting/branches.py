@@ -164,7 +164,7 @@ def _insert_turns(
             places.append(int(k) + 1)
             more.append(near[int(np.argmin(far))])
     new = np.insert(np.zeros(len(x), bool), places, True)
-    across, up = (np.insert(old, places, [one[k] for one in more]) for k, old in enumerate((x, y)))
+    across, up = (np.insert(old, places, [point[k] for point in more]) for k, old in enumerate((x, y)))
     return across, up, np.insert(attracts, places, False), new
 
 

@@ -95,17 +95,19 @@ def figure(
     """
     if not results:
         raise ResultError("there is no result to draw")
-    for one in results:
-        if not isinstance(one, xr.DataTree | xr.Dataset | Path | str):  # pyright: ignore[reportUnnecessaryIsInstance]
-            raise InputError(f"a figure is of a result, one group of it, or a result file, not of {type(one).__name__}")
+    for result in results:
+        if not isinstance(result, xr.DataTree | xr.Dataset | Path | str):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise InputError(
+                f"a figure is of a result, one group of it, or a result file, not of {type(result).__name__}"
+            )
     choice = Choice(tuple(map(tuple, coordinates)), colour, size, names)
     source = str(results[0]) if isinstance(results[0], Path | str) else "the result"
-    tree, *others = (load_result(Path(one)) if isinstance(one, Path | str) else one for one in results)
+    tree, *others = (load_result(Path(result)) if isinstance(result, Path | str) else result for result in results)
     with package_style():
         try:
             groups = {name: _choose_coordinates(data, choice) for name, data in _groups(tree).items()}
             _check_chosen(groups, choice)
-            more = _named(results, choice, [_groups(one) for one in others])
+            more = _named(results, choice, [_groups(other) for other in others])
             panels, lines = _of_groups(groups, choice, more)
             if panels and ax is not None:
                 return _draw_on(ax, panels)
@@ -258,7 +260,7 @@ def _over_an_axis(
     if kind is PANELS["special_points"] and _of_kind("bifurcation_curves", groups):
         return [], []  # they are drawn on the curves
     if kind in (PANELS["bifurcation_curves"], PANELS["special_points"]):
-        drawn = any(PANELS[kind_of(one)].over == "cascade" for one in groups.values() if _has_chart(one))
+        drawn = any(PANELS[kind_of(group)].over == "cascade" for group in groups.values() if _has_chart(group))
         return ([], []) if drawn else ([Panel(partial(_draw, name, kind, data), kind.height, True)], [])
     others = other_axes(data)
     count = math.prod(data.sizes[axis] for axis in others)

@@ -123,7 +123,7 @@ def _write_group(
         own = {**content.attrs, **_coordinates(dataset, name), DATA: checksum(data).hexdigest()}
         set_attributes(item, own)
         written.append(_VariableHeader(name, data.shape, item.dtype.str, tuple(map(str, content.dims)), own))
-    return attrs, written + attach(target, {one.name: one.dims for one in written})
+    return attrs, written + attach(target, {item.name: item.dims for item in written})
 
 
 def _coordinates(dataset: xr.Dataset, name: str) -> dict[str, str]:
@@ -387,6 +387,6 @@ def _seal_of(attrs: Mapping[str, Any], groups: Iterable[tuple[str, Attributes, S
     add({key: value for key, value in attrs.items() if key != SEAL})
     for name, of_group, described in groups:
         add(name, of_group)
-        for one in described:
-            add(*one)
+        for item in described:
+            add(*item)
     return seal.hexdigest()

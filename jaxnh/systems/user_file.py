@@ -132,7 +132,7 @@ class UserFile:
 
         None where equations do not say all, as of functions that define derivatives of their own.
         """
-        texts = [one for one in self._equations if one]
+        texts = [text for text in self._equations if text]
         return hashlib.sha256("".join(texts).encode()).hexdigest() if len(texts) == len(self._equations) else None
 
     def define(self, **parameters: Any) -> Mapping[str, Any]:
@@ -320,10 +320,10 @@ class UserFile:
 
     def _numbers(self, name: str, values: Sequence[Any]) -> tuple[Any, ...]:
         """Convert a function's result to arrays."""
-        if any(one is None or isinstance(one, str | Mapping | tuple | list) for one in values):
+        if any(value is None or isinstance(value, str | Mapping | tuple | list) for value in values):
             nothing = ", and returns nothing" if values[0] is None else ""
             raise self._fault(self._line_of(name), f"{name} must return {_RETURNED[name]}{nothing}")
-        return tuple(jnp.asarray(one) for one in values)
+        return tuple(jnp.asarray(value) for value in values)
 
     def _line_of(self, name: str) -> int:
         definition = self.define(**self.parameters)

@@ -63,7 +63,7 @@ def names_in(text: str, path: Path) -> Names:
     arguments = system.args
     if arguments.vararg or arguments.kwarg or arguments.posonlyargs:
         return Names()
-    return Names(tuple(one.arg for one in (*arguments.args, *arguments.kwonlyargs)), *_coordinates(system))
+    return Names(tuple(argument.arg for argument in (*arguments.args, *arguments.kwonlyargs)), *_coordinates(system))
 
 
 def with_velocities(names: Sequence[str]) -> tuple[str, ...]:

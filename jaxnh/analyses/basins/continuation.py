@@ -135,8 +135,8 @@ def continue_attractors(
             line.link_by_points(transient, longest)
         changes += line.changes()
         unseen += line.unseen
-        for one in np.flatnonzero(line.next >= 0).tolist():
-            _join(same, point, one, int(line.next[one]))
+        for attractor in np.flatnonzero(line.next >= 0).tolist():
+            _join(same, point, attractor, int(line.next[attractor]))
     there = {(int(same[k]), int(at)) for k, at in enumerate(point)}
     once = dict[tuple[int, int], Unseen]()
     for one in unseen:  # one that is met from several neighbours is the first of them

@@ -80,7 +80,7 @@ def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, st
     begun = average_window(active, lanes, active.start, transient // 2) if len(finite) else None
     if begun is None:
         return records
-    batch, active = (replace(one, steps=steps or one.steps) for one in (batch, active))
+    batch, active = (replace(part, steps=steps or part.steps) for part in (batch, active))
     window = average_window(active, lanes, begun.state, transient // 2)
     records.least[finite] = _LEAST * np.fmax(np.abs(points_at(active, lanes, active.start)), begun.largest)
     records.size[finite] = np.fmax(window.largest, records.least[finite])

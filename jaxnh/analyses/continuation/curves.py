@@ -237,7 +237,7 @@ def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], sp
     multipliers = np.full((len(special), batch.chart.dimension, 2), np.nan)
     for k, (_, point, _) in enumerate(special):
         multipliers[k] = np.stack([np.real(point.multipliers), np.imag(point.multipliers)], axis=-1)
-    period = np.array([curves[one.curve].period for one in special], np.int32)
+    period = np.array([curves[point.curve].period for point in special], np.int32)
     variables = {
         **_kind_and_curve("", special),
         "period": variable("codimension_two", period, "period of the orbit", counted_in=iterate_units(batch.system)),

@@ -141,7 +141,7 @@ def _bifurcations(
         return whole
 
     def rows(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
-        return column([one[0] for one in values], empty, *more)
+        return column([value[0] for value in values], empty, *more)
 
     periods = [_period(grown[of], len(point.points)) for of, point in bifurcations]
     multipliers = column([_parts(point.multipliers) for point in every], np.nan, _dimension(grown), 2)
@@ -221,7 +221,7 @@ def _coordinates(
     variables: dict[str, Entry] = {}
     for name, rows in columns.items():
         every, said = [rows[place] for place in range(len(points))], words[name]
-        first, attrs = [one[:, 0] for one in every], said.attrs
+        first, attrs = [values[:, 0] for values in every], said.attrs
         variables[name] = variable(dims, table(first), f"{said.long_name} of the orbit's first point", **attrs)
         whole = table(every, np.nan, most)
         variables[f"{name}_points"] = variable(
@@ -234,11 +234,11 @@ def _outputs(
     lanes: LaneRunner, batch: LaneBatch, points: Sequence[Float[np.ndarray, "k n d"]]
 ) -> Mapping[str, tuple[Output, list[Float[np.ndarray, "k n"]]]]:
     """Coordinates of the flow by name, of all points of some branches."""
-    flat = [one.reshape(-1, one.shape[-1]) for one in points]
+    flat = [part.reshape(-1, part.shape[-1]) for part in points]
     whole = np.concatenate(flat) if flat else np.zeros((1, batch.chart.dimension))
     states = states_at(batch, lanes, whole)
     named = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
-    cuts = np.cumsum([len(one) for one in flat])[:-1]
+    cuts = np.cumsum([len(part) for part in flat])[:-1]
     coordinates = dict[str, tuple[Output, list[np.ndarray]]]()
     for name in (plot_plane(batch.system)[0], *batch.flow.coordinates):
         if name in named:

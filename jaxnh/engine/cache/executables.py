@@ -94,7 +94,7 @@ def _versions() -> list[str]:
 def of_devices(devices: Sequence[Any]) -> str:
     """Devices, processor, and XLA's options."""
     first = devices[0]
-    kinds = [(one.platform, one.device_kind, one.id) for one in devices]
+    kinds = [(device.platform, device.device_kind, device.id) for device in devices]
     return json.dumps([kinds, first.client.platform_version, machine(first), host()], sort_keys=True)
 
 

@@ -140,7 +140,7 @@ class LaneExecutor:
             return self._run(call)
         values, group = family.groups(_own(family, call.lanes))
         if family.together:
-            return self._in_blocks(call, np.array([family.together.index(one) for one in values])[group])
+            return self._in_blocks(call, np.array([family.together.index(value) for value in values])[group])
         results, order = [], []
         for k, one in enumerate(values):
             where = np.flatnonzero(group == k)

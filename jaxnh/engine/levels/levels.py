@@ -99,8 +99,8 @@ def lanes_near_changes(kinds: Iterable[Int[np.ndarray, ...]], shape: tuple[int, 
     near = np.zeros(shape, bool)
     coarse = near[_every_second(shape)]
     for kind in kinds:
-        for one in np.moveaxis(kind.reshape(*coarse.shape, -1), -1, 0):
-            coarse |= _reduce_neighbours(one, np.maximum) != _reduce_neighbours(one, np.minimum)
+        for values in np.moveaxis(kind.reshape(*coarse.shape, -1), -1, 0):
+            coarse |= _reduce_neighbours(values, np.maximum) != _reduce_neighbours(values, np.minimum)
     return _reduce_neighbours(near, np.maximum)
 
 

@@ -292,8 +292,8 @@ def _equations(
     n, d = points.shape[1:]
     width = plane.high - plane.low
     # One call for all: the orbits, and for differences each coordinate of all points and each parameter shifted.
-    at = [points, *(points + _SHIFT * plane.size * one for one in np.eye(d)), points, points]
-    by = [values] * (d + 1) + [values + _SHIFT * width * one for one in np.eye(2)]
+    at = [points, *(points + _SHIFT * plane.size * unit for unit in np.eye(d)), points, points]
+    by = [values] * (d + 1) + [values + _SHIFT * width * unit for unit in np.eye(2)]
     image, every, columns = _periods(plane, np.concatenate(at), np.concatenate(by))
     every = every.reshape(d + 3, *points.shape, d)
     image, blocks, columns = image[:lanes], every[0], columns[:lanes]
