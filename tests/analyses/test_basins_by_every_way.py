@@ -89,7 +89,9 @@ def test_stopped_in_the_last_piece(double_well, in_memory, tmp_path):
 def test_two_workers(double_well, in_memory, tmp_path):
     """Of a local Dask cluster, each on one core."""
     result = jaxnh.open_result(run_by_two_workers(double_well.text, tmp_path, 16))
-    same_tree(result, in_memory, but_for="error_estimate")  # which a process of its own has measured
+    same_tree(
+        result, in_memory, but_for=("error_estimate", "sizes_of_motion")
+    )  # which a process of its own has measured
 
 
 def test_rows_of_a_shared_axis(tmp_path):

@@ -11,13 +11,13 @@ import xarray as xr
 _OF_A_RUN = ("history", "wall_seconds", "compile_seconds", "lane_periods", "device")
 
 
-def same_tree(tree: xr.DataTree, expected: xr.DataTree, *, but_for: str = "") -> None:
+def same_tree(tree: xr.DataTree, expected: xr.DataTree, *, but_for: tuple[str, ...] = ()) -> None:
     """Equal groups, variables, dimensions, bits and attributes, but for what a file has besides or a run has spent.
 
     Args:
         tree: of a file, perhaps.
         expected: of a run in memory.
-        but_for: an attribute of the root that differs.
+        but_for: attributes of the root that differ.
     """
     assert list(tree.children) == list(expected.children)
     for name, group in expected.children.items():
@@ -31,8 +31,8 @@ def same_tree(tree: xr.DataTree, expected: xr.DataTree, *, but_for: str = "") ->
             assert ours[key].values.tobytes() == item.values.tobytes(), (name, key)
             assert set(ours[key].attrs) - {"sha256"} == set(item.attrs), (name, key)
             same_attrs(ours[key].attrs, item.attrs)
-    assert {*tree.attrs, "content_sha256"} == {*expected.attrs, "content_sha256"}
-    same_attrs(tree.attrs, {key: value for key, value in expected.attrs.items() if key not in (*_OF_A_RUN, but_for)})
+    assert {*tree.attrs, *but_for, "content_sha256"} == {*expected.attrs, *but_for, "content_sha256"}
+    same_attrs(tree.attrs, {key: value for key, value in expected.attrs.items() if key not in (*_OF_A_RUN, *but_for)})
 
 
 def same_attrs(found: Mapping[Any, Any], expected: Mapping[Any, Any]) -> None:
