@@ -205,7 +205,7 @@ def whole(experiment):
     return session_of(experiment).tree()
 
 
-def same_file(path, whole, but_for=""):
+def same_file(path, whole, but_for=()):
     """A file has what is in memory."""
     with jaxnh.open_result(path) as tree:
         same_tree(tree, whole, but_for=but_for)
@@ -262,4 +262,4 @@ def test_stopped_and_resumed(tmp_path, experiment, whole):
 def test_two_workers(tmp_path, experiment, whole):
     """Of a local Dask cluster, each on one core."""
     result = run_by_two_workers(experiment.text, tmp_path, 4)
-    same_file(result, whole, "error_estimate")  # which a process of its own has measured
+    same_file(result, whole, ("error_estimate", "sizes_of_motion"))  # which a process of its own has measured
