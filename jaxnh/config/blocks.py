@@ -28,7 +28,7 @@ from pydantic import (
 from jaxnh.analyses.options import OPTIONS
 from jaxnh.analyses.options.base import Block, Options, rule
 from jaxnh.config.messages import close_match, show_value
-from jaxnh.config.solver_names import NYSTROM, SOLVERS, SPLITTINGS
+from jaxnh.config.solver_names import ADAPTIVE, NYSTROM, SOLVERS, SPLITTINGS
 from jaxnh.maps.limits import LONGEST_RETURN
 
 MOST_LANES = 10_000_000
@@ -262,7 +262,7 @@ class Accuracy(Block):
             raise rule(f"solver and steps go together; give {absent} as well", given)
         if self.precision == "float32" and self.solver and self.solver not in SPLITTINGS:
             raise rule(f"float32 goes with the splittings, and {self.solver} is none", "precision", "solver")
-        if self.precision == "extended" and self.solver in NYSTROM:
+        if self.precision == "extended" and self.solver in (*NYSTROM, *ADAPTIVE):
             raise rule(f"extended goes with all solvers but {self.solver}", "precision", "solver")
         return self
 
