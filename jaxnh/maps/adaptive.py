@@ -189,20 +189,18 @@ class AdaptiveStrobe(ReturnMap):
         return lax.stop_gradient(jnp.where(h > 0.0, jnp.minimum(h, self.length), _SAFETY * self.length))
 
 
-def adaptive_strobe(system: Flow, solver: AdaptiveMethod, steps: int, ends: np.ndarray) -> AdaptiveStrobe:
-    """The map between two times (2,), or stacked maps between times (parts + 1,).
+def adaptive_strobe(system: Flow, solver: AdaptiveMethod, steps: int, span: tuple[float, float]) -> AdaptiveStrobe:
+    """The map over a span of time, as fine as so many steps of a calm period."""
+    begin, length = span[0], span[1] - span[0]
+    share = max(1.0, steps * length / system.period)
+    return AdaptiveStrobe(system, solver, begin, length, solver.tolerance(steps), share)
 
-    Args:
-        steps: of a calm period.
-    """
-    lengths, parts = np.diff(ends), (len(ends) - 1,) if len(ends) > 2 else ()
-    shares = steps * lengths / system.period
-    if not parts:
-        return AdaptiveStrobe(
-            system, solver, float(ends[0]), float(lengths[0]), solver.tolerance(steps), max(1.0, float(shares[0]))
-        )
-    tolerance = np.full(parts, solver.tolerance(steps))
-    return AdaptiveStrobe(stack_leaves(system, parts), solver, ends[:-1], lengths, tolerance, np.maximum(1.0, shares))
+
+def adaptive_parts(system: Flow, solver: AdaptiveMethod, steps: int, ends: np.ndarray) -> AdaptiveStrobe:
+    """The maps from each of some times (parts + 1,) to the next, stacked, as fine as so many steps of a calm period."""
+    lengths, parts = np.diff(ends), (len(ends) - 1,)
+    tolerance, shares = np.full(parts, solver.tolerance(steps)), np.maximum(1.0, steps * lengths / system.period)
+    return AdaptiveStrobe(stack_leaves(system, parts), solver, ends[:-1], lengths, tolerance, shares)
 
 
 def _components(y: State) -> list[Any]:

@@ -13,7 +13,7 @@ import diffrax
 import jax
 import numpy as np
 
-from jaxnh.maps.adaptive import adaptive_strobe
+from jaxnh.maps.adaptive import adaptive_parts, adaptive_strobe
 from jaxnh.maps.crossings import EventStrobe, SteppedStrobe
 from jaxnh.maps.general_flow import general_strobe, stack_leaves, unit_step
 from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table, whole_period
@@ -217,13 +217,14 @@ SCHEMES: dict[type[Flow], tuple[Scheme, Scheme]] = {
 }
 """The registry: how flows of a kind are integrated by solvers of that way, and by others."""
 
-_ADAPTIVE_SCHEME = AdaptiveScheme()
+ADAPTIVE_SCHEME = AdaptiveScheme()
+"""How any flow is integrated where steps that all lanes share do not follow it."""
 
 
 def scheme_of(system: Flow | Section, solver: Any = None) -> Scheme:
     """Return the scheme that integrates a flow, with a solver if one is named."""
     if isinstance(solver, AdaptiveMethod):
-        return _ADAPTIVE_SCHEME
+        return ADAPTIVE_SCHEME
     own, other = next(SCHEMES[kind] for kind in type(system.flow).__mro__ if kind in SCHEMES)
     return own if solver is None or isinstance(solver, type(own.reference)) else other
 
@@ -275,7 +276,7 @@ def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
 def maps_between(system: Flow, solver: Solver, steps: int, ends: np.ndarray, *, compensated: bool = False) -> ReturnMap:
     """The maps from each of some rising times (parts + 1,) within a period to the next, stacked as by `make_parts`."""
     if isinstance(solver, AdaptiveMethod):
-        return adaptive_strobe(system, solver, steps, ends)
+        return adaptive_parts(system, solver, steps, ends)
     if system.autonomous:
         lengths = np.diff(ends)
         each = max(1, math.ceil(steps * lengths.max() / system.period - 1e-6))
@@ -297,7 +298,7 @@ def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     solver's processor stands at the ends of the first and of the last alone.
     """
     if isinstance(solver, AdaptiveMethod):
-        return adaptive_strobe(system, solver, steps, step_grid(system, parts, (0.0, system.period)))
+        return adaptive_parts(system, solver, steps, step_grid(system, parts, (0.0, system.period)))
     each = -(-steps // parts)
     if system.autonomous:
         return _equal_steps(system, solver, each, system.period / parts, parts)
@@ -309,9 +310,9 @@ def _adaptive(
 ) -> ReturnMap:
     """The map of a flow by steps of a lane's own; on a section crossings are looked for at the ends of equal parts."""
     if not isinstance(system, Section):
-        return adaptive_strobe(system, solver, steps, np.array(span or (0.0, system.period)))
+        return adaptive_strobe(system, solver, steps, span or (0.0, system.period))
     parts = max(_FEWEST_LOOKS, steps // _STEPS_A_LOOK)
-    unit = adaptive_strobe(system.flow, solver, steps, np.array([0.0, 1.0]))
+    unit = adaptive_strobe(system.flow, solver, steps, (0.0, 1.0))
     return EventStrobe(system, unit, system.flow.period / parts, np.int32(math.ceil(system.longest * parts)))
 
 

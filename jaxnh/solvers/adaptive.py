@@ -44,8 +44,8 @@ class AdaptiveMethod(eqx.Module):
         return (0.0,), ()
 
     def most_steps(self, fields: int) -> int:
-        """Steps of a map with so many evaluations of the field at most."""
-        return fields // self.stages
+        """Steps of a map with so many evaluations of the field at most; with more, estimates are of rounding."""
+        return min(fields // self.stages, int(_COARSE * _FINEST ** (-1.0 / self.convergence_order)))
 
     def total_kicks(self, steps: int) -> int:
         """Evaluations of the field of a map of so many steps."""

@@ -123,6 +123,7 @@ def test_forced_and_stiff_against_radau(name):
         :, -1
     ]
     whole = make_return_map(flow, SOLVERS[name], 400)
+    assert np.shape(make_parts(flow, SOLVERS[name], 400, 1).length) == (1,)
     state = start_of(flow, 1.9, 0.1)
     np.testing.assert_allclose(image(whole, state, mu=50.0), exact, rtol=1e-8)
 
