@@ -7,6 +7,7 @@ volume take the very same steps: how long these are is not differentiated.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -28,10 +29,11 @@ _MOST_TRIALS = 1 << 17  # steps that are tried in a map: a lane that needs more 
 _SHORTEST = 1e-15  # of the length of time: what needs shorter steps goes to infinity, or its rates do
 _SMALL = 1e-4  # of the largest coordinate: the size of one that is smaller, which may be the rounding of others
 _SAFETY, _SHRINK, _GROW = 0.9, 0.1, 6.0
+_LONGEST = 2.0  # times an equal step: at rest a state says nothing of the steps that its tangents need
 _PROPORTIONAL, _INTEGRAL = 0.4, 0.7  # Hairer and Wanner II, section IV.2: exponents of a PI controller, times the order
 
 
-class _Course(NamedTuple):
+class _Progress(NamedTuple):
     """One lane on its way.
 
     Attributes:
@@ -66,7 +68,7 @@ class AdaptiveStrobe(ReturnMap):
         begin: time at the beginning.
         length: of time.
         tolerance: error of a step, relative to the size of the motion.
-        steps: of a calm motion.
+        longest: longest step.
     """
 
     system: Flow
@@ -74,15 +76,15 @@ class AdaptiveStrobe(ReturnMap):
     begin: ArrayLike
     length: ArrayLike
     tolerance: ArrayLike
-    steps: ArrayLike
+    longest: ArrayLike
 
     @property
     def trip_counts(self) -> tuple[float, ...]:
         """Steps of a calm motion; a stiff one has more."""
-        return (float(np.mean(self.steps)),)
+        return (max(1.0, float(np.mean(_LONGEST * np.asarray(self.length) / np.asarray(self.longest)))),)
 
     def rescaled_time(self, factor: ArrayLike) -> AdaptiveStrobe:
-        return AdaptiveStrobe(self.system, self.solver, self.begin, self.length * factor, self.tolerance, self.steps)
+        return replace(self, length=self.length * factor)
 
     def __call__(self, state: State, p: Parameters) -> State:
         return self.pushforward(state, p, (), volume=False).state
@@ -114,7 +116,7 @@ class AdaptiveStrobe(ReturnMap):
                 after = system.project(t + h, after, {**p, **own})
             return after, *lax.stop_gradient((error, made.gained))
 
-        def advance(course: _Course) -> _Course:
+        def advance(course: _Progress) -> _Progress:
             y, left = course.moving, self.length - course.t
             last = 1.01 * course.h >= left
             h = lax.stop_gradient(jnp.where(last, left, course.h))
@@ -127,17 +129,17 @@ class AdaptiveStrobe(ReturnMap):
             size = [jnp.maximum(s, jnp.abs(x)) for s, x in zip(course.size, _components(after), strict=True)]
             share = self._share_of_tolerance(_components(error), size, _components(after))
             good = share <= 1.0
-            return _Course(
+            return _Progress(
                 jax.tree.map(lambda new, old: jnp.where(good, new, old), ahead, y),
                 [jnp.where(good, new, old) for new, old in zip(size, course.size, strict=True)],
                 jnp.where(good, jnp.where(last, self.length, course.t + h), course.t),
-                h * self._change(share, course),
+                jnp.minimum(h * self._change(share, course), self.longest),
                 jnp.where(good, share, course.before),
                 ~good,
                 course.trials + 1,
             )
 
-        def unfinished(course: _Course) -> Array:
+        def unfinished(course: _Progress) -> Array:
             going = (course.h > _SHORTEST * self.length) & (course.trials < _MOST_TRIALS)
             return (course.t < self.length) & going
 
@@ -151,7 +153,7 @@ class AdaptiveStrobe(ReturnMap):
         size = [jnp.abs(lax.stop_gradient(x)) for x in _components(begun.state)]
         rate = jax.tree.unflatten(jax.tree.structure(begun.state), rates(self.begin, begun.state, own)[: _count(begun)])
         h = self._first_step(size, _components(rate))
-        course = _Course(begun, size, zero, h, zero + 1.0, zero > 1.0, jnp.int32(0))
+        course = _Progress(begun, size, zero, h, zero + 1.0, zero > 1.0, jnp.int32(0))
         ended = lax.while_loop(unfinished, advance, as_batched(course, first))
         moving = ended.moving
         if not reduction.leaves_constraints:
@@ -172,7 +174,7 @@ class AdaptiveStrobe(ReturnMap):
         share = lax.stop_gradient(_largest(shares))
         return jnp.where(finite & jnp.isfinite(share), share, jnp.inf)
 
-    def _change(self, share: Array, course: _Course) -> Array:
+    def _change(self, share: Array, course: _Progress) -> Array:
         """Length of the next step in units of that of the one just tried."""
         order, error = self.solver.convergence_order, jnp.maximum(share, 1e-10)
         held = jnp.maximum(course.before, 1e-4) ** (_PROPORTIONAL / order)
@@ -186,21 +188,20 @@ class AdaptiveStrobe(ReturnMap):
         floor = _SMALL * _largest(size)
         fastest = _largest([jnp.abs(v) / jnp.maximum(s, floor) for s, v in zip(size, rate, strict=True)])
         h = jnp.asarray(self.tolerance) ** (1.0 / self.solver.convergence_order) / fastest
-        return lax.stop_gradient(jnp.where(h > 0.0, jnp.minimum(h, self.length), _SAFETY * self.length))
+        return lax.stop_gradient(jnp.where(h > 0.0, jnp.minimum(h, self.longest), self.longest))
 
 
 def adaptive_strobe(system: Flow, solver: AdaptiveMethod, steps: int, span: tuple[float, float]) -> AdaptiveStrobe:
     """The map over a span of time, as fine as so many steps of a calm period."""
-    begin, length = span[0], span[1] - span[0]
-    share = max(1.0, steps * length / system.period)
-    return AdaptiveStrobe(system, solver, begin, length, solver.tolerance(steps), share)
+    longest = _LONGEST * system.period / steps
+    return AdaptiveStrobe(system, solver, span[0], span[1] - span[0], solver.tolerance(steps), longest)
 
 
 def adaptive_parts(system: Flow, solver: AdaptiveMethod, steps: int, ends: np.ndarray) -> AdaptiveStrobe:
     """The maps from each of some times (parts + 1,) to the next, stacked, as fine as so many steps of a calm period."""
-    lengths, parts = np.diff(ends), (len(ends) - 1,)
-    tolerance, shares = np.full(parts, solver.tolerance(steps)), np.maximum(1.0, steps * lengths / system.period)
-    return AdaptiveStrobe(stack_leaves(system, parts), solver, ends[:-1], lengths, tolerance, shares)
+    parts = (len(ends) - 1,)
+    tolerance, longest = np.full(parts, solver.tolerance(steps)), np.full(parts, _LONGEST * system.period / steps)
+    return AdaptiveStrobe(stack_leaves(system, parts), solver, ends[:-1], np.diff(ends), tolerance, longest)
 
 
 def _components(y: State) -> list[Any]:

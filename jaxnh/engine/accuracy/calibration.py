@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.engine.accuracy.diagnostics import explain_long_returns, explain_motion, explain_rounding
+from jaxnh.engine.accuracy.diagnostics import explain_long_returns, explain_motion, explain_rounding, order_on_motion
 from jaxnh.engine.accuracy.reference import MOST_KICKS, REFERENCE_STEPS, refine_reference, rounding_of_sums
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, differences, gaps_between
 from jaxnh.engine.accuracy.samples import take_samples
@@ -137,6 +137,12 @@ class Calibration:
         except AccuracyError:
             raise refusal from None
 
+    def _jumps_at(self, sample: int) -> bool:
+        """Return whether the field jumps on a sample's motion: the map's tangents know nothing of a jump."""
+        if self._maps.adaptive or self._maps.scheme.smooth:
+            return False
+        return order_on_motion(self._maps, self._samples.take_lanes(np.array([sample]))) <= 1
+
     def error(self, solver: Solver, steps: int, *, compensated: bool = False) -> float:
         """Error estimate of one period with so many steps; infinite where a state is not finite."""
         return self._largest(self._errors(solver, steps, compensated))
@@ -161,6 +167,8 @@ class Calibration:
             if by_rounding and self._split_unit():
                 continue
             refusal = refusal or AccuracyError(why)
+            if self._jumps_at(self._largest_at(errors)):
+                raise refusal
             self._take_own_steps(self._maps, refusal)
 
     def _cheapest(
