@@ -368,6 +368,11 @@ KINDS = {
         },
         known_maps.CUBIC,
     ),
+    "steps of a lane's own": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\naccuracy: {solver: rodas5p, steps: 160}",
+        MOEBIUS,
+        moebius.MOEBIUS,
+    ),
     "two axes": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.2, stop: 0.2, count: 4}, "
         "nu: {values: [-0.02, 0.02]}}\n" + STEPS,

@@ -28,7 +28,7 @@ from pydantic import (
 from jaxnh.analyses.options import OPTIONS
 from jaxnh.analyses.options.base import Block, Options, rule
 from jaxnh.config.messages import close_match, show_value
-from jaxnh.config.solver_names import NYSTROM, SOLVERS, SPLITTINGS
+from jaxnh.config.solver_names import ADAPTIVE, NYSTROM, SOLVERS, SPLITTINGS
 from jaxnh.maps.limits import LONGEST_RETURN
 
 MOST_LANES = 10_000_000
@@ -225,7 +225,8 @@ class Accuracy(Block):
     )
     solver: str | None = Field(
         default=None,
-        description="Solver to use instead of the one chosen for the target; needs steps",
+        description="Solver to use instead of the one chosen for the target; needs steps, but for those with steps "
+        "of a lane's own (rodas5p for stiff systems), whose fineness is chosen for the target",
         json_schema_extra={"enum": [*SOLVERS, None]},
     )
     steps: int | None = Field(
@@ -246,7 +247,7 @@ class Accuracy(Block):
     @property
     def only_target(self) -> float | None:
         """The target, where it decides; None where a solver is given, whose error is measured as well as can be."""
-        return None if self.solver else self.target
+        return None if self.steps else self.target
 
     @field_validator("solver")
     @classmethod
@@ -257,12 +258,12 @@ class Accuracy(Block):
 
     @model_validator(mode="after")
     def _check(self) -> Accuracy:
-        if (self.solver is None) != (self.steps is None):
+        if (self.solver is None) != (self.steps is None) and self.solver not in ADAPTIVE:
             given, absent = ("solver", "steps") if self.steps is None else ("steps", "solver")
             raise rule(f"solver and steps go together; give {absent} as well", given)
         if self.precision == "float32" and self.solver and self.solver not in SPLITTINGS:
             raise rule(f"float32 goes with the splittings, and {self.solver} is none", "precision", "solver")
-        if self.precision == "extended" and self.solver in NYSTROM:
+        if self.precision == "extended" and self.solver in (*NYSTROM, *ADAPTIVE):
             raise rule(f"extended goes with all solvers but {self.solver}", "precision", "solver")
         return self
 

@@ -8,7 +8,7 @@ from jaxnh.analyses.options import OPTIONS
 from jaxnh.analyses.options.base import Options, rule
 from jaxnh.config.blocks import Accuracy
 from jaxnh.config.messages import join_words
-from jaxnh.config.solver_names import NYSTROM, PROCESSED, RUNGE_KUTTA, SPLITTINGS
+from jaxnh.config.solver_names import ADAPTIVE, NYSTROM, PROCESSED, RUNGE_KUTTA, SPLITTINGS
 
 
 def check_map_accuracy(accuracy: Accuracy) -> None:
@@ -36,7 +36,7 @@ def check_accuracy(accuracy: Accuracy, requested: Mapping[str, Options], *, pres
     """
     solver, precision = accuracy.solver, accuracy.precision or "float64"
     if solver in SPLITTINGS and not prescribed:
-        general = ", ".join((*RUNGE_KUTTA, *NYSTROM))
+        general = ", ".join((*RUNGE_KUTTA, *NYSTROM, *ADAPTIVE))
         raise rule(f"{solver} is for a particle at a prescribed speed; others are {general}", "accuracy.solver")
     if solver in NYSTROM and prescribed:
         raise rule(f"{solver} is for flows x'' = F(x, t) - gamma x', and this particle is none", "accuracy.solver")

@@ -69,7 +69,8 @@ def calibrate(
         except AccuracyError as error:
             raise AccuracyError(f"{experiment.label}: accuracy.solver: {error}") from None
     try:
-        return Calibration(rows, lanes, experiment.precision, target, asked.sizes)
+        solver = SOLVERS[asked.solver] if asked.solver else None
+        return Calibration(rows, lanes, experiment.precision, target, asked.sizes, solver)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
 

@@ -13,6 +13,7 @@ import diffrax
 import jax
 import numpy as np
 
+from jaxnh.maps.adaptive import adaptive_parts, adaptive_strobe
 from jaxnh.maps.crossings import EventStrobe, SteppedStrobe
 from jaxnh.maps.general_flow import general_strobe, stack_leaves, unit_step
 from jaxnh.maps.iteration import IterationStrobe
@@ -24,7 +25,9 @@ from jaxnh.maps.second_order import second_order
 from jaxnh.maps.section import Section
 from jaxnh.maps.step_grids import GRID_POINTS, share_of_steps, step_grid
 from jaxnh.solvers import (
+    ADAPTIVE,
     SPLITTINGS,
+    AdaptiveMethod,
     IsokineticSplitting,
     Nystrom,
     Solver,
@@ -38,6 +41,7 @@ from jaxnh.systems.flow import Flow
 from jaxnh.systems.particle import IsokineticParticle
 
 _SMALLEST_TABLE = 8192  # rows of all parts: maps of most steps, and refined ones, run through one program
+_FEWEST_LOOKS, _STEPS_A_LOOK = 32, 8  # parts of a unit of time after which a crossing is looked for, and steps in them
 _SMALLEST_STEP = 64  # kicks of a step: as many as any splitting has, so that all run through one program
 
 
@@ -182,6 +186,15 @@ class StepScheme:
         return _map_on_grid(flow, solver, _split_grid(flow, each, parts))
 
 
+class AdaptiveScheme(StepScheme):
+    """Integration by embedded pairs with steps of a lane's own, of any flow: of stiff ones, and across corners."""
+
+    reference: ClassVar[Solver] = ADAPTIVE["rodas5p"]
+
+    def solvers(self, flow: Flow, precision: str = "float64") -> tuple[Solver, ...]:
+        return (ADAPTIVE["rodas5p"],)
+
+
 def _split_grid(flow: Flow, each: int, parts: int) -> np.ndarray:
     """The step grid of a period in parts of `each` steps, (parts, each + 1)."""
     ends = step_grid(flow, each * parts, (0.0, flow.period))
@@ -206,9 +219,14 @@ SCHEMES: dict[type[Flow], tuple[Scheme, Scheme]] = {
 }
 """The registry: how flows of a kind are integrated by solvers of that way, and by others."""
 
+ADAPTIVE_SCHEME = AdaptiveScheme()
+"""How any flow is integrated where steps that all lanes share do not follow it."""
+
 
 def scheme_of(system: Flow | Section, solver: Any = None) -> Scheme:
     """Return the scheme that integrates a flow, with a solver if one is named."""
+    if isinstance(solver, AdaptiveMethod):
+        return ADAPTIVE_SCHEME
     own, other = next(SCHEMES[kind] for kind in type(system.flow).__mro__ if kind in SCHEMES)
     return own if solver is None or isinstance(solver, type(own.reference)) else other
 
@@ -238,6 +256,8 @@ def make_return_map(
     """
     if isinstance(system, DiscreteMap):
         return IterationStrobe(system)
+    if isinstance(solver, AdaptiveMethod):
+        return _adaptive(system, solver, steps, span)
     if isinstance(system, Section):
         most = math.ceil(system.longest * steps)
         return EventStrobe(system, _unit_step(system.flow, solver), system.flow.period / steps, np.int32(most))
@@ -254,13 +274,15 @@ def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
 
     Every leaf has the parts as first axis. No step is longer than those of the whole period's map with `steps` steps.
     """
-    if system.autonomous:
+    if system.autonomous and not isinstance(solver, AdaptiveMethod):
         return _equal_steps(system, solver, max(1, math.ceil(steps / parts - 1e-6)), system.period / parts, parts)
     return maps_between(system, solver, steps, np.linspace(0.0, system.period, parts + 1), compensated=compensated)
 
 
 def maps_between(system: Flow, solver: Solver, steps: int, ends: np.ndarray, *, compensated: bool = False) -> ReturnMap:
     """The maps from each of some rising times (parts + 1,) within a period to the next, stacked as by `make_parts`."""
+    if isinstance(solver, AdaptiveMethod):
+        return adaptive_parts(system, solver, steps, ends)
     if system.autonomous:
         lengths = np.diff(ends)
         each = max(1, math.ceil(steps * lengths.max() / system.period - 1e-6))
@@ -283,10 +305,23 @@ def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     """
     if isinstance(system, DiscreteMap):
         return IterationStrobe(system).stacked()
+    if isinstance(solver, AdaptiveMethod):
+        return adaptive_parts(system, solver, steps, step_grid(system, parts, (0.0, system.period)))
     each = -(-steps // parts)
     if system.autonomous:
         return _equal_steps(system, solver, each, system.period / parts, parts)
     return scheme_of(system, solver).cut(system, solver, each, parts, compensated=compensated)
+
+
+def _adaptive(
+    system: Flow | Section, solver: AdaptiveMethod, steps: int, span: tuple[float, float] | None
+) -> ReturnMap:
+    """The map of a flow by steps of a lane's own; on a section crossings are looked for at the ends of equal parts."""
+    if not isinstance(system, Section):
+        return adaptive_strobe(system, solver, steps, span or (0.0, system.period))
+    parts = max(_FEWEST_LOOKS, steps // _STEPS_A_LOOK)
+    unit = adaptive_strobe(system.flow, solver, steps, (0.0, 1.0))
+    return EventStrobe(system, unit, system.flow.period / parts, np.int32(math.ceil(system.longest * parts)))
 
 
 def _unit_step(flow: Flow, solver: Solver) -> ReturnMap:

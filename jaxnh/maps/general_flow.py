@@ -127,7 +127,7 @@ class GeneralStrobe(ReturnMap):
         grid = jnp.asarray(self.grid)
         placed = system.project(grid[0], state, p)
         ended = self._march(field, None, Moving(system.reduction.reduce(placed)), 0)
-        return _restored(system, grid[-1], ended.state, placed, p)
+        return restored(system, grid[-1], ended.state, placed, p)
 
     def pushforward(
         self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
@@ -182,7 +182,7 @@ class GeneralStrobe(ReturnMap):
                 reduce(placed.state), reduce(placed.tangents) if stacked else tuple(map(reduce, placed.tangents)), zero
             )
             ended = self._march(field, None, reduced, len(tangents) + 1)
-            ended = along_tangents(_restored)(grid[-1], ended, placed.state)
+            ended = along_tangents(restored)(grid[-1], ended, placed.state)
         each = [
             jax.tree.map(lambda x, i=i: x[i], ended.tangents) if stacked else ended.tangents[i]
             for i in range(len(tangents))
@@ -237,7 +237,7 @@ class GeneralStrobe(ReturnMap):
         return Pushforward(self(state, p), tuple(moved), jnp.full_like(jax.tree.leaves(state)[0], jnp.nan))
 
 
-def _restored(system: Flow, t: Any, carried: State, before: State, p: Parameters) -> State:
+def restored(system: Flow, t: Any, carried: State, before: State, p: Parameters) -> State:
     """The state after steps that cannot leave its constraints, of what they carry and the state before them."""
     return system.project(t, system.reduction.restore(t, carried, before, p), p)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -20,6 +20,23 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 
 from jaxnh.solvers.explicit_method import ExplicitMethod
+
+Numbers = list[Any]
+"""Numbers of one lane, each ()."""
+
+
+class PairStep(NamedTuple):
+    """A step of an embedded pair.
+
+    Attributes:
+        y: coordinates after it.
+        error: estimates of their errors.
+        gained: what is only integrated along, over the step.
+    """
+
+    y: Numbers
+    error: Numbers
+    gained: Numbers
 
 
 class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
@@ -63,14 +80,31 @@ class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
         stages = self._stages(
             lambda i, y: terms.vf(t0 + self.c[i] * (t1 - t0), y, args), h, y0, len(self.b), terms.prod
         )
-        y1 = _combine(y0, self.b, stages)
-        error = _combine(None, self.b_error, stages)
+        y1 = combine(y0, self.b, stages)
+        error = combine(None, self.b_error, stages)
         end = terms.prod(terms.vf(t1, y1, args), h)
         return y1, error, {"y0": y0, "y1": y1, "k0": stages[0], "k1": end}, None, diffrax.RESULTS.successful
 
+    def pair_step(self, field: Callable[[Any, Numbers], Numbers], t: Any, h: Any, y: Numbers) -> PairStep:
+        """One step with its error estimate.
+
+        Args:
+            field: of time and the d coordinates; their rates, and behind them rates of what is only integrated along.
+            t: the time at the beginning.
+            h: the step.
+            y: coordinates, each ().
+        """
+        n, stages = len(y), list[Numbers]()
+        for row, c in zip(self.a, self.c, strict=True):
+            moved = combine(y, row, [stage[:n] for stage in stages])
+            stages.append(_times(field(t + c * h, moved), h))
+        inner = [stage[:n] for stage in stages]
+        gained = combine(None, self.b, [stage[n:] for stage in stages])
+        return PairStep(combine(y, self.b, inner), combine(None, self.b_error, inner), gained)
+
     def written_stages(self, field: Callable[[int, Any], Any], h: Any, y0: Any) -> Any:
         """The state after a step h under a field of (number of the stage, state), stages written out."""
-        return _combine(y0, self.b[: self.stages], self._stages(field, h, y0, self.stages, _times))
+        return combine(y0, self.b[: self.stages], self._stages(field, h, y0, self.stages, _times))
 
     def _stages(
         self, field: Callable[[int, Any], Any], h: Any, y0: Any, count: int, prod: Callable[[Any, Any], Any]
@@ -78,7 +112,7 @@ class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
         """Rates at the first stages, times h."""
         stages: list[Any] = []
         for i in range(count):
-            stages.append(prod(field(i, _combine(y0, self.a[i], stages)), h))
+            stages.append(prod(field(i, combine(y0, self.a[i], stages)), h))
         return stages
 
     def rolled_stages(self, field: Callable[[Any, Any], Any], h: Any, y0: Any) -> Any:
@@ -181,8 +215,8 @@ def _times(rate: Any, h: Any) -> Any:
     return jax.tree.map(lambda leaf: leaf * h, rate)
 
 
-def _combine(base: Any, weights: tuple[float, ...], stages: list[Any]) -> Any:
-    """base + Σ weight · stage over the weights that are not zero."""
+def combine(base: Any, weights: tuple[float, ...], stages: list[Any]) -> Any:
+    """Return base + Σ weight · stage over the weights that are not zero."""
     terms = [(w, k) for w, k in zip(weights, stages, strict=False) if w]
 
     def leaf(*values: Any) -> Any:

@@ -3,12 +3,31 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
 from jaxnh.systems.state import Number
+
+
+class Factors(NamedTuple):
+    """A matrix of n rows in factors, as elimination makes them, column by column.
+
+    Attributes:
+        exchanges: for each column and each row below whether it changes places with the column's own; None: it cannot.
+        inverses: inverses of the pivots.
+        below: for each column the entries below its pivot, in the rows as they were exchanged.
+        above: for each row the entries to the right of its pivot, in units of it.
+        smallest: smallest pivot in units of the matrix's largest entry; zero where all entries are zero.
+    """
+
+    exchanges: list[list[Number | None]]
+    inverses: list[Number]
+    below: list[list[Number]]
+    above: list[list[Number]]
+    smallest: Number
 
 
 def eliminate(
@@ -28,37 +47,61 @@ def eliminate(
         The solutions, and the smallest pivot in units of the matrix's largest entry; zero where all entries are zero.
         At zero the solutions are not finite.
     """
+    factors = factorise(matrix, ordered)
+    return [substitute(factors, right) for right in rights], factors.smallest
+
+
+def factorise(matrix: list[list[Number]], ordered: int = 0) -> Factors:
+    """Factors of a matrix for `substitute`, as in `eliminate`."""
     n = len(matrix)
-    rows = [[*row, *(right[i] for right in rights)] for i, row in enumerate(matrix)]
+    rows = [[*row] for row in matrix]
     largest = largest_of([entry for row in matrix for entry in row])
-    pivots = []
+    exchanges: list[list[Number | None]] = []
+    pivots, inverses, below = [], [], []
     for c in range(n):
+        exchanges.append([None] * (n - c - 1))
         for r in range(c + 1, n) if c >= ordered else ():
             if is_zero(rows[r][c]):
                 continue
             swap = jnp.abs(rows[r][c]) > jnp.abs(rows[c][c])
-            pairs = [(rows[c][j], rows[r][j]) for j in range(c, n + len(rights))]
-            rows[c][c:] = [jnp.where(swap, lower, upper) for upper, lower in pairs]
-            rows[r][c:] = [jnp.where(swap, upper, lower) for upper, lower in pairs]
+            rows[c][c:], rows[r][c:] = _exchanged(swap, rows[c][c:], rows[r][c:])
+            exchanges[c][r - c - 1] = swap
         pivots.append(rows[c][c])
         inverse = 1.0 / jnp.asarray(rows[c][c]) if not isinstance(rows[c][c], float) else _inverse(rows[c][c])
+        inverses.append(inverse)
         rows[c][c + 1 :] = [times(entry, inverse) for entry in rows[c][c + 1 :]]
+        below.append([rows[r][c] for r in range(c + 1, n)])
         for r in range(c + 1, n):
             factor = rows[r][c]
-            below = zip(rows[r][c + 1 :], rows[c][c + 1 :], strict=True)
-            rows[r][c + 1 :] = [minus(x, times(factor, y)) for x, y in below]
-    solutions = []
-    for s in range(n, n + len(rights)):
-        solution: list[Number] = [None] * n
-        for c in reversed(range(n)):
-            solution[c] = rows[c][s]
-            for j in range(c + 1, n):
-                solution[c] = minus(solution[c], times(rows[c][j], solution[j]))
-        solutions.append(solution)
+            pairs = zip(rows[r][c + 1 :], rows[c][c + 1 :], strict=True)
+            rows[r][c + 1 :] = [minus(x, times(factor, y)) for x, y in pairs]
     smallest = jnp.abs(pivots[0])
     for pivot in pivots[1:]:  # what follows a pivot of zero is not a number, and leaves it the smallest
         smallest = jnp.where(jnp.abs(pivot) < smallest, jnp.abs(pivot), smallest)
-    return solutions, smallest / jnp.where(largest == 0.0, 1.0, largest)
+    above = [row[c + 1 :] for c, row in enumerate(rows)]
+    return Factors(exchanges, inverses, below, above, smallest / jnp.where(largest == 0.0, 1.0, largest))
+
+
+def substitute(factors: Factors, right: list[Number]) -> list[Number]:
+    """Solution of a linear system for a right side of n components."""
+    x, n = [*right], len(right)
+    for c in range(n):
+        for r, swap in enumerate(factors.exchanges[c], c + 1):
+            if swap is not None:
+                (x[c],), (x[r],) = _exchanged(swap, [x[c]], [x[r]])
+        x[c] = times(x[c], factors.inverses[c])
+        for r in range(c + 1, n):
+            x[r] = minus(x[r], times(factors.below[c][r - c - 1], x[c]))
+    for c in reversed(range(n)):
+        for j in range(c + 1, n):
+            x[c] = minus(x[c], times(factors.above[c][j - c - 1], x[j]))
+    return x
+
+
+def _exchanged(swap: Number, upper: list[Number], lower: list[Number]) -> tuple[list[Number], list[Number]]:
+    """Two rows, in the other order where they change places."""
+    pairs = list(zip(upper, lower, strict=True))
+    return [jnp.where(swap, y, x) for x, y in pairs], [jnp.where(swap, x, y) for x, y in pairs]
 
 
 def known(x: Number) -> Number:

@@ -539,7 +539,7 @@ FAULTS = {
     ),
     "unknown solver": (
         ("target: 1e-8", "solver: dopri9\n  steps: 9"),
-        "FILE:17: accuracy.solver: must be one of strang2, blanes_moan4, blanes_moan6, processed6, kahan_li8, sofroniou_spaletta10, tsit5, dopri5, dopri8, tsitouras_papakostas8, verner9, nystrom8, not the text 'dopri9' (did you mean",
+        "FILE:17: accuracy.solver: must be one of strang2, blanes_moan4, blanes_moan6, processed6, kahan_li8, sofroniou_spaletta10, tsit5, dopri5, dopri8, tsitouras_papakostas8, verner9, nystrom8, rodas5p, adaptive_tsit5, adaptive_dopri5, adaptive_dopri8, adaptive_tsitouras_papakostas8, adaptive_verner9, not the text 'dopri9' (did you mean",
     ),
     "a solver of other flows": (
         ("target: 1e-8", "solver: nystrom8\n  steps: 40"),

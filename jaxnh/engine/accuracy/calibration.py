@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.engine.accuracy.diagnostics import explain_long_returns, explain_motion, explain_rounding
+from jaxnh.engine.accuracy.diagnostics import explain_long_returns, explain_motion, explain_rounding, order_on_motion
 from jaxnh.engine.accuracy.reference import MOST_KICKS, REFERENCE_STEPS, refine_reference, rounding_of_sums
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, differences, gaps_between
 from jaxnh.engine.accuracy.samples import take_samples
@@ -22,7 +22,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision
-from jaxnh.solvers import Solver
+from jaxnh.solvers import AdaptiveMethod, Solver
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
 
 SAMPLED_LANES = 1024
@@ -81,6 +81,7 @@ class Calibration:
         precision: str = "float64",
         target: float | None = None,
         sizes: Mapping[str, float] | None = None,
+        solver: Solver | None = None,
     ) -> None:
         """Measure the reference.
 
@@ -88,24 +89,59 @@ class Calibration:
             rows: sample lanes, those of each value of the shared axes together.
             target: the only one that will be asked for: the reference is then refined as far as it needs.
             sizes: of the motion, by coordinate, in place of those measured.
+            solver: the only one that will be asked for.
 
         Raises:
             AccuracyError: no lane has a period that can be computed.
         """
-        self._precision = precision
-        self._maps = SampleMaps([row.system for row in rows], lanes)
-        flow, scheme = self._maps.flows[0].flow, self._maps.scheme
+        self._precision, self._rows, self._given, self._target = precision, rows, sizes or {}, target or 0.0
+        maps = SampleMaps([row.system for row in rows], lanes)
+        if isinstance(solver, AdaptiveMethod):
+            self._measure(maps.with_own_steps(), (solver,))
+            return
+        try:
+            self._measure(maps)
+        except AccuracyError as refusal:
+            self._take_own_steps(maps, refusal)
+
+    def _measure(self, maps: SampleMaps, candidates: Sequence[Solver] = ()) -> None:
+        """Take samples and measure the reference by maps of one way to integrate.
+
+        Args:
+            candidates: solvers to choose from, by default those of the way.
+        """
+        self._maps = maps
+        flow, scheme = maps.flows[0].flow, maps.scheme
         # Without a clock every step starts and ends by itself: no processor around many, no sums over them.
-        solvers = scheme.solvers(flow, precision)
+        solvers = candidates or scheme.solvers(flow, self._precision)
         self._candidates = tuple(s for s in solvers if not (flow.autonomous and s.processor[1]))
         self._summations = (False,) if flow.autonomous else scheme.summations
-        self._samples, looked_at, self._sizes = take_samples(self._maps, rows, sizes or {})
-        self.sizes = sizes_by_name(self._maps.flows[0], self._sizes)
+        self._samples, looked_at, self._sizes = take_samples(maps, self._rows, self._given)
+        self.sizes = sizes_by_name(maps.flows[0], self._sizes)
         self._left_out = int(_LEFT_OUT * looked_at)
-        self._target = target or 0.0
         self._measure_reference()
         while self._reference.unresolved and self._split_unit():
             pass
+
+    def _take_own_steps(self, maps: SampleMaps, refusal: AccuracyError) -> None:
+        """Measure everything anew with steps of a lane's own: of stiff flows, and of fields that jump.
+
+        Raises:
+            AccuracyError: the refusal, where that is tried already, is for no flow of this kind, or does not help.
+        """
+        if maps.adaptive or maps.scheme.smooth or self._precision != "float64":
+            raise refusal
+        maps.tell("steps that all lanes share do not do; each lane takes steps of its own")
+        try:
+            self._measure(maps.with_own_steps())
+        except AccuracyError:
+            raise refusal from None
+
+    def _jumps_at(self, sample: int) -> bool:
+        """Return whether the field jumps on a sample's motion: the map's tangents know nothing of a jump."""
+        if self._maps.adaptive or self._maps.scheme.smooth:
+            return False
+        return order_on_motion(self._maps, self._samples.take_lanes(np.array([sample]))) <= 1
 
     def error(self, solver: Solver, steps: int, *, compensated: bool = False) -> float:
         """Error estimate of one period with so many steps; infinite where a state is not finite."""
@@ -121,14 +157,19 @@ class Calibration:
         Raises:
             AccuracyError: none meets it; the message names the smallest error measured.
         """
+        refusal = None
         while True:
             plan, errors = self._cheapest(target, is_short)
             if plan is not None:
                 parts = self._maps.parts
                 return plan._replace(steps=-(-plan.steps // parts) * parts, parts=parts, sizes=self.sizes)
             why, by_rounding = self._explain(target, errors)
-            if not (by_rounding and self._split_unit()):
-                raise AccuracyError(why)
+            if by_rounding and self._split_unit():
+                continue
+            refusal = refusal or AccuracyError(why)
+            if self._jumps_at(self._largest_at(errors)):
+                raise refusal
+            self._take_own_steps(self._maps, refusal)
 
     def _cheapest(
         self, target: float, is_short: Callable[[Plan], bool] | None
@@ -143,10 +184,11 @@ class Calibration:
             if plan.error_estimate <= target and is_short(plan):
                 return plan, self._reference.known
         by_order = sorted(self._candidates, key=lambda s: (abs(s.convergence_order - 8), not s.processor[1]))
+        highest = max(solver.convergence_order for solver in by_order)
         for compensated in self._summations:
             best, most = None, MOST_KICKS
             for solver in by_order:
-                if best is None and solver.convergence_order < 6:
+                if best is None and solver.convergence_order < min(6, highest):
                     break  # where no high order meets the target, no low one does
                 plan = self._best(solver, target, most, compensated=compensated)
                 nearest = min(nearest, plan, key=lambda p: p.error_estimate)
@@ -189,7 +231,7 @@ class Calibration:
             length = float(lengths[worst]) if np.isfinite(lengths[worst]) else length
         elif flow.autonomous:
             what = "one unit of time" if parts == 1 else f"1/{parts} of a unit of time"
-        cause = explain_motion(self._maps, sample, length)
+        cause = "" if self._maps.adaptive else explain_motion(self._maps, sample, length)
         rounding = "" if cause else explain_rounding(self._maps, sample, self._sizes, error)
         relative = ", relative to the size of the motion," if self.sizes else ""
         hint = "".join(f"; {words}" for words in (why, cause, rounding) if words)

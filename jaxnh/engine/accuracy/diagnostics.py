@@ -119,7 +119,7 @@ def _explain_rates(maps: SampleMaps, flow: Flow, times: np.ndarray, passed: Stat
 
 def _stiff(flow: Flow, fastest: float) -> str:
     unit = "unit of time" if flow.autonomous else "period"
-    return f"rates of change reach {fastest:.2g} a {unit}, and solvers are explicit: the system is stiff"
+    return f"rates of change reach {fastest:.2g} a {unit}: the system is stiff"
 
 
 def _is_finite(passed: State) -> Bool[np.ndarray, " points"]:

@@ -68,7 +68,7 @@ def refine_reference(
     finest = maps.image(maps.of(solver, steps, compensated=True), samples)
     gaps, least = np.full((2, len(samples.row)), np.inf)
     stalled = np.zeros(len(gaps), int)
-    while 1.5 * steps * solver.stages <= MOST_KICKS:
+    while 1.5 * steps * solver.stages <= MOST_KICKS and 1.5 * steps <= solver.most_steps(MOST_KICKS) + 1:
         hopeless = steps * solver.stages > _HOPELESS and not maps.scheme.smooth  # fast smooth motion still converges
         patience = np.where(gaps > _ROUGH, _PATIENT if hopeless else np.inf, _STALLED)
         open_ = np.flatnonzero((gaps > _ROUNDING) & (stalled < patience))

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.maps.build import make_return_map, scheme_of
+from jaxnh.maps.build import ADAPTIVE_SCHEME, Scheme, make_return_map, scheme_of
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import System
-from jaxnh.solvers import Solver
+from jaxnh.solvers import AdaptiveMethod, Solver
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State, error_components
@@ -62,9 +62,11 @@ class SampleMaps:
         tried: evaluations of the field a period in the finest map that was looked at.
     """
 
-    def __init__(self, flows: Sequence[System], lanes: LaneExecutor, parts: int = 1) -> None:
-        """Take flows of one kind, which no map has been made of."""
-        self.flows, self.scheme, self.parts = flows, scheme_of(flows[0].flow), parts
+    def __init__(
+        self, flows: Sequence[System], lanes: LaneExecutor, parts: int = 1, scheme: Scheme | None = None
+    ) -> None:
+        """Take flows of one kind, which no map has been made of; by default in their kind's own way."""
+        self.flows, self.scheme, self.parts = flows, scheme or scheme_of(flows[0].flow), parts
         self.tried = 0
         self._lanes, self._said = lanes, time.monotonic()
 
@@ -81,7 +83,16 @@ class SampleMaps:
 
     def in_parts(self, parts: int) -> SampleMaps:
         """Return maps of the same flows over one of so many parts of a unit of time."""
-        return SampleMaps(self.flows, self._lanes, parts)
+        return SampleMaps(self.flows, self._lanes, parts, self.scheme)
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether each lane has steps of its own."""
+        return isinstance(self.scheme.reference, AdaptiveMethod)
+
+    def with_own_steps(self) -> SampleMaps:
+        """Return maps of the same flows over whole units of time, in which each lane has steps of its own."""
+        return SampleMaps(self.flows, self._lanes, scheme=ADAPTIVE_SCHEME)
 
     def tell(self, text: str) -> None:
         """Report the progress of a long calibration."""

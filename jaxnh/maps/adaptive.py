@@ -1,0 +1,219 @@
+"""The map over a stretch of time by an embedded pair, each lane with steps of its own.
+
+A lane takes the steps that its motion needs, while finished ones wait; the last step ends at the end. Tangents and
+volume take the very same steps: how long these are is not differentiated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+from jaxnh.maps.batching import as_batched
+from jaxnh.maps.general_flow import Moving, linearise, own_parameters, restored, stack_leaves, time_split
+from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
+from jaxnh.solvers.adaptive import AdaptiveMethod
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.state import State, error_components, masked
+
+_MOST_TRIALS = 1 << 17  # steps that are tried in a map: a lane that needs more has failed
+_SHORTEST = 1e-15  # of the length of time: what needs shorter steps goes to infinity, or its rates do
+_SMALL = 1e-4  # of the largest coordinate: the size of one that is smaller, which may be the rounding of others
+_SAFETY, _SHRINK, _GROW = 0.9, 0.1, 6.0
+_LONGEST = 2.0  # times an equal step: at rest a state says nothing of the steps that its tangents need
+_PROPORTIONAL, _INTEGRAL = 0.4, 0.7  # Hairer and Wanner II, section IV.2: exponents of a PI controller, times the order
+
+
+class _Progress(NamedTuple):
+    """One lane on its way.
+
+    Attributes:
+        moving: state, tangents and volume.
+        size: largest modulus of each component so far.
+        t: time since the beginning.
+        h: length of the next step.
+        before: error of the last step that was taken, in units of the tolerance.
+        refused: whether the last step that was tried was too long.
+        trials: steps tried.
+    """
+
+    moving: Moving
+    size: list[Array]
+    t: Array
+    h: Array
+    before: Array
+    refused: Array
+    trials: Array
+
+
+class AdaptiveStrobe(ReturnMap):
+    """P over a stretch of time.
+
+    Errors of a step are relative to the largest modulus of each component in the stretch so far. A lane fails, its
+    state then not a number, where its motion is not finite, or needs more steps than there may be or shorter ones than
+    time can tell apart.
+
+    Attributes:
+        system: the flow.
+        solver: the pair.
+        begin: time at the beginning.
+        length: of time.
+        tolerance: error of a step, relative to the size of the motion.
+        longest: longest step.
+    """
+
+    system: Flow
+    solver: AdaptiveMethod = eqx.field(static=True)
+    begin: ArrayLike
+    length: ArrayLike
+    tolerance: ArrayLike
+    longest: ArrayLike
+
+    @property
+    def trip_counts(self) -> tuple[float, ...]:
+        """Steps of a calm motion; a stiff one has more."""
+        return (max(1.0, float(np.mean(_LONGEST * np.asarray(self.length) / np.asarray(self.longest)))),)
+
+    def rescaled_time(self, factor: ArrayLike) -> AdaptiveStrobe:
+        return replace(self, length=self.length * factor)
+
+    def __call__(self, state: State, p: Parameters) -> State:
+        return self.pushforward(state, p, (), volume=False).state
+
+    def pushforward(
+        self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
+    ) -> Pushforward:
+        system, reduction, own = self.system, self.system.reduction, own_parameters(self.system, p)
+        by_p: Any = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
+        split = time_split(system)
+
+        def rates(t: Any, y: State, own: Any) -> list[Any]:
+            def rate(z: State) -> State:
+                return split.rest(split.table(t, system), system, (z, own))
+
+            return [*jax.tree.leaves(rate(y)), *([system.divergence_of(rate, y)] if volume else [])]
+
+        def along_tangents(change: Callable[[State, Any], State], y: Moving) -> Moving:
+            return Moving(*linearise(change, y.state, own, y.tangents, by_p), y.log_volume)
+
+        def stepped(t: Any, h: Any, y: State, own: Any) -> tuple[State, State, list[Any]]:
+            """The state after a step, its error, and what the volume gains."""
+            leaves, structure = jax.tree.flatten(y)
+            made = self.solver.pair.pair_step(
+                lambda t, leaves: rates(t, jax.tree.unflatten(structure, leaves), own), t, h, leaves
+            )
+            after, error = (jax.tree.unflatten(structure, part) for part in (made.y, made.error))
+            if reduction.leaves_constraints:
+                after = system.project(t + h, after, {**p, **own})
+            return after, *lax.stop_gradient((error, made.gained))
+
+        def advance(course: _Progress) -> _Progress:
+            y, left = course.moving, self.length - course.t
+            last = 1.01 * course.h >= left
+            h = lax.stop_gradient(jnp.where(last, left, course.h))
+            t = self.begin + course.t
+            (after, error, gained), moved = linearise(
+                lambda z, own: stepped(t, h, z, own), y.state, own, y.tangents, by_p
+            )
+            log_volume = y.log_volume + gained[0] if volume else None
+            ahead = Moving(after, tuple(dz for dz, _, _ in moved), log_volume)
+            size = [jnp.maximum(s, jnp.abs(x)) for s, x in zip(course.size, _components(after), strict=True)]
+            share = self._share_of_tolerance(_components(error), size, _components(after))
+            good = share <= 1.0
+            return _Progress(
+                jax.tree.map(lambda new, old: jnp.where(good, new, old), ahead, y),
+                [jnp.where(good, new, old) for new, old in zip(size, course.size, strict=True)],
+                jnp.where(good, jnp.where(last, self.length, course.t + h), course.t),
+                jnp.minimum(h * self._change(share, course), self.longest),
+                jnp.where(good, share, course.before),
+                ~good,
+                course.trials + 1,
+            )
+
+        def unfinished(course: _Progress) -> Array:
+            going = (course.h > _SHORTEST * self.length) & (course.trials < _MOST_TRIALS)
+            return (course.t < self.length) & going
+
+        first = jax.tree.leaves(state)[0]
+        zero = jnp.zeros_like(first)
+        begun = Moving(state, tuple(t.state for t in tangents), zero if volume else None)
+        if not reduction.leaves_constraints:
+            begun = along_tangents(lambda z, own: system.project(self.begin, z, {**p, **own}), begun)
+        placed = begun.state
+        begun = Moving(reduction.reduce(placed), tuple(map(reduction.reduce, begun.tangents)), begun.log_volume)
+        size = [jnp.abs(lax.stop_gradient(x)) for x in _components(begun.state)]
+        rate = jax.tree.unflatten(jax.tree.structure(begun.state), rates(self.begin, begun.state, own)[: _count(begun)])
+        h = self._first_step(size, _components(rate))
+        course = _Progress(begun, size, zero, h, zero + 1.0, zero > 1.0, jnp.int32(0))
+        ended = lax.while_loop(unfinished, advance, as_batched(course, first))
+        moving = ended.moving
+        if not reduction.leaves_constraints:
+            end = self.begin + self.length
+            moving = along_tangents(lambda z, own: restored(system, end, z, placed, {**p, **own}), moving)
+        arrived = masked(moving.state, ended.t >= self.length)
+        pushed = tuple(Tangent(dz, t.p) for dz, t in zip(moving.tangents, tangents, strict=True))
+        return Pushforward(arrived, pushed, jnp.exp(moving.log_volume) if volume else jnp.ones_like(first))
+
+    def _share_of_tolerance(self, error: list[Array], size: list[Array], after: list[Array]) -> Array:
+        """Largest error of a component in units of what it may be; infinite where something is not finite."""
+        floor = _SMALL * _largest(size)
+        shares = [
+            jnp.where(e == 0.0, 0.0, jnp.abs(e) / (self.tolerance * jnp.maximum(s, floor)))
+            for e, s in zip(error, size, strict=True)
+        ]
+        finite = jnp.isfinite(sum(jnp.abs(x) for x in after))
+        share = lax.stop_gradient(_largest(shares))
+        return jnp.where(finite & jnp.isfinite(share), share, jnp.inf)
+
+    def _change(self, share: Array, course: _Progress) -> Array:
+        """Length of the next step in units of that of the one just tried."""
+        order, error = self.solver.convergence_order, jnp.maximum(share, 1e-10)
+        held = jnp.maximum(course.before, 1e-4) ** (_PROPORTIONAL / order)
+        longer = jnp.clip(_SAFETY * error ** (-_INTEGRAL / order) * held, 0.2, _GROW)
+        longer = jnp.where(course.refused, jnp.minimum(longer, 1.0), longer)
+        shorter = jnp.clip(_SAFETY * error ** (-1.0 / order), _SHRINK, _SAFETY)
+        return jnp.where(share <= 1.0, longer, shorter)
+
+    def _first_step(self, size: list[Array], rate: list[Array]) -> Array:
+        """A step in which no component moves by more than a share of its size that falls as errors do."""
+        floor = _SMALL * _largest(size)
+        fastest = _largest([jnp.abs(v) / jnp.maximum(s, floor) for s, v in zip(size, rate, strict=True)])
+        h = jnp.asarray(self.tolerance) ** (1.0 / self.solver.convergence_order) / fastest
+        return lax.stop_gradient(jnp.where(h > 0.0, jnp.minimum(h, self.longest), self.longest))
+
+
+def adaptive_strobe(system: Flow, solver: AdaptiveMethod, steps: int, span: tuple[float, float]) -> AdaptiveStrobe:
+    """The map over a span of time, as fine as so many steps of a calm period."""
+    longest = _LONGEST * system.period / steps
+    return AdaptiveStrobe(system, solver, span[0], span[1] - span[0], solver.tolerance(steps), longest)
+
+
+def adaptive_parts(system: Flow, solver: AdaptiveMethod, steps: int, ends: np.ndarray) -> AdaptiveStrobe:
+    """The maps from each of some times (parts + 1,) to the next, stacked, as fine as so many steps of a calm period."""
+    parts = (len(ends) - 1,)
+    tolerance, longest = np.full(parts, solver.tolerance(steps)), np.full(parts, _LONGEST * system.period / steps)
+    return AdaptiveStrobe(stack_leaves(system, parts), solver, ends[:-1], np.diff(ends), tolerance, longest)
+
+
+def _components(y: State) -> list[Any]:
+    return jax.tree.leaves(error_components(y))
+
+
+def _count(y: Moving) -> int:
+    return len(jax.tree.leaves(y.state))
+
+
+def _largest(values: list[Any]) -> Any:
+    largest = values[0]
+    for value in values[1:]:
+        largest = jnp.maximum(largest, value)
+    return largest

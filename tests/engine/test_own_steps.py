@@ -1,0 +1,136 @@
+"""The plan of flows that common steps do not follow: stiff ones and ones with corners; and what stays refused."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from jaxnh.engine.accuracy.calibration import Calibration
+from jaxnh.engine.axes import SweepPoints
+from jaxnh.exceptions import AccuracyError
+from jaxnh.maps.build import make_return_map
+from jaxnh.maps.iterate import iterate
+from jaxnh.solvers import SOLVERS
+from jaxnh.systems.first_order import first_order
+from tests.helpers.commands import run_here
+from tests.helpers.kept_programs import lanes_with_kept_programs
+
+TARGET = 1e-7
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    return lanes_with_kept_programs()
+
+
+def plan_of(define, start, rate, lanes, target=TARGET, solver=None):
+    """A flow of the parameter `rate`, and its plan for one lane."""
+    flow = first_order(define, {"rate": rate}, ("rate",))
+    state = flow.start({name: np.array([value]) for name, value in zip(flow.coordinates, start, strict=True)})
+    p = {"rate": np.array([rate])}
+    calibration = Calibration([SweepPoints(flow, state, p, p)], lanes, target=target, solver=solver)
+    return flow, calibration.cheapest(target), calibration
+
+
+def van_der_pol(rate=1e4):
+    """x'' = rate (1 − x²) x' − x, by units of a sixteenth of its period."""
+    rhs = lambda y, t: (y[1], rate * (1.0 - y[0] ** 2) * y[1] - y[0])  # noqa: E731
+    return {"rhs": rhs, "coordinates": ("x", "v"), "time_unit": 1000.0}
+
+
+def test_a_stiff_flow_is_followed_unasked(lanes):
+    """Rates of 3e4 over 1e3 units of time leave explicit steps nothing; Radau has the state after the jump from x = 1."""
+    start = (1.2, 1.2 / (1e4 * (1.0 - 1.2**2)))  # on the slow manifold
+    flow, plan, _ = plan_of(van_der_pol, start, 1e4, lanes)
+    assert plan.solver.name == "rodas5p"
+    assert 0.0 < plan.error_estimate <= TARGET
+    state = flow.start(dict(zip("xv", start, strict=True)))
+    image = iterate(make_return_map(flow, plan.solver, plan.steps), 1, state, {"rate": 1e4})
+    rhs = van_der_pol()["rhs"]
+    exact = solve_ivp(lambda t, y: rhs(y, t), (0.0, 1000.0), start, "Radau", rtol=1e-12, atol=1e-16).y[:, -1]
+    assert exact[0] < -1.5
+    for name, x, known in zip("xv", image.y, exact, strict=True):
+        assert abs(float(x) - known) < plan.error_estimate * plan.sizes[name]
+
+
+def test_a_corner_is_followed_unasked(lanes):
+    """x'' = −x − rate max(x, 0): half-turns of frequencies 1 below zero and ω = √(1 + rate) above it, in closed form."""
+
+    def define(rate=30.0):
+        rhs = lambda y, t: (y[1], -y[0] - rate * jnp.maximum(y[0], 0.0))  # noqa: E731
+        return {"rhs": rhs, "coordinates": ("x", "v"), "time_unit": 20.0}
+
+    flow, plan, _ = plan_of(define, (1.0, 0.0), 30.0, lanes)
+    assert plan.solver.name == "rodas5p"
+    image = iterate(make_return_map(flow, plan.solver, plan.steps), 1, flow.start({"x": 1.0, "v": 0.0}), {"rate": 30.0})
+    omega = np.sqrt(31.0)  # the speed at zero
+    since = (20.0 - 0.5 * np.pi / omega) % (np.pi + np.pi / omega)  # a passage down through zero
+    below = -omega * np.sin(since), -omega * np.cos(since)
+    above = np.sin(omega * (since - np.pi)), omega * np.cos(omega * (since - np.pi))
+    exact = below if since < np.pi else above
+    for name, x, known in zip("xv", image.y, exact, strict=True):
+        assert abs(float(x) - known) < plan.error_estimate * plan.sizes[name]
+
+
+def test_a_jump_stays_refused(lanes):
+    """Tangents know nothing of a jump of the field, so that exponents and Newton would be wrong unasked."""
+
+    def define(rate=1.0):
+        return {"rhs": lambda y, t: (y[1], -rate * jnp.sign(y[0])), "coordinates": ("x", "v"), "time_unit": 4.0}
+
+    with pytest.raises(AccuracyError, match="the right-hand side jumps"):
+        plan_of(define, (1.0, 0.3), 1.0, lanes, target=1e-10)
+
+
+@pytest.mark.parametrize("name", ["rodas5p", "adaptive_tsit5"])
+def test_the_fineness_of_a_solver_that_is_asked_for(lanes, name):
+    """A mild flow by the solver asked for: its true error, by cos and sin, is within the estimate."""
+
+    def define(rate=1.0):
+        return {"rhs": lambda y, t: (y[1], -rate * y[0]), "coordinates": ("x", "v"), "time_unit": 2.0}
+
+    flow, plan, _ = plan_of(define, (1.0, 0.0), 1.0, lanes, solver=SOLVERS[name])
+    assert plan.solver.name == name
+    image = iterate(make_return_map(flow, plan.solver, plan.steps), 1, flow.start({"x": 1.0, "v": 0.0}), {"rate": 1.0})
+    assert np.abs(np.array(image.y) - [np.cos(2.0), -np.sin(2.0)]).max() < plan.error_estimate <= TARGET
+
+
+CONFIG = """\
+system: {file: own.py}
+initial: {x: 2.0}
+sweep: {rate: {values: [1000.0]}}
+accuracy: {target: 1.0e-6}
+analyses:
+  portrait: {periods: 2, samples: 8}
+"""
+FILE = (
+    "def system(rate=1.0):\n"
+    "    return dict(rhs=lambda y, t: (y[1], rate * (1 - y[0] ** 2) * y[1] - y[0]), coordinates=('x', 'v'))\n"
+)
+
+
+def test_a_solver_by_hand_without_steps(tmp_path):
+    (tmp_path / "own.py").write_text(FILE)
+    (tmp_path / "own.yaml").write_text(CONFIG)
+    run = run_here("own.yaml", "accuracy={solver: rodas5p, target: 1.0e-6}", cwd=tmp_path)
+    assert run.returncode == 0
+    assert "rodas5p in float64, " in run.stdout
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "reason"),
+    [
+        ("{solver: verner9}", "accuracy.solver: solver and steps go together; give steps as well"),
+        ("{steps: 100}", "accuracy.steps: solver and steps go together; give solver as well"),
+        ("{solver: rodas5p, precision: extended}", "extended goes with all solvers but rodas5p"),
+    ],
+)
+def test_what_does_not_go_with_it(tmp_path, accuracy, reason):
+    (tmp_path / "own.py").write_text(FILE)
+    (tmp_path / "own.yaml").write_text(CONFIG)
+    run = run_here("own.yaml", f"accuracy={accuracy}", cwd=tmp_path)
+    assert run.returncode == 2
+    assert reason in run.stderr
+    assert len(run.stderr.splitlines()) == 1

@@ -1,0 +1,242 @@
+"""Maps by steps of a lane's own: stiff flows against closed forms, published numbers and Radau; tangents; failures."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from jaxnh.maps.build import cut_strobe, make_parts, make_return_map, maps_between
+from jaxnh.maps.protocol import Tangent
+from jaxnh.maps.section import Section, begin
+from jaxnh.solvers import ADAPTIVE, SOLVERS
+from jaxnh.systems.first_order import first_order
+from jaxnh.systems.flow import NO_RETURN
+from tests.flows import calm_particle, linear_oscillator
+from tests.helpers.cases import some_slow
+
+RODAS = SOLVERS["rodas5p"]
+
+
+def flow_of(rhs, names, unit=1.0, clock=False, **parameters):
+    """A flow of rhs(y, t, **parameters)."""
+
+    def define(**values):
+        time = {"period" if clock else "time_unit": unit}
+        return {"rhs": lambda y, t: rhs(y, t, **values), "coordinates": names, **time}
+
+    return first_order(define, parameters)
+
+
+def start_of(flow, *values):
+    return jax.tree.map(jnp.float64, flow.start(dict(zip(flow.coordinates, values, strict=True))))
+
+
+def image(strobe, state, **p):
+    return np.array(jax.tree.leaves(jax.jit(lambda s, z, p: s(z, p))(strobe, state, p)))
+
+
+def van_der_pol(y, t, mu):
+    return y[1], mu * (1.0 - y[0] ** 2) * y[1] - y[0]
+
+
+def oregonator(y, t, s):
+    q, w = 8.375e-6, 0.161
+    return s * (y[1] + y[0] * (1.0 - q * y[0] - y[1])), (y[2] - (1.0 + y[0]) * y[1]) / s, w * (y[0] - y[2])
+
+
+def robertson(y, t, k):
+    slow, fast = k * y[0], 1e4 * y[1] * y[2]
+    return -slow + fast, slow - fast - 3e7 * y[1] ** 2, 3e7 * y[1] ** 2
+
+
+# ---- orders: errors fall with the steps as those of equal steps
+
+
+@pytest.mark.parametrize("name", some_slow(dict(zip(ADAPTIVE, ADAPTIVE, strict=True)), "rodas5p", "adaptive_tsit5"))
+def test_errors_fall_by_the_order(lanes, name):
+    """Of the linear oscillator, whose motion is a closed form; over a factor of four, as steps come in whole numbers."""
+    flow, solver = linear_oscillator.known_flow(), SOLVERS[name]
+    steps = 24 if solver.convergence_order < 8 else 8
+    coarse, fine = (np.exp(np.log(flow.errors(lanes, solver, n)).mean()) for n in (steps, 4 * steps))
+    assert abs(math.log(coarse / fine, 4.0) - solver.convergence_order) < 1.0
+
+
+# ---- stiff flows
+
+
+@pytest.mark.parametrize(("mu", "period"), [(100.0, 162.83707109237), (1000.0, 1614.40112581)])
+def test_period_of_van_der_pol(mu, period):
+    """From crossing to crossing of x = 0 upwards on the cycle: the published periods, to their last digit."""
+    flow = flow_of(van_der_pol, ("x", "v"), unit=mu / 4.0, mu=mu)
+    section = Section(flow, "x", 0, 0.0, "up")
+    strobe = make_return_map(section, RODAS, 256)
+    crossing = jax.jit(lambda s, z, p: s(s(z, p), p))(strobe, begin(section, start_of(flow, 2.0, 0.0)), {"mu": mu})
+    later = jax.jit(lambda s, z, p: s(z, p))(strobe, crossing, {"mu": mu})
+    assert abs(float(later.t - crossing.t) / period - 1.0) < 1e-9
+
+
+def test_period_of_the_oregonator():
+    """Rates of 1e6 beside ones of 1e-3: the published period 302.858044, on the section y = 3 upwards."""
+    flow = flow_of(oregonator, ("x", "y", "z"), unit=10.0, s=77.27)
+    section = Section(flow, "y", 1, 3.0, "up")
+    strobe = make_return_map(section, RODAS, 256)
+    crossing = jax.jit(lambda s, z, p: s(s(z, p), p))(
+        strobe, begin(section, start_of(flow, 1.0, 2.0, 3.0)), {"s": 77.27}
+    )
+    later = jax.jit(lambda s, z, p: s(z, p))(strobe, crossing, {"s": 77.27})
+    assert abs(float(later.t - crossing.t) - 302.858044) < 1e-5
+
+
+def test_robertson_against_published_values():
+    """At t = 40 and 4e5 of Robertson's kinetics: the table of LSODE's demonstration, and Radau to more digits."""
+    known = {
+        40.0: (0.7158271, 9.1855e-6, 0.2841637),  # Hindmarsh, ACM SIGNUM Newsl. 15 (1980) 10
+        4e5: (4.9383e-3, 1.9850e-8, 0.99506),
+    }
+    for length, values in known.items():
+        flow = flow_of(robertson, ("a", "b", "c"), unit=length, k=0.04)
+        ended = image(make_return_map(flow, RODAS, 256), start_of(flow, 1.0, 0.0, 0.0), k=0.04)
+        exact = solve_ivp(
+            lambda t, y: robertson(y, t, 0.04), (0.0, length), [1.0, 0.0, 0.0], "Radau", rtol=1e-12, atol=1e-18
+        )
+        np.testing.assert_allclose(ended, exact.y[:, -1], rtol=1e-8)
+        np.testing.assert_allclose(ended, values, rtol=1e-4)
+        assert abs(ended.sum() - 1.0) < 1e-12  # every linear invariant is kept
+
+
+@pytest.mark.parametrize("name", ["rodas5p", "adaptive_tsit5"])
+def test_forced_and_stiff_against_radau(name):
+    """A van der Pol oscillator with a clock: the state a period later, and over parts of it one after another."""
+
+    def forced(y, t, mu):
+        x, v = van_der_pol(y, t, mu)
+        return x, v + 1.2 * jnp.sin(0.63 * t)
+
+    period = 2 * math.pi / 0.63
+    flow = flow_of(forced, ("x", "v"), unit=period, clock=True, mu=50.0)
+    exact = solve_ivp(lambda t, y: forced(y, t, 50.0), (0.0, period), [1.9, 0.1], "Radau", rtol=1e-12, atol=1e-13).y[
+        :, -1
+    ]
+    whole = make_return_map(flow, SOLVERS[name], 400)
+    assert np.shape(make_parts(flow, SOLVERS[name], 400, 1).length) == (1,)
+    state = start_of(flow, 1.9, 0.1)
+    np.testing.assert_allclose(image(whole, state, mu=50.0), exact, rtol=1e-8)
+
+    @jax.jit
+    def in_turn(parts, state):
+        return jax.lax.scan(lambda z, part: (part(z, {"mu": 50.0}), None), state, parts)[0]
+
+    for parts in (
+        make_parts(flow, SOLVERS[name], 400, 4),
+        cut_strobe(flow, SOLVERS[name], 400, 4),
+        maps_between(flow, SOLVERS[name], 400, np.array([0.0, 0.1, 3.0, period])),
+    ):
+        np.testing.assert_allclose(jax.tree.leaves(in_turn(parts, state)), exact, rtol=1e-8)
+
+
+# ---- tangents
+
+
+def test_tangents_are_derivatives_of_the_map():
+    """Of states and a parameter, as `jax.jvp` has them, and as central differences have them to the tolerance."""
+    flow, mu = flow_of(van_der_pol, ("x", "v"), unit=5.0, mu=30.0), jnp.float64(30.0)
+    strobe, state = make_return_map(flow, RODAS, 300), start_of(flow, 1.8, -0.4)
+    zero, along = jax.tree.map(jnp.zeros_like, state), start_of(flow, 0.3, 0.7)
+    tangents = Tangent(along, None), Tangent(zero, {"mu": jnp.float64(1.0)})
+    pushed = jax.jit(lambda s, z: s.pushforward(z, {"mu": mu}, tangents))(strobe, state)
+    by_state = jax.jvp(lambda z: strobe(z, {"mu": mu}), (state,), (along,))[1]
+    by_mu = jax.jvp(lambda mu: strobe(state, {"mu": mu}), (mu,), (jnp.float64(1.0),))[1]
+    for tangent, slope in zip(pushed.tangents, (by_state, by_mu), strict=True):
+        np.testing.assert_allclose(jax.tree.leaves(tangent.state), jax.tree.leaves(slope), rtol=1e-12)
+    ahead, behind = (image(strobe, state, mu=30.0 + s * 1e-3) for s in (1, -1))
+    np.testing.assert_allclose(jax.tree.leaves(by_mu), (ahead - behind) / 2e-3, rtol=1e-5)
+
+
+def test_a_stiff_linear_system_in_closed_form():
+    """Rates −1e6, −40 and −0.5 in a basis that is not orthogonal: the map, its tangents and volume are exponentials."""
+    rates, basis = np.array([-1e4, -40.0, -0.5]), np.array([[1.0, 0.4, 0.1], [-0.3, 1.0, 0.2], [0.5, 0.1, 1.0]])
+    matrix = basis @ np.diag(rates) @ np.linalg.inv(basis)
+
+    def linear(y, t, k):
+        return tuple(k * sum(float(a) * x for a, x in zip(row, y, strict=True)) for row in matrix)
+
+    length = 0.01
+    flow = flow_of(linear, ("x", "y", "z"), unit=length, k=1.0)
+    strobe, state = make_return_map(flow, RODAS, 300), start_of(flow, 1.0, -0.5, 0.7)
+    units = [Tangent(start_of(flow, *row)) for row in np.eye(3)]
+    pushed = jax.jit(lambda s, z: s.pushforward(z, {"k": jnp.float64(1.0)}, units))(strobe, state)
+    exact = basis @ np.diag(np.exp(rates * length)) @ np.linalg.inv(basis)
+    monodromy = np.stack([jax.tree.leaves(t.state) for t in pushed.tangents], axis=1)
+    np.testing.assert_allclose(monodromy, exact, atol=1e-9)
+    np.testing.assert_allclose(jax.tree.leaves(pushed.state), exact @ [1.0, -0.5, 0.7], atol=1e-9)
+    assert abs(math.log(pushed.volume) - rates.sum() * length) < 1e-9  # a constant is integrated to rounding
+
+
+def test_multipliers_of_a_cycle_are_the_integral_of_the_divergence():
+    """On van der Pol's cycle one multiplier is 1, and the other is exp ∮ μ (1 − x²) dt, which Radau integrates too."""
+    mu = 5.0
+    flow = flow_of(van_der_pol, ("x", "v"), unit=2.0, mu=mu)
+    section = Section(flow, "x", 0, 0.0, "up")
+    strobe = make_return_map(section, RODAS, 400)
+    p = {"mu": jnp.float64(mu)}
+    crossing = jax.jit(lambda s, z: s.iterate(3, z, p))(strobe, begin(section, start_of(flow, 2.0, 0.0)))
+    lifted = section.chart.lift(crossing, (jnp.float64(1.0),))
+    pushed = jax.jit(lambda s, z: s.pushforward(z, p, (Tangent(lifted),)))(strobe, crossing)
+    period = float(pushed.state.t - crossing.t)
+
+    def with_divergence(t, y):
+        return [*van_der_pol(y[:2], t, mu), mu * (1.0 - y[0] ** 2)]
+
+    start = [*map(float, jax.tree.leaves(crossing.state)), 0.0]
+    integral = solve_ivp(with_divergence, (0.0, period), start, "Radau", rtol=1e-12, atol=1e-13).y[2, -1]
+    multiplier = float(section.chart.lower(pushed.state, pushed.tangents[0].state)[0])
+    assert abs(math.log(float(pushed.volume)) - integral) < 1e-7
+    assert abs(multiplier) < 1e-8  # e^−21: far below what a cycle's rounding leaves of tangents
+
+
+# ---- lanes
+
+
+def test_lanes_have_steps_of_their_own_and_fail_alone():
+    """y' = k y²: 1/(1 − k t) where it is finite, and not a number in the lane that goes to infinity."""
+    flow = flow_of(lambda y, t, k: (k * y[0] ** 2,), ("y",), unit=2.0, k=0.1)
+    strobe, k = make_return_map(flow, RODAS, 200), np.array([0.1, 0.45, 1.0, -3.0])
+    ended = jax.jit(jax.vmap(lambda s, k: s(start_of(flow, 1.0), {"k": k}), (None, 0)))(strobe, k)
+    found = np.asarray(ended.y[0])
+    assert np.isnan(found[2])
+    np.testing.assert_allclose(found[[0, 1, 3]], 1.0 / (1.0 - 2.0 * k[[0, 1, 3]]), rtol=1e-9)
+    alone = [image(strobe, start_of(flow, 1.0), k=value) for value in k[[0, 1, 3]]]
+    np.testing.assert_allclose(found[[0, 1, 3]], np.ravel(alone), rtol=1e-13)
+
+
+def test_a_section_that_is_not_met_says_so():
+    flow = flow_of(lambda y, t, k: (-k * y[0],), ("y",), k=5.0)
+    section = Section(flow, "y", 0, -1.0, "down", longest=20.0)
+    strobe = make_return_map(section, RODAS, 64)
+    crossing = jax.jit(lambda s, z, p: s(z, p))(strobe, begin(section, start_of(flow, 1.0)), {"k": 5.0})
+    assert float(crossing.reason) == NO_RETURN
+
+
+def test_steps_are_projected_on_constraints(lanes):
+    """The particle at a prescribed speed, whose direction keeps |n| = 1, against the Taylor reference."""
+    known = calm_particle.known_flow("disturbed")
+    coarse, fine = (np.exp(np.log(known.errors(lanes, RODAS, n)).mean()) for n in (60, 240))
+    assert fine < 1e-6
+    assert abs(math.log(coarse / fine, 4.0) - 5.0) < 1.0
+
+
+def test_tangents_at_rest():
+    """At rest, at zero and elsewhere, no state errs; tangents are exponentials of the field's matrix all the same."""
+    for place in (0.0, 3.0):
+        flow = flow_of(lambda y, t, k, x=place: (y[1], -k * jnp.sin(y[0] - x)), ("x", "v"), unit=3.0, k=1.0)
+        strobe, state = make_return_map(flow, RODAS, 200), start_of(flow, place, 0.0)
+        pushed = jax.jit(lambda s, z, t: s.pushforward(z, {"k": jnp.float64(1.0)}, t))(
+            strobe, state, (Tangent(start_of(flow, 1.0, 0.0)),)
+        )
+        slope = np.array(jax.tree.leaves(pushed.tangents[0].state))
+        assert np.abs(slope - [np.cos(3.0), -np.sin(3.0)]).max() < 1e-8
