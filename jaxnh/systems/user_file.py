@@ -10,9 +10,15 @@
         def f(q, v, t): ...                           # constraints: numbers that are zero; without any, leave it out
         return dict(T=T, Q=Q, f=f, coordinates=("x", "y"), period=2 * jnp.pi)
 
-`y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. One number or one name
-stands for the tuple of it. What depends on t has a `period`; what does not may have a `time_unit`. Results and pictures
-take words and units of parameters and coordinates, and units of t, from labels={"x": "displacement"} and
+A right-hand side may have jumps of the state and switches of the field:
+
+    jumps=[{"when": wall, "direction": "up", "then": bounce}]     # where wall(y, t) rises through zero the state jumps
+    switches=[{"on": surface}]                                    # where surface(y, t) is zero the field changes
+
+`bounce(y, t)` is the state after; with switches the right-hand side is rhs(y, t, side), side a tuple of +1.0 or -1.0 a
+switch. `y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. One number or one
+name stands for the tuple of it. What depends on t has a `period`; what does not may have a `time_unit`. Results and
+pictures take words and units of parameters and coordinates, and units of t, from labels={"x": "displacement"} and
 units={"x": "m"}. Whatever is wrong with the file is said in one line with its place.
 """
 
@@ -38,12 +44,18 @@ from jaxnh.exceptions import UserFileError
 from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
+from jaxnh.systems.piecewise_smooth import DIRECTIONS, piecewise_smooth
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
 from jaxnh.systems.user_text import BESIDE_STATES, Names, can_be_states, read_text, with_velocities
 
 _ALWAYS = ("coordinates", "period", "time_unit", "angles", "labels", "units")
-_FIRST_ORDER = ("rhs", *_ALWAYS)
+_FIRST_ORDER = ("rhs", "jumps", "switches", *_ALWAYS)
+_EVENTS = {"jumps": ("when", "direction", "then"), "switches": ("on",)}
+_AN_EVENT = {
+    "jumps": 'jumps=[{"when": wall, "direction": "up", "then": bounce}]',
+    "switches": 'switches=[{"on": surface}]',
+}
 _MECHANICS = ("T", "Q", "f", "ignorable", *_ALWAYS)
 _CLOCKS = ("period", "time_unit")
 _LISTS_OF_NAMES = ("coordinates", "angles", "ignorable")
@@ -90,6 +102,7 @@ class UserFile:
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
         self.mechanical = "rhs" not in definition
+        self._eventful = any(definition.get(kind) for kind in _EVENTS)
         uses_time = self._try_mechanics() if self.mechanical else self._try_rhs()
         if uses_time and "period" not in definition:
             raise self._fault(self._line_of("rhs"), "the system depends on t: give its period, period=2 * jnp.pi")
@@ -138,7 +151,9 @@ class UserFile:
                 close = difflib.get_close_matches(str(name), known, n=1)
                 meant = f" (did you mean {close[0]}?)" if close else ""
                 message = f"system returns {name!r}, which is unknown{meant}; known are {', '.join(known)}"
-                if name in _MECHANICS:
+                if name in _EVENTS:
+                    message = f"{name} go with a right-hand side rhs; write T and Q as one, or leave {name} out"
+                elif name in _MECHANICS:
                     message = f"system returns rhs and {name!r}; a system is a right-hand side, or T and Q"
                 raise self._fault(line, message)
         needed = ("rhs", "coordinates") if "rhs" in definition else ("T", "Q", "coordinates")
@@ -149,6 +164,10 @@ class UserFile:
         for name in ("rhs", "T", "Q", "f"):
             if definition.get(name) is not None and not callable(definition[name]):
                 raise self._fault(line, f"{name} must be a function of {'(y, t)' if name == 'rhs' else '(q, v, t)'}")
+        definition |= {kind: self._events(kind, definition[kind]) for kind in _EVENTS if kind in definition}
+        if definition.get("switches") and not _takes(definition["rhs"], 3):
+            message = "with switches rhs is a function of (y, t, side); side has +1.0 or -1.0 for each switch"
+            raise self._fault(_line_of_code(definition["rhs"], line), message)
         self._check_names(definition, line)
         if all(name in definition for name in _CLOCKS):
             raise self._fault(line, "period and time_unit exclude each other: with a period, it is the unit of time")
@@ -158,6 +177,37 @@ class UserFile:
                 raise self._fault(line, f"{name} must be a positive number, not {length}")
         made = {key: _components(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
         return {key: _pointwise(one) if key in _FUNCTIONS and one else one for key, one in made.items()}
+
+    def _events(self, kind: str, given: Any) -> tuple[dict[str, Any], ...]:
+        """The jumps or switches of a definition, checked."""
+        line = self._define.__code__.co_firstlineno
+        if not isinstance(given, tuple | list) or not all(isinstance(event, Mapping) for event in given):
+            raise self._fault(line, f"{kind} must be a list of mappings, as in {_AN_EVENT[kind]}")
+        checked = []
+        for number, event in enumerate(given):
+            where, known = f"{kind}[{number}]", _EVENTS[kind]
+            for key in event:
+                if key not in known:
+                    close = difflib.get_close_matches(str(key), known, n=1)
+                    meant = f" (did you mean {close[0]}?)" if close else ""
+                    raise self._fault(
+                        line, f"{where} has {key!r}, which is unknown{meant}; known are {', '.join(known)}"
+                    )
+            event = {"direction": "up", **event} if kind == "jumps" else dict(event)
+            for key in known:
+                if key not in event:
+                    raise self._fault(line, f"{where} must also have {key}, as in {_AN_EVENT[kind]}")
+                if key == "direction":
+                    if event[key] not in DIRECTIONS:
+                        words = ", ".join(DIRECTIONS)
+                        raise self._fault(line, f"{where}: direction must be one of {words}, not {event[key]!r}")
+                elif not callable(event[key]) or not _takes(event[key], 2):
+                    raise self._fault(_line_of_code(event[key], line), f"{where}: {key} must be a function of (y, t)")
+                else:
+                    function = _components(event[key]) if key == "then" else event[key]
+                    event[key] = _pointwise(function)
+            checked.append(event)
+        return tuple(checked)
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period, or the unit of time, with these parameters."""
@@ -174,7 +224,7 @@ class UserFile:
             UserFileError: the equations are other ones a period later.
         """
         self._check_period(parameters)
-        made = lagrangian if self.mechanical else first_order
+        made = lagrangian if self.mechanical else piecewise_smooth if self._eventful else first_order
         flow = made(self.define, parameters, of_lanes)
         return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.is_shared(name)))
 
@@ -183,23 +233,23 @@ class UserFile:
         definition = self.define(**parameters)
         if "period" not in definition or tuple(parameters.values()) in self._periodic:
             return
-        names = [name for name in _FUNCTIONS if definition.get(name) is not None]
+        functions = _functions(definition)
         period, draws = float(definition["period"]), np.random.default_rng(0)
-        states = draws.uniform(-1.0, 1.0, (1 if names == ["rhs"] else 2, len(self.coordinates), _PROBES))
+        states = draws.uniform(-1.0, 1.0, (2 if self.mechanical else 1, len(self.coordinates), _PROBES))
         t = draws.uniform(0.0, period, _PROBES)
 
         def rates(t: Any, states: Any) -> list[Any]:
-            results = [definition[name](*map(tuple, states), t) for name in names]
-            return [jnp.stack([one] if name == "T" else list(one)) for name, one in zip(names, results, strict=True)]
+            results = [function(*map(tuple, states), t) for function in functions.values()]
+            return [jnp.stack(list(each) if isinstance(each, tuple | list) else [each]) for each in results]
 
         with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
             now, later = self._guarded(lambda: jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)))(t, states))
-        for name, one, other in zip(names, map(np.asarray, now), map(np.asarray, later), strict=True):
+        for name, one, other in zip(functions, map(np.asarray, now), map(np.asarray, later), strict=True):
             finite = np.isfinite(one) & np.isfinite(other)
             gap = np.abs(np.where(finite, one - other, 0.0))
             worst = np.unravel_index(np.argmax(gap), gap.shape)
             if gap[worst] > _ALIKE * np.max(np.abs(one), initial=1e-300, where=finite):
-                what = name if name == "T" else f"number {worst[0] + 1} of {name}"
+                what = name if len(one) == 1 else f"number {worst[0] + 1} of {name}"
                 message = (
                     f"{period:.9g} is no period of {name}: at one state {what} is {one[worst]:.9g} at t = "
                     f"{t[worst[1]]:.9g} and {other[worst]:.9g} a period later; give the period of what depends on t"
@@ -287,13 +337,31 @@ class UserFile:
         line, d = self._line_of("rhs"), len(self.coordinates)
 
         def evaluate(p: Mapping[str, Any], t: Any, y: Any) -> Any:
-            return self._numbers("rhs", self.define(**p)["rhs"](y, t))
+            return self._numbers("rhs", _functions(self.define(**p))["rhs"](y, t))
 
         leaves, uses_time = self._traced(evaluate, 1)
         if any(leaf.shape for leaf in leaves):
             raise self._fault(line, f"rhs must return {_RETURNED['rhs']}")
         if len(leaves) != d:
             raise self._fault(line, f"rhs must return {d} numbers, one a coordinate, not {len(leaves)}")
+        return self._try_events() or uses_time
+
+    def _try_events(self) -> bool:
+        """Trace the functions of jumps and switches likewise."""
+        uses_time, d = False, len(self.coordinates)
+        functions = _functions(self.define(**self.parameters))
+        for name in [name for name in functions if name != "rhs"]:
+
+            def evaluate(p: Mapping[str, Any], t: Any, y: Any, name: str = name) -> Any:
+                result = _functions(self.define(**p))[name](y, t)
+                return self._numbers(name, result if isinstance(result, tuple | list) else (result,))
+
+            leaves, timed = self._traced(evaluate, 1)
+            uses_time |= timed
+            wanted = "a number a coordinate" if name.endswith("then") else "a number"
+            count = d if name.endswith("then") else 1
+            if any(leaf.shape for leaf in leaves) or len(leaves) != count:
+                raise self._fault(self._line_of(name), f"{name} must return {wanted}")
         return uses_time
 
     def _traced(self, evaluate: Callable[..., Any], vectors: int) -> tuple[list[Any], bool]:
@@ -310,14 +378,14 @@ class UserFile:
         """Convert a function's result to arrays."""
         if any(one is None or isinstance(one, str | Mapping | tuple | list) for one in values):
             nothing = ", and returns nothing" if values[0] is None else ""
-            raise self._fault(self._line_of(name), f"{name} must return {_RETURNED[name]}{nothing}")
+            wanted = _RETURNED.get(name) or ("a number a coordinate" if name.endswith("then") else "a number")
+            raise self._fault(self._line_of(name), f"{name} must return {wanted}{nothing}")
         return tuple(jnp.asarray(one) for one in values)
 
     def _line_of(self, name: str) -> int:
         definition = self.define(**self.parameters)
-        function = definition.get(name) or definition.get("T")
-        code = getattr(inspect.unwrap(function) if function else None, "__code__", None)
-        return code.co_firstlineno if code else self._define.__code__.co_firstlineno
+        function = definition.get(name) or _functions(definition).get(name) or definition.get("T")
+        return _line_of_code(function, self._define.__code__.co_firstlineno)
 
     def _guarded(self, body: Callable[[], Any]) -> Any:
         try:
@@ -330,6 +398,40 @@ class UserFile:
 
     def _fault(self, line: int, message: str) -> UserFileError:
         return UserFileError(f"{self.path}:{line}: {message}")
+
+
+def _functions(definition: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
+    """Functions of a definition by name, each of (state, t); a right-hand side by the branch that a state is in."""
+    functions = {name: definition[name] for name in _FUNCTIONS if definition.get(name) is not None}
+    switches = definition.get("switches", ())
+    if switches:
+
+        @functools.wraps(definition["rhs"])
+        def rhs(y: Any, t: Any) -> Any:
+            return definition["rhs"](y, t, tuple(jnp.where(each["on"](y, t) >= 0.0, 1.0, -1.0) for each in switches))
+
+        functions["rhs"] = rhs
+    for kind, keys in _EVENTS.items():
+        for number, event in enumerate(definition.get(kind, ())):
+            functions |= {f"{kind}[{number}].{key}": event[key] for key in keys if key != "direction"}
+    return functions
+
+
+def _takes(function: Any, count: int) -> bool:
+    """Return whether a function can be called with so many arguments, as far as its signature says."""
+    try:
+        inspect.signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:  # it has none
+        return True
+    return True
+
+
+def _line_of_code(function: Any, otherwise: int) -> int:
+    """The line where a function begins, of one that is written in Python."""
+    code = getattr(inspect.unwrap(function) if callable(function) else None, "__code__", None)
+    return code.co_firstlineno if code else otherwise
 
 
 def _with_lists_of_names(definition: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxnh.engine.accuracy.sample_maps import image_of
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.state import State
 
 _STEPS = 16  # of a motion in which the field changes most, that are halved
@@ -39,11 +40,13 @@ class Kink(NamedTuple):
 
 
 def find_kink(flow: Flow, times: Float[np.ndarray, " points"], passed: State, p: Parameters) -> Kink | None:
-    """Find a jump or a corner of a field on a motion; None where none is seen.
+    """Find a jump or a corner of a field on a motion; None where none is seen, or they are met by steps that end there.
 
     Args:
         times, passed: of states of the motion, one after the other.
     """
+    if isinstance(flow, PiecewiseSmooth):
+        return None
     finite = np.all(np.isfinite(image_of(passed)), axis=0)
     points = len(times) if np.all(finite) else int(np.argmin(finite))
     if points < 2:
