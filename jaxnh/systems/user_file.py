@@ -25,7 +25,6 @@ units={"x": "m"}. Whatever is wrong with the file is said in one line with its p
 from __future__ import annotations
 
 import difflib
-import functools
 import hashlib
 import inspect
 import math
@@ -44,22 +43,27 @@ from jaxnh.exceptions import UserFileError
 from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
-from jaxnh.systems.piecewise_smooth import DIRECTIONS, piecewise_smooth
+from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
+from jaxnh.systems.user_functions import (
+    EVENTS,
+    FUNCTIONS,
+    EventFault,
+    checked_events,
+    components_of,
+    functions_of,
+    line_of_code,
+    pointwise,
+    takes,
+)
 from jaxnh.systems.user_text import BESIDE_STATES, Names, can_be_states, read_text, with_velocities
 
 _ALWAYS = ("coordinates", "period", "time_unit", "angles", "labels", "units")
 _FIRST_ORDER = ("rhs", "jumps", "switches", *_ALWAYS)
-_EVENTS = {"jumps": ("when", "direction", "then"), "switches": ("on",)}
-_AN_EVENT = {
-    "jumps": 'jumps=[{"when": wall, "direction": "up", "then": bounce}]',
-    "switches": 'switches=[{"on": surface}]',
-}
 _MECHANICS = ("T", "Q", "f", "ignorable", *_ALWAYS)
 _CLOCKS = ("period", "time_unit")
 _LISTS_OF_NAMES = ("coordinates", "angles", "ignorable")
-_FUNCTIONS = ("rhs", "T", "Q", "f")
 _OF_COMPONENTS = ("rhs", "Q", "f")  # functions that return a number a coordinate, or a constraint
 _PROBES = 16  # random states and times at which equations are held against themselves a period later
 _ALIKE = 1e-8  # of the largest number there: a period of ten digits will do
@@ -102,7 +106,7 @@ class UserFile:
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
         self.mechanical = "rhs" not in definition
-        self._eventful = any(definition.get(kind) for kind in _EVENTS)
+        self._eventful = any(definition.get(kind) for kind in EVENTS)
         uses_time = self._try_mechanics() if self.mechanical else self._try_rhs()
         if uses_time and "period" not in definition:
             raise self._fault(self._line_of("rhs"), "the system depends on t: give its period, period=2 * jnp.pi")
@@ -151,7 +155,7 @@ class UserFile:
                 close = difflib.get_close_matches(str(name), known, n=1)
                 meant = f" (did you mean {close[0]}?)" if close else ""
                 message = f"system returns {name!r}, which is unknown{meant}; known are {', '.join(known)}"
-                if name in _EVENTS:
+                if name in EVENTS:
                     message = f"{name} go with a right-hand side rhs; write T and Q as one, or leave {name} out"
                 elif name in _MECHANICS:
                     message = f"system returns rhs and {name!r}; a system is a right-hand side, or T and Q"
@@ -164,10 +168,10 @@ class UserFile:
         for name in ("rhs", "T", "Q", "f"):
             if definition.get(name) is not None and not callable(definition[name]):
                 raise self._fault(line, f"{name} must be a function of {'(y, t)' if name == 'rhs' else '(q, v, t)'}")
-        definition |= {kind: self._events(kind, definition[kind]) for kind in _EVENTS if kind in definition}
-        if definition.get("switches") and not _takes(definition["rhs"], 3):
+        definition |= {kind: self._events(kind, definition[kind]) for kind in EVENTS if kind in definition}
+        if definition.get("switches") and not takes(definition["rhs"], 3):
             message = "with switches rhs is a function of (y, t, side); side has +1.0 or -1.0 for each switch"
-            raise self._fault(_line_of_code(definition["rhs"], line), message)
+            raise self._fault(line_of_code(definition["rhs"], line), message)
         self._check_names(definition, line)
         if all(name in definition for name in _CLOCKS):
             raise self._fault(line, "period and time_unit exclude each other: with a period, it is the unit of time")
@@ -175,39 +179,15 @@ class UserFile:
             length = definition.get(name, 1.0)
             if not isinstance(length, Tracer) and not (math.isfinite(float(length)) and float(length) > 0):
                 raise self._fault(line, f"{name} must be a positive number, not {length}")
-        made = {key: _components(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
-        return {key: _pointwise(one) if key in _FUNCTIONS and one else one for key, one in made.items()}
+        made = {key: components_of(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
+        return {key: pointwise(one) if key in FUNCTIONS and one else one for key, one in made.items()}
 
-    def _events(self, kind: str, given: Any) -> tuple[dict[str, Any], ...]:
+    def _events(self, kind: str, given: Any) -> tuple[Mapping[str, Any], ...]:
         """The jumps or switches of a definition, checked."""
-        line = self._define.__code__.co_firstlineno
-        if not isinstance(given, tuple | list) or not all(isinstance(event, Mapping) for event in given):
-            raise self._fault(line, f"{kind} must be a list of mappings, as in {_AN_EVENT[kind]}")
-        checked = []
-        for number, event in enumerate(given):
-            where, known = f"{kind}[{number}]", _EVENTS[kind]
-            for key in event:
-                if key not in known:
-                    close = difflib.get_close_matches(str(key), known, n=1)
-                    meant = f" (did you mean {close[0]}?)" if close else ""
-                    raise self._fault(
-                        line, f"{where} has {key!r}, which is unknown{meant}; known are {', '.join(known)}"
-                    )
-            event = {"direction": "up", **event} if kind == "jumps" else dict(event)
-            for key in known:
-                if key not in event:
-                    raise self._fault(line, f"{where} must also have {key}, as in {_AN_EVENT[kind]}")
-                if key == "direction":
-                    if event[key] not in DIRECTIONS:
-                        words = ", ".join(DIRECTIONS)
-                        raise self._fault(line, f"{where}: direction must be one of {words}, not {event[key]!r}")
-                elif not callable(event[key]) or not _takes(event[key], 2):
-                    raise self._fault(_line_of_code(event[key], line), f"{where}: {key} must be a function of (y, t)")
-                else:
-                    function = _components(event[key]) if key == "then" else event[key]
-                    event[key] = _pointwise(function)
-            checked.append(event)
-        return tuple(checked)
+        try:
+            return checked_events(kind, given)
+        except EventFault as fault:
+            raise self._fault(fault.line or self._define.__code__.co_firstlineno, str(fault)) from None
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period, or the unit of time, with these parameters."""
@@ -233,7 +213,7 @@ class UserFile:
         definition = self.define(**parameters)
         if "period" not in definition or tuple(parameters.values()) in self._periodic:
             return
-        functions = _functions(definition)
+        functions = functions_of(definition)
         period, draws = float(definition["period"]), np.random.default_rng(0)
         states = draws.uniform(-1.0, 1.0, (2 if self.mechanical else 1, len(self.coordinates), _PROBES))
         t = draws.uniform(0.0, period, _PROBES)
@@ -249,7 +229,8 @@ class UserFile:
             gap = np.abs(np.where(finite, one - other, 0.0))
             worst = np.unravel_index(np.argmax(gap), gap.shape)
             if gap[worst] > _ALIKE * np.max(np.abs(one), initial=1e-300, where=finite):
-                what = name if len(one) == 1 else f"number {worst[0] + 1} of {name}"
+                vector = name in _OF_COMPONENTS or name.endswith(".then")
+                what = f"number {worst[0] + 1} of {name}" if vector else name
                 message = (
                     f"{period:.9g} is no period of {name}: at one state {what} is {one[worst]:.9g} at t = "
                     f"{t[worst[1]]:.9g} and {other[worst]:.9g} a period later; give the period of what depends on t"
@@ -337,7 +318,7 @@ class UserFile:
         line, d = self._line_of("rhs"), len(self.coordinates)
 
         def evaluate(p: Mapping[str, Any], t: Any, y: Any) -> Any:
-            return self._numbers("rhs", _functions(self.define(**p))["rhs"](y, t))
+            return self._numbers("rhs", functions_of(self.define(**p))["rhs"](y, t))
 
         leaves, uses_time = self._traced(evaluate, 1)
         if any(leaf.shape for leaf in leaves):
@@ -349,17 +330,17 @@ class UserFile:
     def _try_events(self) -> bool:
         """Trace the functions of jumps and switches likewise."""
         uses_time, d = False, len(self.coordinates)
-        functions = _functions(self.define(**self.parameters))
+        functions = functions_of(self.define(**self.parameters))
         for name in [name for name in functions if name != "rhs"]:
 
             def evaluate(p: Mapping[str, Any], t: Any, y: Any, name: str = name) -> Any:
-                result = _functions(self.define(**p))[name](y, t)
+                result = functions_of(self.define(**p))[name](y, t)
                 return self._numbers(name, result if isinstance(result, tuple | list) else (result,))
 
             leaves, timed = self._traced(evaluate, 1)
             uses_time |= timed
-            wanted = "a number a coordinate" if name.endswith("then") else "a number"
-            count = d if name.endswith("then") else 1
+            wanted = "a number a coordinate" if name.endswith(".then") else "a number"
+            count = d if name.endswith(".then") else 1
             if any(leaf.shape for leaf in leaves) or len(leaves) != count:
                 raise self._fault(self._line_of(name), f"{name} must return {wanted}")
         return uses_time
@@ -378,14 +359,14 @@ class UserFile:
         """Convert a function's result to arrays."""
         if any(one is None or isinstance(one, str | Mapping | tuple | list) for one in values):
             nothing = ", and returns nothing" if values[0] is None else ""
-            wanted = _RETURNED.get(name) or ("a number a coordinate" if name.endswith("then") else "a number")
+            wanted = _RETURNED.get(name) or ("a number a coordinate" if name.endswith(".then") else "a number")
             raise self._fault(self._line_of(name), f"{name} must return {wanted}{nothing}")
         return tuple(jnp.asarray(one) for one in values)
 
     def _line_of(self, name: str) -> int:
         definition = self.define(**self.parameters)
-        function = definition.get(name) or _functions(definition).get(name) or definition.get("T")
-        return _line_of_code(function, self._define.__code__.co_firstlineno)
+        function = definition.get(name) or functions_of(definition).get(name) or definition.get("T")
+        return line_of_code(function, self._define.__code__.co_firstlineno)
 
     def _guarded(self, body: Callable[[], Any]) -> Any:
         try:
@@ -400,73 +381,7 @@ class UserFile:
         return UserFileError(f"{self.path}:{line}: {message}")
 
 
-def _functions(definition: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
-    """Functions of a definition by name, each of (state, t); a right-hand side by the branch that a state is in."""
-    functions = {name: definition[name] for name in _FUNCTIONS if definition.get(name) is not None}
-    switches = definition.get("switches", ())
-    if switches:
-
-        @functools.wraps(definition["rhs"])
-        def rhs(y: Any, t: Any) -> Any:
-            return definition["rhs"](y, t, tuple(jnp.where(each["on"](y, t) >= 0.0, 1.0, -1.0) for each in switches))
-
-        functions["rhs"] = rhs
-    for kind, keys in _EVENTS.items():
-        for number, event in enumerate(definition.get(kind, ())):
-            functions |= {f"{kind}[{number}].{key}": event[key] for key in keys if key != "direction"}
-    return functions
-
-
-def _takes(function: Any, count: int) -> bool:
-    """Return whether a function can be called with so many arguments, as far as its signature says."""
-    try:
-        inspect.signature(function).bind(*range(count))
-    except TypeError:
-        return False
-    except ValueError:  # it has none
-        return True
-    return True
-
-
-def _line_of_code(function: Any, otherwise: int) -> int:
-    """The line where a function begins, of one that is written in Python."""
-    code = getattr(inspect.unwrap(function) if callable(function) else None, "__code__", None)
-    return code.co_firstlineno if code else otherwise
-
-
 def _with_lists_of_names(definition: Mapping[str, Any]) -> dict[str, Any]:
     """A definition with one name as a tuple of it."""
     names = {key: (definition[key],) for key in _LISTS_OF_NAMES if isinstance(definition.get(key), str)}
     return {**definition, **names}
-
-
-def _components(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that returns a tuple, also of the one number that it says."""
-
-    @functools.wraps(function)
-    def components(*arguments: Any) -> Any:
-        result = function(*arguments)
-        if isinstance(result, tuple | list):
-            return result
-        return tuple(result) if getattr(result, "ndim", 0) == 1 else (result,)
-
-    return components
-
-
-def _pointwise(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that only ever sees the numbers of one state, also where it is asked for many of any one shape.
-
-    So it may make arrays of its numbers, multiply matrices, and take `jax.grad` of a number.
-    """
-
-    @functools.wraps(function)
-    def pointwise(*arguments: Any) -> Any:
-        leaves, structure = jax.tree.flatten(arguments)
-        shape = np.broadcast_shapes(*map(np.shape, leaves))
-        if not shape:
-            return function(*arguments)
-        each = [jnp.broadcast_to(leaf, shape).ravel() for leaf in leaves]
-        result = jax.vmap(lambda *one: function(*jax.tree.unflatten(structure, one)))(*each)
-        return jax.tree.map(lambda leaf: leaf.reshape(shape), result)
-
-    return pointwise
