@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import jaxnh
+from jaxnh.engine.accuracy.calibration import Calibration
+from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_parts, make_return_map
-from jaxnh.maps.iterate import derivatives
+from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import Tangent
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.solvers.runge_kutta import in_loop
@@ -366,45 +367,128 @@ def chua_circuit(alpha=9.0):
     }
 
 
-@functools.cache
-def chua_exactly():
-    """The state after one unit of time by exponentials of the three linear parts, with events as roots."""
-    from scipy.linalg import expm
+def chua_exactly(y, end):
+    """The state by exponentials of the three linear parts, with crossings of x = ±1 as roots."""
 
-    def matrix(zone):
+    def linear(zone):
         slope = -8 / 7 if zone == 0 else -5 / 7
-        a = np.array([[-9.0 * (1 + slope), 9.0, 0.0], [1.0, -1.0, 1.0], [0.0, -100.0 / 7.0, 0.0]])
-        return a, np.array([-9.0 * zone * (-8 / 7 + 5 / 7), 0.0, 0.0])
-
-    y, t, zone = np.array([0.7, 0.1, -0.2]), 0.0, 0
-    while True:
-        a, b = matrix(zone)
         whole = np.zeros((4, 4))
-        whole[:3, :3], whole[:3, 3] = a, b
-        at = lambda s: (expm(whole * (s - t)) @ np.append(y, 1.0))[:3]  # noqa: B023, E731
-        times = np.linspace(t, 4.0, 2001)[1:]
+        whole[:3, :3] = [[-9.0 * (1 + slope), 9.0, 0.0], [1.0, -1.0, 1.0], [0.0, -100.0 / 7.0, 0.0]]
+        whole[0, 3] = 9.0 * zone * 3 / 7
+        return whole
+
+    y, t, zone = np.array(y), 0.0, int(np.fix(y[0]))
+    while True:
+        at = lambda s: (expm(linear(zone) * (s - t)) @ np.append(y, 1.0))[:3]  # noqa: B023, E731
+        times = np.linspace(t, end, 1001)[1:]
         x = np.array([at(s)[0] for s in times])
-        edges = []
-        for wall in (-1.0, 1.0):
-            passed = np.flatnonzero((x[1:] - wall) * (x[:-1] - wall) < 0)
-            if len(passed):
-                edges.append((passed[0], wall))
-        if not edges:
-            return at(4.0)
-        i, wall = min(edges)
+        passed = [(i, wall) for wall in (-1.0, 1.0) for i in np.flatnonzero((x[1:] - wall) * (x[:-1] - wall) < 0)[:1]]
+        if not passed:
+            return at(end)
+        i, wall = min(passed)
         s = brentq(lambda s: at(s)[0] - wall, times[i], times[i + 1], xtol=1e-15, rtol=1e-14)  # noqa: B023
-        y, t, zone = at(s), s, (int(wall) if zone == 0 else 0)
+        y, t, zone = at(s), s, int(wall) if zone == 0 else 0
 
 
 def test_order_of_convergence_at_corners():
     """Methods have their order across the corners of Chua's circuit."""
-    system = piecewise_smooth(chua_circuit, {"alpha": 9.0})
-    exact = chua_exactly()
+    system, start = piecewise_smooth(chua_circuit, {"alpha": 9.0}), (0.7, 0.1, -0.2)
+    exact = chua_exactly(start, 4.0)
     for solver, counts in ((tsit5, (16, 24, 36, 54)), (dopri8, (8, 10, 13, 16))):
         errors = []
         for count in counts:
             strobe = make_return_map(system, solver, count, span=(0.0, 4.0))
-            state = jax.jit(lambda u, strobe=strobe: strobe(system.chart.state(u), {}))(jnp.array([0.7, 0.1, -0.2]))
+            state = jax.jit(lambda u, strobe=strobe: strobe(system.chart.state(u), {}))(jnp.array(start))
             errors.append(np.abs(np.array(state.y) - exact).max())
         order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
         assert order > solver.convergence_order - 0.7, (solver.name, errors)
+
+
+def test_a_target_is_met_at_corners(lanes):
+    """1e-10 of the size of the motion, where steps over the corners come down to 1e-8 by the most there can be."""
+    system = piecewise_smooth(chua_circuit, {"alpha": 9.0})
+    draws = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 24)) * [[2.0], [0.4], [2.5]]
+    start = system.start(dict(zip("xuv", draws, strict=True)))
+    alpha = {"alpha": np.full(24, 9.0)}
+    plan = Calibration([SweepPoints(system, start, alpha, alpha)], lanes).cheapest(1e-10)
+    assert plan.error_estimate <= 1e-10
+    strobe = make_return_map(system, plan.solver, plan.steps)
+    ours = np.array(lanes(iterate, (strobe, np.int32(1)), (start, alpha), periods=1).y)
+    theirs = np.array([chua_exactly(y, 1.0) for y in draws.T]).T
+    sizes = np.array([plan.sizes[name] for name in "xuv"])
+    assert np.max(np.abs(ours - theirs) / sizes[:, None]) < 1e-10
+
+
+# ---- several walls
+
+
+def billiard(speed=1.0):
+    """A point in the square |x|, |y| < 1."""
+
+    def mirror(i):
+        return lambda y, t: tuple(-x if j == i else x for j, x in enumerate(y))
+
+    walls = [(i, way) for i in (0, 1) for way in (1.0, -1.0)]
+    return {
+        "rhs": lambda y, t: (speed * y[2], speed * y[3], 0.0, 0.0),
+        "coordinates": ("x", "y", "u", "v"),
+        "jumps": [
+            {
+                "when": lambda y, t, i=i, way=way: way * y[i] - 1.0,
+                "direction": "up",
+                "then": mirror(i + 2),
+            }
+            for i, way in walls
+        ],
+    }
+
+
+def test_a_billiard_is_unfolded():
+    """Many walls in one step, in order, and two at once in a corner; the volume and squares of velocities are kept."""
+    system = piecewise_smooth(billiard, {"speed": 1.0})
+    strobe = make_return_map(system, tsit5, 2)
+    starts = np.array([(0.1, 0.3, 3.0, -5.0), (0.5, 0.5, 4.0, 4.0), (-0.2, 0.2, 7.0, -7.0), (0.0, -0.9, -2.5, 17.0)])
+
+    @jax.jit
+    @jax.vmap
+    def pushed(u):
+        z = system.chart.state(u)
+        after = strobe.pushforward(z, {}, (Tangent(system.chart.lift(z, (1.0, 0.0, 0.0, 0.0))),))
+        return after.state, after.tangents[0].state, after.volume
+
+    state, tangent, volume = pushed(points(starts))
+    x, y, u, v = starts.T
+    phase = np.stack([x + u, y + v]) + 1.0  # unfolded, from the wall at −1
+    folded = np.abs((phase + 2.0) % 4.0 - 2.0) - 1.0
+    up = np.where(phase % 4.0 < 2.0, 1.0, -1.0)
+    assert state.reason.tolist() == [0] * 4
+    assert np.abs(np.stack(state.y[:2]) - folded).max() < 1e-13
+    assert np.abs(np.stack(state.y[2:]) - np.stack([u, v]) * up).max() == 0.0
+    assert np.abs(np.asarray(tangent.y[0]) - up[0]).max() < 1e-12
+    assert volume == pytest.approx(np.ones(4), abs=1e-12)
+
+
+def test_both_directions():
+    """x'' = −x with v halved whenever x = 0 is passed, once in each half turn."""
+
+    def define(r=0.5):
+        return {
+            "rhs": lambda y, t: (y[1], -y[0]),
+            "coordinates": ("x", "v"),
+            "time_unit": TURN / 2,
+            "jumps": [{"when": lambda y, t: y[0], "direction": "both", "then": lambda y, t: (y[0], r * y[1])}],
+        }
+
+    def turned(y, angle):
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([c * y[0] + s * y[1], c * y[1] - s * y[0]])
+
+    system, start = piecewise_smooth(define, {"r": 0.5}), np.array([0.6, -0.8])
+    for steps in (16, 112):
+        y = start
+        for n in range(1, 4):
+            wait = (np.arctan2(y[1], y[0]) - np.pi / 2) % np.pi  # states turn clockwise
+            y = turned([0.0, 0.5 * turned(y, wait)[1]], np.pi - wait)
+            strobe = make_return_map(system, dopri8, steps)
+            ours = jax.jit(lambda u, n=n, strobe=strobe: derivatives(strobe, n, u, {}).image)(jnp.asarray(start))
+            assert np.abs(np.asarray(ours) - y).max() < 1e-10

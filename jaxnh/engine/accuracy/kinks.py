@@ -16,6 +16,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxnh.engine.accuracy.sample_maps import image_of
+from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.state import State
@@ -79,7 +80,12 @@ def find_kink(flow: Flow, times: Float[np.ndarray, " points"], passed: State, p:
             )
             time = ends[0][step] + share * (ends[1][step] - ends[0][step])
             where = f"at t = {time:.4g}, {place}"
-            return Kink(order + 1, f"the right-hand side {words} {where}: make it smooth there, or ask for less")
+            remedy = (
+                "make it smooth there, name the place in switches"
+                if isinstance(flow, FirstOrder)
+                else "make it smooth there"
+            )
+            return Kink(order + 1, f"the right-hand side {words} {where}: {remedy}, or ask for less")
     return None
 
 
