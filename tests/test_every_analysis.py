@@ -76,8 +76,8 @@ def lanes_of(data, *names):
 # ---- checks
 
 
-def follows(rates, names, angle=False):
-    """The last sample or strobe follows from the first by DOP853, over the time between."""
+def follows(rates, names, angle=False, even=False):
+    """The last sample or strobe follows from the first by DOP853, over the time between; if even, or its opposite."""
 
     def check(data, _):
         *columns, values = lanes_of(data, *names)
@@ -91,6 +91,8 @@ def follows(rates, names, angle=False):
             gap = path.y[:, -1] - states[lane, -1]
             if angle:
                 gap[2] = (gap[2] + np.pi) % TURN - np.pi
+            if even:
+                gap = min(gap, path.y[:, -1] + states[lane, -1], key=lambda x: np.abs(x).max())
             assert np.abs(gap).max() < 20 * CLOSE, lane
 
     return check
@@ -372,6 +374,14 @@ KINDS = {
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\naccuracy: {solver: rodas5p, steps: 160}",
         MOEBIUS,
         moebius.MOEBIUS,
+    ),
+    "a right-hand side with jumps": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS,
+        MOEBIUS
+        | dict.fromkeys(
+            ("portrait", "poincare", "diagram"), follows(moebius.moebius_in_its_frame, ("u", "v"), even=True)
+        ),
+        moebius.MOEBIUS_WITH_JUMPS,
     ),
     "two axes": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.2, stop: 0.2, count: 4}, "

@@ -26,7 +26,7 @@ from jaxnh.config.messages import fault_of_rule
 from jaxnh.config.particle import PoincareSection
 from jaxnh.config.user_system import UserSection
 from jaxnh.config.yaml_source import from_dict, from_text
-from jaxnh.engine.fitting import check_analysis, check_levels
+from jaxnh.engine.fitting import check_analysis, check_events, check_levels
 from jaxnh.engine.flows import particle_flow, section_of
 from jaxnh.engine.start_states import admit_starts, check_constraints, spread_indices
 from jaxnh.maps.section import System, begin
@@ -305,6 +305,7 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
         if self._file.discrete:
             self.check_map()
         self.check_clock(not self.autonomous)
+        check_events(self.flow(), self.accuracy.solver, self.precision, sectioned=self.section is not None)
         super()._try_out()
 
     def _flow(self, parameters: Mapping[str, float]) -> UserFlow:

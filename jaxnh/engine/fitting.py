@@ -1,4 +1,4 @@
-"""Rules that need the flow: on an analysis with flow and sweep, and on levels."""
+"""Rules that need the flow: on an analysis with flow and sweep, on jumps and switches, and on levels."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from jaxnh.analyses.options.base import Options, rule
 from jaxnh.analyses.registry import ANALYSES
 from jaxnh.config.blocks import Levels
 from jaxnh.config.messages import join_words
+from jaxnh.config.solver_names import NYSTROM, RUNGE_KUTTA
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 
 def check_analysis(analysis: Analysis, options: Options, setting: Setting) -> None:
@@ -24,6 +27,24 @@ def check_analysis(analysis: Analysis, options: Options, setting: Setting) -> No
         key = f"analyses.{name}.{error.key}".rstrip(".")
         axes = () if error.key in options.model_fields_set else (f"sweep.{axis.name}" for axis in setting.axes)
         raise rule(str(error), key, f"analyses.{name}", *axes) from None
+
+
+def check_events(flow: Flow, solver: str | None, precision: str, *, sectioned: bool) -> None:
+    """Check that section, solver and precision go with a flow that has jumps or switches.
+
+    Raises:
+        ValueError: one does not; the rule names the key.
+    """
+    if not isinstance(flow, PiecewiseSmooth):
+        return
+    if sectioned:
+        wrong = "a system with jumps or switches is looked at once a unit of time, and not on a section: leave it out"
+        raise rule(wrong, "section")
+    if solver in NYSTROM:
+        others = ", ".join(RUNGE_KUTTA)
+        raise rule(f"{solver} has no steps that end at jumps or switches; {others} have", "accuracy.solver")
+    if precision == "extended":
+        raise rule("extended goes with smooth systems, and this one has jumps or switches", "accuracy.precision")
 
 
 def check_levels(levels: Levels, sizes: Mapping[str, int], requested: Sequence[tuple[Analysis, Options]]) -> None:

@@ -17,6 +17,7 @@ from jaxnh.maps.adaptive import adaptive_parts, adaptive_strobe
 from jaxnh.maps.crossings import EventStrobe, SteppedStrobe
 from jaxnh.maps.general_flow import general_strobe, stack_leaves, unit_step
 from jaxnh.maps.iteration import IterationStrobe
+from jaxnh.maps.jumping import jumping_strobe
 from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table, whole_period
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.maps.nystrom import nystrom_strobe, nystrom_unit_step
@@ -39,6 +40,7 @@ from jaxnh.solvers import (
 from jaxnh.systems.discrete_map import DiscreteMap
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.particle import IsokineticParticle
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 _SMALLEST_TABLE = 8192  # rows of all parts: maps of most steps, and refined ones, run through one program
 _FEWEST_LOOKS, _STEPS_A_LOOK = 32, 8  # parts of a unit of time after which a crossing is looked for, and steps in them
@@ -195,6 +197,13 @@ class AdaptiveScheme(StepScheme):
         return (ADAPTIVE["rodas5p"],)
 
 
+class StepsToEvents(StepScheme):
+    """Integration by Runge–Kutta methods whose steps end at jumps and switches."""
+
+    def solvers(self, flow: Flow, precision: str = "float64") -> tuple[Solver, ...]:
+        return tsitouras_papakostas8, verner9, tsit5
+
+
 def _split_grid(flow: Flow, each: int, parts: int) -> np.ndarray:
     """The step grid of a period in parts of `each` steps, (parts, each + 1)."""
     ends = step_grid(flow, each * parts, (0.0, flow.period))
@@ -202,6 +211,8 @@ def _split_grid(flow: Flow, each: int, parts: int) -> np.ndarray:
 
 
 def _map_on_grid(flow: Flow, solver: Any, grid: np.ndarray) -> ReturnMap:
+    if isinstance(flow, PiecewiseSmooth):
+        return jumping_strobe(flow, _check_solver(solver), grid)
     if isinstance(solver, Nystrom):
         return nystrom_strobe(flow, solver, grid)
     return general_strobe(flow, _check_solver(solver), grid)
@@ -215,6 +226,7 @@ def _check_solver(solver: Any) -> diffrax.AbstractSolver:
 
 SCHEMES: dict[type[Flow], tuple[Scheme, Scheme]] = {
     IsokineticParticle: (Kicks(), StepScheme()),
+    PiecewiseSmooth: (StepsToEvents(), StepsToEvents()),
     Flow: (StepScheme(), StepScheme()),
 }
 """The registry: how flows of a kind are integrated by solvers of that way, and by others."""
@@ -331,9 +343,12 @@ def _unit_step(flow: Flow, solver: Solver) -> ReturnMap:
     return scheme_of(flow, solver).step(flow, solver)
 
 
-def _equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: int = 0) -> SteppedStrobe:
+def _equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: int = 0) -> ReturnMap:
     """Return a map of equal steps over a length of time, or `parts` such maps."""
-    strobe = SteppedStrobe(flow, _unit_step(flow, solver).rescaled_time(length / steps), np.int32(steps))
+    if isinstance(flow, PiecewiseSmooth):
+        strobe = _map_on_grid(flow, solver, np.linspace(0.0, length, steps + 1))
+    else:
+        strobe = SteppedStrobe(flow, _unit_step(flow, solver).rescaled_time(length / steps), np.int32(steps))
     if not parts:
         return strobe
     return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], parts, axis=0), strobe)

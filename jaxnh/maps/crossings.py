@@ -24,8 +24,14 @@ from jaxnh.systems.flow import NO_RETURN, NOT_FINITE, Flow, Parameters
 from jaxnh.systems.state import State, masked
 
 _ON_SECTION = 1e-9  # a state as near as this is on the section, and leaves it: of its value and of a step's way across
-_SETTLED = 1e-9  # a step of Newton below this, as a share of the step, leaves its square
-_MOST_SHOTS = 40
+SETTLED = 1e-9
+"""A step of Newton below this, as a share of the step, leaves its square."""
+
+MOST_SHOTS = 40
+"""Steps of Newton, or halvings, at one crossing."""
+
+_NEARLY = 0.1  # of the way that rates at both ends of a step make, for a height that turns near zero
+_WITHIN = 0.02  # of a step, from its ends, is no turn within it
 
 Carried = State | Pushforward
 """State carried from step to step, alone or with tangents."""
@@ -205,13 +211,13 @@ class EventStrobe(ReturnMap):
         rising = jnp.ones_like(search.side) if self.system.direction != "both" else -search.side
 
         seeking = search.shots == 0
-        side, low, high, seen = self._between(ends, search.side)
+        side, low, high, seen = crossing_between(ends, search.side, either=self.system.direction == "both")
         seen &= seeking & finite
         straight = heights[0] / (heights[0] - heights[1])
         guess = jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
-        better, *bracket = _improve(search.share, *ends[2:], rising, search.low, search.high)
+        better, *bracket = improve_share(search.share, *ends[2:], rising, search.low, search.high)
 
-        near = (jnp.abs(better - search.share) <= _SETTLED) | (search.shots >= _MOST_SHOTS)
+        near = (jnp.abs(better - search.share) <= SETTLED) | (search.shots >= MOST_SHOTS)
         onwards, arrived = seeking & ~seen, search.settled
         moved = onwards | arrived
         t = search.t + (search.steps.astype(search.t.dtype) + search.share) * self.step
@@ -255,24 +261,6 @@ class EventStrobe(ReturnMap):
         near = _ON_SECTION * (abs(self.system.value) + jnp.abs(rate) * self.step)
         return jnp.sign(jnp.where(jnp.abs(height) < near, rate, height))
 
-    def _between(self, ends: tuple[Array, Array, Array, Array], side: Array) -> tuple[Array, Array, Array, Array]:
-        """The side after a step, the part of it that has a crossing, and whether there is one.
-
-        Of heights and their rates, for a whole step, before it and after it.
-        """
-        now = jnp.where(ends[2] >= 0.0, 1.0, -1.0)
-        turn = ends[1] / (ends[1] - ends[3])
-        turns = ends[1] * ends[3] < 0.0
-        away = turns & (ends[1] * side > 0.0)  # first away from the section, then towards it
-        crossed = side != now
-        touched = ~crossed & turns & ~away & (_cubic(ends, turn)[0] * side < 0.0)
-        low, high = jnp.where(crossed & away, turn, 0.0), jnp.where(touched, turn, 1.0)
-        if self.system.direction != "both":
-            second = touched & (side > 0.0)  # down and up again
-            low, high = jnp.where(second, turn, low), jnp.where(second, 1.0, high)
-            return now, low, high, (crossed & (side < 0.0)) | touched
-        return now, low, high, crossed | touched
-
     def _arrived(self, start: Crossing, ended: _Search, state: State) -> Crossing:
         """The crossing, or a lane that has failed and says why."""
         crossed = ended.left <= 0
@@ -286,10 +274,46 @@ def _state_of(carried: Carried) -> State:
     return carried.state if isinstance(carried, Pushforward) else carried
 
 
-def _improve(
+def crossing_between(
+    ends: tuple[Array, Array, Array, Array], side: Array, *, either: bool
+) -> tuple[Array, Array, Array, Array]:
+    """The side after a step, the part of it that has a crossing, and whether there is one.
+
+    Args:
+        ends: heights and their rates, for a whole step, before it and after it.
+        side: +1 above, −1 below, before it.
+        either: whether a crossing down is one as well.
+    """
+    now = jnp.where(ends[2] >= 0.0, 1.0, -1.0)
+    turn = ends[1] / (ends[1] - ends[3])
+    turns = ends[1] * ends[3] < 0.0
+    away = turns & (ends[1] * side > 0.0)  # first away from the section, then towards it
+    crossed = side != now
+    touched = ~crossed & turns & ~away & (_cubic(ends, turn)[0] * side < 0.0)
+    low, high = jnp.where(crossed & away, turn, 0.0), jnp.where(touched, turn, 1.0)
+    if not either:
+        second = touched & (side > 0.0)  # down and up again
+        low, high = jnp.where(second, turn, low), jnp.where(second, 1.0, high)
+        return now, low, high, (crossed & (side < 0.0)) | touched
+    return now, low, high, crossed | touched
+
+
+def near_turn(ends: tuple[Array, Array, Array, Array], side: Array) -> tuple[Array, Array]:
+    """The part of a step after which its height turns back, and whether that is near zero though not seen beyond it.
+
+    Args:
+        ends, side: as of `crossing_between`.
+    """
+    turn = ends[1] / (ends[1] - ends[3])
+    turns = (ends[1] * side < 0.0) & (ends[3] * side > 0.0) & (turn > _WITHIN) & (turn < 1.0 - _WITHIN)
+    gap = _cubic(ends, turn)[0] * side
+    return turn, turns & (gap < _NEARLY * (jnp.abs(ends[1]) + jnp.abs(ends[3])))
+
+
+def improve_share(
     share: Array, height: Array, rate: Array, rising: Array, low: Array, high: Array
 ) -> tuple[Array, Array, Array]:
-    """Newton's better share, for a height and its rate, in the part of the step that has the crossing; that part."""
+    """Newton's better share of a step, for a height and its rate, in the part that has the crossing; that part."""
     short = height * rising < 0.0
     low, high = jnp.where(short, share, low), jnp.where(short, high, share)
     better = share - height / rate

@@ -90,9 +90,7 @@ class GeneralStrobe(ReturnMap):
     def _rolls(self, tangents: int) -> bool:
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return False
-        if self.carried or self.solver.rolled is not None:
-            return self.carried or bool(self.solver.rolled)
-        return time_split(self.system).size * (1 + tangents) * self.solver.stages > _LARGEST_STEP
+        return self.carried or stages_in_loop(self.system, self.solver, tangents)
 
     def as_loop(self) -> GeneralStrobe:
         return replace(self, carried=True) if isinstance(self.solver, WrittenOutRungeKutta) else self
@@ -299,6 +297,13 @@ def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:
     return {name: p[name] if name in p else system.parameters[name] for name in system.lane_parameters}
 
 
+def stages_in_loop(system: Flow, solver: WrittenOutRungeKutta, tangents: int) -> bool:
+    """Return whether the stages of a step with so many tangents are a loop: written out they are too many equations."""
+    if solver.rolled is not None:
+        return solver.rolled
+    return time_split(system).size * (1 + tangents) * solver.stages > _LARGEST_STEP
+
+
 def time_split(system: Flow) -> TimeSplit:
     """Split a flow's rate into what depends on time alone and the rest; traced once for all flows of a structure."""
     shapes = tuple((np.shape(leaf)) for leaf in jax.tree.leaves(system))
@@ -330,10 +335,15 @@ def general_strobe(system: Flow, solver: diffrax.AbstractSolver, grid: np.ndarra
 
 def stage_times(grid: np.ndarray, c: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """A grid (..., steps + 1) with room for as many steps as most accuracies need, and times (..., steps, stages)."""
+    grid = roomy_grid(grid)
+    return grid, grid[..., :-1, None] + np.diff(grid)[..., None] * np.asarray(c)
+
+
+def roomy_grid(grid: np.ndarray) -> np.ndarray:
+    """A grid (..., steps + 1) with room for as many steps as most accuracies need, its last end repeated."""
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
     capacity = 1 << (max(_SMALLEST_GRID // math.prod(parts), count) - 1).bit_length()
-    grid = np.concatenate([grid, np.repeat(grid[..., -1:], capacity - count, axis=-1)], axis=-1)
-    return grid, grid[..., :-1, None] + np.diff(grid)[..., None] * np.asarray(c)
+    return np.concatenate([grid, np.repeat(grid[..., -1:], capacity - count, axis=-1)], axis=-1)
 
 
 def stack_leaves(system: Any, parts: tuple[int, ...]) -> Any:

@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 from jaxnh.systems.chart import Chart, general_directions, wrap_angle
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
 from jaxnh.systems.flow import Labels, Output, Parameters, pairs
-from jaxnh.systems.state import Number, Vector
+from jaxnh.systems.state import Number, State, Vector
 
 
 class Point(NamedTuple):
@@ -31,10 +31,10 @@ class Point(NamedTuple):
 class CoordinateChart(Chart):
     """All coordinates."""
 
-    def components(self, y: Point) -> Vector:
+    def components(self, y: State) -> Vector:
         return tuple(y.y)
 
-    def state(self, u: Number) -> Point:
+    def state(self, u: Number) -> State:
         return Point(tuple(u[i] for i in range(self.dimension)))
 
     def directions(self, k: int) -> tuple[Vector, ...]:
@@ -71,11 +71,11 @@ class PointFlow(DefinedFlow):
 
     # ---- host: start states and results
 
-    def start(self, coordinates: Mapping[str, ArrayLike]) -> Point:
+    def start(self, coordinates: Mapping[str, ArrayLike]) -> State:
         """The state with coordinates by name."""
         return Point(tuple(np.asarray(coordinates[name], float) for name in self.names))
 
-    def outputs(self, y: Point, t: np.ndarray) -> dict[str, Output]:
+    def outputs(self, y: State, t: np.ndarray) -> dict[str, Output]:
         """The coordinates by name."""
         words = self.labels
         return {
@@ -87,7 +87,7 @@ class PointFlow(DefinedFlow):
 class FirstOrder(PointFlow):
     """Any system of a right-hand side, its definition's `rhs`; made by `first_order`."""
 
-    def rhs(self, t: ArrayLike, y: Point, p: Parameters) -> Point:
+    def rhs(self, t: ArrayLike, y: State, p: Parameters) -> State:
         """Time derivative of a state."""
         rates = self.definition(p)["rhs"](tuple(y.y), t)
         return point_like(rates, y)

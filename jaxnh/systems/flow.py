@@ -25,10 +25,11 @@ Parameters = Mapping[str, ArrayLike]
 """Name to value, of the parameters that a lane has of its own; of lanes side by side each (lanes,)."""
 
 
-STATUS = ("ok", "singular", "off_constraint", "not_finite", "no_return", "escaped")
+STATUS = ("ok", "singular", "off_constraint", "not_finite", "no_return", "escaped", "chattering")
 """Status of a lane, by number."""
 
 NOT_FINITE, NO_RETURN = STATUS.index("not_finite"), STATUS.index("no_return")
+CHATTERING = STATUS.index("chattering")
 
 
 UNSAID = ""

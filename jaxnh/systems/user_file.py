@@ -14,16 +14,21 @@
         def image(y): ...                             # or a map: the next iterate, a number a coordinate
         return dict(map=image, coordinates=("x", "y"))
 
-`y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. One number or one name
-stands for the tuple of it. What depends on t has a `period`; what does not may have a `time_unit`. Results and pictures
-take words and units of parameters and coordinates, and units of t, from labels={"x": "displacement"} and
+A right-hand side may have jumps of the state and switches of the field:
+
+    jumps=[{"when": wall, "direction": "up", "then": bounce}]     # where wall(y, t) rises through zero the state jumps
+    switches=[{"on": surface}]                                    # where surface(y, t) is zero the field changes
+
+`bounce(y, t)` is the state after; with switches the right-hand side is rhs(y, t, side), side a tuple of +1.0 or -1.0 a
+switch. `y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. One number or one
+name stands for the tuple of it. What depends on t has a `period`; what does not may have a `time_unit`. Results and
+pictures take words and units of parameters and coordinates, and units of t, from labels={"x": "displacement"} and
 units={"x": "m"}. Whatever is wrong with the file is said in one line with its place.
 """
 
 from __future__ import annotations
 
 import difflib
-import functools
 import hashlib
 import inspect
 import math
@@ -43,19 +48,30 @@ from jaxnh.systems.discrete_map import DiscreteMap, discrete_map
 from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
+from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
+from jaxnh.systems.user_functions import (
+    EVENTS,
+    FUNCTIONS,
+    EventFault,
+    checked_events,
+    components_of,
+    functions_of,
+    line_of_code,
+    pointwise,
+    takes,
+)
 from jaxnh.systems.user_text import BESIDE_STATES, Names, can_be_states, read_text, with_velocities
 
 _CLOCKS = ("period", "time_unit")
 _OF_ALL = ("coordinates", "angles", "labels", "units")
-_FIRST_ORDER = ("rhs", *_CLOCKS, *_OF_ALL)
+_FIRST_ORDER = ("rhs", "jumps", "switches", *_CLOCKS, *_OF_ALL)
 _MECHANICS = ("T", "Q", "f", "ignorable", *_CLOCKS, *_OF_ALL)
 _MAP = ("map", *_OF_ALL)
 _LISTS_OF_NAMES = ("coordinates", "angles", "ignorable")
-_ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "T": "(q, v, t)", "Q": "(q, v, t)", "f": "(q, v, t)"}  # of the functions
-_FUNCTIONS = tuple(_ARGUMENTS)
 _OF_COMPONENTS = ("map", "rhs", "Q", "f")  # functions that return a number a coordinate, or a constraint
+_ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "T": "(q, v, t)", "Q": "(q, v, t)", "f": "(q, v, t)"}  # of the functions
 _PROBES = 16  # random states and times at which equations are held against themselves a period later
 _ALIKE = 1e-8  # of the largest number there: a period of ten digits will do
 _OWN_KEYS = {"map": _MAP, "rhs": _FIRST_ORDER}  # of a system that returns one of these
@@ -104,6 +120,7 @@ class UserFile:
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
         self.discrete, self.mechanical = "map" in definition, "T" in definition
+        self._eventful = any(definition.get(kind) for kind in EVENTS)
         uses_time = self._try_mechanics() if self.mechanical else self._try_point("map" if self.discrete else "rhs")
         if uses_time and "period" not in definition:
             raise self._fault(self._line_of("rhs"), "the system depends on t: give its period, period=2 * jnp.pi")
@@ -160,6 +177,10 @@ class UserFile:
         for name, arguments in _ARGUMENTS.items():
             if definition.get(name) is not None and not callable(definition[name]):
                 raise self._fault(line, f"{name} must be a function of {arguments}")
+        definition |= {kind: self._events(kind, definition[kind]) for kind in EVENTS if kind in definition}
+        if definition.get("switches") and not takes(definition["rhs"], 3):
+            message = "with switches rhs is a function of (y, t, side); side has +1.0 or -1.0 for each switch"
+            raise self._fault(line_of_code(definition["rhs"], line), message)
         self._check_names(definition, line)
         if all(name in definition for name in _CLOCKS):
             raise self._fault(line, "period and time_unit exclude each other: with a period, it is the unit of time")
@@ -167,8 +188,15 @@ class UserFile:
             length = definition.get(name, 1.0)
             if not isinstance(length, Tracer) and not (math.isfinite(float(length)) and float(length) > 0):
                 raise self._fault(line, f"{name} must be a positive number, not {length}")
-        made = {key: _components(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
-        return {key: _pointwise(one) if key in _FUNCTIONS and one else one for key, one in made.items()}
+        made = {key: components_of(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
+        return {key: pointwise(one) if key in FUNCTIONS and one else one for key, one in made.items()}
+
+    def _events(self, kind: str, given: Any) -> tuple[Mapping[str, Any], ...]:
+        """The jumps or switches of a definition, checked."""
+        try:
+            return checked_events(kind, given)
+        except EventFault as fault:
+            raise self._fault(fault.line or self._define.__code__.co_firstlineno, str(fault)) from None
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period, or the unit of time, with these parameters."""
@@ -185,7 +213,8 @@ class UserFile:
             UserFileError: the equations are other ones a period later.
         """
         self._check_period(parameters)
-        made = lagrangian if self.mechanical else discrete_map if self.discrete else first_order
+        of_points = piecewise_smooth if self._eventful else first_order
+        made = lagrangian if self.mechanical else discrete_map if self.discrete else of_points
         flow = made(self.define, parameters, of_lanes)
         return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.is_shared(name)))
 
@@ -194,23 +223,24 @@ class UserFile:
         definition = self.define(**parameters)
         if "period" not in definition or tuple(parameters.values()) in self._periodic:
             return
-        names = [name for name in _FUNCTIONS if definition.get(name) is not None]
+        functions = functions_of(definition)
         period, draws = float(definition["period"]), np.random.default_rng(0)
-        states = draws.uniform(-1.0, 1.0, (1 if names == ["rhs"] else 2, len(self.coordinates), _PROBES))
+        states = draws.uniform(-1.0, 1.0, (2 if self.mechanical else 1, len(self.coordinates), _PROBES))
         t = draws.uniform(0.0, period, _PROBES)
 
         def rates(t: Any, states: Any) -> list[Any]:
-            results = [definition[name](*map(tuple, states), t) for name in names]
-            return [jnp.stack([one] if name == "T" else list(one)) for name, one in zip(names, results, strict=True)]
+            results = [function(*map(tuple, states), t) for function in functions.values()]
+            return [jnp.stack(list(each) if isinstance(each, tuple | list) else [each]) for each in results]
 
         with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
             now, later = self._guarded(lambda: jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)))(t, states))
-        for name, one, other in zip(names, map(np.asarray, now), map(np.asarray, later), strict=True):
+        for name, one, other in zip(functions, map(np.asarray, now), map(np.asarray, later), strict=True):
             finite = np.isfinite(one) & np.isfinite(other)
             gap = np.abs(np.where(finite, one - other, 0.0))
             worst = np.unravel_index(np.argmax(gap), gap.shape)
             if gap[worst] > _ALIKE * np.max(np.abs(one), initial=1e-300, where=finite):
-                what = name if name == "T" else f"number {worst[0] + 1} of {name}"
+                vector = name in _OF_COMPONENTS or name.endswith(".then")
+                what = f"number {worst[0] + 1} of {name}" if vector else name
                 message = (
                     f"{period:.9g} is no period of {name}: at one state {what} is {one[worst]:.9g} at t = "
                     f"{t[worst[1]]:.9g} and {other[worst]:.9g} a period later; give the period of what depends on t"
@@ -298,7 +328,7 @@ class UserFile:
         line, d = self._line_of(name), len(self.coordinates)
 
         def evaluate(p: Mapping[str, Any], t: Any, y: Any) -> Any:
-            function = self.define(**p)[name]
+            function = functions_of(self.define(**p))[name]
             return self._numbers(name, function(y) if self.discrete else function(y, t))
 
         leaves, uses_time = self._traced(evaluate, 1)
@@ -306,6 +336,24 @@ class UserFile:
             raise self._fault(line, f"{name} must return {_RETURNED[name]}")
         if len(leaves) != d:
             raise self._fault(line, f"{name} must return {d} numbers, one a coordinate, not {len(leaves)}")
+        return self._try_events() or uses_time
+
+    def _try_events(self) -> bool:
+        """Trace the functions of jumps and switches likewise."""
+        uses_time, d = False, len(self.coordinates)
+        functions = functions_of(self.define(**self.parameters))
+        for name in [name for name in functions if "." in name]:
+
+            def evaluate(p: Mapping[str, Any], t: Any, y: Any, name: str = name) -> Any:
+                result = functions_of(self.define(**p))[name](y, t)
+                return self._numbers(name, result if isinstance(result, tuple | list) else (result,))
+
+            leaves, timed = self._traced(evaluate, 1)
+            uses_time |= timed
+            wanted = "a number a coordinate" if name.endswith(".then") else "a number"
+            count = d if name.endswith(".then") else 1
+            if any(leaf.shape for leaf in leaves) or len(leaves) != count:
+                raise self._fault(self._line_of(name), f"{name} must return {wanted}")
         return uses_time
 
     def _traced(self, evaluate: Callable[..., Any], vectors: int) -> tuple[list[Any], bool]:
@@ -322,14 +370,14 @@ class UserFile:
         """Convert a function's result to arrays."""
         if any(value is None or isinstance(value, str | Mapping | tuple | list) for value in values):
             nothing = ", and returns nothing" if values[0] is None else ""
-            raise self._fault(self._line_of(name), f"{name} must return {_RETURNED[name]}{nothing}")
+            wanted = _RETURNED.get(name) or ("a number a coordinate" if name.endswith(".then") else "a number")
+            raise self._fault(self._line_of(name), f"{name} must return {wanted}{nothing}")
         return tuple(jnp.asarray(value) for value in values)
 
     def _line_of(self, name: str) -> int:
         definition = self.define(**self.parameters)
-        function = definition.get(name) or definition.get("T")
-        code = getattr(inspect.unwrap(function) if function else None, "__code__", None)
-        return code.co_firstlineno if code else self._define.__code__.co_firstlineno
+        function = definition.get(name) or functions_of(definition).get(name) or definition.get("T")
+        return line_of_code(function, self._define.__code__.co_firstlineno)
 
     def _guarded(self, body: Callable[[], Any]) -> Any:
         try:
@@ -348,7 +396,10 @@ def _unknown(name: str, main: str, known: Sequence[str]) -> str:
     """Describe what is wrong with a key of a definition whose main one, as rhs, is another."""
     if main == "map" and name in _CLOCKS:
         return f"a map has no {name}: lengths of time are counted in its iterates; leave it out"
-    if name in (*_FUNCTIONS, *_MECHANICS):
+    if name in EVENTS:
+        advice = "write T and Q as one" if main == "T" else "write the jump into the image"
+        return f"{name} go with a right-hand side rhs; {advice}, or leave {name} out"
+    if name in (*FUNCTIONS, *_MECHANICS):
         return f"system returns {main} and {name!r}; a system is a right-hand side, or T and Q, or a map"
     close = difflib.get_close_matches(name, known, n=1)
     meant = f" (did you mean {close[0]}?)" if close else ""
@@ -359,35 +410,3 @@ def _with_lists_of_names(definition: Mapping[str, Any]) -> dict[str, Any]:
     """A definition with one name as a tuple of it."""
     names = {key: (definition[key],) for key in _LISTS_OF_NAMES if isinstance(definition.get(key), str)}
     return {**definition, **names}
-
-
-def _components(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that returns a tuple, also of the one number that it says."""
-
-    @functools.wraps(function)
-    def components(*arguments: Any) -> Any:
-        result = function(*arguments)
-        if isinstance(result, tuple | list):
-            return result
-        return tuple(result) if getattr(result, "ndim", 0) == 1 else (result,)
-
-    return components
-
-
-def _pointwise(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that only ever sees the numbers of one state, also where it is asked for many of any one shape.
-
-    So it may make arrays of its numbers, multiply matrices, and take `jax.grad` of a number.
-    """
-
-    @functools.wraps(function)
-    def pointwise(*arguments: Any) -> Any:
-        leaves, structure = jax.tree.flatten(arguments)
-        shape = np.broadcast_shapes(*map(np.shape, leaves))
-        if not shape:
-            return function(*arguments)
-        each = [jnp.broadcast_to(leaf, shape).ravel() for leaf in leaves]
-        result = jax.vmap(lambda *one: function(*jax.tree.unflatten(structure, one)))(*each)
-        return jax.tree.map(lambda leaf: leaf.reshape(shape), result)
-
-    return pointwise

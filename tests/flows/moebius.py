@@ -2,7 +2,8 @@
 
 In its frame ξ' = (μ − ν − ξ²) ξ and η' = −η. A period's map has the
 fixed point 0 with multipliers −exp(2π(μ − ν)) and −exp(−2π), which doubles at μ = ν; beyond, ξ = ±√(μ − ν) is an orbit of
-period 2 with exponents −2(μ − ν) and −1. In space it is the same about the circle r = 1.
+period 2 with exponents −2(μ − ν) and −1. In space it is the same about the circle r = 1. In its frame the half turn is a
+jump (ξ, η) → −(ξ, η) a period, which may come at any ξ², as the motion between does not change with it.
 """
 
 from __future__ import annotations
@@ -42,6 +43,24 @@ def system(mu=0.1, nu=0.0):
     return {"rhs": rhs, "coordinates": ("x", "y", "z"), "time_unit": 2 * jnp.pi}
 """
 
+MOEBIUS_WITH_JUMPS = """\
+import jax.numpy as jnp
+
+def system(mu=0.1, nu=0.0):
+    def rhs(y, t):
+        u, v = y
+        return (mu - nu - u**2) * u, -v
+
+    def wall(y, t):
+        return jnp.sin(t - 1.0 - 0.3 * y[0] ** 2)
+
+    def turn(y, t):
+        return -y[0], -y[1]
+
+    jumps = [{"when": wall, "direction": "up", "then": turn}]
+    return {"rhs": rhs, "coordinates": ("u", "v"), "period": 2 * jnp.pi, "jumps": jumps}
+"""
+
 
 def moebius(t, y, mu=0.1, nu=0.0, omega=1.0):
     """Rates of (u, v), from the complex number w = u + iv: in its frame ζ = w exp(−iωt/2)."""
@@ -57,3 +76,8 @@ def moebius_in_space(t, y, mu=0.1, nu=0.0):
     angle = np.arctan2(y[1], y[0])
     rho, z = moebius(angle, [np.hypot(y[0], y[1]) - 1.0, y[2]], mu, nu)
     return np.array([rho * np.cos(angle) - y[1], rho * np.sin(angle) + y[0], z])
+
+
+def moebius_in_its_frame(t, y, mu=0.1, nu=0.0):
+    """Rates of (ξ, η)."""
+    return np.array([(mu - nu - y[0] ** 2) * y[0], -y[1]])

@@ -16,7 +16,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxnh.engine.accuracy.sample_maps import image_of
+from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.state import State
 
 _STEPS = 16  # of a motion in which the field changes most, that are halved
@@ -39,11 +41,13 @@ class Kink(NamedTuple):
 
 
 def find_kink(flow: Flow, times: Float[np.ndarray, " points"], passed: State, p: Parameters) -> Kink | None:
-    """Find a jump or a corner of a field on a motion; None where none is seen.
+    """Find a jump or a corner of a field on a motion; None where none is seen, or they are met by steps that end there.
 
     Args:
         times, passed: of states of the motion, one after the other.
     """
+    if isinstance(flow, PiecewiseSmooth):
+        return None
     finite = np.all(np.isfinite(image_of(passed)), axis=0)
     points = len(times) if np.all(finite) else int(np.argmin(finite))
     if points < 2:
@@ -76,7 +80,12 @@ def find_kink(flow: Flow, times: Float[np.ndarray, " points"], passed: State, p:
             )
             time = ends[0][step] + share * (ends[1][step] - ends[0][step])
             where = f"at t = {time:.4g}, {place}"
-            return Kink(order + 1, f"the right-hand side {words} {where}: make it smooth there, or ask for less")
+            remedy = (
+                "make it smooth there, name the place in switches"
+                if isinstance(flow, FirstOrder)
+                else "make it smooth there"
+            )
+            return Kink(order + 1, f"the right-hand side {words} {where}: {remedy}, or ask for less")
     return None
 
 

@@ -1,0 +1,132 @@
+"""Jumps and switches in a user's file: what they come to, and one line for what is wrong with them."""
+
+from __future__ import annotations
+
+import pytest
+
+import jaxnh
+from jaxnh.exceptions import ConfigError
+from jaxnh.systems.first_order import FirstOrder
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+
+FILE = """import jax.numpy as jnp
+
+def system(w=2.0, r=0.8, k=0.1):
+    def rhs(y, t, side):
+        return y[1], jnp.cos(w * t) - y[0] - k * side[0] * y[1]
+
+    def wall(y, t):
+        return y[0]
+
+    def bounce(y, t):
+        return y[0], -r * y[1]
+
+    def surface(y, t):
+        return y[0] + 1.0
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / w,
+            "jumps": [{"when": wall, "direction": "up", "then": bounce}],
+            "switches": [{"on": surface}]}
+"""
+CONFIG = """system: {file: own.py}
+initial: {x: -1.0}
+sweep: {r: {values: [0.8, 0.9]}}
+accuracy: {solver: tsit5, steps: 40}
+analyses:
+  lyapunov: {transient: 4, periods: 16}
+"""
+
+
+def write(folder, text=FILE, config=CONFIG):
+    (folder / "own.py").write_text(text)
+    (folder / "own.yaml").write_text(config)
+    return folder / "own.yaml"
+
+
+def test_a_flow_with_events(tmp_path):
+    flow = jaxnh.load(write(tmp_path)).flow()
+    assert isinstance(flow, PiecewiseSmooth)
+    assert (flow.jumps, flow.switches, flow.autonomous) == (("up",), 1, False)
+    without = FILE.replace(", side)", ")").replace(" - k * side[0] * y[1]", "")
+    without = without.replace('[{"when": wall, "direction": "up", "then": bounce}]', "[]").replace(
+        '[{"on": surface}]', "()"
+    )
+    flow = jaxnh.load(write(tmp_path, without)).flow()
+    assert type(flow) is FirstOrder
+
+
+def test_up_is_the_default(tmp_path):
+    assert jaxnh.load(write(tmp_path, FILE.replace('"direction": "up", ', ""))).flow().jumps == ("up",)
+
+
+FAULTS = {
+    "no list": (("[{\"on\": surface}]", "{\"on\": surface}"), ":3: switches must be a list of mappings, as in switches=[{\"on\": surface}]"),
+    "no mapping": (("[{\"on\": surface}]", "[surface]"), ":3: switches must be a list of mappings, as in switches=[{\"on\": surface}]"),
+    "a key": (('"direction"', '"dircetion"'), ":3: jumps[0] has 'dircetion', which is unknown (did you mean direction?); known are when, direction, then"),
+    "a direction": (('"up"', '"upwards"'), ":3: jumps[0].direction must be one of up, down, both, not 'upwards'"),
+    "nothing after": ((', "then": bounce', ""), ":3: jumps[0] must also have then, as in jumps=[{"),
+    "no function": (('"when": wall', '"when": 0.0'), ":3: jumps[0].when must be a function of (y, t)"),
+    "other arguments": (("def bounce(y, t)", "def bounce(y)"), ":10: jumps[0].then must be a function of (y, t)"),
+    "no side": (("def rhs(y, t, side)", "def rhs(y, t)"), ":4: with switches rhs is a function of (y, t, side); side has +1.0 or -1.0 for each"),
+    "a vector for a wall": (("        return y[0]\n", "        return y\n"), ":7: jumps[0].when must return a number"),
+    "too few after": (("return y[0], -r * y[1]", "return -r * y[1]"), ":10: jumps[0].then must return a number a coordinate"),
+    "a wrong name": (("-r * y[1]", "-q * y[1]"), ":11: NameError: name 'q' is not defined"),
+    "a choice": (("return y[0] + 1.0", "return y[0] + 1.0 if y[0] > 0 else y[0]"), ":14: if cannot decide by"),
+    "no period of a wall": (("        return y[0]\n", "        return y[0] - 0.1 * jnp.sin(1.3 * t)\n"), ":7: 3.14159265 is no period of jumps[0].when: at one state"),
+    "no period of a jump": (("-r * y[1]", "-r * y[1] + 0.1 * jnp.sin(1.3 * t)"), ":10: 3.14159265 is no period of jumps[0].then: at one state number 2 of jumps[0].then"),
+    "mechanics": (('"rhs": rhs', '"T": wall, "Q": bounce'), ":3: jumps go with a right-hand side rhs; write T and Q as one, or leave jumps out"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("edit", "message"), FAULTS.values(), ids=FAULTS)
+def test_fault_in_the_file(tmp_path, edit, message):
+    assert edit[0] in FILE
+    with pytest.raises(ConfigError) as caught:
+        jaxnh.load(write(tmp_path, FILE.replace(*edit)))
+    assert str(caught.value).startswith(f"{tmp_path}/own.py{message}")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wall_alone_has_the_clock(tmp_path):
+    """A ball on a table that moves: what falls knows no time, and where it falls on does."""
+    text = FILE.replace("jnp.cos(w * t)", "1.0").replace(
+        "        return y[0]\n", "        return y[0] - jnp.sin(w * t)\n"
+    )
+    assert not jaxnh.load(write(tmp_path, text)).flow().autonomous
+    with pytest.raises(ConfigError, match=r"own\.py:4: the system depends on t: give its period"):
+        jaxnh.load(write(tmp_path, text.replace(', "period": 2 * jnp.pi / w', "")))
+
+
+AUTONOMOUS = FILE.replace("jnp.cos(w * t)", "1.0").replace(', "period": 2 * jnp.pi / w', "")
+CONFIG_FAULTS = {
+    "a section": (AUTONOMOUS, ("accuracy", "section: {coordinate: x}\naccuracy"), "4: section: a system with jumps or switches is looked at once a unit of time"),
+    "a solver": (FILE, ("tsit5", "nystrom8"), "4: accuracy.solver: nystrom8 has no steps that end at jumps or switches; tsit5,"),
+    "precision": (FILE, ("lyapunov: {transient: 4, periods: 16}", "doubling: {}"), None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "edit", "message"), CONFIG_FAULTS.values(), ids=CONFIG_FAULTS)
+def test_fault_in_the_config(tmp_path, text, edit, message):
+    config = CONFIG.replace(*edit)
+    if message is None:
+        config = config.replace("steps: 40", "steps: 40, precision: extended")
+        message = "4: accuracy.precision: extended goes with smooth systems, and this one has jumps or switches"
+    with pytest.raises(ConfigError) as caught:
+        jaxnh.load(write(tmp_path, text, config))
+    assert str(caught.value).startswith(f"{tmp_path}/own.yaml:{message}")
+
+
+def test_from_python():
+    """The function itself, in a session: its source goes into the config as a file's does."""
+
+    def oscillator(r=0.8):
+        return {
+            "rhs": lambda y, t: (y[1], -1.0 - 0 * y[0]),
+            "coordinates": ("x", "v"),
+            "jumps": [{"when": lambda y, t: y[0], "direction": "down", "then": lambda y, t: (y[0], -r * y[1])}],
+        }
+
+    session = jaxnh.Session(oscillator, start={"x": 1.0}, target=1e-8)
+    assert session.experiment.flow().jumps == ("down",)
+    with pytest.raises(ConfigError, match="section: a system with jumps or switches is looked at once a unit of time"):
+        session.on(coordinate="v")
