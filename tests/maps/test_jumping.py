@@ -333,6 +333,10 @@ def test_chattering_is_a_reason():
     assert float(state.y[0][1]) == pytest.approx(100.0 - TURN**2 / 2, abs=1e-12)
     codes = system.reports(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], state))["status"].data
     assert codes.tolist() == [CHATTERING, 0]
+    for failed in (jnp.array([0.5, 0.0]), jnp.array([jnp.nan, 0.0])):
+        z = system.chart.state(failed)
+        pushed = strobe.pushforward(z, {}, (Tangent(system.chart.lift(z, (jnp.float64(1.0), jnp.float64(0.0)))),))
+        assert np.isnan([*pushed.tangents[0].state.y, pushed.volume]).all()
 
 
 def test_sliding_is_chattering():
