@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -316,15 +315,7 @@ def _finite(state: PiecewisePoint) -> Array:
     return jnp.isfinite(sum(x * x for x in state.y))
 
 
-def jumping_strobe(system: PiecewiseSmooth, solver: diffrax.AbstractSolver, grid: np.ndarray) -> JumpingStrobe:
-    """The map over a grid (steps + 1,), or stacked maps over grids (parts, steps + 1).
-
-    Raises:
-        TypeError: the solver has no steps that can be cut.
-    """
-    if not isinstance(solver, WrittenOutRungeKutta):
-        raise TypeError(
-            f"{type(solver).__name__} has no steps that end at jumps; the package's Runge-Kutta methods have"
-        )
+def jumping_strobe(system: PiecewiseSmooth, solver: WrittenOutRungeKutta, grid: np.ndarray) -> JumpingStrobe:
+    """The map over a grid (steps + 1,), or stacked maps over grids (parts, steps + 1)."""
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
     return JumpingStrobe(stack_leaves(system, parts), solver, roomy_grid(grid), np.full(parts, count, np.int32))
