@@ -288,6 +288,7 @@ OTHERS = {
     "AttributeError": {"__init__.py": "what a module must raise for a name that it has not"},
     "BlockingIOError": {"storage/tiles.py": "caught at once: another process has the lock"},
     "ConstructorError": {"config/yaml_tree.py": "caught by the reader of YAML, which says it in a line"},
+    "EventFault": {"systems/user_functions.py": "caught at once, and given its line"},
     "Fault": {"config/yaml_tree.py": "caught at once, and given its line", "config/yaml_source.py": "likewise"},
     "FileNotFoundError": {"storage/tiles.py": "a tile that is not there: caught by those who look for it"},
     "_NoNameError": {"engine/cache/executables.py": "caught at once: such a program is compiled and not kept"},

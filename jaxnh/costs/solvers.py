@@ -27,6 +27,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS, IsokineticSplitting
 from jaxnh.systems.flow import Flow
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 _COARSEST = 1e-3  # largest error that makes a row
 _DECADES = 1.5  # of error between the rows of a splitting; their program is one for all
@@ -240,6 +241,8 @@ def _explicit(flow: Flow) -> Iterator[Iterator[SolverSetting]]:
     own = [solver for solver in scheme_of(flow).solvers(flow.flow) if not isinstance(solver, IsokineticSplitting)]
     for solver in {solver.name: solver for solver in (*own, *RUNGE_KUTTA.values())}.values():
         yield constant(solver.name, solver, solver.convergence_order, solver.stages)
+    if isinstance(flow.flow, PiecewiseSmooth):  # whose steps end where those of diffrax do not
+        return
     for stock, order in ((diffrax.Tsit5(), 5), (diffrax.Dopri8(), 8)):
         name = f"diffrax {type(stock).__name__}"
         yield constant(name, stock, order, stock.tableau.num_stages - int(stock.tableau.fsal))

@@ -32,6 +32,7 @@ from jaxnh.solvers import (
     IsokineticSplitting,
     Nystrom,
     Solver,
+    WrittenOutRungeKutta,
     nystrom8,
     tsit5,
     tsitouras_papakostas8,
@@ -212,7 +213,9 @@ def _split_grid(flow: Flow, each: int, parts: int) -> np.ndarray:
 
 def _map_on_grid(flow: Flow, solver: Any, grid: np.ndarray) -> ReturnMap:
     if isinstance(flow, PiecewiseSmooth):
-        return jumping_strobe(flow, _check_solver(solver), grid)
+        if not isinstance(solver, WrittenOutRungeKutta):
+            raise TypeError(f"{type(solver).__name__} has no steps that end at jumps and switches")
+        return jumping_strobe(flow, solver, grid)
     if isinstance(solver, Nystrom):
         return nystrom_strobe(flow, solver, grid)
     return general_strobe(flow, _check_solver(solver), grid)

@@ -3,12 +3,7 @@
 A step keeps to the branch of the field that it begins with, so that it is a step of a smooth field, whose order it has.
 After it, heights of walls and surfaces and their rates at both ends say whether one has been passed, as in `crossings`;
 the step is then taken anew, shorter, to end at the first of them. There the state jumps, or the field changes, and the
-rest of the step follows. Tangents pass by the saltation matrix
-
-    S = Dg + (F(g(y)) − Dg F(y) − ∂g/∂t) nᵀ / (nᵀ F(y) + ∂h/∂t),   n = ∂h/∂y of the height h
-
-(Aizerman and Gantmakher, Prikl. Mat. Mekh. 22 (1958) 658; Müller, Chaos Solitons Fractals 5 (1995) 1671; di Bernardo,
-Budd, Champneys and Kowalczyk, Piecewise-smooth Dynamical Systems, 2008), g being the jump, or the identity at a switch.
+rest of the step follows. Tangents pass by saltation matrices (`saltation`).
 """
 
 from __future__ import annotations
@@ -16,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -37,6 +31,7 @@ from jaxnh.maps.general_flow import (
     stages_in_loop,
 )
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
+from jaxnh.maps.saltation import EventPassage, Heights, pick, side_from
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import CHATTERING, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
@@ -44,12 +39,7 @@ from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
 _MOST_EVENTS = 64
 """Jumps and switches in one step; a lane that has more is taken to have infinitely many in finite time."""
 
-_ON_WALL = 1e-9  # a state as near as this after its jump is on the wall: of a step's way across
 _BEGINS_ON_WALL = 1e-12  # of a step's way, where a period begins: a state there leaves, and does not arrive
-_BOTH_ROUNDINGS = 4.0  # times the height at which a wall was met, for that of the state after
-
-Heights = tuple[Array, ...]
-"""A number for each jump, then for each switch."""
 
 
 class _March(NamedTuple):
@@ -92,21 +82,6 @@ class _March(NamedTuple):
     again: Array
     events: Array
     lost: Array
-
-
-class _Event(NamedTuple):
-    """What a stop leaves.
-
-    Attributes:
-        moving: the state after it, with tangents and volume.
-        height, rate, side, rounding: as of `_March`.
-    """
-
-    moving: Moving
-    height: Heights
-    rate: Heights
-    side: Heights
-    rounding: Heights
 
 
 class JumpingStrobe(ReturnMap):
@@ -158,10 +133,10 @@ class JumpingStrobe(ReturnMap):
         first = as_batched(lane.begin(begun, jnp.asarray(self.grid)), begun.state.y[0])
         ended = lax.while_loop(lane.unfinished, lane.trial, first)
         stuck = ended.events > _MOST_EVENTS
-        y, reason = ended.moving.state
-        y = tuple(jnp.where(stuck, jnp.nan, x) for x in y)
+        reason = ended.moving.state.reason
         reason = jnp.where(stuck & (reason == 0.0), 1.0 * CHATTERING, reason)
-        return ended.moving._replace(state=PiecewisePoint(y, reason))
+        kept = jax.tree.map(lambda x: jnp.where(stuck | ended.lost, jnp.nan, x), ended.moving)
+        return kept._replace(state=PiecewisePoint(kept.state.y, reason))
 
 
 class _Lane:
@@ -177,6 +152,7 @@ class _Lane:
     def __init__(self, strobe: JumpingStrobe, own: Parameters, by_p: list[Any], *, volume: bool) -> None:
         self.strobe, self.own, self.by_p, self.volume = strobe, own, by_p, volume
         self._system, self._jumps = strobe.system, len(strobe.system.jumps)
+        self._passage = EventPassage(strobe.system, own, by_p, volume=volume)
         self._either = [way == "both" for way in strobe.system.jumps] + [True] * strobe.system.switches
 
     # ---- the loop
@@ -190,10 +166,10 @@ class _Lane:
         t, length, state = grid[0], grid[1] - grid[0], moving.state
         height = self._system.heights(t, state, self.own)
         signs = tuple(jnp.where(h >= 0.0, 1.0, -1.0) for h in height)
-        rate = self._rates_of_heights(t, state, self._branch(t, state, self.own, signs))
+        rate = self._passage.rates_of_heights(t, state, self._passage.branch(t, state, signs))
         zero, none, no = jnp.zeros_like(state.y[0]), jnp.int32(0), jnp.bool_(False)
         side = tuple(
-            _side_from(h, r, _BEGINS_ON_WALL * jnp.abs(r) * length, sign if either else -jnp.ones_like(sign))
+            side_from(h, r, _BEGINS_ON_WALL * jnp.abs(r) * length, sign if either else -jnp.ones_like(sign))
             for h, r, sign, either in zip(height, rate, signs, self._either, strict=True)
         )
         return _March(
@@ -227,9 +203,9 @@ class _Lane:
         t = jnp.where(seeking, end, march.t + h)
         ahead = self._advance(march.t, h, march.side[self._jumps :], march.moving)
         state, finite = ahead.state, _finite(ahead.state)
-        field = self._branch(t, state, self.own, march.side)
+        field = self._passage.branch(t, state, march.side)
         height = self._system.heights(t, state, self.own)
-        rate = self._rates_of_heights(t, state, field)
+        rate = self._passage.rates_of_heights(t, state, field)
 
         # Passages within what this trial has gone over, and of heights that turn near zero the turns.
         kept = [
@@ -255,10 +231,10 @@ class _Lane:
 
         # Newton on the one that is sought.
         sought = march.sought
-        either = _pick(sought, [jnp.bool_(x) for x in self._either])
-        side = _pick(sought, march.side)
+        either = pick(sought, [jnp.bool_(x) for x in self._either])
+        side = pick(sought, march.side)
         rising = jnp.where(either, -side, 1.0)
-        sought_height, sought_rate = _pick(sought, height), _pick(sought, rate)
+        sought_height, sought_rate = pick(sought, height), pick(sought, rate)
         better, *bracket = improve_share(share, sought_height, sought_rate * stretch, rising, march.low, march.high)
         beyond = sought_height * rising >= 0.0
         sure = march.sure | jnp.where(~either & (side > 0.0), ~beyond, beyond)
@@ -271,7 +247,9 @@ class _Lane:
         sides = tuple(
             jnp.where(arrived & hit, old, part[0]) for hit, old, part in zip(passed, march.side, between, strict=True)
         )
-        after = self._after(t, ahead, field, height, rate, march._replace(side=sides, stretch=stretch), event, side)
+        after = self._passage.after_event(
+            t, ahead, field, height, rate, sides, march.rounding, stretch, sought, side, event
+        )
 
         def chosen(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda n, o: jnp.where(moved, n, o), new, old)
@@ -289,12 +267,12 @@ class _Lane:
                 lambda r, o: jnp.where(onwards, 0.0, jnp.where(moved, r, o)), after.rounding, march.rounding
             ),
             stretch=jnp.where(seen, h, stretch),
-            share=jnp.where(moved, 1.0, jnp.where(seen, _pick(first, guesses), jnp.where(pausing, earliest, better))),
-            low=jnp.where(fresh, _pick(first, [part[1] for part in between]), bracket[0]),
-            high=jnp.where(fresh, _pick(first, [part[2] for part in between]), bracket[1]),
+            share=jnp.where(moved, 1.0, jnp.where(seen, pick(first, guesses), jnp.where(pausing, earliest, better))),
+            low=jnp.where(fresh, pick(first, [part[1] for part in between]), bracket[0]),
+            high=jnp.where(fresh, pick(first, [part[2] for part in between]), bracket[1]),
             shots=jnp.where(moved, 0, jnp.where(fresh, 1, march.shots + 1)),
             sought=jnp.where(seen, first, jnp.where(pausing, count, sought)),
-            sure=jnp.where(seen, _pick(first, crossed), jnp.where(pausing, False, sure)),
+            sure=jnp.where(seen, pick(first, crossed), jnp.where(pausing, False, sure)),
             settled=jnp.where(moved | seen, False, pausing | (~seeking & near)),
             again=jnp.where(moved, False, march.again | (seen & ~seeking)),
             events=jnp.where(onwards, 0, jnp.where(arrived, march.events + 1, march.events)),
@@ -302,84 +280,6 @@ class _Lane:
         )
 
     # ---- parts of a trial
-
-    def _after(
-        self,
-        t: Array,
-        ahead: Moving,
-        field: PiecewisePoint,
-        height: Heights,
-        rate: Heights,
-        march: _March,
-        event: Array,
-        side: Array,
-    ) -> _Event:
-        """What follows a trial: a jump or a change of the field where there is an event, and else the state as it is.
-
-        Args:
-            t, ahead, field, height, rate: at the end of the trial.
-            march: before it, with the sides at its end.
-            event: whether what is sought is passed there.
-            side: of that, before.
-        """
-        system, sought = self._system, march.sought
-        units = self._unit_vectors(ahead.state) if self.volume and self._jumps else []
-        along = [*ahead.tangents, *units]
-        by_p = [*self.by_p, *[None] * len(units)]
-        met_height, met_rate = _pick(sought, height), _pick(sought, rate)
-        delays: list[Array] = []
-        if along:
-            zero = jnp.zeros_like(t)
-            slopes = linearise(
-                lambda at, own: system.heights(at[1], at[0], own),
-                (ahead.state, t), self.own, [(dz, zero) for dz in along], by_p,
-            )[1]  # fmt: skip
-            delays = [jnp.where(event, -_pick(sought, slope) / met_rate, 0.0) for slope in slopes]
-        carried = [_added(dz, field, dt) for dz, dt in zip(along, delays, strict=True)]
-
-        # The state after, and what becomes of tangents at the moment of the event.
-        after, pushed, jumps = ahead.state, carried, jnp.bool_(False)
-        for k in range(self._jumps):
-            jumps_here = event & (sought == k)
-            jumps |= jumps_here
-            image, moved = linearise(
-                lambda at, own, k=k: system.jumped(k, at[1], at[0], own),
-                (ahead.state, t), self.own, list(zip(carried, delays, strict=True)), by_p,
-            )  # fmt: skip
-            after = _select(jumps_here, image, after)
-            pushed = [_select(jumps_here, new, old) for new, old in zip(moved, pushed, strict=True)]
-
-        # Sides: those of surfaces first, which decide the field there.
-        heights = system.heights(t, after, self.own) if self._jumps else height
-        sides = []
-        for k, (old, new, now) in enumerate(zip(height, heights, march.side, strict=True)):
-            if k >= self._jumps:
-                now = jnp.where(event & (sought == k), -side, now)
-            leapt = jumps & (sought != k) & (jnp.sign(old) != jnp.sign(new))
-            sides.append(jnp.where(leapt, jnp.where(new >= 0.0, 1.0, -1.0), now))
-        field_after = self._branch(t, after, self.own, sides)
-        rates = self._rates_of_heights(t, after, field_after)
-        rounding = list(march.rounding)
-        for k in range(len(heights)):
-            here = event & (sought == k)
-            rounding[k] = jnp.where(here, _BOTH_ROUNDINGS * jnp.abs(met_height), rounding[k])
-            if k < self._jumps:
-                way = (jnp.abs(met_rate) + jnp.abs(rates[k])) * march.stretch
-                on_wall = _BOTH_ROUNDINGS * jnp.abs(met_height) + _ON_WALL * way
-                left = _side_from(heights[k], rates[k], on_wall, side)
-                sides[k] = jnp.where(here, left, sides[k])
-                near = here & (jnp.abs(heights[k]) <= on_wall)
-                rounding[k] = jnp.where(near, rounding[k] + _BOTH_ROUNDINGS * jnp.abs(heights[k]), rounding[k])
-
-        pushed = [_added(dz, field_after, -dt) for dz, dt in zip(pushed, delays, strict=True)]
-        count, volume = len(ahead.tangents), ahead.log_volume
-        if self.volume:
-            growth = jnp.where(event & ~jumps, _pick(sought, rates) / met_rate, 1.0)
-            if units:
-                columns = [jnp.stack(dz.y) for dz in pushed[count:]]
-                growth = jnp.where(jumps, jnp.linalg.det(jnp.stack(columns, axis=-1)), growth)
-            volume = volume + jnp.log(jnp.abs(growth))
-        return _Event(Moving(after, tuple(pushed[:count]), volume), heights, rates, tuple(sides), tuple(rounding))
 
     def _advance(self, t: Array, h: Array, sides: Heights, moving: Moving) -> Moving:
         """One Runge–Kutta step, on one branch of the field."""
@@ -397,38 +297,11 @@ class _Lane:
         in_loop = stages_in_loop(system, solver, len(moving.tangents) + self.volume)
         return (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
 
-    def _branch(self, t: Array, state: PiecewisePoint, own: Parameters, sides: Sequence[Array]) -> PiecewisePoint:
-        return self._system.branch(t, state, own, tuple(sides[self._jumps :]))
-
-    def _rates_of_heights(self, t: Array, state: PiecewisePoint, field: PiecewisePoint) -> Heights:
-        """Time derivatives of all heights along a branch of the field."""
-        return jax.jvp(
-            lambda z, t: self._system.heights(t, z, self.own), (state, jnp.asarray(t)), (field, jnp.ones_like(t))
-        )[1]
-
-    def _unit_vectors(self, state: PiecewisePoint) -> list[PiecewisePoint]:
-        zero, count = jnp.zeros_like(state.reason), len(state.y)
-        return [PiecewisePoint(tuple(zero + float(i == j) for i in range(count)), zero) for j in range(count)]
-
 
 def _guess(ends: tuple[Array, Array, Array, Array], low: Array, high: Array) -> Array:
     """A first guess of where a height passes zero, by the straight line, within the part that has it."""
     straight = ends[0] / (ends[0] - ends[2])
     return jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
-
-
-def _side_from(height: Array, rate: Array, near: Array, otherwise: Array) -> Array:
-    """The side that a motion is on: by its height, on the wall by its rate, at rest there as is said."""
-    by_rate = jnp.where(rate == 0.0, otherwise, jnp.sign(rate))
-    return jnp.where(jnp.abs(height) <= near, by_rate, jnp.where(height >= 0.0, 1.0, -1.0))
-
-
-def _pick(number: Array, values: Sequence[Array]) -> Array:
-    """The value with a number; the first where there is none."""
-    picked = values[0]
-    for k, value in enumerate(values[1:], 1):
-        picked = jnp.where(number == k, value, picked)
-    return picked
 
 
 def _any(flags: Sequence[Array]) -> Array:
@@ -438,28 +311,11 @@ def _any(flags: Sequence[Array]) -> Array:
     return flag
 
 
-def _added(dz: PiecewisePoint, field: PiecewisePoint, dt: Array) -> PiecewisePoint:
-    """A tangent moved along the flow for a time; along a field that is not finite by no time as well."""
-    return jax.tree.map(lambda x, f: x + f * dt, dz, field)
-
-
-def _select(condition: Array, one: Any, other: Any) -> Any:
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), one, other)
-
-
 def _finite(state: PiecewisePoint) -> Array:
     return jnp.isfinite(sum(x * x for x in state.y))
 
 
-def jumping_strobe(system: PiecewiseSmooth, solver: diffrax.AbstractSolver, grid: np.ndarray) -> JumpingStrobe:
-    """The map over a grid (steps + 1,), or stacked maps over grids (parts, steps + 1).
-
-    Raises:
-        TypeError: the solver has no steps that can be cut.
-    """
-    if not isinstance(solver, WrittenOutRungeKutta):
-        raise TypeError(
-            f"{type(solver).__name__} has no steps that end at jumps; the package's Runge-Kutta methods have"
-        )
+def jumping_strobe(system: PiecewiseSmooth, solver: WrittenOutRungeKutta, grid: np.ndarray) -> JumpingStrobe:
+    """The map over a grid (steps + 1,), or stacked maps over grids (parts, steps + 1)."""
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
     return JumpingStrobe(stack_leaves(system, parts), solver, roomy_grid(grid), np.full(parts, count, np.int32))

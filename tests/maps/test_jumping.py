@@ -15,7 +15,7 @@ from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_parts, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import Tangent
-from jaxnh.solvers import dopri8, tsit5
+from jaxnh.solvers import dopri8, nystrom8, tsit5
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.flow import CHATTERING
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
@@ -333,6 +333,15 @@ def test_chattering_is_a_reason():
     assert float(state.y[0][1]) == pytest.approx(100.0 - TURN**2 / 2, abs=1e-12)
     codes = system.reports(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], state))["status"].data
     assert codes.tolist() == [CHATTERING, 0]
+    for failed in (jnp.array([0.5, 0.0]), jnp.array([jnp.nan, 0.0])):
+        z = system.chart.state(failed)
+        pushed = strobe.pushforward(z, {}, (Tangent(system.chart.lift(z, (jnp.float64(1.0), jnp.float64(0.0)))),))
+        assert np.isnan([*pushed.tangents[0].state.y, pushed.volume]).all()
+
+
+def test_other_solvers_are_refused():
+    with pytest.raises(TypeError, match="Nystrom has no steps that end at jumps and switches"):
+        make_return_map(flow_of("dry oscillator"), nystrom8, 10)
 
 
 def test_sliding_is_chattering():
