@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from jaxnh.engine.axes import SweepPoints
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
+from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import SOLVERS
 from jaxnh.systems.first_order import first_order
 from tests.helpers.commands import run_here
@@ -53,6 +55,35 @@ def test_a_stiff_flow_is_followed_unasked(lanes):
     assert exact[0] < -1.5
     for name, x, known in zip("xv", image.y, exact, strict=True):
         assert abs(float(x) - known) < plan.error_estimate * plan.sizes[name]
+
+
+def test_lanes_that_common_steps_lose_are_no_lanes_that_escape(lanes):
+    """Van der Pol at μ = 50 beside 200: the return time of the stiffer lane, 323.91604, by Radau between its events."""
+
+    def define(rate=1.0):
+        rhs = lambda y, t: (y[1], rate * (1.0 - y[0] ** 2) * y[1] - y[0])  # noqa: E731
+        return {"rhs": rhs, "coordinates": ("x", "v"), "time_unit": 50.0}
+
+    flow = first_order(define, {"rate": 1.0}, ("rate",))
+    section = Section(flow, "x", 0, 0.0, "up")
+    state, p = begin(section, flow.start({"x": np.full(2, 2.0), "v": np.zeros(2)})), {"rate": np.array([50.0, 200.0])}
+    plan = Calibration([SweepPoints(section, state, p, p)], lanes, target=TARGET).cheapest(TARGET)
+    assert plan.solver.name == "rodas5p"
+    strobe = make_return_map(section, plan.solver, plan.steps)
+    stiffer = jax.tree.map(lambda leaf: jnp.float64(leaf[1]), state)
+    crossing = jax.jit(lambda s, z, p: s.iterate(2, z, p))(strobe, stiffer, {"rate": 200.0})
+    later = jax.jit(lambda s, z, p: s(z, p))(strobe, crossing, {"rate": 200.0})
+
+    def crosses(t, y):
+        return y[0]
+
+    crosses.direction = 1.0
+    rhs = define(200.0)["rhs"]
+    exact = solve_ivp(
+        lambda t, y: rhs(y, t), (0.0, 330.0), [0.0, float(crossing.state.y[1])], "Radau", rtol=1e-11, atol=1e-12,
+        events=crosses,
+    ).t_events[0][-1]  # fmt: skip
+    assert abs(float(later.t - crossing.t) / exact - 1.0) < plan.error_estimate
 
 
 def test_a_corner_is_followed_unasked(lanes):

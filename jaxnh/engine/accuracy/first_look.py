@@ -21,7 +21,9 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, error_components
 
-_LANES = 8  # of the sweep that are looked at, evenly among all
+LANES_FOLLOWED = 8
+"""Lanes of a sweep that are looked at, evenly among all."""
+
 _TOLERANCE = 1e-4  # error of a step, of the largest modulus of each coordinate so far
 _FIRST_STEP = 1e-6  # of the length of time
 _SHORTEST = 1e-13  # of it: what needs shorter steps goes to infinity, or its rates do
@@ -93,7 +95,7 @@ def follow(maps: SampleMaps, samples: Samples, length: float | None = None) -> P
     Args:
         length: of time, by default a period or a unit of time.
     """
-    picked = np.unique(np.linspace(0, len(samples.row) - 1, _LANES).round().astype(int))
+    picked = np.unique(np.linspace(0, len(samples.row) - 1, LANES_FOLLOWED).round().astype(int))
     few = samples.take_lanes(picked)
     if maps.sectioned:
         few = few._replace(states=few.states.state)

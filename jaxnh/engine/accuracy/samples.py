@@ -13,14 +13,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnh.engine.accuracy.diagnostics import fault_of
-from jaxnh.engine.accuracy.first_look import first_look
+from jaxnh.engine.accuracy.first_look import LANES_FOLLOWED, first_look, follow
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, differences, gaps_between, image_of
 from jaxnh.engine.accuracy.sizes import measure_sizes, rough_sizes
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, Section
-from jaxnh.systems.flow import Parameters
+from jaxnh.systems.flow import NOT_FINITE, Parameters
 from jaxnh.systems.state import State
 
 _CALLS, _PERIODS = 10, 17  # calls, and periods in each, in which sampled lanes are followed from the start
@@ -108,26 +108,50 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
 
     They are doubled until the image settles; in a unit of time in which chaos enlarges everything, until that of a part
     does, from the start and from a unit later. Where the most that are tried leave no lane finite, a first look with
-    steps that follow the motion says how many it needs, or that there are none.
+    steps that follow the motion says how many it needs, or that there are none. Where they leave some, a lane is lost
+    for ever if such steps lose it too.
+
+    Raises:
+        AccuracyError: the most that are tried lose a lane whose motion stays finite.
     """
     solver, steps = maps.scheme.reference, maps.scheme.rough_steps
     start = image_of(samples.states)
     image = maps.image(maps.of(solver, steps), samples)
-    lost = np.ones(len(samples.row), bool)
+    lost, stays = np.ones(len(samples.row), bool), -1
     while 2 * steps * solver.stages <= _MOST_SEED_KICKS:
         maps.tell(f"the start states with {2 * steps * solver.stages:,} kicks a period")
         later = maps.by_flow(iterate, lambda row, n=2 * steps: (maps.of(solver, n)(row), np.int32(1)), samples, 1)
         coarser, image = image, image_of(later)
         gaps = gaps_between(differences(coarser, image), rough_sizes(maps, start, image))
         lost = ~np.isfinite(gaps)  # by so few steps, where so are all, or for ever
-        if not np.all(lost) and np.all(lost | (gaps < _SEED_ERROR)):
+        stays = _stays_finite(maps, samples, later, lost) if np.any(lost) and not np.all(lost) else -1
+        if not np.all(lost) and np.all(lost | (gaps < _SEED_ERROR)) and stays < 0:
             return steps
         steps *= 2
         if maps.may_be_cut and not np.any(lost) and steps >= 4 * _STEPS_A_PART:
             part = maps.in_parts(steps // _STEPS_A_PART)
             if all(_settles(part, samples, steps, states) for states in (samples.states, later)):
                 return steps
+    if stays >= 0 and not maps.adaptive:
+        raise AccuracyError(f"at {samples.place(stays)} steps do not follow a motion that stays finite: it is stiff")
     return max(steps, first_look(maps, samples).steps) if np.all(lost) else steps
+
+
+def _stays_finite(maps: SampleMaps, samples: Samples, images: State, lost: Bool[np.ndarray, " lanes"]) -> int:
+    """Return a lane whose image is lost but whose motion is not, by steps that follow it; −1: there is none.
+
+    A particle at a prescribed speed is not stiff, and steps do not lose a lane that does not return to its section.
+    """
+    if maps.scheme.smooth:
+        return -1
+    if maps.sectioned:
+        lost = lost & (images.reason == NOT_FINITE)
+    numbers = np.flatnonzero(lost)
+    if not len(numbers):
+        return -1
+    picked = numbers[np.unique(np.linspace(0, len(numbers) - 1, LANES_FOLLOWED).round().astype(int))]
+    arrived = follow(maps, samples.take_lanes(picked)).arrived >= 1.0
+    return int(picked[np.argmax(arrived)]) if np.any(arrived) else -1
 
 
 def _settles(maps: SampleMaps, samples: Samples, steps: int, states: State) -> bool:
