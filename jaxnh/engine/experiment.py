@@ -138,6 +138,10 @@ class Experiment(Config):
         grids = {name: _grid(values) for name, values in axes.items()}
         filler = self._filler if not grids else ""
         own = {name: grid for name, grid in content["sweep"].items() if filler or name != self._filler}
+        if self._filler and not filler and self._filler not in grids:  # no axis any more, and still what it was
+            (value,), file = self._source.data["sweep"][self._filler]["values"], self.user_file
+            if file is None or value != file.parameters.get(self._filler, 0.0):
+                content["initial" if file and self._filler in file.states else "system"][self._filler] = value
         content["sweep"] = {**own, **grids}
         asked = content["analyses"]
         content["analyses"] = {

@@ -302,6 +302,18 @@ def test_misuse_is_said_in_words(session, case):
     assert words in str(told.value)
 
 
+def test_parameters_hold_whatever_the_axes_are():
+    """A parameter that is given and not swept stays as given, the first of a function too."""
+
+    def decay(rate=1.0, other=0.0):
+        return {"rhs": lambda y, t: (-rate * y[0] + other,), "coordinates": ("x",)}
+
+    session = jaxnh.Session(decay, start={"x": 1.0}, parameters={"rate": 0.5}, target=1e-8)
+    ends = session.run("portrait", x=[1.0, 2.0])["x"].to_numpy()
+    times = session.run("portrait", x=[1.0, 2.0])["t"].to_numpy()
+    np.testing.assert_allclose(ends, np.array([[1.0], [2.0]]) * np.exp(-0.5 * times), rtol=1e-7)
+
+
 def test_options_are_typed():
     """Each analysis has its options under its own name, and they are those of a config."""
     from jaxnh.analyses.registry import ANALYSES
