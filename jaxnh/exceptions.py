@@ -40,6 +40,10 @@ class AccuracyError(InputError):
     """No solver meets the accuracy that is asked for; the message says what can be had."""
 
 
+class LostLaneError(AccuracyError):
+    """Steps that all lanes share lose a lane, and no matrix of it is singular."""
+
+
 class ResultError(JaxnhError):
     """A result file, or the folder of its tiles, cannot be read or written."""
 

@@ -40,7 +40,7 @@ def test_speed_nearly_vanishing(battery, lanes):
         start, values = start_at(system), PAPER_B if battery.full else PAPER_B[::8]
         what, count = f"d/c = {ratio:g}, b in [0.1, 6]", 48 if battery.full else 12
         held = hold_to_rounding(battery, lanes, what, system, start, values, 1e-9, count)
-        scene = batch_of(system, start, [2.5, 4.1, 5.6], *held.plan)
+        scene = batch_of(system, start, [2.5, 4.1, 5.6], *held.plan[:4])
         options = lyapunov.LyapunovOptions(transient=64, periods=512 if battery.full else 32)
         found = lyapunov.run(options, scene, lanes)
         show_sum_rule(battery, f"d/c = {ratio:g}, three b", found, held.plan.error_estimate)

@@ -19,7 +19,7 @@ from jaxnh.engine.accuracy.samples import take_samples
 from jaxnh.engine.accuracy.sizes import sizes_by_name
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.exceptions import AccuracyError
+from jaxnh.exceptions import AccuracyError, LostLaneError
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import AdaptiveMethod, Solver
@@ -101,8 +101,9 @@ class Calibration:
             return
         try:
             self._measure(maps)
-        except AccuracyError as refusal:
-            self._take_own_steps(maps, refusal)
+        except LostLaneError:
+            if not self._take_own_steps(maps):
+                raise
 
     def _measure(self, maps: SampleMaps, candidates: Sequence[Solver] = ()) -> None:
         """Take samples and measure the reference by maps of one way to integrate.
@@ -123,19 +124,20 @@ class Calibration:
         while self._reference.unresolved and self._split_unit():
             pass
 
-    def _take_own_steps(self, maps: SampleMaps, refusal: AccuracyError) -> None:
-        """Measure everything anew with steps of a lane's own: of stiff flows, and of fields that jump.
+    def _take_own_steps(self, maps: SampleMaps) -> bool:
+        """Measure everything anew with steps of a lane's own, as stiff flows and corners need them.
 
-        Raises:
-            AccuracyError: the refusal, where that is tried already, is for no flow of this kind, or does not help.
+        Returns:
+            Whether it helps: not where that is tried already, or is for no flow of this kind.
         """
         if maps.adaptive or maps.scheme.smooth or self._precision != "float64":
-            raise refusal
+            return False
         maps.tell("steps that all lanes share do not do; each lane takes steps of its own")
         try:
             self._measure(maps.with_own_steps())
         except AccuracyError:
-            raise refusal from None
+            return False
+        return True
 
     def _jumps_at(self, sample: int) -> bool:
         """Return whether the field jumps on a sample's motion: the map's tangents know nothing of a jump."""
@@ -157,7 +159,7 @@ class Calibration:
         Raises:
             AccuracyError: none meets it; the message names the smallest error measured.
         """
-        refusal = None
+        refusal = ""
         while True:
             plan, errors = self._cheapest(target, is_short)
             if plan is not None:
@@ -166,10 +168,9 @@ class Calibration:
             why, by_rounding = self._explain(target, errors)
             if by_rounding and self._split_unit():
                 continue
-            refusal = refusal or AccuracyError(why)
-            if self._jumps_at(self._largest_at(errors)):
-                raise refusal
-            self._take_own_steps(self._maps, refusal)
+            refusal = refusal or why
+            if by_rounding or self._jumps_at(self._largest_at(errors)) or not self._take_own_steps(self._maps):
+                raise AccuracyError(refusal)
 
     def _cheapest(
         self, target: float, is_short: Callable[[Plan], bool] | None

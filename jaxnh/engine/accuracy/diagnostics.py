@@ -38,13 +38,10 @@ def fault_of(system: System, state: State, p: Parameters, first_look: str = "") 
     Args:
         first_look: what a first look at the motion has seen.
     """
+    if why := lost_rank(system, state, p):
+        return why
     flow = system.flow
     state = state if flow is system else state.state
-    if why := flow.fault_at(0.0, state, p):
-        return why
-    motion = _motion(flow, state, p, flow.period)
-    if why := flow.near_degeneracy(*motion, p):
-        return why
     if (fastest := _fastest_rate(flow, 0.0, state, p) * flow.period) > _STIFF:
         time_unit = ", or give a smaller time_unit" if flow.autonomous else ""
         return f"{_stiff(flow, fastest)}; slow down what is fast in it{time_unit}"
@@ -53,6 +50,13 @@ def fault_of(system: System, state: State, p: Parameters, first_look: str = "") 
     if isinstance(system, Section):
         return f"the section may not be met within {system.longest:g} units of time"
     return ""
+
+
+def lost_rank(system: System, state: State, p: Parameters) -> str:
+    """Explain what matrix is singular at a state, floats, or on the motion from it; "" where there is none."""
+    flow = system.flow
+    state = state if flow is system else state.state
+    return flow.fault_at(0.0, state, p) or flow.near_degeneracy(*_motion(flow, state, p, flow.period), p)
 
 
 def explain_long_returns(lengths: Float[np.ndarray, " samples"], worst: int) -> str:

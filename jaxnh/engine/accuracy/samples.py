@@ -12,12 +12,12 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.engine.accuracy.diagnostics import fault_of
+from jaxnh.engine.accuracy.diagnostics import fault_of, lost_rank
 from jaxnh.engine.accuracy.first_look import LANES_FOLLOWED, first_look, follow
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, differences, gaps_between, image_of
 from jaxnh.engine.accuracy.sizes import measure_sizes, rough_sizes
 from jaxnh.engine.axes import SweepPoints
-from jaxnh.exceptions import AccuracyError
+from jaxnh.exceptions import AccuracyError, LostLaneError
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.systems.flow import NOT_FINITE, Parameters
@@ -112,7 +112,7 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
     for ever if such steps lose it too.
 
     Raises:
-        AccuracyError: the most that are tried lose a lane whose motion stays finite.
+        LostLaneError: the most that are tried lose a lane whose motion stays finite.
     """
     solver, steps = maps.scheme.reference, maps.scheme.rough_steps
     start = image_of(samples.states)
@@ -133,7 +133,7 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
             if all(_settles(part, samples, steps, states) for states in (samples.states, later)):
                 return steps
     if stays >= 0 and not maps.adaptive:
-        raise AccuracyError(f"at {samples.place(stays)} steps do not follow a motion that stays finite: it is stiff")
+        raise LostLaneError(f"at {samples.place(stays)} steps do not follow a motion that stays finite: it is stiff")
     return max(steps, first_look(maps, samples).steps) if np.all(lost) else steps
 
 
@@ -179,15 +179,19 @@ def _without_lost(maps: SampleMaps, samples: Samples, steps: int) -> Samples:
     """Leave out samples that overflow whatever the steps, as those of an absurd b: their lanes are marked failed.
 
     Raises:
-        AccuracyError: there are no others.
+        AccuracyError: there are no others; `LostLaneError` where no matrix is singular.
     """
     image: Image = maps.image(maps.of(maps.scheme.reference, steps), samples)
     kept = np.flatnonzero(np.all(np.isfinite(image), axis=0))
     if not len(kept):
         first = jax.tree.map(lambda leaf: leaf[0], samples)
-        why = fault_of(maps.flows[int(first.row)], first.states, first.p, first_look(maps, samples).explanation)
+        at = maps.flows[int(first.row)], first.states, first.p
+        why = fault_of(*at, first_look(maps, samples).explanation)
         why = why and f"; at {samples.place(0)} {why}"
-        raise AccuracyError(f"every lane of this sweep has a non-finite state within a period{why}")
+        message = f"every lane of this sweep has a non-finite state within a period{why}"
+        if lost_rank(*at):
+            raise AccuracyError(message)
+        raise LostLaneError(message)
     return samples.take_lanes(kept)
 
 
