@@ -1,4 +1,4 @@
-"""Jumps and corners of a field on a motion, found by halving the steps of it in which the field changes most.
+"""Jumps and corners of a field on a motion, located by halving the steps of it in which the field changes most.
 
 Of a smooth field what changes over a step halves with it, and in thirty halvings becomes a billionth. A jump of the
 field, or of its derivative along the motion at a corner, stays in one of the halves.

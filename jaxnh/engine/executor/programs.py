@@ -77,8 +77,8 @@ def _compiled(
     structure = jax.tree.structure(arguments)
     leaves = tuple(map(jax.tree.leaves, arguments))
     name = executables.name_of(function, static, arguments, devices) if kept else None
-    if name and (found := executables.find(name, jax.tree.structure((leaves, {})), devices)):
-        return found
+    if name and (program := executables.find(name, jax.tree.structure((leaves, {})), devices)):
+        return program
 
     def tile(*leaves: Any) -> Any:
         shared, lanes = jax.tree.unflatten(structure, jax.tree.leaves(leaves))
