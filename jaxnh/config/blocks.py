@@ -178,7 +178,7 @@ class SystemBlock(Block, abc.ABC):
     """The system that moves."""
 
     prescribed: ClassVar[bool] = False
-    """Whether it is a particle at a prescribed speed."""
+    """Return whether it is a particle at a prescribed speed."""
 
     @abc.abstractmethod
     def check(self, initial: Any, sweep: SweepBlock) -> None:

@@ -134,7 +134,7 @@ def plan_of(
 
 
 def is_short(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> bool:
-    """Whether analyses of a sweep are done before another solver would be compiled and measured."""
+    """Return whether analyses of a sweep are done before another solver would be compiled and measured."""
     return cost_model.is_short(*_job(experiment, axes, plan, requested))
 
 

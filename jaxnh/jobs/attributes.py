@@ -14,7 +14,7 @@ from jaxnh.jobs.job import Job
 from jaxnh.jobs.provenance import SecondsSpent
 
 ITERATION = "iteration"
-"""What stands in place of a solver where a map is iterated (`solvers.iterations`)."""
+"""Name in place of a solver's where a map is iterated (`solvers.iterations`)."""
 
 
 class UserFileText(NamedTuple):

@@ -235,7 +235,7 @@ SCHEMES: dict[type[Flow], tuple[Scheme, Scheme]] = {
 """The registry: how flows of a kind are integrated by solvers of that way, and by others."""
 
 ADAPTIVE_SCHEME = AdaptiveScheme()
-"""How any flow is integrated where steps that all lanes share do not follow it."""
+"""The way to integrate any flow that steps which all lanes share do not follow."""
 
 
 def scheme_of(system: Flow | Section, solver: Any = None) -> Scheme:

@@ -1,4 +1,4 @@
-"""How the state of a lane and its tangents pass a jump, or a switch of the field: saltation matrices.
+"""State and tangents of a lane at a jump, or a switch of the field: saltation matrices.
 
     S = Dg + (F(g(y)) − Dg F(y) − ∂g/∂t) nᵀ / (nᵀ F(y) + ∂h/∂t),   n = ∂h/∂y of the height h
 
@@ -82,7 +82,7 @@ class EventPassage:
         side: Array,
         event: Array,
     ) -> AfterEvent:
-        """What follows a trial: a jump or a change of the field where there is an event, and else the state as it is.
+        """Follow a trial by a jump or a change of the field where there is an event; else keep the state as it is.
 
         Args:
             t, ahead, field, height, rate: at the end of the trial.

@@ -25,7 +25,7 @@ class AdaptiveMethod(eqx.Module):
 
     @property
     def source(self) -> str:
-        """Where the coefficients come from."""
+        """Source of the coefficients."""
         return self.pair.source
 
     @property

@@ -1,4 +1,4 @@
-"""What takes the place of a solver where nothing is integrated: the iterates of a map, each exact to rounding."""
+"""The place of a solver where nothing is integrated: iterates of a map, each exact to rounding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What compiling costs beside running: the form of a step and the lanes of a tile that are quickest for a job.
+"""Cost of compiling beside running: the form of a step and the lanes of a tile that are quickest for a job.
 
 The rates are fixed ones, of one core with AVX-512. A rate that is measured where a job runs would let its plan, and so
 the last bits of chaotic lanes, depend on how busy the machine was; and the two forms cost the same within a factor of
@@ -42,7 +42,7 @@ def quickest_form(solver: Solver, flow: Flow, lane_steps: float) -> Solver:
 
 
 def is_short(solver: Solver, flow: Flow, lane_steps: float) -> bool:
-    """Whether a job is done before another solver would be compiled and measured, and its gain begin."""
+    """Return whether a job is done before another solver would be compiled and measured, and its gain begin."""
     return _RATE * solver.stages * flow.chart.dimension * lane_steps < _WORTH_COMPARING
 
 

@@ -60,7 +60,7 @@ def last_digit(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray, " com
 
 
 def _spread(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray, " components"], steps: int) -> float:
-    """How far apart the images under maps of neighbouring numbers of steps are."""
+    """Distance between the images under maps of neighbouring numbers of steps."""
     images = [_image(maps, sample, steps + i) for i in range(_NEIGHBOURS)]
     return max(float(gaps_between(differences(images[0], image), sizes)[0]) for image in images[1:])
 

@@ -72,12 +72,12 @@ class SampleMaps:
 
     @property
     def sectioned(self) -> bool:
-        """Whether maps go from crossing to crossing of a section."""
+        """Return whether maps go from crossing to crossing of a section."""
         return self.flows[0] is not self.flows[0].flow
 
     @property
     def may_be_cut(self) -> bool:
-        """Whether maps are over a unit of time that says nothing of the motion: without a clock and a section."""
+        """Return whether maps are over a unit of time that says nothing of the motion, as without clock and section."""
         flow = self.flows[0].flow
         return flow.autonomous and not self.sectioned and not flow.chart.dimensionless
 
@@ -87,7 +87,7 @@ class SampleMaps:
 
     @property
     def adaptive(self) -> bool:
-        """Whether each lane has steps of its own."""
+        """Return whether each lane has steps of its own."""
         return isinstance(self.scheme.reference, AdaptiveMethod)
 
     def with_own_steps(self) -> SampleMaps:

@@ -65,7 +65,7 @@ STEPS = StepControl()
 _Leaves = TypeVar("_Leaves", CurveOrbits, PathVector)
 
 Wanted = Callable[[Sequence["Branch"], int], bool]
-"""Whether the orbit of a number is still to be followed, with the branches that are whole by now."""
+"""Decides whether the orbit of a number is still to be followed, with the branches that are whole by now."""
 
 
 @dataclass(frozen=True)
