@@ -129,7 +129,8 @@ class JumpingStrobe(ReturnMap):
 
     def _marched(self, begun: Moving, p: Parameters, by_p: list[Any]) -> Moving:
         """All steps."""
-        lane = _Lane(self, own_parameters(self.system, p), by_p, volume=begun.log_volume is not None)
+        own, volume = own_parameters(self.system, p), begun.log_volume is not None
+        lane = _Lane(self, EventPassage(self.system, own, by_p, volume=volume))
         first = as_batched(lane.begin(begun, jnp.asarray(self.grid)), begun.state.y[0])
         ended = lax.while_loop(lane.unfinished, lane.trial, first)
         stuck = ended.events > _MOST_EVENTS
@@ -144,15 +145,11 @@ class _Lane:
 
     Attributes:
         strobe: the map.
-        own: parameters of the lane.
-        by_p: of each tangent its derivative in them, or None.
-        volume: whether the volume is asked for.
     """
 
-    def __init__(self, strobe: JumpingStrobe, own: Parameters, by_p: list[Any], *, volume: bool) -> None:
-        self.strobe, self.own, self.by_p, self.volume = strobe, own, by_p, volume
+    def __init__(self, strobe: JumpingStrobe, passage: EventPassage) -> None:
+        self.strobe, self._passage = strobe, passage
         self._system, self._jumps = strobe.system, len(strobe.system.jumps)
-        self._passage = EventPassage(strobe.system, own, by_p, volume=volume)
         self._either = [way == "both" for way in strobe.system.jumps] + [True] * strobe.system.switches
 
     # ---- the loop
@@ -164,7 +161,7 @@ class _Lane:
     def begin(self, moving: Moving, grid: Array) -> _March:
         """A lane at the beginning of the first step."""
         t, length, state = grid[0], grid[1] - grid[0], moving.state
-        height = self._system.heights(t, state, self.own)
+        height = self._system.heights(t, state, self._passage.own)
         signs = tuple(jnp.where(h >= 0.0, 1.0, -1.0) for h in height)
         rate = self._passage.rates_of_heights(t, state, self._passage.branch(t, state, signs))
         zero, none, no = jnp.zeros_like(state.y[0]), jnp.int32(0), jnp.bool_(False)
@@ -204,7 +201,7 @@ class _Lane:
         ahead = self._advance(march.t, h, march.side[self._jumps :], march.moving)
         state, finite = ahead.state, _finite(ahead.state)
         field = self._passage.branch(t, state, march.side)
-        height = self._system.heights(t, state, self.own)
+        height = self._system.heights(t, state, self._passage.own)
         rate = self._passage.rates_of_heights(t, state, field)
 
         # Passages within what this trial has gone over, and of heights that turn near zero the turns.
@@ -284,6 +281,7 @@ class _Lane:
     def _advance(self, t: Array, h: Array, sides: Heights, moving: Moving) -> Moving:
         """One Runge–Kutta step, on one branch of the field."""
         system, solver, c = self._system, self.strobe.solver, jnp.asarray(self.strobe.solver.c)
+        lane = self._passage
 
         def rates(stage: Any, y: Moving) -> Moving:
             at = t + c[stage] * h
@@ -291,10 +289,10 @@ class _Lane:
             def rate(z: PiecewisePoint, own: Parameters) -> PiecewisePoint:
                 return system.branch(at, z, own, sides)
 
-            divergence = system.divergence_of(lambda z: rate(z, self.own), y.state) if self.volume else None
-            return Moving(*linearise(rate, y.state, self.own, y.tangents, self.by_p), divergence)
+            divergence = system.divergence_of(lambda z: rate(z, lane.own), y.state) if lane.volume else None
+            return Moving(*linearise(rate, y.state, lane.own, y.tangents, lane.by_p), divergence)
 
-        in_loop = stages_in_loop(system, solver, len(moving.tangents) + self.volume)
+        in_loop = stages_in_loop(system, solver, len(moving.tangents) + lane.volume)
         return (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
 
 
