@@ -7,15 +7,9 @@ import pytest
 from jaxnh.cli import experiments
 from jaxnh.engine.accuracy import calibration, reference, sample_maps, samples
 from tests.helpers.commands import run_here
+from tests.helpers.short_portrait import short_portrait
 
-CONFIG = """\
-system: {file: own.py}
-initial: {x: 2.0}
-sweep: {rate: {values: [1000.0]}}
-accuracy: {target: 1.0e-6}
-analyses:
-  portrait: {periods: 2, samples: 8}
-"""
+CONFIG = short_portrait(2.0, 1000.0, 1e-6)
 SYSTEMS = {
     "no mass in a coordinate": (
         "def system(rate=1.0):\n"

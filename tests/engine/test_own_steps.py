@@ -18,6 +18,7 @@ from jaxnh.solvers import SOLVERS
 from jaxnh.systems.first_order import first_order
 from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import lanes_with_kept_programs
+from tests.helpers.short_portrait import short_portrait
 
 TARGET = 1e-7
 
@@ -128,14 +129,7 @@ def test_the_fineness_of_a_solver_that_is_asked_for(lanes, name):
     assert np.abs(np.array(image.y) - [np.cos(2.0), -np.sin(2.0)]).max() < plan.error_estimate <= TARGET
 
 
-CONFIG = """\
-system: {file: own.py}
-initial: {x: 2.0}
-sweep: {rate: {values: [1000.0]}}
-accuracy: {target: 1.0e-6}
-analyses:
-  portrait: {periods: 2, samples: 8}
-"""
+CONFIG = short_portrait(2.0, 1000.0, 1e-6)
 FILE = (
     "def system(rate=1.0):\n"
     "    return dict(rhs=lambda y, t: (y[1], rate * (1 - y[0] ** 2) * y[1] - y[0]), coordinates=('x', 'v'))\n"

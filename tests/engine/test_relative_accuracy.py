@@ -22,6 +22,7 @@ from jaxnh.systems.lagrangian import lagrangian
 from tests.helpers.batches import calibrated
 from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import lanes_with_kept_programs
+from tests.helpers.short_portrait import short_portrait
 
 TARGET = 1e-9
 
@@ -219,14 +220,7 @@ def test_kinks_are_where_they_are(force, order):
 # ---- words
 
 
-CONFIG = """\
-system: {file: own.py}
-initial: {x: 1.0}
-sweep: {rate: {values: [1.0]}}
-accuracy: {target: 1.0e-9}
-analyses:
-  portrait: {periods: 2, samples: 8}
-"""
+CONFIG = short_portrait(1.0, 1.0, 1e-9)
 FAULTS = {
     "a jump": (
         "y[1], -y[0] - 0.3 * jnp.sign(y[1]) + 2 * jnp.cos(t)",
