@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,10 +16,19 @@ from sweeps.peers.flows.peers_flow_heyoka import Contestant as Heyoka
 from sweeps.peers.flows.peers_flow_heyoka import clocks, true_scene
 from sweeps.peers.flows.peers_flow_jaxnh import Contestant, placed
 from sweeps.peers.flows.peers_flow_pynamicalsys_tangent import MODELS
+from sweeps.peers.flows.peers_flows import MAPS, SPECTRA
 from sweeps.peers.flows.peers_flows_report import FlowStudy, Measured, markdown
+from sweeps.peers.particle.peers import CONTESTANTS, TANGENT_CONTESTANTS
 from sweeps.peers.particle.peers_heyoka_tangent import tangent_equations
 from sweeps.peers.particle.peers_report import AT_OWN_ERROR, Row
 from sweeps.peers.particle.peers_scene import Errors, Setting
+from sweeps.peers.particle.peers_worker import module
+
+
+@pytest.mark.parametrize("kind", [*CONTESTANTS, *TANGENT_CONTESTANTS, *MAPS, *SPECTRA])
+def test_module_of_a_contestant(kind):
+    """A contestant is imported by its kind in a process of its own, which no other test starts."""
+    assert find_spec(module(kind)), kind
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -82,6 +82,11 @@ def _ask(connections: Sequence[Any], task: str, *args: Any) -> list[Any]:
     return replies
 
 
+def module(kind: str) -> str:
+    """The module that holds the contestant of a kind; those on users' flows are of kinds `flow_...`."""
+    return f"sweeps.peers.{'flows' if kind.startswith('flow_') else 'particle'}.peers_{kind}"
+
+
 def _serve(connection: Any, kind: str, scene: Truth, cores: tuple[int, ...]) -> None:
     """Body of a process."""
     os.sched_setaffinity(0, cores)
@@ -109,7 +114,7 @@ class _Desk:
     """Answers of a process; programs are kept, warmed up."""
 
     def __init__(self, kind: str, scene: Truth) -> None:
-        self._contestant: Contestant = importlib.import_module(f"sweeps.peers_{kind}").Contestant(scene)
+        self._contestant: Contestant = importlib.import_module(module(kind)).Contestant(scene)
         self._programs: dict[Any, Callable[[], float]] = {}
 
     def tune(self, target: float, hints: Sequence[Setting], only: bool) -> list[Setting]:
