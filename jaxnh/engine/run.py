@@ -19,6 +19,7 @@ from jaxnh.engine.compute import ComputedPiece, compute, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.threads import run_side_by_side
 from jaxnh.engine.experiment import Experiment
+from jaxnh.engine.finished_pieces import FinishedPieces
 from jaxnh.engine.journal import with_journal
 from jaxnh.engine.levels import files
 from jaxnh.engine.levels.levels import Level, axes_of
@@ -27,7 +28,7 @@ from jaxnh.engine.plan import decide, work_of_pieces
 from jaxnh.engine.progress import InterruptibleProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes, warnings_of
 from jaxnh.engine.xla_options import configure, describe_differences
-from jaxnh.exceptions import ArgumentError, DamagedError, ResultError, RunError, Stopped
+from jaxnh.exceptions import ArgumentError, ResultError, RunError, Stopped
 from jaxnh.jobs.arrays import import_beside
 from jaxnh.jobs.cutting import Piece, share
 from jaxnh.jobs.job import Job
@@ -127,8 +128,7 @@ class _Run:
         self._requested = experiment.requested()
         self._folder = tiles.folder_of(path)
         self._shown, self._progress = progress, InterruptibleProgress(progress, check)
-        self._receipts: dict[int, TileRecord] = {}
-        self._dropped: set[int] = set()
+        self._finished = FinishedPieces(self._folder, self._progress, check)
         self._pieces: list[Piece] = []  # this run's to do, of the levels up to the present one
         self._every = 0  # pieces of these levels
         self._level: Level | None = None
@@ -150,9 +150,9 @@ class _Run:
         except _Waiting:
             raise
         except Stopped as end:
-            raise Stopped(f"{end} with {len(self._receipts)} of {len(self._pieces)} tiles done") from None
+            raise Stopped(f"{end} with {len(self._finished.records)} of {len(self._pieces)} tiles done") from None
         except (ResultError, RunError) as error:
-            kept = f"; {len(self._receipts)} of {len(self._pieces)} tiles are kept: {GO_ON}"
+            kept = f"; {len(self._finished.records)} of {len(self._pieces)} tiles are kept: {GO_ON}"
             raise RunError(f"{error}{kept if self._folder.is_dir() else ''}") from error
 
     def _stage(self, job: Job, stage: Job) -> None:
@@ -169,21 +169,22 @@ class _Run:
         self._every += len(every)
         self._find(stage, mine)
         while True:
-            self._compute(stage, [piece for piece in mine if piece.number not in self._receipts])
+            self._compute(stage, [piece for piece in mine if piece.number not in self._finished.records])
             if part and last:
                 return
             if part:
                 self._join(stage, every)
             try:
                 if last:
-                    self._finish(stage)
+                    self._merge(stage, self._path)
+                    tiles.clear(self._folder)
                 elif not self._how.merge:
                     self._publish(stage)
                 return
             except DamagedPieceError as error:
-                if error.piece.number in self._dropped:  # computed anew, and the same: it is not the disk
+                if error.piece.number in self._finished.dropped:  # computed anew, and the same: it is not the disk
                     raise RunError(f"tile {error.piece.number} does not fit the others: {error.why}") from error
-                self._drop(error.piece, error.why)
+                self._finished.drop(error.piece, error.why)
 
     def _join(self, stage: Job, every: Sequence[Piece]) -> None:
         """Check that the other parts have done their tiles of a level, and compute the groups of all tiles.
@@ -191,8 +192,8 @@ class _Run:
         Raises:
             _Waiting: they have not.
         """
-        others = [piece for piece in every if piece.number not in self._receipts]
-        there = self._sound_pieces(stage, others)
+        others = [piece for piece in every if piece.number not in self._finished.records]
+        there = self._finished.sound(stage, others)
         if len(there) < len(others):
             (part, of), cutting = self._how.part or (1, 1), stage.cutting
             raise _Waiting(
@@ -200,7 +201,7 @@ class _Run:
                 f"and {len(others) - len(there)} tiles of other parts are not"
             )
         last = [piece for piece in stage.cutting.pieces() if stage.cutting.is_whole(piece)]
-        missing = set(last) - set(self._sound_pieces(stage, last))
+        missing = set(last) - set(self._finished.sound(stage, last))
         self._compute(stage, sorted(missing))
 
     def _job(self) -> Job:
@@ -248,31 +249,12 @@ class _Run:
 
     def _find(self, job: Job, pieces: Sequence[Piece]) -> None:
         """Note the pieces that are done; damaged ones are dropped."""
-        there = self._sound_pieces(job, pieces)
-        self._dropped.clear()
-        self._earlier += sum(self._receipts[piece.number].spent.seconds for piece in there)
+        there = self._finished.sound(job, pieces)
+        self._finished.dropped.clear()
+        self._earlier += sum(self._finished.records[piece.number].spent.seconds for piece in there)
         if there:
             of = f" of level {job.cutting.level}" if job.cutting.level else ""
             self._progress.note(f"{len(there)} of {len(pieces)} tiles{of} are done; going on")
-
-    def _sound_pieces(self, job: Job, pieces: Sequence[Piece]) -> list[Piece]:
-        """The pieces that are there and sound; others are dropped."""
-        for piece in pieces:
-            try:
-                self._receipts[piece.number] = tiles.check(self._folder, job, piece)
-            except FileNotFoundError:
-                continue
-            except DamagedError as error:
-                self._drop(piece, str(error))
-            self._check()
-        return [piece for piece in pieces if piece.number in self._receipts]
-
-    def _drop(self, piece: Piece, why: str) -> None:
-        self._receipts.pop(piece.number, None)
-        self._dropped.add(piece.number)
-        path = tiles.piece_path(self._folder, piece)
-        path.unlink(missing_ok=True)
-        self._progress.warn(f"{path}: {why}; it is computed again")
 
     def _compute(self, job: Job, missing: list[Piece]) -> None:
         if not missing:
@@ -378,23 +360,18 @@ class _Run:
 
     def _done(self, receipt: TileRecord, cost: dict[int, float]) -> None:
         with self._one_at_a_time:
-            self._receipts[receipt.number] = receipt
+            self._finished.records[receipt.number] = receipt
             self._shown.advance(cost.get(receipt.number, 0.0))
 
     def _spent(self) -> SecondsSpent:
         """Cost of all runs for the pieces that are there."""
-        costs = [tiles.origin(self._folder).spent, *(receipt.spent for receipt in self._receipts.values())]
+        costs = [tiles.origin(self._folder).spent, *(receipt.spent for receipt in self._finished.records.values())]
         return SecondsSpent(
             self._earlier + time.perf_counter() - self._began,
             sum(cost.compile_seconds for cost in costs),
             sum(cost.lane_periods for cost in costs),
             ", ".join(dict.fromkeys(cost.device for cost in costs)),
         )
-
-    def _finish(self, job: Job) -> None:
-        """Merge, then remove the tiles."""
-        self._merge(job, self._path)
-        tiles.clear(self._folder)
 
     def _publish(self, stage: Job) -> None:
         """Write the result of a level into the folder, for the next level, and as the result so far."""
@@ -406,7 +383,7 @@ class _Run:
     def _merge(self, job: Job, path: Path) -> None:
         self._total = self._spent()
         attrs = attributes(self._experiment, job, self._total, self._how.command)
-        counted = {number: receipt.counts for number, receipt in self._receipts.items()}
+        counted = {number: receipt.counts for number, receipt in self._finished.records.items()}
         merge(path, attrs, self._folder, job.cutting, warnings_of(job.cutting, counted), self._check)
 
     def _summary(self, job: Job, *, whole: bool) -> RunSummary:

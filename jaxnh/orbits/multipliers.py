@@ -28,6 +28,15 @@ def multipliers(blocks: Float[np.ndarray, "... n d d"]) -> Complex[np.ndarray, "
     return np.where(finite[:, None], values, np.nan).reshape(*blocks.shape[:-3], d)
 
 
+def angle_cosine(values: Complex[np.ndarray, "lanes d"]) -> Float[np.ndarray, " lanes"]:
+    """Half the sum of the two multipliers whose product is nearest one: on a Neimark–Sacker curve cos θ of e^(±iθ)."""
+    d = values.shape[1]
+    i, j = np.triu_indices(d, 1)
+    pair = np.argmin(np.abs(values[:, i] * values[:, j] - 1.0), axis=1)
+    row = np.arange(len(values))
+    return 0.5 * np.real(values[row, i[pair]] + values[row, j[pair]])
+
+
 def _last_turn(blocks: Float[np.ndarray, "lanes n d d"]) -> tuple[np.ndarray, np.ndarray]:
     """Q_0ᵀQ_n and R_{n−1}…R_0 of the last turn, each (lanes, d, d)."""
     basis = np.broadcast_to(np.eye(blocks.shape[-1]), blocks[:, 0].shape)

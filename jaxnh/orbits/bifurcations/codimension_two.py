@@ -21,13 +21,12 @@ from jaxnh.orbits.continuation.curves import (
     Curve,
     CurvePoints,
     ParameterPlane,
-    angle_cosine,
     correct,
     split_unknowns,
     test_function,
 )
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
-from jaxnh.orbits.multipliers import multipliers
+from jaxnh.orbits.multipliers import angle_cosine, multipliers
 
 POINTS = (
     "cusp",

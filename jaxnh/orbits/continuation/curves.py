@@ -15,7 +15,7 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, closed_determinant, second_compound
-from jaxnh.orbits.multipliers import multipliers
+from jaxnh.orbits.multipliers import angle_cosine, multipliers
 from jaxnh.systems.chart import Wrap
 
 ENDS = ("range", "collapsed", "closed", "no_convergence", "most_points", "resonance")
@@ -270,15 +270,6 @@ def follow_both_ways(
         ends = (CLOSED, CLOSED) if end == CLOSED else (start, end)
         curves[k] = Curve(kind, orbits, both, track, multipliers(track.blocks), ends)
     return curves
-
-
-def angle_cosine(values: Complex[np.ndarray, "lanes d"]) -> Float[np.ndarray, " lanes"]:
-    """Half the sum of the two multipliers whose product is nearest one: on a Neimark–Sacker curve cos θ of e^(±iθ)."""
-    d = values.shape[1]
-    i, j = np.triu_indices(d, 1)
-    pair = np.argmin(np.abs(values[:, i] * values[:, j] - 1.0), axis=1)
-    row = np.arange(len(values))
-    return 0.5 * np.real(values[row, i[pair]] + values[row, j[pair]])
 
 
 # ---- the equations
