@@ -41,8 +41,9 @@ def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tang
     while True:
         state, p = few.lanes
         growth = lanes(begin, (batch.system,), (state,), static=(k,))
-        # The first number of parts one at a time, through the program of a whole period, which is needed anyway.
-        single = parts == _PILOT_PARTS
+        # The first number of parts one at a time, through the program of a whole period, which is needed anyway;
+        # without a clock parts are equal, and `average` takes them so.
+        single = parts == _PILOT_PARTS and not batch.flow.autonomous
         strobes = cut_period(batch, parts)
         loss = 0.0
         for strobe in split_stack(strobes, cut_period(batch, 1)) * _PILOT_PERIODS if single else (strobes,):

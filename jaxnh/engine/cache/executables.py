@@ -107,7 +107,7 @@ def _shapes(value: Any) -> Iterator[str]:
     """A pytree of arguments: its structure, what is fixed in it, and the shapes and types of its arrays."""
     if value is None or isinstance(value, bool | int | float | complex):
         yield type(value).__name__
-    elif isinstance(value, np.ndarray | np.generic | jax.Array):
+    elif isinstance(value, np.ndarray | np.generic | jax.Array | jax.ShapeDtypeStruct):
         yield f"array {value.dtype} {value.shape} {getattr(value, 'weak_type', False)}"
     elif isinstance(value, tuple | list):
         yield f"{_class(type(value))} {len(value)}"

@@ -49,13 +49,14 @@ class Programs:
         """The program of function(*shared, *lane, *static) for every lane; its making is accounted for.
 
         Args:
-            lanes: pytrees of one tile a device, whose leaves have the lanes as first axis.
+            lanes: pytrees of the shapes and types of one tile a device, with the lanes as first axis.
 
         Returns:
             A function of the leaves of (shared, lanes).
         """
-        shapes = jax.tree.map(lambda leaf: (np.shape(leaf), np.result_type(leaf)), (shared, lanes))
-        key = (function, static, tuple(jax.tree.leaves(shapes)), jax.tree.structure((shared, lanes)), tuple(devices))
+        leaves, structure = jax.tree.flatten((shared, lanes))
+        shapes = tuple((np.shape(leaf), getattr(leaf, "dtype", None) or np.result_type(leaf)) for leaf in leaves)
+        key = (function, static, shapes, structure, tuple(devices))
         if key not in self._programs:
             with _COMPILING:
                 began = time.perf_counter()

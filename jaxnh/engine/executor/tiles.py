@@ -22,6 +22,7 @@ from jaxnh.maps.family import TreeStack
 from jaxnh.maps.protocol import ReturnMap
 
 _PLACED = 256  # arrays on the devices, at most
+_SMALL = 64  # numbers of an array that goes there in every call: looking for it takes longer
 
 
 class Call(NamedTuple):
@@ -69,7 +70,7 @@ class DeviceTiles:
         devices = self._devices_of(call)
         leaves, chunk, count = jax.tree.leaves(call.lanes), call.tile * len(devices), count_of(call.lanes)
         program, placed = self.program(call), self._on_devices(call.shared, devices)
-        iterations = call.periods * chunk * inner_trip_count(call.shared)
+        iterations = call.periods and call.periods * chunk * inner_trip_count(call.shared)
         for number in range(first, count, chunk):
             part = [_pad(leaf[number : number + chunk], chunk) for leaf in leaves]
             began = time.perf_counter()
@@ -86,7 +87,7 @@ class DeviceTiles:
         """The compiled program of a call."""
         devices = self._devices_of(call)
         chunk = call.tile * len(devices)
-        lanes = jax.tree.map(lambda leaf: _pad(leaf[:chunk], chunk), call.lanes)
+        lanes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((chunk, *leaf.shape[1:]), leaf.dtype), call.lanes)
         return self._programs.find(call.function, call.static, call.shared, lanes, devices, self._accounts)
 
     def _devices_of(self, call: Call) -> Sequence[Any]:
@@ -94,14 +95,14 @@ class DeviceTiles:
 
     def _on_devices(self, shared: tuple[Any, ...], devices: Sequence[Any]) -> list[Any]:
         """Place the arguments that all lanes share on all devices: tables go there once, not in every call."""
-        leaves = jax.tree.leaves(shared)
+        leaves, everywhere = jax.tree.leaves(shared), None
         for k, leaf in enumerate(leaves):
-            if isinstance(leaf, np.ndarray | float):
+            if isinstance(leaf, np.ndarray) and leaf.size > _SMALL:
                 place = id(leaf), len(devices)
                 if place not in self._placed:
                     if len(self._placed) >= _PLACED:
                         self._placed.clear()
-                    everywhere = NamedSharding(Mesh(np.array(devices), ("lanes",)), PartitionSpec())
+                    everywhere = everywhere or NamedSharding(Mesh(np.array(devices), ("lanes",)), PartitionSpec())
                     self._placed[place] = leaf, jax.device_put(leaf, everywhere)
                 leaves[k] = self._placed[place][1]
         return leaves
