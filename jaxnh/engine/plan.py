@@ -70,7 +70,9 @@ def calibrate(
             raise AccuracyError(f"{experiment.label}: accuracy.solver: {error}") from None
     try:
         solver = SOLVERS[asked.solver] if asked.solver else None
-        return Calibration(rows, lanes, experiment.precision, target, asked.sizes, solver)
+        tile = cost_model.lanes_a_tile(experiment.sweep.lanes)
+        few = lanes.in_tiles(tile, tile) if tile < lanes.tile else lanes  # whose programs analyses share
+        return Calibration(rows, few, experiment.precision, target, asked.sizes, solver)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
 
