@@ -25,7 +25,7 @@ TARGET = 1e-7
 
 @pytest.fixture(scope="module")
 def lanes():
-    return lanes_with_kept_programs()
+    return lanes_with_kept_programs(tile=8)
 
 
 def plan_of(define, start, rate, lanes, target=TARGET, solver=None):

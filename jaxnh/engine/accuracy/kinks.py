@@ -72,7 +72,8 @@ def find_kink(flow: Flow, times: Float[np.ndarray, " points"], passed: State, p:
     for order, words in enumerate(("jumps", "has a corner")):
         largest = np.nanmax(np.maximum(np.abs(low[:, order]), np.abs(high[:, order])), axis=0)
         measure = np.where(largest > 0.0, largest, np.inf)
-        step, share = _lasting_change(field, ends, low[:, order], high[:, order], measure, order)
+        with np.errstate(invalid="ignore", over="ignore"):  # where the field overflows, nothing is said
+            step, share = _lasting_change(field, ends, low[:, order], high[:, order], measure, order)
         if step is not None:
             at = jax.tree.map(lambda a, b, i=step, s=share: a[i] + s * (b[i] - a[i]), begin, end)
             place = ", ".join(
@@ -98,7 +99,7 @@ def _lasting_change(
     order: int,
 ) -> tuple[int | None, float]:
     """The step whose change lasts as it is halved, and the share of it where that is; none where it does of no step."""
-    changes = np.nan_to_num(np.max(np.abs(high - low) / measure, axis=1))
+    changes = np.nan_to_num(np.max(np.abs(high - low) / measure, axis=1), posinf=0.0)
     picked = np.sort(np.argsort(-changes, kind="stable")[:_STEPS])
     few = jax.tree.map(lambda leaf: leaf[picked], ends)
     low, high, begin, width = low[picked], high[picked], np.zeros(len(picked)), 1.0
