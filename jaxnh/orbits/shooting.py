@@ -17,6 +17,7 @@ from jaxnh.systems.chart import Wrap
 
 _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-9  # step, in sizes of the orbit, after which the points are known to rounding
+_ZERO = 1e-280  # coordinates that are zero: what Newton does below may have lost its digits
 _CONTRACTION = 0.5  # of successive steps; Newton that contracts less is on its way to somewhere else
 _FAR_STEPS = 40
 _LARGEST_STEP = 0.25  # sizes of the motion
@@ -70,7 +71,7 @@ def close_orbits(
         np.array(points), np.full((nodes, n, d, d), np.nan), np.full(nodes, np.nan), np.zeros(nodes, np.bool_)
     )
     size, open_ = np.full(nodes, np.inf), np.arange(nodes)
-    begun = np.abs(orbits.points).max(axis=(1, 2))  # an orbit at zero has no size of its own
+    begun = np.maximum(np.abs(orbits.points).max(axis=(1, 2)), _ZERO)  # an orbit at zero has no size of its own
     for step in range(_NEWTON_STEPS + 1):
         points_now = orbits.points[open_]
         at = period(points_now.reshape(-1, d), np.repeat(values[open_], n))

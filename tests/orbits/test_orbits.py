@@ -332,6 +332,18 @@ def test_orbit_of_half_the_period_is_not_taken():
     assert follow_branch(logistic, pair, value, 2.9, np.asarray) is None  # back to its birth at 3, and no further
 
 
+def test_an_orbit_at_zero_to_rounding():
+    """u → −u where a processor takes the smallest numbers for zero: Newton's steps then halve them, and come to no end."""
+
+    def flushing(u, _):
+        image = np.where(np.abs(u) < np.finfo(float).tiny, 0.0, -u)
+        return Derivatives(image, np.full((len(u), 1, 1), -1.0), None)
+
+    met = close_orbits(flushing, np.array([[[3.4e-311]], [[1e-30]]]), np.zeros(2), np.asarray)
+    assert met.converged.all()
+    assert np.abs(met.points).max() < 1e-40
+
+
 @pytest.mark.slow
 def test_newton_in_sizes_of_the_motion(lanes, strobes):
     """Both Newtons find the same orbit whatever the sizes, in whose units its residual is."""
