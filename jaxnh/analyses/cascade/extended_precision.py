@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.cascade.follow import Cascade
-from jaxnh.analyses.periodic.location import PERIOD_TILE, REFINEMENTS, LocatedDoubling, refined_maps
+from jaxnh.analyses.periodic.location import REFINEMENTS, LocatedDoubling, refined_maps
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.double_double import Double
 from jaxnh.maps.extended_precision import push_point
@@ -48,6 +48,7 @@ _FEWEST = 7  # ratios that are extrapolated: shorter sequences then still have t
 _ROUNDING = Decimal(2) ** -50  # of a width: of its norm, in float64
 _MAPS = 2  # the first of the refinements
 _TILE = 128  # lanes: a double-double operation is some twenty kernels
+_SLOPES_TILE = 32  # lanes of derivatives: an orbit has few points
 
 
 class ExtendedDoublings(NamedTuple):
@@ -146,7 +147,7 @@ def _map(batch: LaneBatch, lanes: LaneRunner, plain: ReturnMap, exact: Maps) -> 
 
     def slopes(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         lane = (u, batch.at_values(values).p)
-        return lanes(derivatives, (exact, np.int32(1)), lane, tile=PERIOD_TILE, static=(name,))
+        return lanes(derivatives, (exact, np.int32(1)), lane, tile=_SLOPES_TILE, static=(name,))
 
     return _Map(period, slopes)
 

@@ -10,15 +10,12 @@ from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.base import Options
-from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
+from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.maps.family import Maps, padded_like
-from jaxnh.maps.iterate import Derivatives, derivatives, section_map
+from jaxnh.maps.iterate import Derivatives, section_map
 from jaxnh.orbits.bifurcations.doubling_points import DoublingPoint, doubling_point, follow_branch, refine_doubling
 from jaxnh.orbits.shooting import Period
-
-PERIOD_TILE = 32
-"""Lanes a tile of the derivatives of a period: an orbit has few points."""
 
 REFINEMENTS = (1, 2, 4)
 """Share of the steps that the accuracy asks for, in maps that a doubling is located with."""
@@ -92,7 +89,8 @@ def period_map(batch: LaneBatch, lanes: LaneRunner, strobe: Maps) -> Period:
     """P and ∂P/∂u at points and values of the first axis."""
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
-        return lanes(derivatives, (strobe, np.int32(1)), (u, batch.at_values(values).p), tile=PERIOD_TILE)
+        once = np.ones(len(u), np.int32)  # as in `orbits`, whose program it shares where maps have like tables
+        return images(lanes, strobe, batch.at_values(values).p, once)(u, np.arange(len(u)))
 
     return period
 
@@ -112,4 +110,4 @@ def walk(
 
 def price_of_orbits(options: Options, batch: LaneBatch) -> Price:
     """Orbits and their multipliers, at several values of a parameter, need the derivatives of a period."""
-    return newton_price(batch, PERIOD_TILE)
+    return newton_price(batch, ORBIT_TILE)
