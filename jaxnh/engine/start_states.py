@@ -35,7 +35,7 @@ def check_constraints(flow: Flow, initial: UserInitial, sweep: UserSweep) -> Non
     axes = _product({name: grid.grid() for name, grid in sweep.grids.items()})
     lanes = len(next(iter(axes.values())))
     parameters = {name: values for name, values in axes.items() if name not in initial.known}
-    if not isinstance(flow, Lagrangian) or not flow.constraints:
+    if not isinstance(flow, Lagrangian) or not flow.constrained:
         if initial.project:
             raise rule("the system has no constraints; leave it out", "initial.project")
         return
@@ -49,15 +49,24 @@ def check_constraints(flow: Flow, initial: UserInitial, sweep: UserSweep) -> Non
     number, lane = np.unravel_index(np.argmax(sizes), sizes.shape)
     state, p = jax.tree.map(lambda leaf: jnp.asarray(leaf[lane]), (start, parameters))
     near = flow.nearest(state, p)
-    keys = [f"{coordinate}_dot" for coordinate in flow.names]
     where = join_words([f"{name} = {values[lane]:g}" for name, values in axes.items()])
-    message = f"f[{number}] is {residuals[number, lane]:.3g} at the start with {where}, and must be 0"
-    if np.all(np.isfinite(np.array(near.v))):
-        nearest = ", ".join(f"{key}: {float(v):.10g}" for key, v in zip(keys, near.v, strict=True))
-        message += f"; the nearest velocities that make it so are {nearest} (initial.project: true moves starts there)"
-    swept_velocities = [key for key in swept if key.endswith("_dot")]
+    if number < flow.constraints:
+        what, keys, values = "velocities", flow.velocities, near.v
+        message = f"f[{number}] is {residuals[number, lane]:.3g} at the start with {where}, and must be 0"
+    else:
+        group = flow.norms[number - flow.constraints]
+        what, keys, values = "coordinates", [flow.names[i] for i in group], [near.q[i] for i in group]
+        squares = residuals[number, lane] + 1.0
+        message = (
+            f"the sum of the squares of {join_words(keys)} is {squares:.9g} at the start with {where}, and must be 1"
+        )
+    if np.all(np.isfinite(np.array(values))):
+        nearest = ", ".join(f"{key}: {float(v):.10g}" for key, v in zip(keys, values, strict=True))
+        message += f"; the nearest {what} that make it so are {nearest} (initial.project: true moves starts there)"
     given = [f"initial.{key}" for key in (*keys, *flow.names)]
-    raise rule(message, *swept_velocities, *given, *swept, "initial", "system")
+    raise rule(
+        message, *(key for key in swept if key.removeprefix("sweep.") in keys), *given, *swept, "initial", "system"
+    )
 
 
 def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
@@ -69,7 +78,7 @@ def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.
 
 def admit_starts(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> Motion:
     """Start states of a mechanical system (lanes,), those off its constraints failed: or moved onto them, if asked."""
-    if not isinstance(flow, Lagrangian) or not flow.constraints:
+    if not isinstance(flow, Lagrangian) or not flow.constrained:
         return start
     _, off = _off_constraint(flow, start, p)
     if not np.any(off):

@@ -7,6 +7,9 @@ paper and df/dt = 0 are one bordered system for the accelerations and the multip
     M q̈ − Aᵀ λ = Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t
     A q̈        = −(∂f/∂q) q̇ − ∂f/∂t
 
+With quasi-velocities u, q̇ = A(q, t) u (`kinematics`), the same stands for u in place of q̇: M = ∂²T/∂u², the
+constraints are f(q, u, t) = 0, and the right side has the forces of Boltzmann and Hamel.
+
 Everything here is a function of one lane, with a component an array of its own: under `jax.vmap` no batch of small
 matrices is ever formed, and no library is called to solve them.
 """
@@ -22,8 +25,9 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxnh.systems.elimination import eliminate, is_positive_definite, known, minus
+from jaxnh.systems.kinematics import Kinematics
 from jaxnh.systems.state import Number, Vector
-from jaxnh.systems.tracing import constants
+from jaxnh.systems.tracing import constants, slope
 
 Energy = Callable[[Vector, Vector, Number], Number]
 """(q, q̇, t) to a number."""
@@ -41,11 +45,23 @@ class Equations(NamedTuple):
         T: kinetic energy, (q, q̇, t) to a number.
         Q: generalised forces, (q, q̇, t) to k numbers.
         f: constraint functions, (q, q̇, t) to m numbers that are to be zero.
+        kinematics: of quasi-velocities, which T, Q and f then have in place of q̇; None where velocities are q̇.
+        definite: whether M is known to be positive definite, though not constant.
     """
 
     T: Energy
     Q: Components
     f: Components | None = None
+    kinematics: Kinematics | None = None
+    definite: bool = False
+
+    def rates(self, q: Vector, v: Vector, t: Number) -> Vector:
+        """q̇ at a state."""
+        return tuple(v) if self.kinematics is None else self.kinematics.rates(q, v, t)
+
+    def definite_columns(self, mass: list[list[Number]]) -> int:
+        """Leading columns of the bordered matrix whose pivots need no exchange of rows."""
+        return len(mass) * (self.definite or is_positive_definite(mass))
 
 
 class Accelerations(NamedTuple):
@@ -62,48 +78,43 @@ class Accelerations(NamedTuple):
     singular: Number
 
 
-def slope(function: Callable[..., Number], at: Vector, i: int) -> Number:
-    """∂function/∂at[i] at components `at`, the others being constants of the program."""
-    one = jnp.ones_like(at[i])
-    return jax.jvp(lambda x: function(*at[:i], x, *at[i + 1 :]), (at[i],), (one,))[1]
-
-
 def _flat(function: Callable[[Vector, Vector, Number], Number], k: int) -> Callable[..., Number]:
-    """Return the function of its 2k + 1 components."""
-    return lambda *at: function(at[:k], at[k : 2 * k], at[2 * k])
+    """Return the function of its components (q, q̇, t), k of them coordinates."""
+    return lambda *at: function(at[:k], at[k:-1], at[-1])
 
 
-def _along_motion(function: Callable[..., Number], at: Vector, k: int) -> Number:
-    """(∂/∂q) q̇ + ∂/∂t of a function at components `at` = (q, q̇, t)."""
-    v = at[k : 2 * k]
+def _along_motion(function: Callable[..., Number], at: Vector, rates: Vector) -> Number:
+    """(∂/∂q) q̇ + ∂/∂t of a function at components `at` = (q, q̇, t), or (q, u, t)."""
+    k = len(rates)
+    v = at[k:-1]
 
     def moved(*q_and_t: Number) -> Number:
         return function(*q_and_t[:k], *v, q_and_t[k])
 
-    return jax.jvp(moved, (*at[:k], at[2 * k]), (*v, jnp.ones_like(at[2 * k])))[1]
+    return jax.jvp(moved, (*at[:k], at[-1]), (*rates, jnp.ones_like(at[-1])))[1]
 
 
 def constraint_functions(equations: Equations, k: int) -> Callable[..., Vector]:
-    """f of its 2k + 1 components, as a tuple; empty where the system is free."""
+    """f of its components (q, q̇, t), k of them coordinates, as a tuple; empty where the system is free."""
     f = equations.f
-    return (lambda *at: ()) if f is None else (lambda *at: tuple(f(at[:k], at[k : 2 * k], at[2 * k])))
+    return (lambda *at: ()) if f is None else (lambda *at: tuple(f(at[:k], at[k:-1], at[-1])))
 
 
 def mass_matrix(equations: Equations, at: Vector, k: int) -> list[list[Number]]:
-    """M = ∂²T/∂q̇², k rows of k, at components (q, q̇, t)."""
-    energy = _flat(equations.T, k)
+    """M = ∂²T/∂q̇², a row a velocity, at components (q, q̇, t), k of them coordinates."""
+    energy, n = _flat(equations.T, k), len(at) - k - 1
 
     def momentum(j: int) -> Callable[..., Number]:
         return lambda *at: slope(energy, at, k + j)
 
-    upper = {(i, j): slope(momentum(j), at, k + i) for j in range(k) for i in range(j + 1)}
-    return [[upper[min(i, j), max(i, j)] for j in range(k)] for i in range(k)]
+    upper = {(i, j): slope(momentum(j), at, k + i) for j in range(n) for i in range(j + 1)}
+    return [[upper[min(i, j), max(i, j)] for j in range(n)] for i in range(n)]
 
 
 def constraint_slopes(equations: Equations, at: Vector, k: int) -> list[Vector]:
-    """A = ∂f/∂q̇, m rows of k, at components (q, q̇, t)."""
+    """A = ∂f/∂q̇, m rows, at components (q, q̇, t), k of them coordinates."""
     f = constraint_functions(equations, k)
-    columns = [slope(f, at, k + j) for j in range(k)]
+    columns = [slope(f, at, j) for j in range(k, len(at) - 1)]
     return [tuple(column[i] for column in columns) for i in range(len(columns[0]))]
 
 
@@ -112,29 +123,42 @@ def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Acce
 
     The multipliers are those of (6): the reaction on coordinate i is Σ_j λ_j ∂f_j/∂q̇_i.
     """
-    k = len(q)
+    k, n = len(q), len(v)
     at = (*q, *v, t)
     f = constraint_functions(equations, k)
     mass, slopes = matrices(equations, at, k)
     right = applied_forces(equations, q, v, t)
-    right += [-rate for rate in (_along_motion(f, at, k) if slopes else ())]
-    (solution,), smallest = eliminate(bordered_matrix(mass, slopes), [right], k * is_positive_definite(mass))
+    right += [-rate for rate in (_along_motion(f, at, equations.rates(q, v, t)) if slopes else ())]
+    (solution,), smallest = eliminate(bordered_matrix(mass, slopes), [right], equations.definite_columns(mass))
     solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
-    return Accelerations(tuple(solution[:k]), tuple(solution[k:]), smallest <= SMALLEST_PIVOT)
+    return Accelerations(tuple(solution[:n]), tuple(solution[n:]), smallest <= SMALLEST_PIVOT)
 
 
 def applied_forces(equations: Equations, q: Vector, v: Vector, t: Number) -> list[Number]:
-    """Forces without those of the constraints: Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t, k components."""
-    k = len(q)
+    """Forces without those of the constraints, a component a velocity.
+
+    Q + ∂T/∂q − (∂²T/∂q̇∂q) q̇ − ∂²T/∂q̇∂t; with quasi-velocities those of Boltzmann and Hamel are added.
+    """
+    k, n, kinematics = len(q), len(v), equations.kinematics
     energy = _flat(equations.T, k)
 
-    def inertia_and_pull(*at: Number) -> tuple[list[Number], list[Number]]:
-        momenta = [lambda *at, i=i: slope(energy, at, k + i) for i in range(k)]
-        return [_along_motion(momentum, at, k) for momentum in momenta], [slope(energy, at, i) for i in range(k)]
+    def parts(*at: Number) -> tuple[list[Number], ...]:
+        momenta = [lambda *at, i=i: slope(energy, at, k + i) for i in range(n)]
+        rates = equations.rates(at[:k], at[k:-1], at[-1])
+        inertia = [_along_motion(momentum, at, rates) for momentum in momenta]
+        if kinematics is None:
+            return inertia, [slope(energy, at, i) for i in range(k)]
+        pull = kinematics.directional_slopes(energy, at, k)
+        return inertia, pull, kinematics.hamel_forces([momentum(*at) for momentum in momenta], at, k)
 
     forces = [known(force) for force in equations.Q(q, v, t)]
-    inertia, pull = _read(inertia_and_pull, (*q, *v, t))
-    return [minus(force, minus(i, p)) for force, i, p in zip(forces, inertia, pull, strict=True)]
+    inertia, *added = _read(parts, (*q, *v, t))
+    total = []
+    for j, force in enumerate(forces):
+        for each in added:
+            inertia[j] = minus(inertia[j], each[j])
+        total.append(minus(force, inertia[j]))
+    return total
 
 
 def matrices(equations: Equations, at: Vector, k: int) -> tuple[list[list[Number]], list[list[Number]]]:
@@ -164,6 +188,3 @@ def bordered_matrix(mass: list[list[Number]], slopes: list[list[Number]]) -> lis
     m = len(slopes)
     top = [[*row, *(minus(0.0, a[i]) for a in slopes)] for i, row in enumerate(mass)]
     return top + [[*a, *[0.0] * m] for a in slopes]
-
-
-# ---- a system of lanes

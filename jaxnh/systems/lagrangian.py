@@ -8,7 +8,7 @@ the mass.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,11 +17,18 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
-from jaxnh.systems.chart import Chart, general_directions, wrap_angle
+from jaxnh.systems.chart import wrap_angle
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
-from jaxnh.systems.elimination import eliminate, is_positive_definite, largest_of
-from jaxnh.systems.explicit import Explicit, all_velocities, explicit_velocities, free_accelerations
-from jaxnh.systems.flow import UNSAID, Labels, Output, Parameters, Reduction, status
+from jaxnh.systems.elimination import eliminate, largest_of
+from jaxnh.systems.explicit import (
+    Explicit,
+    all_velocities,
+    dependent_velocities,
+    explicit_velocities,
+    free_accelerations,
+    maggi_accelerations,
+)
+from jaxnh.systems.flow import UNSAID, Labels, Output, Parameters, Reduction, pairs, status
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
     Equations,
@@ -31,8 +38,11 @@ from jaxnh.systems.jourdain import (
     constraint_slopes,
     matrices,
 )
-from jaxnh.systems.state import Number, Vector, error_components, masked
+from jaxnh.systems.motion import Motion, MotionChart, ReducedMotion
+from jaxnh.systems.quasi_velocities import QuasiVelocities, equations_of, quasi_velocities_of
+from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import cached_by_structure
+from jaxnh.systems.user_text import states_of
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
@@ -41,144 +51,112 @@ _NEARLY_LOST = 0.01  # of the smallest singular value of df/dv on a motion: step
 _LARGEST_DRIFT = 1e-9  # of f after projection, in units of |A q̇| + 1
 
 
-class Motion(NamedTuple):
-    """State of a lane.
-
-    Attributes:
-        q: k coordinates.
-        v: k velocities q̇.
-        watch: largest |f| before a projection so far, and the reason of its failure, a number of `STATUS`.
-    """
-
-    q: Vector
-    v: Vector
-    watch: Vector
-
-
-@error_components.register
-def _(y: Motion) -> tuple[Vector, Vector]:
-    return y.q, y.v
-
-
-@masked.register
-def _(y: Motion, kept: Number) -> Motion:
-    q, v = masked((y.q, y.v), kept)
-    return Motion(q, v, y.watch)
-
-
-class ReducedMotion(NamedTuple):
-    """State that steps carry of a lane whose constraints give some of its velocities.
-
-    Attributes:
-        q: k coordinates.
-        u: k − m velocities, the others being functions of them.
-    """
-
-    q: Vector
-    u: Vector
-
-
-class MotionChart(Chart):
-    """Coordinates of a motion, those that are ignorable left out, and all its velocities.
-
-    Attributes:
-        kept: numbers of the coordinates that are not left out.
-        count: number of all of them.
-    """
-
-    kept: tuple[int, ...] = eqx.field(static=True)
-    count: int = eqx.field(static=True)
-
-    def components(self, y: Motion) -> Vector:
-        return *(y.q[i] for i in self.kept), *y.v
-
-    def state(self, u: Number) -> Motion:
-        """The motion with section coordinates; ignorable coordinates are zero."""
-        zero = np.zeros_like(u[0]) if isinstance(u, np.ndarray) else jnp.zeros_like(u[0])
-        q = [zero] * self.count
-        for j, i in enumerate(self.kept):
-            q[i] = u[j]
-        return Motion(tuple(q), tuple(u[len(self.kept) + i] for i in range(len(q))), (zero, zero))
-
-    def directions(self, k: int) -> tuple[Vector, ...]:
-        return general_directions(self.dimension, k)
-
-
 class ExplicitReduction(Reduction):
-    """Coordinates and the free velocities of a motion whose constraints give the others."""
+    """Coordinates and the free velocities of a motion whose constraints give the others.
+
+    Attributes:
+        explicit: the velocities that are given.
+        left_out: whether states have no others than the free ones.
+    """
 
     leaves_constraints = False
 
-    def __init__(self, flow: Lagrangian, explicit: Explicit) -> None:
-        self.flow, self.explicit = flow, explicit
+    def __init__(self, flow: Lagrangian, explicit: Explicit, left_out: bool) -> None:
+        self.flow, self.explicit, self.left_out = flow, explicit, left_out
 
     def reduce(self, y: Motion) -> ReducedMotion:
-        return ReducedMotion(y.q, tuple(y.v[j] for j in self.explicit.free))
+        return ReducedMotion(y.q, y.v if self.left_out else tuple(y.v[j] for j in self.explicit.free))
 
     def rhs(self, t: ArrayLike, z: ReducedMotion, p: Parameters) -> ReducedMotion:
         equations = self.flow.equations(p)
         v = all_velocities(equations, self.explicit, z.q, z.u, t)
-        return ReducedMotion(v, free_accelerations(equations, self.explicit, z.q, z.u, t))
+        return ReducedMotion(equations.rates(z.q, v, t), free_accelerations(equations, self.explicit, z.q, z.u, t))
 
     def restore(self, t: ArrayLike, z: ReducedMotion, y: Motion, p: Parameters) -> Motion:
-        return Motion(z.q, all_velocities(self.flow.equations(p), self.explicit, z.q, z.u, t), y.watch)
+        v = z.u if self.left_out else all_velocities(self.flow.equations(p), self.explicit, z.q, z.u, t)
+        return Motion(z.q, v, y.watch)
 
 
 class Lagrangian(DefinedFlow):
     """Any system of a definition's `T`, `Q` and, where it has constraints, `f`; made by `lagrangian`.
 
     Attributes:
-        constraints: number m of constraints.
+        constraints: number m of constraints that a state can leave.
         ignorable: for each coordinate, whether nothing depends on it: such are left out of the section.
+        quasi: quasi-velocities, where these are the velocities; None where they are q̇.
     """
 
     constraints: int = eqx.field(static=True)
     ignorable: tuple[bool, ...] = eqx.field(static=True)
+    quasi: QuasiVelocities | None = eqx.field(static=True, default=None)
 
     # ---- names
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of each coordinate and its velocity: x, x_dot, y, y_dot, …"""
-        return tuple(word for name in self.names for word in (name, f"{name}_dot"))
+        """Names of each coordinate and its velocity, x, x_dot, y, …, or of coordinates, then quasi-velocities."""
+        return states_of(self.names, self.quasi.names if self.quasi else ())
+
+    @property
+    def velocities(self) -> tuple[str, ...]:
+        """Names of the velocities of a state."""
+        return self.quasi.names if self.quasi else tuple(f"{name}_dot" for name in self.names)
 
     @property
     def labels(self) -> Labels:
-        """Labels of the definition; each coordinate of the section is drawn with its velocity, then all others."""
+        """Labels of the definition; each coordinate of the section is drawn with its velocity, then all others.
+
+        With quasi-velocities all pairs are drawn.
+        """
         kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(self.names, self.angles, strict=True)}
-        rates = {f"{name}_dot": "velocity" for name in self.names}
+        rates = dict.fromkeys(self.velocities, "quasi-velocity" if self.quasi else "velocity")
         order = sorted(range(len(self.names)), key=self.ignorable.__getitem__)
-        return self.labelled(kinds | rates, tuple((self.names[i], f"{self.names[i]}_dot") for i in order))
+        if self.quasi:
+            return self.labelled(kinds | rates, pairs((*(self.names[i] for i in order), *self.velocities)))
+        return self.labelled(kinds | rates, tuple((self.names[i], self.velocities[i]) for i in order))
 
     # ---- motion
 
     def equations(self, p: Parameters) -> Equations:
-        """T, Q and f of a lane."""
-        definition = self.definition(p)
-        return Equations(definition["T"], definition["Q"], definition.get("f"))
+        """T, Q and f of a lane, and where it has quasi-velocities their kinematics."""
+        return equations_of(self.definition(p), self.quasi)
+
+    def _state_constraints(self, equations: Equations) -> Callable[..., Vector]:
+        """f of the components of a state; empty where it cannot leave f = 0."""
+        return constraint_functions(equations, len(self.names)) if self.constraints else lambda *at: ()
+
+    def all_velocities(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
+        """The velocities of a state, and those that constraints give and the state leaves out."""
+        dependent = self._dependent
+        return y.v if dependent is None else all_velocities(self.equations(p), dependent, y.q, y.v, t)
 
     def rhs(self, t: ArrayLike, y: Motion, p: Parameters) -> Motion:
         """Time derivative of a state; a singular matrix makes the rate of the reason not a number."""
-        solved = accelerations(self.equations(p), y.q, y.v, t)
-        zero = jnp.zeros_like(y.q[0])
-        return Motion(y.v, solved.a, (zero, jnp.where(solved.singular, jnp.nan, zero)))
+        equations, dependent, zero = self.equations(p), self._dependent, jnp.zeros_like(y.q[0])
+        if dependent is None:
+            solved = accelerations(equations, y.q, y.v, t)
+        else:
+            solved = maggi_accelerations(equations, dependent, y.q, y.v, t)
+        rates = equations.rates(y.q, self.all_velocities(t, y, p), t)
+        return Motion(rates, solved.a, (zero, jnp.where(solved.singular, jnp.nan, zero)))
 
     def fault_at(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
         """Return which matrix is singular at a state, and for which velocities."""
-        equations, k = self.equations(p), len(y.q)
-        if not bool(accelerations(equations, y.q, y.v, t).singular):
+        equations = self.equations(p)
+        if not bool(jnp.isnan(self.rhs(t, y, p).watch[1])):
             return ""
-        mass = np.array(matrices(equations, (*y.q, *y.v, t), k)[0], float)
-        if np.linalg.matrix_rank(mass) == k:
+        mass = np.array(matrices(equations, (*y.q, *self.all_velocities(t, y, p), t), len(y.q))[0], float)
+        if np.linalg.matrix_rank(mass) == len(mass):
             return "the constraints f are not independent: df/dv has not the full rank"
-        without = [f"{name}_dot" for name, row in zip(self.names, mass, strict=True) if not row.any()]
+        names = self.quasi.everything if self.quasi else self.velocities
+        without = [name for name, row in zip(names, mass, strict=True) if not row.any()]
         missing = f": T has no term with the square of {', '.join(without)}" if without else ""
         return f"the mass matrix, the second derivatives of T by the velocities, is singular{missing}"
 
     def near_degeneracy(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
         """Describe a near loss of rank of the constraints: the smallest singular value of df/dv against its largest."""
         times = np.asarray(t, float)
-        slopes = constraint_slopes(self.equations(p), (*y.q, *y.v, times), len(y.q))
+        slopes = constraint_slopes(self.equations(p), (*y.q, *self.all_velocities(times, y, p), times), len(y.q))
         matrix = np.moveaxis(
             np.array([[np.broadcast_to(entry, times.shape) for entry in row] for row in slopes]), -1, 0
         )
@@ -190,29 +168,54 @@ class Lagrangian(DefinedFlow):
         at, largest = int(np.argmin(least)), np.max(least, initial=0.0, where=finite)
         if not finite.any() or least[at] > _NEARLY_LOST * largest:
             return ""
-        velocities = ", ".join(f"{name}_dot = {v[at]:.2g}" for name, v in zip(self.names, np.asarray(y.v), strict=True))
+        velocities = ", ".join(f"{n} = {v[at]:.2g}" for n, v in zip(self.velocities, np.asarray(y.v), strict=True))
         return (
             f"the constraints f lose rank on the way: at t = {times[at]:.3g}, {velocities} df/dv comes down to "
             f"{least[at] / largest:.1g} of what it is elsewhere"
         )
 
     def multipliers(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
-        """The m multipliers λ of (6)."""
-        return accelerations(self.equations(p), y.q, y.v, t).multipliers
+        """The multipliers λ of (6), one a constraint, of velocities that are left out as well."""
+        return accelerations(self.equations(p), y.q, self.all_velocities(t, y, p), t).multipliers
 
     def residuals(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
-        """The m values of f, zero on the constraints."""
-        return constraint_functions(self.equations(p), len(y.q))(*y.q, *y.v, t)
+        """The m values of f, zero on the constraints, then the sums of squares that are one, less one."""
+        return (*self._state_constraints(self.equations(p))(*y.q, *y.v, t), *self._norm_residuals(y.q))
+
+    @property
+    def constrained(self) -> bool:
+        """Return whether a state can be off its constraints, or its norms."""
+        return bool(self.constraints or self.norms)
+
+    @property
+    def norms(self) -> tuple[tuple[int, ...], ...]:
+        """Coordinates, by number, the sum of whose squares is one, for each such sum."""
+        return self.quasi.norms if self.quasi else ()
+
+    def _norm_residuals(self, q: Vector) -> Vector:
+        return tuple(sum(q[i] * q[i] for i in group) - 1.0 for group in self.norms)
+
+    def _normalised(self, q: Vector) -> Vector:
+        """Coordinates with their norms brought back to one."""
+        moved = list(q)
+        for group in self.norms:
+            inverse = 1.0 / jnp.sqrt(sum(q[i] * q[i] for i in group))
+            for i in group:
+                moved[i] = q[i] * inverse
+        return tuple(moved)
 
     def project(self, t: ArrayLike, y: Motion, p: Parameters, *, trust: bool = True) -> Motion:
         """The state brought back to f = 0 along M⁻¹ Aᵀ, or marked as failed: not a number from there on.
 
         Newton on the multipliers with the matrix of the state itself. The largest |f| met here is kept in `watch`.
-        Without trust a state that is still off f = 0 is no failure.
+        Without trust a state that is still off f = 0 is no failure. Norms are brought back to one before.
         """
-        equations, k = self.equations(p), len(y.q)
+        equations, k, n = self.equations(p), len(y.q), len(y.v)
         q, v, (drift, reason) = y
-        f = constraint_functions(equations, k)
+        f = self._state_constraints(equations)
+        for residual in self._norm_residuals(q):
+            drift = jnp.maximum(drift, jnp.abs(residual))
+        q = self._normalised(q)
         finite = jnp.isfinite(sum(x * x for x in (*q, *v)))
         singular = jnp.isnan(reason)
         off = ~finite
@@ -220,13 +223,13 @@ class Lagrangian(DefinedFlow):
         if residuals:
             at = (*q, *v, t)
             mass, slopes = matrices(equations, at, k)
-            ends = [[float(i == k + j) for i in range(k + len(slopes))] for j in range(len(slopes))]
-            ways, smallest = eliminate(bordered_matrix(mass, slopes), ends, k * is_positive_definite(mass))
+            ends = [[float(i == n + j) for i in range(n + len(slopes))] for j in range(len(slopes))]
+            ways, smallest = eliminate(bordered_matrix(mass, slopes), ends, equations.definite_columns(mass))
             singular |= smallest <= SMALLEST_PIVOT
             largest = largest_of(list(residuals))
             drift = jnp.where(largest > drift, largest, drift)
             for _ in range(_PROJECTIONS):
-                v = tuple(v[i] - sum(r * way[i] for r, way in zip(residuals, ways, strict=True)) for i in range(k))
+                v = tuple(v[i] - sum(r * way[i] for r, way in zip(residuals, ways, strict=True)) for i in range(n))
                 residuals = f(*q, *v, t)
             sizes = [1.0 + sum(jnp.abs(a * vi) for a, vi in zip(row, v, strict=True)) for row in slopes]
             if trust:
@@ -242,25 +245,39 @@ class Lagrangian(DefinedFlow):
     @property
     def exponents(self) -> int:
         """Lyapunov exponents of motions that keep the constraints."""
-        return self.chart.dimension - self.constraints
+        norms = [group for group in self.norms if not all(self.ignorable[i] for i in group)]
+        return self.chart.dimension - self.constraints - len(norms)
 
     @property
     def chart(self) -> MotionChart:
         """Coordinates but for those that are ignorable, and all velocities."""
         kept = tuple(i for i, left_out in enumerate(self.ignorable) if not left_out)
-        angles = *(self.angles[i] for i in kept), *(False for _ in self.names)
+        angles = *(self.angles[i] for i in kept), *(False for _ in self.velocities)
         return MotionChart(angles, len(kept), dimensionless=False, kept=kept, count=len(self.names))
 
     @property
     def explicit(self) -> Explicit | None:
-        """Return which velocities the constraints give; None where there are none."""
+        """Return which velocities of a state the constraints give; None where there are none."""
+        return self._given_velocities if self.constraints else None
+
+    @property
+    def _dependent(self) -> Explicit | None:
+        """Velocities that the constraints give and that are no part of a state; None where there are none."""
+        return self._given_velocities if self.quasi and self.quasi.dependent else None
+
+    @property
+    def _given_velocities(self) -> Explicit | None:
         return _explicit(jax.tree.structure(self), tuple(np.shape(leaf) for leaf in jax.tree.leaves(self)))
 
     @property
     def reduction(self) -> Reduction:
-        """Coordinates and the free velocities, where there is a choice."""
-        explicit = self.explicit
-        return Reduction(self) if explicit is None else ExplicitReduction(self, explicit)
+        """Coordinates and the free velocities, where the others are given at every state."""
+        explicit, dependent = self.explicit, self._dependent
+        if explicit is not None:
+            return ExplicitReduction(self, explicit, left_out=False)
+        if dependent is not None and dependent.definite and dependent.inverse is not None:
+            return ExplicitReduction(self, dependent, left_out=True)
+        return Reduction(self)
 
     def nearest(self, y: Motion, p: Parameters) -> Motion:
         """The state near one that is on the constraints at t = 0: of other velocities, by many projections."""
@@ -276,20 +293,21 @@ class Lagrangian(DefinedFlow):
     # ---- host: start states and results
 
     def start(self, coordinates: Mapping[str, ArrayLike]) -> Motion:
-        """(q, q̇) at t = 0."""
+        """Coordinates and velocities at t = 0."""
         q = tuple(np.asarray(coordinates[name], float) for name in self.names)
-        v = tuple(np.asarray(coordinates[f"{name}_dot"], float) for name in self.names)
+        v = tuple(np.asarray(coordinates[name], float) for name in self.velocities)
         return Motion(q, v, (np.zeros_like(q[0]), np.zeros_like(q[0])))
 
     def outputs(self, y: Motion, t: np.ndarray) -> dict[str, Output]:
-        """Coordinates and velocities of states by name: x, x_dot, y, y_dot, …"""
+        """Coordinates and velocities of states by name, in the order of `coordinates`."""
         words, units, _ = self.labels
         outputs: dict[str, Output] = {}
-        for name, q, v, is_angle in zip(self.names, y.q, y.v, self.angles, strict=True):
-            rate = f"{name}_dot"
+        for name, q, is_angle in zip(self.names, y.q, self.angles, strict=True):
             outputs[name] = Output(wrap_angle(q) if is_angle else q, words[name], {"units": units[name]})
-            outputs[rate] = Output(v, f"{words[rate]} = d{name}/dt", {"units": units[rate]})
-        return outputs
+        for number, (rate, v) in enumerate(zip(self.velocities, y.v, strict=True)):
+            meaning = "" if self.quasi else f" = d{self.names[number]}/dt"
+            outputs[rate] = Output(v, f"{words[rate]}{meaning}", {"units": units[rate]})
+        return {name: outputs[name] for name in states_of(self.names, self.quasi.names if self.quasi else ())}
 
     def reports(self, y: Motion) -> dict[str, Output]:
         """Return the largest |f| before a projection and the status of each trajectory, from states (..., points)."""
@@ -306,7 +324,12 @@ def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit |
     velocities: list[Explicit | None] = []
 
     def look(system: Lagrangian, own: Parameters) -> float:
-        velocities.append(explicit_velocities(system.equations(own), len(system.names)) if system.constraints else None)
+        equations, k = system.equations(own), len(system.names)
+        if system.quasi and system.quasi.dependent:
+            found = dependent_velocities(equations, k, len(system.quasi.everything), system.quasi.dependent)
+        else:
+            found = explicit_velocities(equations, k, len(system.velocities))
+        velocities.append(found)
         return 0.0
 
     system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
@@ -322,14 +345,21 @@ def lagrangian(
     Args:
         define: parameters by name to a mapping with `T`, `Q` and, unless the system is free, `f`: functions of
             (q, q̇, t), with q and q̇ tuples of k numbers; `coordinates`, their k names; with a clock its `period`,
-            that of the strobe; and where there are some, names of coordinates that are `angles` or `ignorable`.
+            that of the strobe; where there are some, names of coordinates that are `angles` or `ignorable`; and where
+            it has quasi-velocities, `rates` with their names and what goes with them (`quasi_velocities_of`).
         parameters: values of all parameters.
         of_lanes: names of those that lanes may have of their own, by default all.
+
+    Raises:
+        KinematicsFault: `rates` are no rates of quasi-velocities.
     """
     definition = define(**parameters)
     names = tuple(definition["coordinates"])
-    zeros = (jnp.zeros(()),) * len(names)
-    equations = Equations(definition["T"], definition["Q"], definition.get("f"))
-    m = len(jax.eval_shape(lambda q, t: constraint_functions(equations, len(q))(*q, *q, t), zeros, zeros[0]))
+    quasi = quasi_velocities_of(define, parameters)
+    m = 0
+    if not quasi or not quasi.dependent:
+        zeros, velocities = ((jnp.zeros(()),) * len(each) for each in (names, quasi.names if quasi else names))
+        f = constraint_functions(equations_of(definition, quasi), len(names))
+        m = len(jax.eval_shape(lambda q, v, t: f(*q, *v, t), zeros, velocities, zeros[0]))
     angles, ignorable = marked(definition, "angles"), marked(definition, "ignorable")
-    return Lagrangian(define, dict(parameters), of_lanes, names, angles, "period" in definition, m, ignorable)
+    return Lagrangian(define, dict(parameters), of_lanes, names, angles, "period" in definition, m, ignorable, quasi)

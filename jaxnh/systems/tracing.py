@@ -227,6 +227,12 @@ def constants(function: Callable[..., Any], *arguments: Any) -> Any:
     return jax.tree.unflatten(program.structure, leaves)
 
 
+def slope(function: Callable[..., Any], at: Sequence[Any], i: int) -> Any:
+    """∂function/∂at[i] at components `at`, the others being constants of the program."""
+    one = jnp.ones_like(at[i])
+    return jax.jvp(lambda x: function(*at[:i], x, *at[i + 1 :]), (at[i],), (one,))[1]
+
+
 def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], Any]) -> Any:
     """Σ ∂rate_i/∂y_i over the components of a state that a function picks of it; one derivative each, no matrix."""
     leaves, structure = jax.tree.flatten(y)

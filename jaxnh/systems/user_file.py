@@ -20,9 +20,10 @@ A right-hand side may have jumps of the state and switches of the field:
     switches=[{"on": surface}]                                    # where surface(y, t) is zero the field changes
 
 `bounce(y, t)` is the state after; with switches the right-hand side is rhs(y, t, side), side a tuple of +1.0 or -1.0 a
-switch. `y`, `q` and `v` are tuples, a number a coordinate, and functions are those of `jax.numpy`. One number or one
-name stands for the tuple of it. What depends on t has a `period`; what does not may have a `time_unit`. Results and
-pictures take words and units of parameters and coordinates, and units of t, from labels={"x": "displacement"} and
+switch. With `rates`, mechanics is in quasi-velocities (`quasi_velocities`). `y`, `q` and `v` are tuples, a number a
+coordinate, and functions are those of `jax.numpy`. One number or one name stands for the tuple of it. What depends on t
+has a `period`; what does not may have a `time_unit`. Results and pictures take words and units of parameters and
+coordinates, and units of t, from labels={"x": "displacement"} and
 units={"x": "m"}. Whatever is wrong with the file is said in one line with its place.
 """
 
@@ -49,6 +50,8 @@ from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from jaxnh.systems.quasi_velocities import KEYS as QUASI_KEYS
+from jaxnh.systems.quasi_velocities import KinematicsFault
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
 from jaxnh.systems.user_functions import (
@@ -62,16 +65,17 @@ from jaxnh.systems.user_functions import (
     pointwise,
     takes,
 )
-from jaxnh.systems.user_text import BESIDE_STATES, Names, can_be_states, read_text, with_velocities
+from jaxnh.systems.user_names import check_names, fault_of_count, state_sizes, states_in
+from jaxnh.systems.user_text import Names, read_text
 
 _CLOCKS = ("period", "time_unit")
 _OF_ALL = ("coordinates", "angles", "labels", "units")
 _FIRST_ORDER = ("rhs", "jumps", "switches", *_CLOCKS, *_OF_ALL)
-_MECHANICS = ("T", "Q", "f", "ignorable", *_CLOCKS, *_OF_ALL)
+_MECHANICS = ("T", "Q", "f", "ignorable", *QUASI_KEYS, *_CLOCKS, *_OF_ALL)
 _MAP = ("map", *_OF_ALL)
-_LISTS_OF_NAMES = ("coordinates", "angles", "ignorable")
-_OF_COMPONENTS = ("map", "rhs", "Q", "f")  # functions that return a number a coordinate, or a constraint
-_ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "T": "(q, v, t)", "Q": "(q, v, t)", "f": "(q, v, t)"}  # of the functions
+_LISTS_OF_NAMES = ("coordinates", "angles", "ignorable", "quasi_velocities", "dependent")
+_OF_COMPONENTS = ("map", "rhs", "rates", "Q", "f")  # functions that return a number a coordinate, or a constraint
+_ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "rates": "(q, u, t)", **dict.fromkeys("TQf", "(q, v, t)")}  # of functions
 _PROBES = 16  # random states and times at which equations are held against themselves a period later
 _ALIKE = 1e-8  # of the largest number there: a period of ten digits will do
 _OWN_KEYS = {"map": _MAP, "rhs": _FIRST_ORDER}  # of a system that returns one of these
@@ -80,10 +84,10 @@ _RETURNED = {
     "T": "a number",
     "map": "a number a coordinate",
     "rhs": "a number a coordinate",
+    "rates": "a number a coordinate",
     "Q": "a number a coordinate",
     "f": "a number a constraint",
 }
-_AS_IN = {"labels": "displacement", "units": "m"}
 
 
 UserFlow = Lagrangian | FirstOrder | DiscreteMap
@@ -98,6 +102,7 @@ class UserFile:
         text: its text.
         parameters: names of the parameters with their defaults.
         coordinates: names of the coordinates.
+        states: names of the coordinates of a state: of mechanics with velocities NAME_dot, or with quasi-velocities.
         mechanical: whether it says T and Q, so that each coordinate has a velocity.
         discrete: whether it says a map, so that nothing is integrated.
     """
@@ -119,19 +124,18 @@ class UserFile:
         self._periodic: set[tuple[float, ...]] = set()  # parameters at which the equations were seen to have the period
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
+        self.states = states_in(definition)
         self.discrete, self.mechanical = "map" in definition, "T" in definition
         self._eventful = any(definition.get(kind) for kind in EVENTS)
-        uses_time = self._try_mechanics() if self.mechanical else self._try_point("map" if self.discrete else "rhs")
+        if self.mechanical:
+            uses_time = self._try_mechanics(definition)
+        else:
+            uses_time = self._try_point("map" if self.discrete else "rhs")
         if uses_time and "period" not in definition:
             raise self._fault(self._line_of("rhs"), "the system depends on t: give its period, period=2 * jnp.pi")
         if not uses_time and "period" in definition:
             message = "nothing depends on t: leave period out (time_unit says what lengths of time are counted in)"
             raise self._fault(self._line_of("rhs"), message)
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the coordinates of a state: of mechanics each coordinate, and its velocity NAME_dot."""
-        return self.coordinates if not self.mechanical else with_velocities(self.coordinates)
 
     @property
     def names(self) -> Names:
@@ -181,7 +185,10 @@ class UserFile:
         if definition.get("switches") and not takes(definition["rhs"], 3):
             message = "with switches rhs is a function of (y, t, side); side has +1.0 or -1.0 for each switch"
             raise self._fault(line_of_code(definition["rhs"], line), message)
-        self._check_names(definition, line)
+        try:
+            check_names(definition, tuple(inspect.signature(self._define).parameters))
+        except ValueError as error:
+            raise self._fault(line, str(error)) from None
         if all(name in definition for name in _CLOCKS):
             raise self._fault(line, "period and time_unit exclude each other: with a period, it is the unit of time")
         for name in _CLOCKS:
@@ -215,7 +222,10 @@ class UserFile:
         self._check_period(parameters)
         of_points = piecewise_smooth if self._eventful else first_order
         made = lagrangian if self.mechanical else discrete_map if self.discrete else of_points
-        flow = made(self.define, parameters, of_lanes)
+        try:
+            flow = made(self.define, parameters, of_lanes)
+        except KinematicsFault as fault:
+            raise self._fault(self._line_of("rates"), str(fault)) from None
         return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.is_shared(name)))
 
     def _check_period(self, parameters: Mapping[str, float]) -> None:
@@ -225,7 +235,8 @@ class UserFile:
             return
         functions = functions_of(definition)
         period, draws = float(definition["period"]), np.random.default_rng(0)
-        states = draws.uniform(-1.0, 1.0, (2 if self.mechanical else 1, len(self.coordinates), _PROBES))
+        sizes = state_sizes(definition) if self.mechanical else (len(self.coordinates),)
+        states = [draws.uniform(-1.0, 1.0, (size, _PROBES)) for size in sizes]
         t = draws.uniform(0.0, period, _PROBES)
 
         def rates(t: Any, states: Any) -> list[Any]:
@@ -275,52 +286,22 @@ class UserFile:
             defaults[name] = float(value)
         return defaults
 
-    def _check_names(self, definition: Mapping[str, Any], line: int) -> None:
-        names = definition["coordinates"]
-        if not names or not all(isinstance(n, str) and n.isidentifier() for n in names):
-            raise self._fault(line, 'coordinates must be names, as in coordinates=("x", "y")')
-        every = list(with_velocities(names)) if "T" in definition else list(names)
-        if not can_be_states(every):
-            raise self._fault(line, f"coordinates must differ, and not be one of {', '.join(BESIDE_STATES)}")
-        for name in every:
-            if name in inspect.signature(self._define).parameters:
-                raise self._fault(line, f"{name} names a parameter and a coordinate or velocity; rename one of them")
-        for kind in ("labels", "units"):
-            said = definition.get(kind, {})
-            if not isinstance(said, Mapping) or not all(isinstance(word, str) for word in said.values()):
-                raise self._fault(
-                    line, f'{kind} must be words by name, as in {kind}={{"{every[0]}": "{_AS_IN[kind]}"}}'
-                )
-            more = ("t",) if kind == "units" and "map" not in definition else ()
-            for name in said:
-                if name not in (*every, *more, *inspect.signature(self._define).parameters):
-                    raise self._fault(line, f"{kind} names {name!r}, which is no parameter, coordinate or velocity")
-        for kind in ("angles", "ignorable"):
-            for name in definition.get(kind, ()):
-                if name not in names:
-                    raise self._fault(line, f"{kind} names {name!r}, which is no coordinate")
-        if len(set(definition.get("ignorable", ()))) == len(names):
-            raise self._fault(line, "one coordinate at least must not be ignorable")
-
-    def _try_mechanics(self) -> bool:
+    def _try_mechanics(self, definition: Mapping[str, Any]) -> bool:
         """Trace T, Q and f with parameters that lanes decide, and look at what comes out; whether they use time."""
-        k, uses_time = len(self.coordinates), False
-        for name, count in (("T", None), ("Q", k), ("f", 0)):
+        sizes, uses_time = state_sizes(definition), False
+        for name in ("rates", "T", "Q", "f") if "rates" in definition else ("T", "Q", "f"):
 
             def evaluate(p: Mapping[str, Any], t: Any, q: Any, v: Any, name: str = name) -> Any:
                 function = self.define(**p).get(name)
                 result = () if function is None else function(q, v, t)
                 return self._numbers(name, (result,) if name == "T" else result)
 
-            leaves, timed = self._traced(evaluate, 2)
+            leaves, timed = self._traced(evaluate, sizes)
             uses_time |= timed
-            line = self._line_of(name)
             if any(leaf.shape for leaf in leaves):
-                raise self._fault(line, f"{name} must return {_RETURNED[name]}")
-            if count and len(leaves) != count:
-                raise self._fault(line, f"Q must return {k} numbers, one a coordinate, not {len(leaves)}")
-            if name == "f" and len(leaves) >= k:
-                raise self._fault(line, f"f returns {len(leaves)} numbers; {k} coordinates can have {k - 1} at most")
+                raise self._fault(self._line_of(name), f"{name} must return {_RETURNED[name]}")
+            if fault := fault_of_count(definition, name, len(leaves)):
+                raise self._fault(self._line_of(name), fault)
         return uses_time
 
     def _try_point(self, name: str) -> bool:
@@ -331,7 +312,7 @@ class UserFile:
             function = functions_of(self.define(**p))[name]
             return self._numbers(name, function(y) if self.discrete else function(y, t))
 
-        leaves, uses_time = self._traced(evaluate, 1)
+        leaves, uses_time = self._traced(evaluate, (d,))
         if any(leaf.shape for leaf in leaves):
             raise self._fault(line, f"{name} must return {_RETURNED[name]}")
         if len(leaves) != d:
@@ -348,7 +329,7 @@ class UserFile:
                 result = functions_of(self.define(**p))[name](y, t)
                 return self._numbers(name, result if isinstance(result, tuple | list) else (result,))
 
-            leaves, timed = self._traced(evaluate, 1)
+            leaves, timed = self._traced(evaluate, (d,))
             uses_time |= timed
             wanted = "a number a coordinate" if name.endswith(".then") else "a number"
             count = d if name.endswith(".then") else 1
@@ -356,12 +337,10 @@ class UserFile:
                 raise self._fault(self._line_of(name), f"{name} must return {wanted}")
         return uses_time
 
-    def _traced(self, evaluate: Callable[..., Any], vectors: int) -> tuple[list[Any], bool]:
-        """Shapes of what a function of (parameters, t, vectors) returns, and whether t has a part in it."""
-        at, parameters = (0.0,) * len(self.coordinates), dict.fromkeys(self.parameters, 0.0)
-        traced = self._guarded(
-            lambda: Program(lambda t, p, *vectors: evaluate(p, t, *vectors), 0.0, parameters, *(at,) * vectors)
-        )
+    def _traced(self, evaluate: Callable[..., Any], sizes: Sequence[int]) -> tuple[list[Any], bool]:
+        """Shapes of what a function of (parameters, t, vectors of sizes) returns, and whether t has a part in it."""
+        at, parameters = [(0.0,) * size for size in sizes], dict.fromkeys(self.parameters, 0.0)
+        traced = self._guarded(lambda: Program(lambda t, p, *vectors: evaluate(p, t, *vectors), 0.0, parameters, *at))
         self._equations.append(traced.sha256)
         depends = traced.depends([1, *[0] * (len(traced.inputs) - 1)])
         return traced.shapes, any(not isinstance(slot, KnownValue) and depends[slot] for slot in traced.outputs)

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxnh.systems.piecewise_smooth import DIRECTIONS
 
-FUNCTIONS = ("map", "rhs", "T", "Q", "f")
+FUNCTIONS = ("map", "rhs", "rates", "T", "Q", "f")
 """Keys of a definition whose values are functions."""
 
 EVENTS = {"jumps": ("when", "direction", "then"), "switches": ("on",)}

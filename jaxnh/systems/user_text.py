@@ -25,7 +25,7 @@ class Names(NamedTuple):
     Attributes:
         parameters: of the function `system`.
         coordinates: positions, or what a right-hand side or a map acts on.
-        states: coordinates, of mechanics each with its velocity NAME_dot.
+        states: coordinates, of mechanics each with its velocity NAME_dot, or all of them and then quasi-velocities.
     """
 
     parameters: tuple[str, ...] | None = None
@@ -66,9 +66,11 @@ def names_in(text: str, path: Path) -> Names:
     return Names(tuple(argument.arg for argument in (*arguments.args, *arguments.kwonlyargs)), *_coordinates(system))
 
 
-def with_velocities(names: Sequence[str]) -> tuple[str, ...]:
-    """Return each coordinate and its velocity."""
-    return tuple(word for name in names for word in (name, f"{name}_dot"))
+def states_of(coordinates: Sequence[str], quasi_velocities: Sequence[str] = ()) -> tuple[str, ...]:
+    """Names of the states of mechanics: each coordinate and its velocity, or coordinates and quasi-velocities."""
+    if quasi_velocities:
+        return (*coordinates, *quasi_velocities)
+    return tuple(word for name in coordinates for word in (name, f"{name}_dot"))
 
 
 def can_be_states(names: Sequence[str]) -> bool:
@@ -82,15 +84,34 @@ def _coordinates(system: ast.FunctionDef) -> tuple[tuple[str, ...] | None, tuple
     if len(definitions) != 1 or len(definitions[0].keys() & {"rhs", "T", "map"}) != 1:
         return None, None
     [definition] = definitions
-    try:
-        names = ast.literal_eval(definition["coordinates"])
-    except ValueError:
+    names = _literal_names(definition, "coordinates")
+    if names is None:
         return None, None
+    states: tuple[str, ...] | None = names
+    if "rates" in definition:
+        quasi, dependent = _literal_names(definition, "quasi_velocities"), _literal_names(definition, "dependent", ())
+        if not quasi or dependent is None:
+            return None, None
+        states = states_of(names, [name for name in quasi if name not in dependent])
+    elif "T" in definition:
+        states = states_of(names)
+    return (names, states) if can_be_states(states) else (None, None)
+
+
+def _literal_names(
+    definition: dict[str, ast.expr], key: str, otherwise: tuple[str, ...] | None = None
+) -> tuple[str, ...] | None:
+    """Names that a definition writes out under a key; None where they are no literals."""
+    if key not in definition:
+        return otherwise
+    try:
+        names = ast.literal_eval(definition[key])
+    except ValueError:
+        return None
     names = (names,) if isinstance(names, str) else names
     if not isinstance(names, tuple | list) or not all(isinstance(name, str) for name in names):
-        return None, None
-    states = with_velocities(names) if "T" in definition else tuple(names)
-    return (tuple(names), states) if can_be_states(states) else (None, None)
+        return None
+    return tuple(names)
 
 
 def _entries(node: ast.AST) -> dict[str, ast.expr]:
