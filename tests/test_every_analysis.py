@@ -462,6 +462,25 @@ KINDS = {
         particle(("x", "y", "x_dot", "y_dot")),
         paper_equations.PARTICLE,
     ),
+    "quasi-velocities, one of them given, and a norm": Kind(
+        "system: {file: FILE}\ninitial: {c: 0.8, s: 0.6, w: 0.1}\n"
+        "sweep: {damping: {start: 0.1, stop: 0.5, count: 5}}\n" + STEPS,
+        {
+            **dict.fromkeys(
+                ("portrait", "poincare", "diagram"), follows(constrained_oscillators.needle, ("c", "s", "w"))
+            ),
+            "period": periods(lambda values: 1),
+            "lyapunov": exponents(lambda values: (-values["damping"], -values["damping"])),
+            "chaos01": no_chaos,
+            "verdict": words("periodic"),
+            "doubling": none_found,
+            "windows": one_window("damping", "range", None),
+            "branches": branches([1], "damping"),
+            "curves": ONE_PARAMETER.format("damping"),
+            "basins": one_attractor,
+        },
+        constrained_oscillators.NEEDLE,
+    ),
     "T, Q, f without a clock": Kind(
         "system: {file: FILE}\ninitial: {x: 0.5, x_dot: 0.1, y_dot: 0.05}\nsweep: {mu: {start: 0.1, stop: 0.3, count: 4}}\n"
         "section: {coordinate: x, value: 0.0, direction: up}\n" + STEPS,

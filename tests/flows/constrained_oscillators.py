@@ -1,4 +1,4 @@
-"""Oscillators of two coordinates under a constraint on velocities, as files that a user would write, and as rates."""
+"""Oscillators of two coordinates under a constraint on velocities, or of length one, as files that a user would write, and as rates."""
 
 from __future__ import annotations
 
@@ -39,6 +39,27 @@ def system(mu=0.5, slope=0.5):
     return {"T": T, "Q": Q, "f": f, "time_unit": 2 * jnp.pi, **names}
 """
 
+NEEDLE = """\
+import jax.numpy as jnp
+
+def system(drive=0.2, damping=0.2, slope=0.5):
+    def T(q, u, t):
+        return 0.5 * (u[0] ** 2 + u[1] ** 2)
+
+    def Q(q, u, t):  # so that its angle has angle'' = -2 sin angle - 2 damping angle' + drive cos t
+        return (1.0 + slope**2) * (-2.0 * q[1] - 2.0 * damping * u[0] + drive * jnp.cos(t)), 0.0
+
+    def f(q, u, t):
+        return (u[1] - slope * u[0],)
+
+    def rates(q, u, t):
+        return -q[1] * u[0], q[0] * u[0]
+
+    names = {"coordinates": ("c", "s"), "quasi_velocities": ("w", "V"), "dependent": ("V",), "norms": [("c", "s")]}
+    constants = [[[0.0, 0.0]] * 2] * 2  # what V moves is not followed
+    return {"T": T, "Q": Q, "f": f, "rates": rates, "structure_constants": constants, "period": 2 * jnp.pi, **names}
+"""
+
 
 def slide(t, y, drive=0.5, damping=0.2, rate=0.5, level=0.1):
     """Rates of (x, x', y)."""
@@ -48,3 +69,8 @@ def slide(t, y, drive=0.5, damping=0.2, rate=0.5, level=0.1):
 def cycle(t, y, mu=0.5, slope=0.5):
     """Rates of (x, x', y)."""
     return np.array([y[1], -y[0] + (mu - y[0] ** 2 - y[1] ** 2) * y[1], slope * y[1]])
+
+
+def needle(t, y, drive=0.2, damping=0.2):
+    """Rates of (cos, sin, rate) of an angle."""
+    return np.array([-y[1] * y[2], y[0] * y[2], -2 * y[1] - 2 * damping * y[2] + drive * np.cos(t)])
