@@ -1,0 +1,177 @@
+"""Quasi-velocities in a user's file: what is said of a wrong one, and the configs in `configs/nonholonomic`."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.experiment import Experiment
+from jaxnh.exceptions import ConfigError
+from jaxnh.maps.build import make_return_map
+from jaxnh.maps.iterate import iterate
+from jaxnh.mechanics import ellipsoid, rolling_body
+from jaxnh.solvers import dopri8
+from jaxnh.systems.lagrangian import Motion, lagrangian
+from tests.helpers.cases import some_slow
+from tests.helpers.paths import ROOT
+
+TOP = """\
+from jaxnh.mechanics import quaternion_rates
+
+def system(weight=1.0):
+    def T(q, u, t):
+        return 0.5 * (u[0] ** 2 + 1.7 * u[1] ** 2 + 2.3 * u[2] ** 2)
+
+    def Q(q, u, t):
+        return 0.0, 0.0, 0.0
+
+    def rates(q, u, t):
+        return quaternion_rates(q, u)
+
+    e = ("e0", "e1", "e2", "e3")
+    return dict(T=T, Q=Q, rates=rates, coordinates=e, quasi_velocities=("p", "q", "r"), norms=[e])
+"""
+CONFIG = """\
+system: {{file: {file}}}
+initial: {{{initial}}}
+sweep: {{weight: {{values: [1.0, 2.0]}}}}
+accuracy: {{solver: tsit5, steps: 20}}
+analyses:
+  portrait: {{}}
+"""
+
+
+def load(folder, text=TOP, initial="e0: 1.0, p: 0.3"):
+    (folder / "top.py").write_text(text)
+    return Experiment.from_text(CONFIG.format(file=folder / "top.py", initial=initial))
+
+
+def test_names(tmp_path):
+    """Coordinates, then quasi-velocities, from the text and from the function alike."""
+    made = load(tmp_path)
+    names = ("e0", "e1", "e2", "e3", "p", "q", "r")
+    assert made.coordinates == made.flow().coordinates == names
+    assert made.flow().labels.long_names["p"] == "quasi-velocity p"
+    written_out = TOP.replace("coordinates=e", 'coordinates=("e0", "e1", "e2", "e3")')
+    assert load(tmp_path, written_out).coordinates == names
+
+
+def test_start_off_a_norm(tmp_path):
+    """A quaternion that is not of length one is refused in one line, or moved where that is asked for."""
+    with pytest.raises(ConfigError) as refused:
+        load(tmp_path, initial="e0: 0.9, e1: 0.1, p: 0.3")
+    line = str(refused.value)
+    assert "initial.e0: the sum of the squares of e0, e1, e2 and e3 is 0.82 at the start with weight = 1" in line
+    assert "e0: 0.9938837347, e1: 0.1104315261" in line
+    assert "\n" not in line
+    moved = load(tmp_path, initial="e0: 0.9, e1: 0.1, p: 0.3, project: true")
+    start = moved.start({}, 2)
+    assert np.abs(np.sum(np.square(start.q), axis=0) - 1).max() < 1e-15
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (", quasi_velocities=", ", angles=", "with rates, system must also return quasi_velocities"),
+        ("rates=rates, ", "", "quasi_velocities goes with rates(q, u, t), the rates of the coordinates"),
+        ("return 0.0, 0.0, 0.0", "return 0.0, 0.0", "Q must return 3 numbers, one a quasi-velocity, not 2"),
+        ("return quaternion_rates(q, u)", "return u", "rates must return 4 numbers, one a coordinate, not 3"),
+        ("return quaternion_rates(q, u)", "return (*u, u[0])", "the rates do not keep the sum of squares"),
+        ("quaternion_rates(q, u)", "[x * u[0] for x in quaternion_rates(q, u)]", "rates must be linear"),
+        ("norms=[e]", "norms=[('a', 'b')]", "norms has 'a', which is no coordinate"),
+        ("norms=[e]", "dependent='z'", "dependent names 'z', which is no quasi-velocity"),
+        ("norms=[e]", "dependent='p'", "dependent names quasi-velocities that the constraints f give"),
+        ("norms=[e]", "f=lambda q, u, t: u[:1], dependent=('p', 'q')", "f returns 1 numbers, and must return 2"),
+        ("norms=[e]", "f=lambda q, u, t: u", "f returns 3 numbers; 3 quasi-velocities can have 2 at most"),
+        ("norms=[e]", "structure_constants=[[1.0]]", "structure_constants must be 3 times 3 times 3 plain numbers"),
+        ('("p", "q", "r")', '("p", "q", "e0")', "coordinates must differ"),
+    ],
+)
+def test_wrong_files(tmp_path, old, new, message):
+    assert old in TOP
+    with pytest.raises(ConfigError) as refused:
+        load(tmp_path, TOP.replace(old, new, 1))
+    line = str(refused.value)
+    assert message in line
+    assert "top.py:" in line
+    assert "\n" not in line
+
+
+def test_sleigh_is_the_one_of_configs_sleigh():
+    """The same rates by q̇ with a multiplier, and in the sleigh's frame with the velocity across left out."""
+    own, plain = (jaxnh.load(ROOT / f"configs/{name}.yaml").flow() for name in ("nonholonomic/sleigh", "sleigh"))
+    x, y, theta, along, turn = np.random.default_rng(2).uniform(-2, 2, (5, 40))
+    c, s, zero = np.cos(theta), np.sin(theta), np.zeros(40)
+
+    @jax.jit
+    @jax.vmap
+    def rates(t, one, other):
+        return own.rhs(t, one, {"drive": 2.0}), plain.rhs(t, other, {"drive": 2.0})
+
+    states = (
+        Motion((x, y, theta), (along, turn), (zero, zero)),
+        Motion((x, y, theta), (along * c, along * s, turn), (zero, zero)),
+    )
+    one, other = rates(np.linspace(0, 6, 40), *states)
+    faster = other.v[0] * c + other.v[1] * s  # along the blade; across it the velocity is zero
+    exact = np.array([*other.q, faster, other.v[2]])
+    assert np.abs(np.array([*one.q, *one.v]) - exact).max() < 1e-12
+
+
+TENSOR = ((1.1, 0.15, -0.1), (0.15, 1.6, 0.05), (-0.1, 0.05, 1.9))
+SURFACE = (1.0, 0.7, 0.5), (0.05, -0.1, 0.2)
+
+
+def pebble(mass=1.4, gravity=0.9):
+    """A rattleback of sizes near one."""
+    return rolling_body(ellipsoid(*SURFACE), mass, TENSOR, gravity)
+
+
+def energy(state, mass, gravity):
+    """Of the pebble, written out: m |r × ω|²/2 + ω·J ω/2 + m g times the height −r·γ."""
+    vertical, w = np.stack(state.q, axis=-1), np.stack(state.v, axis=-1)
+    squares = np.square(SURFACE[0])
+    r = np.array(SURFACE[1]) - squares * vertical / np.sqrt((squares * vertical**2).sum(-1, keepdims=True))
+    turning = np.einsum("si,ij,sj->s", w, np.array(TENSOR), w)
+    return 0.5 * (mass * (np.cross(r, w) ** 2).sum(-1) + turning) - mass * gravity * (r * vertical).sum(-1)
+
+
+@pytest.mark.parametrize("units", some_slow({"20": 20, "1000": 1000}, "20"))
+def test_energy_of_a_rolling_body(units):
+    """It stays, and the vertical's length with it: order eight, steps of 1/64, a few 1e-15 a unit of time."""
+    flow = lagrangian(pebble, {"mass": 1.4, "gravity": 0.9}, ("mass",))
+    one = np.ones(3)
+    start = Motion(
+        (0 * one, 0.6 * one, 0.8 * one), (np.array([0.1, 1.0, -0.5]), 0.3 * one, 1.5 * one), (0 * one, 0 * one)
+    )
+    mass = np.array([1.0, 1.4, 2.0])
+    strobe = make_return_map(flow, dopri8, 64)
+    end = LaneExecutor()(iterate, (strobe, np.int32(units)), (start, {"mass": mass}))
+    assert np.abs(np.sum(np.square(end.q), axis=0) - 1).max() < 1e-14
+    before, after = (energy(state, mass, 0.9) for state in (start, end))
+    assert np.abs(after - before).max() < 1e-10
+    assert np.abs(np.subtract(end.v, start.v)).max() > 0.1
+
+
+@pytest.mark.slow
+def test_exponents_of_a_rolling_body():
+    """Their sum is the mean divergence; the energy and the flow give two that are zero."""
+    session = jaxnh.Session(pebble, start={"g2": 0.6, "g3": 0.8, "w1": 0.3, "w3": 1.5}, target=1e-9)
+    data = session.run(jaxnh.Lyapunov(periods=400, transient=20, exponents=5), mass=[1.0, 1.4])
+    assert data.sizes["exponent"] == 5
+    exponents, error = data["exponents"].to_numpy(), data["exponents_error"].to_numpy()
+    assert np.abs(data["sum_rule_residual"].to_numpy()).max() < 1e-9
+    near = np.sort(np.abs(exponents) - error, axis=-1)
+    assert np.all(near[:, :2] <= 0.0)
+
+
+def test_rattleback_is_a_config():
+    """Ten lines: its names come from the function, its start is brought to a vertical of length one."""
+    experiment = jaxnh.load(ROOT / "configs/nonholonomic/rattleback.yaml")
+    assert experiment.coordinates == ("g1", "g2", "g3", "w1", "w2", "w3")
+    start = experiment.start({"w3": np.array([-5.0, 5.0])}, 2)
+    assert np.abs(np.sum(np.square(start.q), axis=0) - 1).max() < 1e-15
+    assert jax.tree.leaves(start)[0].shape == (2,)
