@@ -351,7 +351,7 @@ def lagrangian(
         of_lanes: names of those that lanes may have of their own, by default all.
 
     Raises:
-        KinematicsFault: `rates` are no rates of quasi-velocities.
+        InputError: `rates` are no rates of quasi-velocities.
     """
     definition = define(**parameters)
     names = tuple(definition["coordinates"])

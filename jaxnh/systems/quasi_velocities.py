@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnh.exceptions import InputError
 from jaxnh.systems.definition import Definition
 from jaxnh.systems.elimination import is_positive_definite
 from jaxnh.systems.jourdain import Equations, mass_matrix
@@ -33,10 +34,6 @@ KEYS = ("rates", "quasi_velocities", "dependent", "norms", "structure_constants"
 _STATES = 24  # random ones at which brackets are computed
 _CLOSE = 1e-10  # of the brackets: what is constant is so to rounding
 _FULL_RANK = 1e-8  # least singular value of vector fields that are independent, in units of the largest
-
-
-class KinematicsFault(ValueError):
-    """Rates of coordinates that are none of quasi-velocities, in words."""
 
 
 class QuasiVelocities(NamedTuple):
@@ -74,7 +71,7 @@ def quasi_velocities_of(define: Callable[..., Definition], parameters: Mapping[s
     """The quasi-velocities of a definition; None where its velocities are those of its coordinates.
 
     Raises:
-        KinematicsFault: as of `structure_constants`.
+        InputError: as of `structure_constants`.
     """
     return _quasi_velocities(define, tuple(parameters.items()))
 
@@ -118,7 +115,7 @@ def structure_constants(
         given: structure constants that the definition says itself, which its brackets are held against.
 
     Raises:
-        KinematicsFault: the rates are not linear in u, change a norm, do not determine what they should, or contradict
+        InputError: the rates are not linear in u, change a norm, do not determine what they should, or contradict
             the constants given.
     """
     k, n = sizes
@@ -132,20 +129,20 @@ def structure_constants(
     columns, brackets, bent = _columns_and_brackets(rates, q, n, dict(parameters))
     size = max(np.abs(columns).max(), 1e-300)
     if bent > _CLOSE * size:
-        raise KinematicsFault("rates must be linear in the quasi-velocities")
+        raise InputError("rates must be linear in the quasi-velocities")
     for group in norms:
         changes = np.einsum("sna,sa->sn", columns[:, :, list(group)], q[:, list(group)])
         if np.abs(changes).max() > _CLOSE * size:
-            raise KinematicsFault("the rates do not keep the sum of squares that norms says they do")
+            raise InputError("the rates do not keep the sum of squares that norms says they do")
     fields = columns.transpose(0, 2, 1).reshape(-1, n)
     if given is not None:
         gap = np.einsum("ijk,ska->sija", np.array(given), columns) - brackets
         if np.abs(gap).max() > _CLOSE * size:
-            raise KinematicsFault("structure_constants are not those of the rates")
+            raise InputError("structure_constants are not those of the rates")
         return given
     singular = np.linalg.svd(fields, compute_uv=False)
     if len(singular) < n or singular[-1] < _FULL_RANK * singular[0]:
-        raise KinematicsFault(
+        raise InputError(
             "a combination of the quasi-velocities moves no coordinate: add the coordinates that it moves, or give "
             "structure_constants, c[i][j][k] with [X_i, X_j] = sum over k of c[i][j][k] X_k"
         )
@@ -158,7 +155,7 @@ def structure_constants(
         return tuple(tuple(map(tuple, rows)) for rows in constants.T.reshape(n, n, n).tolist())
     least = np.linalg.svd(columns, compute_uv=False)[:, -1].min() if n <= k else 0.0
     if least < _FULL_RANK * size:
-        raise KinematicsFault("the rates do not determine the quasi-velocities, and their brackets are no constants")
+        raise InputError("the rates do not determine the quasi-velocities, and their brackets are no constants")
     return None
 
 

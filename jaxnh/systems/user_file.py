@@ -44,14 +44,13 @@ import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from jaxnh.exceptions import UserFileError
+from jaxnh.exceptions import InputError, UserFileError
 from jaxnh.systems.discrete_map import DiscreteMap, discrete_map
 from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.quasi_velocities import KEYS as QUASI_KEYS
-from jaxnh.systems.quasi_velocities import KinematicsFault
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
 from jaxnh.systems.user_functions import (
@@ -187,7 +186,7 @@ class UserFile:
             raise self._fault(line_of_code(definition["rhs"], line), message)
         try:
             check_names(definition, tuple(inspect.signature(self._define).parameters))
-        except ValueError as error:
+        except InputError as error:
             raise self._fault(line, str(error)) from None
         if all(name in definition for name in _CLOCKS):
             raise self._fault(line, "period and time_unit exclude each other: with a period, it is the unit of time")
@@ -224,8 +223,10 @@ class UserFile:
         made = lagrangian if self.mechanical else discrete_map if self.discrete else of_points
         try:
             flow = made(self.define, parameters, of_lanes)
-        except KinematicsFault as fault:
-            raise self._fault(self._line_of("rates"), str(fault)) from None
+        except UserFileError:
+            raise
+        except InputError as error:
+            raise self._fault(self._line_of("rates"), str(error)) from None
         return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.is_shared(name)))
 
     def _check_period(self, parameters: Mapping[str, float]) -> None:

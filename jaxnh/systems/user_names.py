@@ -1,6 +1,6 @@
 """Names in a user's definition, and the numbers of components that go with them.
 
-What is wrong is raised as a ValueError in one line, to which the caller adds the place.
+What is wrong is said in one line, to which the caller adds the place.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from jaxnh.exceptions import InputError
 from jaxnh.systems.quasi_velocities import KEYS
 from jaxnh.systems.user_text import BESIDE_STATES, can_be_states, states_of
 
@@ -53,36 +54,36 @@ def check_names(definition: Mapping[str, Any], parameters: Sequence[str]) -> Non
         parameters: names of the parameters.
 
     Raises:
-        ValueError: they cannot, or are not.
+        InputError: they cannot, or are not.
     """
     names = definition["coordinates"]
     _check_identifiers("coordinates", names, '("x", "y")')
     _check_quasi_velocities(definition)
     every = [*states_in(definition), *definition.get("dependent", ())]
     if not can_be_states(every):
-        raise ValueError(f"coordinates must differ, and not be one of {', '.join(BESIDE_STATES)}")
+        raise InputError(f"coordinates must differ, and not be one of {', '.join(BESIDE_STATES)}")
     for name in every:
         if name in parameters:
-            raise ValueError(f"{name} names a parameter and a coordinate or velocity; rename one of them")
+            raise InputError(f"{name} names a parameter and a coordinate or velocity; rename one of them")
     for kind in ("labels", "units"):
         said = definition.get(kind, {})
         if not isinstance(said, Mapping) or not all(isinstance(word, str) for word in said.values()):
-            raise ValueError(f'{kind} must be words by name, as in {kind}={{"{every[0]}": "{_AS_IN[kind]}"}}')
+            raise InputError(f'{kind} must be words by name, as in {kind}={{"{every[0]}": "{_AS_IN[kind]}"}}')
         more = ("t",) if kind == "units" and "map" not in definition else ()
         for name in said:
             if name not in (*every, *more, *parameters):
-                raise ValueError(f"{kind} names {name!r}, which is no parameter, coordinate or velocity")
+                raise InputError(f"{kind} names {name!r}, which is no parameter, coordinate or velocity")
     for kind in ("angles", "ignorable"):
         for name in definition.get(kind, ()):
             if name not in names:
-                raise ValueError(f"{kind} names {name!r}, which is no coordinate")
+                raise InputError(f"{kind} names {name!r}, which is no coordinate")
     if len(set(definition.get("ignorable", ()))) == len(names):
-        raise ValueError("one coordinate at least must not be ignorable")
+        raise InputError("one coordinate at least must not be ignorable")
 
 
 def _check_identifiers(kind: str, names: Sequence[Any], example: str) -> None:
     if not names or not all(isinstance(name, str) and name.isidentifier() for name in names):
-        raise ValueError(f"{kind} must be names, as in {kind}={example}")
+        raise InputError(f"{kind} must be names, as in {kind}={example}")
 
 
 def _check_quasi_velocities(definition: Mapping[str, Any]) -> None:
@@ -90,26 +91,26 @@ def _check_quasi_velocities(definition: Mapping[str, Any]) -> None:
     if "rates" not in definition:
         for key in KEYS:
             if key in definition:
-                raise ValueError(f"{key} goes with rates(q, u, t), the rates of the coordinates; leave it out")
+                raise InputError(f"{key} goes with rates(q, u, t), the rates of the coordinates; leave it out")
         return
     if "quasi_velocities" not in definition:
-        raise ValueError('with rates, system must also return quasi_velocities, their names, as in ("u", "w")')
+        raise InputError('with rates, system must also return quasi_velocities, their names, as in ("u", "w")')
     names, quasi = definition["coordinates"], definition["quasi_velocities"]
     _check_identifiers("quasi_velocities", quasi, '("u", "w")')
     for name in definition.get("dependent", ()):
         if name not in quasi:
-            raise ValueError(f"dependent names {name!r}, which is no quasi-velocity")
+            raise InputError(f"dependent names {name!r}, which is no quasi-velocity")
     if definition.get("dependent") and definition.get("f") is None:
-        raise ValueError("dependent names quasi-velocities that the constraints f give; there is no f")
+        raise InputError("dependent names quasi-velocities that the constraints f give; there is no f")
     norms = definition.get("norms", ())
     if not isinstance(norms, tuple | list) or not all(isinstance(group, tuple | list) and group for group in norms):
-        raise ValueError(f'norms must be lists of coordinates, as in norms=[("{names[0]}", ...)]')
+        raise InputError(f'norms must be lists of coordinates, as in norms=[("{names[0]}", ...)]')
     for name in (name for group in norms for name in group):
         if name not in names:
-            raise ValueError(f"norms has {name!r}, which is no coordinate")
+            raise InputError(f"norms has {name!r}, which is no coordinate")
     n, constants = len(quasi), definition.get("structure_constants")
     if constants is not None and not _is_cube(constants, n):
-        raise ValueError(f"structure_constants must be {n} times {n} times {n} plain numbers, c[i][j][k]")
+        raise InputError(f"structure_constants must be {n} times {n} times {n} plain numbers, c[i][j][k]")
 
 
 def _is_cube(constants: Any, n: int, depth: int = 3) -> bool:
